@@ -70,7 +70,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, given)
 }
 
-/// Audits the data read so far of a log that is still being written ([`log::Follow`]). Corrections are not
+/// Audits the data read so far of a log that is still being written ([`log::LogFollower`]). Corrections are not
 /// applied.
 ///
 /// # Errors

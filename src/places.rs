@@ -87,9 +87,10 @@ impl Places {
     /// remote stores are ignored, and so is a `#episode` suffix.
     pub fn reads_log(&mut self, path: &Path) {
         let Some(path) = log::local(path) else { return };
-        let (path, _) = log::episode_of(&path);
+        let (path, _) = log::split_episode(&path);
         let absolute = std::path::absolute(&path).unwrap_or_else(|_| path.clone());
-        let folder = path.is_dir().then(|| path.clone()).or_else(|| log::dataset_of(&absolute));
+        let folder =
+            path.is_dir().then(|| path.clone()).or_else(|| log::enclosing_dataset(&absolute));
         let is_last = |folder: &PathBuf| {
             self.trees
                 .last()

@@ -286,7 +286,7 @@ impl AnyLog {
                 messages: ROWS as u64,
                 columns: Some(columns),
                 undecodable: None,
-                useless: None,
+                unusable: None,
                 read_as: None,
                 cells: Vec::new(),
                 span: None,

@@ -273,14 +273,14 @@ impl Part {
     ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
         let run = &options.run;
-        options.read.begins("sorting");
+        options.read.set_activity("sorting");
         let mut run = Run::complete(log, run, |run| match given {
             Some(given) => given.apply(run, options.run.max_latency_s),
             None => Ok(()),
         })?;
-        options.read.begins("estimating");
+        options.read.set_activity("estimating");
         let evidence = RunEvidence::collect(&mut run, &read.lost, &options.run);
-        options.read.begins("judging");
+        options.read.set_activity("judging");
         let evaluation = evaluate(&evidence, &options.policy.rules);
         Ok(Self { run, evidence, evaluation, seconds })
     }

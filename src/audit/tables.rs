@@ -5,7 +5,7 @@ use std::path::Path;
 use super::calibrate::{FromLog, Taken, reading, trouble};
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
-use crate::log::{PostureTable, RotationColumns, posture_table};
+use crate::log::{CalibrationTable, RotationColumns, read_calibration_table};
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::{LinkId, Robot};
 use crate::run::{PoseSourceKind, RunOptions};
@@ -19,10 +19,10 @@ const LEAST_ROWS: usize = 6;
 
 /// Reads the table at `path`; `None` if the file is not a table.
 pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
-    Ok(posture_table(path)?.map(Table))
+    Ok(read_calibration_table(path)?.map(Table))
 }
 
-pub(super) struct Table(PostureTable);
+pub(super) struct Table(CalibrationTable);
 
 impl Table {
     /// The poses as a calibration stream. Their encoding is resolved against the arm in `options`.
@@ -131,7 +131,7 @@ fn ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String>
     Ok((base, tip.or_else(|| robot.leaf_links().last()).unwrap_or(base)))
 }
 
-fn joint_track(table: &PostureTable, joints: &[usize]) -> JointTrack {
+fn joint_track(table: &CalibrationTable, joints: &[usize]) -> JointTrack {
     let mut track = JointTrack { dof: joints.len(), ..JointTrack::default() };
     for (at, row) in table.rows.iter().enumerate() {
         for within_s in [0.0, REST_S] {
@@ -143,7 +143,7 @@ fn joint_track(table: &PostureTable, joints: &[usize]) -> JointTrack {
     track
 }
 
-fn pose_track(table: &PostureTable) -> PoseTrack {
+fn pose_track(table: &CalibrationTable) -> PoseTrack {
     let rows = &table.rows;
     let xyz = |row: &Vec<f64>| Vec3::from(table.position.map(|column| row[column]));
     let orientation = match &table.rotation {

@@ -48,7 +48,7 @@ pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<An
     let report = match audited {
         Err(trouble) => Report::of_trouble(trouble),
         Ok((audited, words)) => {
-            progress.begins("drawing");
+            progress.set_activity("drawing");
             let Audited { report, .. } = audited.with_figures();
             report.called(&words)
         }

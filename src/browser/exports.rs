@@ -60,9 +60,9 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     let question = unsafe { filled(at, bytes) };
     let files = std::mem::take(&mut *FILES.lock().unwrap_or_else(PoisonError::into_inner));
     let told = Mutex::new((0, ""));
-    let progress = Progress::telling(move |progress| {
+    let progress = Progress::with_callback(move |progress| {
         // Limited to 200 updates.
-        let (read, total, doing) = (progress.read(), progress.total(), progress.doing());
+        let (read, total, doing) = (progress.read(), progress.total(), progress.activity());
         let now = (200 * read / total.max(1), doing);
         if std::mem::replace(&mut *told.lock().unwrap_or_else(PoisonError::into_inner), now) != now
         {

@@ -209,7 +209,7 @@ fn list_pending(
     output::exactly(args.output.as_deref(), |to| {
         for source in &left {
             match is_url(&source.path) {
-                true => write!(to, "{}", SourceName::of(&source.path))?,
+                true => write!(to, "{}", SourceName::from_path(&source.path))?,
                 // Unencoded, because paths may contain any bytes.
                 false => to.write_all(source.path.as_os_str().as_encoded_bytes())?,
             }

@@ -63,7 +63,7 @@ fn bar() -> ProgressBar {
 fn show(bar: &ProgressBar, progress: &Progress) {
     let (read, total) = (progress.read(), progress.total());
     bar.set_length(total);
-    bar.set_message(progress.doing());
+    bar.set_message(progress.activity());
     bar.set_position(read);
 }
 

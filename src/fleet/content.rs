@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 use blake3::Hasher;
 use walkdir::WalkDir;
 
-use crate::log::{Listed, episode_of, files_of_store, is_store};
+use crate::log::{RemoteObject, is_store, split_episode, store_files};
 
 /// How the content of a log is identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,7 +81,7 @@ impl Content {
     /// If it cannot be read.
     pub fn of(path: &Path, stand: Stand, identity: Identity) -> io::Result<Self> {
         // Hashing a file once per episode would be too slow.
-        let id = match (identity, episode_of(path)) {
+        let id = match (identity, split_episode(path)) {
             (Identity::Content, (_, None)) => format!("blake3:{}", hash(path)?),
             (Identity::File, _) | (_, (_, Some(_))) => format!("file:{}", stand.name(path)),
         };
@@ -89,9 +89,9 @@ impl Content {
     }
 }
 
-impl From<&Listed> for Content {
+impl From<&RemoteObject> for Content {
     /// Content of an object, from its URL, size and version, without downloading it.
-    fn from(object: &Listed) -> Self {
+    fn from(object: &RemoteObject) -> Self {
         let mut hasher = Hasher::new();
         for part in [&object.url, &object.bytes.to_string(), &object.version] {
             part_of(&mut hasher, part.as_bytes());
@@ -132,12 +132,12 @@ fn hash(path: &Path) -> io::Result<String> {
 
 /// Files of a log, sorted by path.
 fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
-    let (path, _) = &episode_of(path);
+    let (path, _) = &split_episode(path);
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     if is_store(path) {
-        return Ok(files_of_store(path));
+        return Ok(store_files(path));
     }
     let mut files = Vec::new();
     for entry in WalkDir::new(path).sort_by_file_name() {

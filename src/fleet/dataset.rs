@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::sources::Source;
 use crate::Options;
 use crate::boundary::catch_panic;
-use crate::log::{self, SourceName, dataset_of, episode_of, is_store, is_table, is_url};
+use crate::log::{self, SourceName, enclosing_dataset, is_store, is_table, is_url, split_episode};
 use crate::report::Trouble;
 use crate::robot::catalogue;
 pub use crate::run::Shared;
@@ -35,9 +35,9 @@ pub fn group_of(path: &Path) -> PathBuf {
     if is_url(path) {
         return PathBuf::new();
     }
-    let (file, episode) = episode_of(path);
+    let (file, episode) = split_episode(path);
     let beside = || file.parent().filter(|_| is_table(&file)).map(Path::to_owned);
-    match dataset_of(&file) {
+    match enclosing_dataset(&file) {
         Some(folder) => folder,
         None if episode.is_some() => file,
         None => beside().unwrap_or_default(),
@@ -59,7 +59,7 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
 /// Dataset-wide properties inferred from one log.
 pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
-    let from = SourceName::of(path).to_string();
+    let from = SourceName::from_path(path).to_string();
     let from = from.rsplit('/').next().unwrap_or_default().to_owned();
     let learn = || -> Result<Shared, Trouble> {
         let mut log = log::open(&options.logs, &options.read)?;
@@ -83,7 +83,8 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
 pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     let first = told.first()?;
     // Tables in one folder may belong to several arms.
-    let is_one = dataset_of(&group.join("meta")).is_some() || group.is_file() || is_store(group);
+    let is_one =
+        enclosing_dataset(&group.join("meta")).is_some() || group.is_file() || is_store(group);
     let robot = first.robot.clone();
     let robot = robot.filter(|_| is_one && told.iter().all(|it| it.robot == first.robot));
     let decided: Vec<_> = told

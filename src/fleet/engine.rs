@@ -322,7 +322,7 @@ impl Engine<'_> {
         if Stand::of(path)? == stand {
             self.book().learnt.push(SourceRow {
                 source,
-                path: SourceName::of(path).to_string(),
+                path: SourceName::from_path(path).to_string(),
                 bytes: stand.bytes,
                 mtime_ns: stand.mtime_ns,
                 content: content.id.clone(),
@@ -334,7 +334,7 @@ impl Engine<'_> {
     fn task(&self, path: &Path, content: &str, stand: Stand) -> Task {
         let call = self.call;
         let version = env!("CARGO_PKG_VERSION");
-        let name = SourceName::of(path).to_string();
+        let name = SourceName::from_path(path).to_string();
         let by_path = call.template.as_ref().map(|template| template.labels(Path::new(&name)));
         let mut labels = by_path.unwrap_or_default();
         labels.extend(call.labels.clone());
@@ -399,7 +399,7 @@ impl Engine<'_> {
                 book.course.audited += 1;
                 book.outcomes.count(answer);
                 if answer.status != Status::Audited {
-                    let path = SourceName::of(path).to_string();
+                    let path = SourceName::from_path(path).to_string();
                     book.outcomes.errors.push(Failure { path, status: answer.status, what });
                 }
             }

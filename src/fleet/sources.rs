@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use walkdir::{DirEntry, WalkDir};
 
 use super::content::Content;
-use crate::log::{self, Listed, SourceName};
+use crate::log::{self, RemoteObject, SourceName};
 use crate::report::{Trouble, TroubleKind};
 
 /// Location of one log.
@@ -26,8 +26,8 @@ impl Source {
     }
 }
 
-impl From<&Listed> for Source {
-    fn from(object: &Listed) -> Self {
+impl From<&RemoteObject> for Source {
+    fn from(object: &RemoteObject) -> Self {
         Self { path: PathBuf::from(&object.url), content: Some(object.into()) }
     }
 }
@@ -64,7 +64,7 @@ const METADATA: &str = "metadata.yaml";
 pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
     let mut found = Vec::new();
     for named in wanted {
-        let named = &log::normal(Path::new(named)).to_string_lossy().into_owned();
+        let named = &log::normalize_url(Path::new(named)).to_string_lossy().into_owned();
         let before = found.len();
         match named.as_str() {
             "-" => {
@@ -126,7 +126,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     let stars = url.find('*').filter(|_| !is_web);
     let Some(stars) = stars else {
         let below = log::list(Path::new(url))?;
-        let is_asked = |object: &&Listed| object.url == url || has_ending(&object.url);
+        let is_asked = |object: &&RemoteObject| object.url == url || has_ending(&object.url);
         found.extend(below.iter().filter(is_asked).map(Source::from));
         return Ok(());
     };
@@ -135,7 +135,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     let prefix = &url[..url[..stars].rfind('/').map_or(stars, |slash| slash + 1)];
     let options = glob::MatchOptions { require_literal_separator: true, ..Default::default() };
     let below = log::list(Path::new(prefix))?;
-    let is_asked = |object: &&Listed| pattern.matches_with(&object.url, options);
+    let is_asked = |object: &&RemoteObject| pattern.matches_with(&object.url, options);
     found.extend(below.iter().filter(is_asked).map(Source::from));
     Ok(())
 }
@@ -143,7 +143,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
 /// Logs at `path`, which was named explicitly.
 fn of_path(path: &Path, found: &mut Vec<Source>) {
     if log::is_url(path) {
-        found.push(Source::at(log::normal(path)));
+        found.push(Source::at(log::normalize_url(path)));
         return;
     }
     if !path.is_dir() || is_recording(path) {
@@ -215,7 +215,8 @@ fn is_log(path: &Path) -> bool {
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
     // Parquet files in a folder count only as part of a dataset: others may be unrelated, such as fleet
     // results.
-    let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && log::dataset_of(path).is_none();
+    let is_anybodys =
+        |head: &[u8]| head.starts_with(b"PAR1") && log::enclosing_dataset(path).is_none();
     is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
@@ -227,7 +228,7 @@ fn has_ending(name: &str) -> bool {
 
 fn trouble(place: &str, what: String) -> Trouble {
     let remedy = "name logs, folders of logs, a pattern in quotes, or - for a list on stdin";
-    let place = SourceName::of(Path::new(place)).to_string();
+    let place = SourceName::from_path(Path::new(place)).to_string();
     Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }
 

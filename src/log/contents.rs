@@ -121,7 +121,7 @@ pub enum Crc {
 
 impl Crc {
     /// Coverage if checksums hold for `covered` of `read` messages.
-    pub(super) fn of(covered: u64, read: u64) -> Self {
+    pub(super) fn from_counts(covered: u64, read: u64) -> Self {
         match covered {
             0 => Crc::None,
             covered if covered < read => Crc::Partial,
@@ -155,7 +155,7 @@ pub struct Topic {
     /// Undecodable messages of a type that an audit uses.
     pub undecodable: Option<Undecodable>,
     /// Reason why there are no columns although messages could be decoded.
-    pub useless: Option<String>,
+    pub unusable: Option<String>,
     /// Interpretation of its columns, for tables without a schema.
     pub read_as: Option<String>,
     /// Table columns it consists of, in order.

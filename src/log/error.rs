@@ -11,7 +11,7 @@ const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CS
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file does not exist.
-    #[error("{}: no such file", SourceName::of(path))]
+    #[error("{}: no such file", SourceName::from_path(path))]
     NotFound {
         /// The path as given.
         path: PathBuf,

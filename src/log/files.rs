@@ -7,12 +7,12 @@ use std::path::PathBuf;
 use bytes::Bytes;
 
 use super::LogError;
-use super::mapped::Mapped;
+use super::mapped::MappedFile;
 use super::remote::Address;
 
 /// One file to read.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub(super) struct Input {
+pub(super) struct LogInput {
     /// Path; for an object in a store, its name in reports.
     pub(super) path: PathBuf,
     /// Address, for an object in a store.
@@ -27,14 +27,14 @@ pub(super) struct Input {
     pub(super) episode: Option<String>,
 }
 
-impl Input {
+impl LogInput {
     /// A single local file.
     pub(super) fn local(path: PathBuf) -> Self {
         Self { path, address: None, given: None, in_bag: false, recorded: None, episode: None }
     }
 
     /// A file of a rosbag2 folder without further information.
-    pub(super) fn of_bag(path: PathBuf) -> Self {
+    pub(super) fn bag_file(path: PathBuf) -> Self {
         Self { in_bag: true, ..Self::local(path) }
     }
 
@@ -47,17 +47,17 @@ impl Input {
     }
 
     /// Its content.
-    pub(super) fn open(&self) -> Result<Mapped, LogError> {
+    pub(super) fn open(&self) -> Result<MappedFile, LogError> {
         match &self.given {
-            Some(content) => Mapped::given(&self.path, content),
-            None => Mapped::open(&self.path),
+            Some(content) => MappedFile::from_content(&self.path, content),
+            None => MappedFile::open(&self.path),
         }
     }
 }
 
 /// Rejects a file given twice, under the same path or a different one, and copies of it.
-pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
-    let mut by_size: HashMap<u64, Vec<&Input>> = HashMap::new();
+pub(super) fn reject_duplicates(inputs: &[LogInput]) -> Result<(), LogError> {
+    let mut by_size: HashMap<u64, Vec<&LogInput>> = HashMap::new();
     for input in inputs {
         let same_size = by_size.entry(input.bytes()).or_default();
         for first in same_size.iter() {
@@ -76,7 +76,7 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
 }
 
 /// Whether two files of equal size are the same file or copies.
-fn is_same(a: &Input, b: &Input) -> bool {
+fn is_same(a: &LogInput, b: &LogInput) -> bool {
     if let (Ok(a), Ok(b)) = (fs::canonicalize(&a.path), fs::canonicalize(&b.path))
         && a == b
     {

@@ -8,15 +8,15 @@ use mcap::MAGIC;
 
 use super::intake::Intake;
 use super::losses::Losses;
-use super::mcap::Growing;
+use super::mcap::GrowingFile;
 use super::{Container, Crc, Log, LogError, LogFile, ReadOptions, mcap as container};
 
 /// Maximum number of bytes read at once.
-const MOST_AT_ONCE: u64 = 64 << 20;
+const MAX_READ_BYTES: u64 = 64 << 20;
 
 /// Number of bytes before the read position that are compared again: if they changed, the file was
 /// restarted.
-const WITNESSES: usize = 64;
+const COMPARED_BYTES: usize = 64;
 
 /// Change of a log since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,41 +26,41 @@ pub enum Growth {
     /// More records were read.
     More,
     /// The file was replaced or truncated; earlier content is discarded.
-    BegunAgain,
+    Restarted,
     /// The file is closed or damaged, so following it stops.
     Ended,
 }
 
 /// MCAP file that is read while it is being written. Its content is kept as columns, plus the bytes of an
 /// incomplete record.
-pub struct Follow {
+pub struct LogFollower {
     path: PathBuf,
     options: ReadOptions,
-    state: State,
+    state: FollowState,
 }
 
 /// Content read from one file.
 #[derive(Default)]
-struct State {
+struct FollowState {
     file: Option<u64>,
     /// Bytes read; the last of them wait in `rest` for the end of their record.
     read: u64,
     rest: Vec<u8>,
-    witnesses: Vec<u8>,
-    growing: Growing,
+    compared: Vec<u8>,
+    growing: GrowingFile,
     intake: Intake,
     has_begun: bool,
     has_ended: bool,
 }
 
-impl Follow {
+impl LogFollower {
     /// Follows the file at `path` from its start.
-    pub fn of(path: &Path, options: &ReadOptions) -> Self {
-        Self { path: path.to_owned(), options: options.clone(), state: State::default() }
+    pub fn new(path: &Path, options: &ReadOptions) -> Self {
+        Self { path: path.to_owned(), options: options.clone(), state: FollowState::default() }
     }
 
     /// Whether the file at `path` starts like an MCAP file, the only format that can be followed.
-    pub fn can(path: &Path) -> bool {
+    pub fn is_supported(path: &Path) -> bool {
         let mut head = [0; MAGIC.len()];
         let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
         read.is_ok() && head == MAGIC
@@ -79,15 +79,15 @@ impl Follow {
         let metadata = file.metadata().map_err(failed(&self.path))?;
         let is_same = self.is_same(&mut file, &metadata).map_err(failed(&self.path))?;
         if !is_same {
-            self.state = State::default();
+            self.state = FollowState::default();
             // The new content is read at the next call, after the previous one is finished.
-            return Ok(Growth::BegunAgain);
+            return Ok(Growth::Restarted);
         }
         if self.state.has_ended {
             return Ok(Growth::Ended);
         }
         self.state.file = identity(&metadata);
-        let new = metadata.len().saturating_sub(self.state.read).min(MOST_AT_ONCE);
+        let new = metadata.len().saturating_sub(self.state.read).min(MAX_READ_BYTES);
         if new == 0 {
             return Ok(Growth::None);
         }
@@ -96,13 +96,13 @@ impl Follow {
         file.take(new).read_to_end(&mut self.state.rest).map_err(failed(&self.path))?;
         let state = &mut self.state;
         state.read += (state.rest.len() - before) as u64;
-        let from = state.rest.len().saturating_sub(WITNESSES);
-        state.witnesses = state.rest[from..].to_vec();
-        Ok(self.take(metadata.len()))
+        let from = state.rest.len().saturating_sub(COMPARED_BYTES);
+        state.compared = state.rest[from..].to_vec();
+        Ok(self.add_records(metadata.len()))
     }
 
     /// Adds complete records to the columns.
-    fn take(&mut self, bytes: u64) -> Growth {
+    fn add_records(&mut self, bytes: u64) -> Growth {
         let Self { path, options, state } = self;
         if !state.has_begun {
             let Some(rest) = state.rest.strip_prefix(MAGIC) else { return Growth::None };
@@ -116,7 +116,7 @@ impl Follow {
         }
         let rest = state.rest.split_off(whole);
         let records = [MAGIC, &std::mem::replace(&mut state.rest, rest)].concat();
-        let mut losses = Losses::of(path);
+        let mut losses = Losses::new(path);
         let options = ReadOptions { progress: None, ..options.clone() };
         state.growing.read(&records, &options, &mut losses, &mut state.intake);
         // Damage can only be located by reading the whole file.
@@ -133,7 +133,7 @@ impl Follow {
             fetched: None,
             crc: Crc::None,
         };
-        (self.state.intake.messages() > 0).then(|| self.state.intake.so_far(vec![file]))
+        (self.state.intake.messages() > 0).then(|| self.state.intake.snapshot(vec![file]))
     }
 
     /// Number of bytes read, each once.
@@ -150,10 +150,10 @@ impl Follow {
         if state.file != identity(metadata) || metadata.len() < state.read {
             return Ok(false);
         }
-        let mut there = vec![0; state.witnesses.len()];
+        let mut there = vec![0; state.compared.len()];
         file.seek(SeekFrom::Start(state.read - there.len() as u64))?;
         file.read_exact(&mut there)?;
-        Ok(there == state.witnesses)
+        Ok(there == state.compared)
     }
 }
 
@@ -187,8 +187,8 @@ mod tests {
         log.finish()
     }
 
-    fn follow(path: &Path) -> Follow {
-        Follow::of(path, &ReadOptions::default())
+    fn follow(path: &Path) -> LogFollower {
+        LogFollower::new(path, &ReadOptions::default())
     }
 
     #[test]
@@ -238,7 +238,7 @@ mod tests {
                 fs::rename(&path, folder.path().join("old.mcap")).unwrap();
             }
             fs::write(&path, &second[..kept]).unwrap();
-            assert_eq!(following.advance().unwrap(), Growth::BegunAgain);
+            assert_eq!(following.advance().unwrap(), Growth::Restarted);
             assert_eq!(following.log(), None);
             following.advance().unwrap();
             let log = following.log();
@@ -254,7 +254,7 @@ mod tests {
         let half = bytes.len() / 2;
         bytes[half..half + 200].fill(0);
         fs::write(&path, &bytes).unwrap();
-        assert!(Follow::can(&path));
+        assert!(LogFollower::is_supported(&path));
         let mut following = follow(&path);
         assert_eq!(following.advance().unwrap(), Growth::Ended);
         assert_eq!(following.advance().unwrap(), Growth::Ended);

@@ -9,9 +9,12 @@ use rayon::prelude::*;
 
 use super::decode::{self, Format, Recipe};
 use super::losses::Losses;
-use super::part::{Known, Part};
+use super::part::{ChannelSnapshot, PartContent};
 use super::spans::{Span, gaps, join, overlaps};
-use super::topic::{Channel, Decoding, Message, Taken, TopicIntake, saturating, take_down};
+use super::topic::{
+    ChannelDecoder, Decoding, Message, TopicContent, TopicIntake, record_undecodable,
+    saturating_nanos,
+};
 use super::unpack::{Allowance, Unpacker};
 use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic};
 use ground::stream::Columns;
@@ -35,14 +38,14 @@ const MAX_DESCRIPTIONS: usize = 64;
 const MAX_NOTES: usize = 100;
 
 /// Maximum number of messages in a batch.
-pub(super) const MOST_AT_ONCE: usize = 1 << 14;
+pub(super) const MAX_BATCH_MESSAGES: usize = 1 << 14;
 
 /// Collects topics, messages and damage over all files of a run.
 #[derive(Default)]
 pub(super) struct Intake {
     topics: Vec<TopicIntake>,
     by_name: HashMap<(String, String), usize>,
-    channels: Vec<ChannelOf>,
+    channels: Vec<ChannelLocation>,
     by_format: HashMap<FormatKey, ChannelId>,
     /// Whether the channel limit was exceeded.
     is_full: bool,
@@ -72,7 +75,7 @@ pub(super) struct ChannelId(pub(super) usize);
 
 /// Location of a channel: its topic, and its index among the topic's channels.
 #[derive(Clone, Copy)]
-pub(super) struct ChannelOf {
+pub(super) struct ChannelLocation {
     pub(super) topic: usize,
     pub(super) place: usize,
 }
@@ -109,19 +112,19 @@ impl Intake {
             Some(Err(error)) => Decoding::Impossible { cause: error.to_string() },
         };
         let index = self.topic(topic, format);
-        let taken = &mut self.topics[index].taken;
+        let taken = &mut self.topics[index].content;
         if let (Some(recipe), Decoding::By(_)) = (recipe, &decoding) {
             taken.builder.get_or_insert_with(|| recipe.builder());
         }
         let id = ChannelId(self.channels.len());
-        self.channels.push(ChannelOf { topic: index, place: taken.channels.len() });
-        taken.channels.push(Channel::new(Arc::new(decoding), format.encoding == "cdr"));
+        self.channels.push(ChannelLocation { topic: index, place: taken.channels.len() });
+        taken.channels.push(ChannelDecoder::new(Arc::new(decoding), format.encoding == "cdr"));
         self.by_format.insert(key, id);
         Some(id)
     }
 
     /// Reason why messages have no channel, as extent and text.
-    pub(super) fn nowhere(&self) -> (Extent, String) {
+    pub(super) fn missing_channel_reason(&self) -> (Extent, String) {
         match self.is_full {
             true => (Extent::Unread, format!("beyond the limit of {MAX_CHANNELS}")),
             false => (Extent::Messages, "without a describing record".to_owned()),
@@ -136,7 +139,7 @@ impl Intake {
                 name: decode::bounded(topic).into_owned(),
                 type_name: decode::bounded(format.type_name).into_owned(),
                 encoding: decode::bounded(format.encoding).into_owned(),
-                taken: Taken::default(),
+                content: TopicContent::default(),
                 columns: None,
                 read_as: None,
                 cells: Vec::new(),
@@ -148,8 +151,8 @@ impl Intake {
 
     /// Counts a message, and appends its rows if the channel has columns.
     pub(super) fn message(&mut self, channel: ChannelId, message: Message<'_>) {
-        let ChannelOf { topic, place } = self.channels[channel.0];
-        let topic = &mut self.topics[topic].taken;
+        let ChannelLocation { topic, place } = self.channels[channel.0];
+        let topic = &mut self.topics[topic].content;
         self.messages += 1;
         let mut message = message;
         if topic.channels[place].is_packed(message.data) {
@@ -157,8 +160,11 @@ impl Intake {
                 Ok(unpacked) => message.data = unpacked,
                 Err(error) => {
                     topic.messages += 1;
-                    topic.seen(self.files.len(), Stamp::from_nanos(saturating(message.log_time)));
-                    return take_down(&mut topic.undecodable, message.place, &error);
+                    topic.record_span(
+                        self.files.len(),
+                        Stamp::from_nanos(saturating_nanos(message.log_time)),
+                    );
+                    return record_undecodable(&mut topic.undecodable, message.place, &error);
                 }
             }
         }
@@ -170,8 +176,8 @@ impl Intake {
         /// Fewer messages are faster on one thread.
         const FEW: usize = 256;
         let is_packed = |(channel, message): &(ChannelId, Message<'_>)| {
-            let ChannelOf { topic, place } = self.channels[channel.0];
-            self.topics[topic].taken.channels[place].is_packed(message.data)
+            let ChannelLocation { topic, place } = self.channels[channel.0];
+            self.topics[topic].content.channels[place].is_packed(message.data)
         };
         // The allowance for compressed messages is charged in their order.
         if batch.len() < FEW || batch.iter().any(is_packed) {
@@ -179,14 +185,14 @@ impl Intake {
         }
         self.messages += batch.len() as u64;
         for (index, (channel, _)) in batch.iter().enumerate() {
-            let ChannelOf { topic, place } = self.channels[channel.0];
+            let ChannelLocation { topic, place } = self.channels[channel.0];
             self.topics[topic].waiting.push((place, index));
         }
         let file = self.files.len();
         self.topics.par_iter_mut().with_max_len(1).for_each(|topic| {
             let mut waiting = std::mem::take(&mut topic.waiting);
             for (place, index) in waiting.drain(..) {
-                topic.taken.message(place, &batch[index].1, file);
+                topic.content.message(place, &batch[index].1, file);
             }
             topic.waiting = waiting;
         });
@@ -195,42 +201,43 @@ impl Intake {
 
     /// Data for reading messages of the known channels in another thread. `None` if there are very many
     /// channels.
-    pub(super) fn known(&self) -> Option<Known> {
+    pub(super) fn known(&self) -> Option<ChannelSnapshot> {
         /// Number of channels above which this copy takes longer than reading a small chunk.
         const MANY: usize = 1 << 9;
         (self.channels.len() <= MANY).then(|| {
-            let topics = self.topics.iter().map(|topic| topic.taken.blank()).collect();
-            Known::new(topics, self.channels.clone(), self.files.len())
+            let topics = self.topics.iter().map(|topic| topic.content.template()).collect();
+            ChannelSnapshot::new(topics, self.channels.clone(), self.files.len())
         })
     }
 
     /// Adds the messages of a part read in another thread, as if they were read now. Returns false and adds
     /// nothing if that is not possible.
-    pub(super) fn join(&mut self, part: Part) -> bool {
-        let fits = |(index, taken): &(usize, Taken)| self.topics[*index].taken.fits(taken);
+    pub(super) fn join(&mut self, part: PartContent) -> bool {
+        let fits =
+            |(index, taken): &(usize, TopicContent)| self.topics[*index].content.can_join(taken);
         if !part.topics.iter().all(fits) {
             return false;
         }
         for (index, taken) in part.topics {
             self.messages += taken.messages;
-            self.topics[index].taken.join(taken);
+            self.topics[index].content.join(taken);
         }
         true
     }
 
     /// Whether messages of a channel are only counted.
     pub(super) fn ignores(&self, channel: ChannelId) -> bool {
-        let ChannelOf { topic, place } = self.channels[channel.0];
-        matches!(*self.topics[topic].taken.channels[place].decoding, Decoding::Ignored)
+        let ChannelLocation { topic, place } = self.channels[channel.0];
+        matches!(*self.topics[topic].content.channels[place].decoding, Decoding::Ignored)
     }
 
     /// Counts messages of a channel that [`Intake::ignores`], with their first and last log time, ns.
     pub(super) fn count(&mut self, channel: ChannelId, messages: u64, (first, last): (u64, u64)) {
-        let topic = &mut self.topics[self.channels[channel.0].topic].taken;
+        let topic = &mut self.topics[self.channels[channel.0].topic].content;
         self.messages += messages;
         topic.messages += messages;
         for time in [first, last] {
-            topic.seen(self.files.len(), Stamp::from_nanos(saturating(time)));
+            topic.record_span(self.files.len(), Stamp::from_nanos(saturating_nanos(time)));
         }
     }
 
@@ -260,13 +267,13 @@ impl Intake {
     }
 
     /// Records that metadata were read, with the robot type they declare.
-    pub(super) fn declared(&mut self, robot: Option<&str>) {
+    pub(super) fn declare_metadata(&mut self, robot: Option<&str>) {
         self.contradictions.get_or_insert_default();
         self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
     }
 
     /// Records a table column identified as times despite its name, if any.
-    pub fn timed_by(&mut self, column: Option<&str>) {
+    pub fn set_time_column(&mut self, column: Option<&str>) {
         self.time_column = self.time_column.take().or_else(|| column.map(str::to_owned));
     }
 
@@ -309,9 +316,9 @@ impl Intake {
     }
 
     /// Log of the content so far.
-    pub(super) fn so_far(&self, files: Vec<LogFile>) -> Log {
+    pub(super) fn snapshot(&self, files: Vec<LogFile>) -> Log {
         let copy = Self {
-            topics: self.topics.iter().map(TopicIntake::so_far).collect(),
+            topics: self.topics.iter().map(TopicIntake::snapshot).collect(),
             messages: self.messages,
             descriptions: self.descriptions.clone(),
             losses: self.losses.clone(),
@@ -324,7 +331,7 @@ impl Intake {
 
     /// Log of all content of `files`.
     pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
-        self.note_strangers();
+        self.note_unrelated_files();
         let mut topics: Vec<Topic> =
             self.topics.into_iter().flat_map(TopicIntake::finish).collect();
         topics.sort_by(|a, b| (&a.name, &a.type_name).cmp(&(&b.name, &b.type_name)));
@@ -345,11 +352,11 @@ impl Intake {
     }
 
     /// Adds notes about files that do not seem to belong to the same run.
-    fn note_strangers(&mut self) {
+    fn note_unrelated_files(&mut self) {
         let mut notes: Vec<(usize, String)> = Vec::new();
         let mut told = HashSet::new();
         for topic in &self.topics {
-            for (earlier, later, shared_s) in overlaps(&topic.taken.spans) {
+            for (earlier, later, shared_s) in overlaps(&topic.content.spans) {
                 if told.insert((earlier, later)) {
                     let (name, other) = (&topic.name, self.file(earlier).display());
                     notes.push((
@@ -384,7 +391,7 @@ impl Intake {
     /// Span of each file, by number.
     fn file_spans(&self) -> Vec<(usize, Span)> {
         let mut spans: Vec<(usize, Span)> =
-            self.topics.iter().flat_map(|topic| &topic.taken.spans).copied().collect();
+            self.topics.iter().flat_map(|topic| &topic.content.spans).copied().collect();
         spans.sort_by_key(|&(number, _)| number);
         spans.dedup_by(|next, kept| {
             let same = next.0 == kept.0;

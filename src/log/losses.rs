@@ -19,7 +19,7 @@ pub(super) struct Losses {
 
 impl Losses {
     /// Empty list of damage to `file`.
-    pub(super) fn of(file: &Path) -> Self {
+    pub(super) fn new(file: &Path) -> Self {
         Self { file: file.to_owned(), list: Vec::new(), before_last: None, last: None }
     }
 
@@ -77,7 +77,7 @@ impl Losses {
     }
 
     /// Sets the time span of the damage at `offset`, ns.
-    pub(super) fn date(&mut self, offset: usize, first: u64, last: u64) {
+    pub(super) fn set_span(&mut self, offset: usize, first: u64, last: u64) {
         let at = |loss: &&mut Loss| loss.offset == Some(offset as u64);
         let (Ok(first), Ok(last)) = (first.try_into(), last.try_into()) else { return };
         let (first, last) = (Stamp::from_nanos(first), Stamp::from_nanos(last));
@@ -92,7 +92,7 @@ impl Losses {
     }
 
     /// Infers unknown losses from the total: `witness` reports `recorded` messages, and `read` were read.
-    pub(super) fn settle(&mut self, witness: &str, recorded: u64, read: u64) {
+    pub(super) fn infer_missing(&mut self, witness: &str, recorded: u64, read: u64) {
         let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
         let missing = recorded.saturating_sub(read).saturating_sub(known);
         let mut unknown: Vec<&mut Loss> =
@@ -127,14 +127,14 @@ impl Losses {
 
 /// Records of unknown kinds, possibly from a newer version of the format.
 #[derive(Debug, Default)]
-pub(super) struct Unknown {
+pub(super) struct UnknownRecords {
     count: u64,
     first: u8,
 }
 
-impl Unknown {
+impl UnknownRecords {
     /// Counts a record of kind `code`.
-    pub(super) fn see(&mut self, code: u8) {
+    pub(super) fn add(&mut self, code: u8) {
         if self.count == 0 {
             self.first = code;
         }
@@ -142,7 +142,7 @@ impl Unknown {
     }
 
     /// Note about them, if any; `name` is the format's term for the kind.
-    pub(super) fn said(&self, name: &str) -> Option<String> {
+    pub(super) fn note(&self, name: &str) -> Option<String> {
         let (count, first) = (self.count, self.first);
         (count > 0).then(|| match count {
             1 => format!("skipped a record of unknown kind ({name} {first:#04x})"),
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn a_hostile_file_cannot_fill_the_memory_with_losses() {
-        let mut losses = Losses::of(Path::new("x"));
+        let mut losses = Losses::new(Path::new("x"));
         for offset in 0..1000 {
             losses.add(offset, Extent::Index, Some(1), "broken".to_owned());
         }
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn what_is_not_known_stays_so_in_a_full_list() {
         let full = |first: Option<u64>| {
-            let mut losses = Losses::of(Path::new("x"));
+            let mut losses = Losses::new(Path::new("x"));
             for offset in 0..MAX_LOSSES {
                 losses.add(offset, Extent::Messages, first, "broken".to_owned());
             }
@@ -195,10 +195,10 @@ mod tests {
 
     #[test]
     fn the_summary_settles_what_one_loss_took() {
-        let mut losses = Losses::of(Path::new("x"));
+        let mut losses = Losses::new(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
         losses.add(9, Extent::Messages, Some(2), "broken".to_owned());
-        losses.settle("the summary", 20, 11);
+        losses.infer_missing("the summary", 20, 11);
         let losses = losses.finish();
         assert_eq!(losses[0].messages, Some(7));
         assert_eq!(losses[1].messages, Some(2));
@@ -206,12 +206,12 @@ mod tests {
 
     #[test]
     fn what_is_not_read_is_one_thing() {
-        let mut losses = Losses::of(Path::new("x"));
+        let mut losses = Losses::new(Path::new("x"));
         losses.add(3, Extent::Messages, None, "broken".to_owned());
         losses.add_to_last(1);
         for chunk in 1..=50 {
             losses.add(10 * chunk, Extent::Unread, None, "too much".to_owned());
-            losses.date(10 * chunk, 100 * chunk as u64, 100 * chunk as u64 + 7);
+            losses.set_span(10 * chunk, 100 * chunk as u64, 100 * chunk as u64 + 7);
             losses.add_to_last(2);
             losses.add_to_last(3);
         }
@@ -225,9 +225,9 @@ mod tests {
 
     #[test]
     fn damage_that_took_no_message_is_damage_to_the_index() {
-        let mut losses = Losses::of(Path::new("x"));
+        let mut losses = Losses::new(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
-        losses.settle("the summary", 20, 20);
+        losses.infer_missing("the summary", 20, 20);
         let losses = losses.finish();
         assert_eq!((losses[0].messages, losses[0].extent), (Some(0), Extent::Index));
     }

@@ -18,15 +18,15 @@ use super::LogError;
 pub(super) use self::place::{Temporary, advise, temporary};
 
 /// A file in memory.
-pub(super) struct Mapped(Bytes);
+pub(super) struct MappedFile(Bytes);
 
-impl AsRef<[u8]> for Mapped {
+impl AsRef<[u8]> for MappedFile {
     fn as_ref(&self) -> &[u8] {
         self.bytes()
     }
 }
 
-impl Mapped {
+impl MappedFile {
     /// Maps a file into memory, or returns the reason why it cannot be read.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |source: io::Error| LogError::io(path, source);
@@ -43,7 +43,7 @@ impl Mapped {
     }
 
     /// Content of the file at `path`, supplied by the caller.
-    pub(super) fn given(path: &Path, content: &Bytes) -> Result<Self, LogError> {
+    pub(super) fn from_content(path: &Path, content: &Bytes) -> Result<Self, LogError> {
         match content.is_empty() {
             true => Err(LogError::Empty { path: path.to_owned() }),
             false => Ok(Self(content.clone())),
@@ -51,7 +51,7 @@ impl Mapped {
     }
 
     /// Content of a temporary file.
-    pub(super) fn of(kept: &Temporary) -> io::Result<Self> {
+    pub(super) fn from_temporary(kept: &Temporary) -> io::Result<Self> {
         let mapped = place::kept(kept).map(Self)?;
         if mapped.bytes().is_empty() {
             Err(io::ErrorKind::UnexpectedEof.into())
@@ -68,7 +68,7 @@ impl Mapped {
 
 /// Access pattern of a file in memory.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Looks {
+pub(super) enum AccessPattern {
     /// Single distant positions; the bytes between them should not be read from the disk.
     Scattered,
     /// The whole file, soon.

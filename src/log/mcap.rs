@@ -23,23 +23,23 @@ use std::sync::Arc;
 use mcap::MAGIC;
 use mcap::records::op;
 
-use self::parts::Table;
+use self::parts::DefinitionSnapshot;
 use self::record::{Broken, Frame};
-use super::ahead::{self, Ahead};
-use super::intake::{ChannelId, Intake, MOST_AT_ONCE};
-use super::losses::{Losses, Unknown};
+use super::chunk_pool::{self, ChunkPool};
+use super::intake::{ChannelId, Intake, MAX_BATCH_MESSAGES};
+use super::losses::{Losses, UnknownRecords};
 use super::ranges::Present;
 use super::topic::Message;
 use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
-pub(super) use self::growing::{Growing, whole_records};
+pub(super) use self::growing::{GrowingFile, whole_records};
 #[cfg(feature = "cloud")]
 pub(super) use self::survey::{Survey, survey};
 
 /// Required byte offset of a file that has not been fetched.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Absent(pub(super) usize);
+pub(super) struct MissingByte(pub(super) usize);
 
 /// Reads the file `bytes`, which start with [`MAGIC`], into `intake`. Accesses only the `present` bytes,
 /// which must cover those requested by [`survey`](survey::survey).
@@ -52,8 +52,8 @@ pub(super) fn read(
     options: &ReadOptions,
     losses: &mut Losses,
     intake: &mut Intake,
-) -> Result<Crc, Absent> {
-    ahead::with(|ahead| {
+) -> Result<Crc, MissingByte> {
+    chunk_pool::with_pool(|ahead| {
         let before = intake.messages();
         let mut reader = Reader::new(bytes, present, options, losses, intake, ahead);
         let summary = reader.summary();
@@ -63,7 +63,7 @@ pub(super) fn read(
         }
         let read = reader.intake.messages() - before;
         reader.close(&summary, end, read);
-        Ok(Crc::of(reader.covered, read))
+        Ok(Crc::from_counts(reader.covered, read))
     })
 }
 
@@ -72,16 +72,16 @@ struct Reader<'a, 'r, 'scope> {
     /// Available bytes.
     present: &'r Present,
     /// First required byte that is not available.
-    absent: Option<Absent>,
+    absent: Option<MissingByte>,
     options: &'r ReadOptions,
     intake: &'r mut Intake,
     losses: &'r mut Losses,
-    ahead: &'r mut Ahead<'scope, 'a>,
+    ahead: &'r mut ChunkPool<'scope, 'a>,
     /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
     scanned: Option<usize>,
     definitions: Definitions,
     /// Snapshot of the definitions for parallel parsing. `None` until requested.
-    table: Option<Arc<Table>>,
+    table: Option<Arc<DefinitionSnapshot>>,
     /// Number of snapshots.
     tables: u32,
     /// Whether most of a chunk was skipped; the wanted parts of the following ones are then fetched
@@ -92,13 +92,13 @@ struct Reader<'a, 'r, 'scope> {
     /// Messages of undescribed channels: their number and the offset of the first.
     orphans: Option<(u64, usize)>,
     /// Records of unknown kinds.
-    unknown: Unknown,
+    unknown: UnknownRecords,
     /// Whether the previous record belongs to a lost chunk.
     in_lost_chunk: bool,
     /// Whether a chunk was found.
     has_chunks: bool,
     /// Start of trailing zeros, once computed.
-    zeros_from: OnceCell<usize>,
+    trailing_zeros_start: OnceCell<usize>,
 }
 
 /// Latest schemas and channels; chunks repeat them.
@@ -118,13 +118,13 @@ impl Definitions {
 
     /// Whether a record's schema equals the known one.
     fn has_schema(&self, schema: &record::Schema<'_>) -> bool {
-        self.schemas.get(&schema.id).is_some_and(|known| known.is(schema))
+        self.schemas.get(&schema.id).is_some_and(|known| known.matches(schema))
     }
 
     /// Whether a record's channel equals the known one.
     fn has_channel(&self, channel: &record::Channel<'_>) -> bool {
         let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
-        known.is_some_and(|known| known.is(channel))
+        known.is_some_and(|known| known.matches(channel))
     }
 }
 
@@ -137,7 +137,7 @@ struct Schema {
 
 impl Schema {
     /// Whether it equals a record.
-    fn is(&self, schema: &record::Schema<'_>) -> bool {
+    fn matches(&self, schema: &record::Schema<'_>) -> bool {
         (self.name.as_str(), self.encoding.as_str(), self.data.as_slice())
             == (schema.name, schema.encoding, schema.data)
     }
@@ -154,7 +154,7 @@ struct Channel {
 
 impl Channel {
     /// Whether it equals a record.
-    fn is(&self, channel: &record::Channel<'_>) -> bool {
+    fn matches(&self, channel: &record::Channel<'_>) -> bool {
         (self.schema_id, self.topic.as_str(), self.encoding.as_str())
             == (channel.schema_id, channel.topic, channel.encoding)
     }
@@ -170,7 +170,7 @@ enum Summary {
 
 /// Usable content of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Use {
+enum ChunkUse {
     /// Most of it, or unknown: it is decompressed and its checksum verified.
     All,
     /// Some messages between larger ones. The chunk is uncompressed, and the others are skipped.
@@ -182,7 +182,7 @@ enum Use {
 }
 
 /// End of the data section.
-enum End<'a> {
+enum DataEnd<'a> {
     /// At the record that closes it.
     Closed(Frame<'a>),
     /// After a complete record, at the end of the file.
@@ -198,7 +198,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
         options: &'r ReadOptions,
         losses: &'r mut Losses,
         intake: &'r mut Intake,
-        ahead: &'r mut Ahead<'scope, 'a>,
+        ahead: &'r mut ChunkPool<'scope, 'a>,
     ) -> Self {
         Self {
             bytes,
@@ -215,10 +215,10 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
             is_scattered: false,
             covered: 0,
             orphans: None,
-            unknown: Unknown::default(),
+            unknown: UnknownRecords::default(),
             in_lost_chunk: false,
             has_chunks: false,
-            zeros_from: OnceCell::new(),
+            trailing_zeros_start: OnceCell::new(),
         }
     }
 }
@@ -228,11 +228,11 @@ impl<'a> Reader<'a, '_, '_> {
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
             let magic = self.bytes.len().saturating_sub(MAGIC.len());
-            self.is_there(magic..self.bytes.len());
+            self.is_present(magic..self.bytes.len());
             return Summary::Unclosed;
         };
         let footer_start = content.len().saturating_sub(record::Footer::SIZE);
-        if !self.is_there(footer_start..self.bytes.len()) {
+        if !self.is_present(footer_start..self.bytes.len()) {
             return Summary::Unclosed;
         }
         let footer = match record::frame(content, footer_start) {
@@ -240,7 +240,7 @@ impl<'a> Reader<'a, '_, '_> {
             _ => None,
         };
         let Some(footer) = footer else {
-            self.lose_summary(footer_start, "no footer before the end of the file");
+            self.record_lost_summary(footer_start, "no footer before the end of the file");
             return Summary::Closed { messages: None };
         };
         let start = usize::try_from(footer.summary_start).unwrap_or(usize::MAX);
@@ -249,16 +249,16 @@ impl<'a> Reader<'a, '_, '_> {
         }
         let Some(records) = content.get(..footer_start).filter(|records| start <= records.len())
         else {
-            self.lose_summary(footer_start, "the footer points beyond the end of the file");
+            self.record_lost_summary(footer_start, "the footer points beyond the end of the file");
             return Summary::Closed { messages: None };
         };
-        if !self.is_there(start..footer_start) {
+        if !self.is_present(start..footer_start) {
             return Summary::Unclosed;
         }
         // The checksum also covers the footer, up to itself.
         let covered = &content[start..content.len() - size_of::<u32>()];
         if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {
-            self.lose_summary(start, "the summary fails its checksum");
+            self.record_lost_summary(start, "the summary fails its checksum");
             return Summary::Closed { messages: None };
         }
         let mut messages = None;
@@ -269,7 +269,7 @@ impl<'a> Reader<'a, '_, '_> {
                 match wanted {
                     op::STATISTICS => messages = record::recorded_messages(frame.body),
                     _ if self.definition(&frame).is_none() => {
-                        self.lose_record(&frame, frame.offset);
+                        self.record_lost_record(&frame, frame.offset);
                     }
                     _ => {}
                 }
@@ -278,26 +278,26 @@ impl<'a> Reader<'a, '_, '_> {
         Summary::Closed { messages }
     }
 
-    fn lose_summary(&mut self, offset: usize, what: &str) {
+    fn record_lost_summary(&mut self, offset: usize, what: &str) {
         self.losses.add(offset, Extent::Index, Some(0), what.to_owned());
     }
 
     /// Walks the records of the data section.
-    fn walk(&mut self) -> End<'a> {
+    fn walk(&mut self) -> DataEnd<'a> {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
         // Where to search for the next chunk if no record starts at `offset`: the previous record may have
         // a wrong length.
         let mut sound = offset;
         while offset < self.bytes.len() {
-            self.options.at(offset);
+            self.options.set_position(offset);
             self.unpack_ahead(offset);
-            if !self.is_there(offset..self.bytes.len().min(offset + record::FRAME_HEADER)) {
-                return End::Damaged;
+            if !self.is_present(offset..self.bytes.len().min(offset + record::FRAME_HEADER)) {
+                return DataEnd::Damaged;
             }
             match record::frame(self.bytes, offset) {
                 Ok(frame) if matches!(frame.opcode, op::DATA_END | op::FOOTER) => {
-                    return End::Closed(frame);
+                    return DataEnd::Closed(frame);
                 }
                 Ok(frame) => {
                     let intact = self.record(&frame, &mut unpacker);
@@ -305,11 +305,11 @@ impl<'a> Reader<'a, '_, '_> {
                     offset = frame.end();
                 }
                 // The rest must be searched.
-                Err(_) if !self.is_there(sound..self.bytes.len()) => return End::Damaged,
+                Err(_) if !self.is_present(sound..self.bytes.len()) => return DataEnd::Damaged,
                 Err(broken) => {
                     let Some(next) = self.next_record(sound) else {
-                        self.lose_rest(offset, broken, &mut unpacker);
-                        return End::Damaged;
+                        self.salvage_rest(offset, broken, &mut unpacker);
+                        return DataEnd::Damaged;
                     };
                     let what =
                         format!("expected a record, found {broken}; continued at byte {next}");
@@ -319,7 +319,7 @@ impl<'a> Reader<'a, '_, '_> {
                 }
             }
         }
-        End::Open
+        DataEnd::Open
     }
 
     /// Offset at which to continue after damage, from `from` on. Chunks contain bytes that look like
@@ -336,7 +336,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Start of the trailing zeros, of which there may be gigabytes.
     fn zeros_from(&self) -> usize {
-        *self.zeros_from.get_or_init(|| record::trailing_zeros(self.bytes))
+        *self.trailing_zeros_start.get_or_init(|| record::trailing_zeros(self.bytes))
     }
 
     /// Reads one record of the data section. Returns whether its length is reliable.
@@ -344,7 +344,7 @@ impl<'a> Reader<'a, '_, '_> {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
         match frame.opcode {
             op::CHUNK => return self.chunk(frame, unpacker),
-            _ if !self.is_there(frame.offset..frame.end()) => {}
+            _ if !self.is_present(frame.offset..frame.end()) => {}
             op::MESSAGE_INDEX if in_lost_chunk => {
                 // The index of a lost chunk contains its number of messages.
                 let index = record::MessageIndex::parse(frame.body);
@@ -356,7 +356,7 @@ impl<'a> Reader<'a, '_, '_> {
             _ => {
                 let mut batch = Vec::new();
                 if self.content(frame, frame.offset, &mut batch).is_none() {
-                    self.lose_record(frame, frame.offset);
+                    self.record_lost_record(frame, frame.offset);
                 }
                 self.intake.batch(&mut batch);
             }
@@ -374,7 +374,7 @@ impl<'a> Reader<'a, '_, '_> {
         if frame.opcode != op::MESSAGE {
             // Opcodes from 0x80 are for private use.
             if (op::DATA_END + 1..0x80).contains(&frame.opcode) {
-                self.unknown.see(frame.opcode);
+                self.unknown.add(frame.opcode);
             }
             return self.definition(frame);
         }
@@ -384,13 +384,13 @@ impl<'a> Reader<'a, '_, '_> {
             return Some(());
         };
         batch.push((id, message.at(offset)));
-        if batch.len() == MOST_AT_ONCE {
+        if batch.len() == MAX_BATCH_MESSAGES {
             self.intake.batch(batch);
         }
         Some(())
     }
 
-    fn lose_record(&mut self, frame: &Frame<'_>, offset: usize) {
+    fn record_lost_record(&mut self, frame: &Frame<'_>, offset: usize) {
         let what = format!("malformed record (opcode {:#04x})", frame.opcode);
         let (extent, messages) = match frame.opcode {
             op::MESSAGE => (Extent::Messages, Some(1)),
@@ -400,14 +400,14 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Records the damage at `offset` and salvages the rest of the chunk.
-    fn lose_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
+    fn salvage_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
         let closed = self.bytes.ends_with(MAGIC);
         let (extent, messages, what) = match broken {
             Broken::Cut { opcode: op::CHUNK, body, .. } if !closed => {
                 let before = self.intake.messages();
                 if let Some(chunk) = record::Chunk::parse(body) {
                     let records = chunk.cut_records(unpacker, &mut self.intake.allowance);
-                    self.cut_chunk(records, offset);
+                    self.salvage_chunk(records, offset);
                 }
                 let saved = self.intake.messages() - before;
                 let what =
@@ -432,27 +432,27 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Compares the messages read with the count at the end of the file.
-    fn close(&mut self, summary: &Summary, end: End<'_>, read: u64) {
-        if let Some(what) = self.unknown.said("opcode") {
+    fn close(&mut self, summary: &Summary, end: DataEnd<'_>, read: u64) {
+        if let Some(what) = self.unknown.note("opcode") {
             self.intake.note(self.losses.file(), what);
         }
         if let Some((messages, offset)) = self.orphans {
-            let (extent, why) = self.intake.nowhere();
+            let (extent, why) = self.intake.missing_channel_reason();
             let what = format!("the first of {messages} messages of channels {why}");
             self.losses.add(offset, extent, Some(messages), what);
         }
         match (summary, end) {
-            (Summary::Unclosed, End::Open | End::Closed(_)) => {
+            (Summary::Unclosed, DataEnd::Open | DataEnd::Closed(_)) => {
                 let what = "the file ends without a footer: the recording was not closed";
-                self.lose_summary(self.bytes.len(), what);
+                self.record_lost_summary(self.bytes.len(), what);
             }
-            (Summary::Closed { .. }, End::Closed(frame)) if self.options.verify => {
+            (Summary::Closed { .. }, DataEnd::Closed(frame)) if self.options.verify => {
                 self.check_data(&frame, read);
             }
             _ => {}
         }
         if let Summary::Closed { messages: Some(recorded) } = *summary {
-            self.losses.settle("the summary", recorded, read);
+            self.losses.infer_missing("the summary", recorded, read);
         }
     }
 
@@ -470,7 +470,10 @@ impl<'a> Reader<'a, '_, '_> {
         } else if self.losses.is_empty() {
             let what = "the data section fails its checksum";
             if self.covered == read {
-                self.lose_summary(end.offset, &format!("{what}, although every chunk is intact"));
+                self.record_lost_summary(
+                    end.offset,
+                    &format!("{what}, although every chunk is intact"),
+                );
             } else {
                 let what = format!("{what}: messages outside chunks may be altered");
                 self.losses.add(end.offset, Extent::Messages, None, what);

@@ -10,22 +10,23 @@
 #![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "used by the database reader"))]
 
-mod ahead;
-mod contained;
+mod calibration_table;
+mod chunk_pool;
+mod containment;
 mod contents;
 mod decode;
 mod error;
+mod file_format;
 mod files;
 mod follow;
 mod intake;
 mod losses;
 mod mapped;
 mod mcap;
-mod memory;
+mod memory_budget;
 mod name;
 mod options;
 mod part;
-mod postures;
 mod progress;
 mod ranges;
 mod reading;
@@ -35,7 +36,6 @@ mod rosbag2;
 mod rtde;
 #[cfg(test)]
 mod seeds;
-mod sniff;
 mod spans;
 mod tables;
 #[cfg(test)]
@@ -47,22 +47,22 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
+pub use self::calibration_table::{CalibrationTable, RotationColumns, read_calibration_table};
 pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
     TableCell, Topic, Undecodable,
 };
 pub use self::error::LogError;
-pub use self::follow::{Follow, Growth};
+pub use self::follow::{Growth, LogFollower};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::options::ReadOptions;
-pub use self::postures::{PostureTable, RotationColumns, posture_table};
 pub use self::progress::Progress;
 pub use self::reading::open;
-pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
+pub use self::remote::{RemoteFault, RemoteObject, is_url, list, normalize_url};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, dataset_of, episode_of, episodes, files_of_store, is_dataset,
-    is_store,
+    ColumnSelector, ColumnSettings, enclosing_dataset, episodes, is_dataset, is_store,
+    split_episode, store_files,
 };
 
 /// Local file named by `path`, directly or as a `file://` URL. `None` for an object in a store.
@@ -76,13 +76,13 @@ pub const HEAD_BYTES: u64 = 4096;
 
 /// Whether the file at `path` is a table, according to its first bytes.
 pub fn is_table(path: &Path) -> bool {
-    is_store(path) || matches!(kind_of(path), Some(sniff::Kind::Table(_)))
+    is_store(path) || matches!(detect_file_format(path), Some(file_format::FileFormat::Table(_)))
 }
 
 /// Files read together with the log file at `path`, whether they exist or not.
 pub fn sidecars(path: &Path) -> Vec<PathBuf> {
-    match kind_of(path) {
-        Some(sniff::Kind::Sqlite) => {
+    match detect_file_format(path) {
+        Some(file_format::FileFormat::Sqlite) => {
             let with = |end: &str| {
                 let mut name = path.as_os_str().to_owned();
                 name.push(end);
@@ -90,26 +90,28 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
             };
             ["-wal", "-shm", "-journal"].map(with).into()
         }
-        Some(sniff::Kind::Table(tables::Kind::TfRecord)) => tables::declared_beside(path),
+        Some(file_format::FileFormat::Table(tables::TableFormat::TfRecord)) => {
+            tables::declared_beside(path)
+        }
         _ => Vec::new(),
     }
 }
 
 /// Format of the file at `path` from its first bytes. `None` if it cannot be read.
-fn kind_of(path: &Path) -> Option<sniff::Kind> {
+fn detect_file_format(path: &Path) -> Option<file_format::FileFormat> {
     let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let mut read = is_file.then(|| File::open(path).ok()).flatten()?.take(HEAD_BYTES);
     read.read_to_end(&mut head).ok()?;
-    Some(sniff::kind(&head))
+    Some(file_format::detect_format(&head))
 }
 
 /// Whether a file starting with `head` may be a log. A zstd archive must be read to know.
 pub fn looks_like_log(head: &[u8]) -> bool {
-    match sniff::kind(head) {
-        sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. } => false,
+    match file_format::detect_format(head) {
+        file_format::FileFormat::Known { .. } | file_format::FileFormat::Unknown { .. } => false,
         // A table without times may be anything.
-        sniff::Kind::Table(tables::Kind::Csv) => tables::has_time(head),
+        file_format::FileFormat::Table(tables::TableFormat::Csv) => tables::has_time(head),
         _ => true,
     }
 }

@@ -15,7 +15,7 @@ pub struct SourceName(String);
 
 impl SourceName {
     /// Name of the log at `path`, which may be a URL.
-    pub fn of(path: &Path) -> Self {
+    pub fn from_path(path: &Path) -> Self {
         let text = path.to_string_lossy();
         Self(match text.split_once("://") {
             Some((scheme, rest)) if is_scheme(scheme) => {
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     fn shown(text: &str) -> String {
-        SourceName::of(Path::new(text)).to_string()
+        SourceName::from_path(Path::new(text)).to_string()
     }
 
     #[test]
@@ -134,6 +134,6 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("12:00@cell3?a=b.mcap");
         fs::write(&path, "").expect("a file");
-        assert_eq!(SourceName::of(&path).to_string(), path.display().to_string());
+        assert_eq!(SourceName::from_path(&path).to_string(), path.display().to_string());
     }
 }

@@ -26,16 +26,16 @@ pub struct ReadOptions {
 
 impl ReadOptions {
     /// Sets the current activity.
-    pub fn begins(&self, doing: &'static str) {
+    pub fn set_activity(&self, doing: &'static str) {
         if let Some(progress) = &self.progress {
-            progress.begins(doing);
+            progress.set_activity(doing);
         }
     }
 
     /// Sets the position in the current file.
-    pub(super) fn at(&self, offset: usize) {
+    pub(super) fn set_position(&self, offset: usize) {
         if let Some(progress) = &self.progress {
-            progress.at(offset as u64);
+            progress.set_position(offset as u64);
         }
     }
 }

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Callback for each step, needed if there are no threads.
-type Told = Box<dyn Fn(&Progress) + Send + Sync>;
+type StepCallback = Box<dyn Fn(&Progress) + Send + Sync>;
 
 /// Progress of an audit, readable from other threads.
 #[derive(Default)]
@@ -14,34 +14,34 @@ pub struct Progress {
     /// Bytes read of the current file.
     here: AtomicU64,
     doing: Mutex<&'static str>,
-    told: Option<Told>,
+    callback: Option<StepCallback>,
 }
 
 impl fmt::Debug for Progress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {} of {} bytes", self.doing(), self.read(), self.total())
+        write!(f, "{} {} of {} bytes", self.activity(), self.read(), self.total())
     }
 }
 
 impl Progress {
-    /// Progress that calls `told` at each step.
-    pub fn telling(told: impl Fn(&Self) + Send + Sync + 'static) -> Self {
-        Self { told: Some(Box::new(told)), ..Self::default() }
+    /// Progress that calls `callback` at each step.
+    pub fn with_callback(told: impl Fn(&Self) + Send + Sync + 'static) -> Self {
+        Self { callback: Some(Box::new(told)), ..Self::default() }
     }
 
     /// Current activity, one word.
-    pub fn doing(&self) -> &'static str {
+    pub fn activity(&self) -> &'static str {
         *self.doing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Sets the current activity.
-    pub fn begins(&self, doing: &'static str) {
+    pub fn set_activity(&self, doing: &'static str) {
         *self.doing.lock().unwrap_or_else(PoisonError::into_inner) = doing;
-        self.tell();
+        self.notify();
     }
 
-    fn tell(&self) {
-        if let Some(told) = &self.told {
+    fn notify(&self) {
+        if let Some(told) = &self.callback {
             told(self);
         }
     }
@@ -58,25 +58,25 @@ impl Progress {
     }
 
     /// Sets the total number of bytes.
-    pub(super) fn begin(&self, total: u64) {
+    pub(super) fn set_total(&self, total: u64) {
         self.total.store(total, Ordering::Relaxed);
-        self.begins("reading");
+        self.set_activity("reading");
     }
 
     /// Adds `bytes` to the total, for an object whose size was unknown before.
     #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
-    pub(super) fn grow(&self, bytes: u64) {
+    pub(super) fn add_total(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
 
     /// Sets the position in the current file.
-    pub(super) fn at(&self, offset: u64) {
+    pub(super) fn set_position(&self, offset: u64) {
         self.here.store(offset, Ordering::Relaxed);
-        self.tell();
+        self.notify();
     }
 
     /// Marks a file of `bytes` as finished.
-    pub(super) fn file_done(&self, bytes: u64) {
+    pub(super) fn finish_file(&self, bytes: u64) {
         self.here.store(0, Ordering::Relaxed);
         self.before.fetch_add(bytes, Ordering::Relaxed);
     }
@@ -91,16 +91,16 @@ mod tests {
     #[test]
     fn who_asked_is_told_of_each_step() {
         let heard = Arc::new(Mutex::new(Vec::new()));
-        let progress = Progress::telling({
+        let progress = Progress::with_callback({
             let heard = Arc::clone(&heard);
             move |progress| {
-                heard.lock().expect("one thread").push((progress.doing(), progress.read()))
+                heard.lock().expect("one thread").push((progress.activity(), progress.read()))
             }
         });
-        progress.begin(10);
-        progress.at(4);
-        progress.file_done(10);
-        progress.begins("judging");
+        progress.set_total(10);
+        progress.set_position(4);
+        progress.finish_file(10);
+        progress.set_activity("judging");
         let heard = heard.lock().expect("one thread");
         assert_eq!(*heard, [("reading", 0), ("reading", 4), ("judging", 10)]);
     }

@@ -12,7 +12,7 @@ pub(super) struct Ranges(Vec<Range<usize>>);
 
 impl Ranges {
     /// Normalises `ranges`; merges those separated by at most `gap` bytes.
-    pub(super) fn of(mut ranges: Vec<Range<usize>>, gap: usize) -> Self {
+    pub(super) fn new(mut ranges: Vec<Range<usize>>, gap: usize) -> Self {
         ranges.retain(|range| !range.is_empty());
         ranges.sort_by_key(|range| range.start);
         ranges.dedup_by(|next, kept| {
@@ -28,7 +28,7 @@ impl Ranges {
     /// Bytes before `end`; possibly none.
     pub(super) fn up_to(end: usize) -> Self {
         let whole = 0..end;
-        Self::of(vec![whole], 0)
+        Self::new(vec![whole], 0)
     }
 
     /// Whether one of them contains all of `range`.
@@ -42,7 +42,7 @@ impl Ranges {
     pub(super) fn extend(&mut self, further: Self) {
         let mut all = std::mem::take(&mut self.0);
         all.extend(further.0);
-        *self = Self::of(all, 0);
+        *self = Self::new(all, 0);
     }
 
     /// Parts of `wanted` that are not included.
@@ -57,7 +57,7 @@ impl Ranges {
             }
             missing.push(at..want.end);
         }
-        Self::of(missing, 0)
+        Self::new(missing, 0)
     }
 
     /// Total number of bytes.
@@ -110,18 +110,18 @@ mod tests {
 
     #[test]
     fn ranges_hold_what_they_were_made_of() {
-        let ranges = Ranges::of(vec![20..30, 5..8, 8..10, 25..40, 50..50], 0);
+        let ranges = Ranges::new(vec![20..30, 5..8, 8..10, 25..40, 50..50], 0);
         assert_eq!(ranges.0, [5..10, 20..40]);
         let held = |range: Range<usize>| ranges.holds(&range);
         assert!(held(5..10) && held(21..39) && held(12..12));
         assert!(!held(4..6) && !held(9..11) && !held(8..22) && !held(39..41) && !held(50..51));
-        assert_eq!(Ranges::of(vec![0..4, 9..10, 16..17], 5).0, [0..10, 16..17]);
+        assert_eq!(Ranges::new(vec![0..4, 9..10, 16..17], 5).0, [0..10, 16..17]);
     }
 
     #[test]
     fn what_is_missing_is_all_that_is_wanted_and_not_there() {
-        let mut there = Ranges::of(vec![10..20, 30..40, 60..70], 0);
-        let wanted = Ranges::of(vec![0..12, 15..18, 19..61, 80..90], 0);
+        let mut there = Ranges::new(vec![10..20, 30..40, 60..70], 0);
+        let wanted = Ranges::new(vec![0..12, 15..18, 19..61, 80..90], 0);
         let missing = there.missing(&wanted);
         let both = |byte: &usize| !bytes(&there).contains(byte);
         assert_eq!(bytes(&missing), bytes(&wanted).into_iter().filter(both).collect::<Vec<_>>());

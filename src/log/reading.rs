@@ -3,21 +3,21 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::contained::{Contained, LEADS_OUT};
+use super::containment::{Containment, LINK_LEADS_OUTSIDE};
 use super::contents::{Container, Crc, Extent, Log, LogFile};
-use super::files::{Input, refuse_repeats};
+use super::file_format::FileFormat;
+use super::files::{LogInput, reject_duplicates};
 use super::intake::Intake;
 use super::losses::Losses;
-use super::mapped::Mapped;
-use super::mcap::Absent;
-use super::memory::Memory;
+use super::mapped::MappedFile;
+use super::mcap::MissingByte;
+use super::memory_budget::MemoryBudget;
 use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
-use super::sniff::Kind;
 use super::tables::{self, Tables};
 use super::unpack::{Allowance, Unpacked};
-use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
+use super::{LogError, RemoteFault, file_format, mcap, remote, rosbag1, rosbag2, rtde, unpack};
 use ground::boundary::StagedFile;
 
 /// Reads the files, rosbag2 folders and store objects (by URL) of one run, in any mix of formats. Rows of
@@ -31,20 +31,20 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
     let mut tables = Tables::default();
-    let mut memory = Memory::of(options.max_unpacked_gib);
+    let mut memory = MemoryBudget::new(options.max_unpacked_gib);
     let inputs = inputs(paths, options, &mut intake)?;
-    refuse_repeats(&inputs)?;
+    reject_duplicates(&inputs)?;
     if let Some(progress) = &options.progress {
-        progress.begin(inputs.iter().map(Input::bytes).sum());
+        progress.set_total(inputs.iter().map(LogInput::bytes).sum());
     }
     let mut files = Vec::with_capacity(inputs.len());
     for input in &inputs {
-        let mut reading = Reading {
+        let mut reading = FileReader {
             path: &input.path,
             in_bag: input.in_bag,
             episode: input.episode.as_deref(),
             options: options.clone(),
-            losses: Losses::of(&input.path),
+            losses: Losses::new(&input.path),
             intake: &mut intake,
             rtde: &mut rtde,
             tables: &mut tables,
@@ -52,7 +52,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
             size: 0,
             present: Present::Whole,
         };
-        let read = reading.file(input);
+        let read = reading.read_file(input);
         let mut losses = reading.losses;
         let mut bytes = input.bytes();
         match read {
@@ -68,11 +68,11 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
         }
         intake.losses(losses);
         if let Some(progress) = &options.progress {
-            progress.file_done(bytes);
+            progress.finish_file(bytes);
         }
     }
     rtde.hand_over(&mut intake);
-    tables.hand_over(&mut intake);
+    tables.finish(&mut intake);
     let log = intake.finish(files);
     if log.messages == 0 {
         return Err(LogError::no_messages(&log));
@@ -85,32 +85,32 @@ fn inputs(
     paths: &[PathBuf],
     options: &ReadOptions,
     intake: &mut Intake,
-) -> Result<Vec<Input>, LogError> {
+) -> Result<Vec<LogInput>, LogError> {
     let mut inputs = Vec::new();
     for path in paths {
         if let Some(content) = options.given.get(path) {
-            inputs.push(Input { given: Some(content.clone()), ..Input::local(path.clone()) });
+            inputs.push(LogInput { given: Some(content.clone()), ..LogInput::local(path.clone()) });
             continue;
         }
         let named = remote::local(path);
         let path = named.as_ref().unwrap_or(path);
-        let (path, episode) = tables::episode_of(path);
+        let (path, episode) = tables::split_episode(path);
         let path = &path;
         let before = inputs.len();
-        match Address::of(path)? {
+        match Address::from_path(path)? {
             Some(address) => {
                 let path = address.shown();
-                inputs.push(Input { address: Some(address), ..Input::local(path) });
+                inputs.push(LogInput { address: Some(address), ..LogInput::local(path) });
             }
             None if tables::is_dataset(path) => {
-                inputs.extend(contained(path, tables::files_of(path)?, intake)?);
+                inputs.extend(contained(path, tables::dataset_files(path)?, intake)?);
             }
-            None if tables::is_store(path) => inputs.push(Input::local(path.clone())),
+            None if tables::is_store(path) => inputs.push(LogInput::local(path.clone())),
             None if path.is_dir() => {
                 let files = rosbag2::files_of(path, intake)?;
                 inputs.extend(contained(path, files, intake)?);
             }
-            None => inputs.push(Input::local(path.clone())),
+            None => inputs.push(LogInput::local(path.clone())),
         }
         inputs[before..].iter_mut().for_each(|input| input.episode.clone_from(&episode));
     }
@@ -120,26 +120,26 @@ fn inputs(
 /// Files of the recording in `folder` except links out of it, which are recorded as losses.
 fn contained(
     folder: &Path,
-    inputs: Vec<Input>,
+    inputs: Vec<LogInput>,
     intake: &mut Intake,
-) -> Result<Vec<Input>, LogError> {
-    let mut within = Contained::of(folder);
-    let (inside, outside): (Vec<Input>, Vec<Input>) =
+) -> Result<Vec<LogInput>, LogError> {
+    let mut within = Containment::new(folder);
+    let (inside, outside): (Vec<LogInput>, Vec<LogInput>) =
         inputs.into_iter().partition(|input| within.holds(&input.path));
     if inside.is_empty() {
         let cause = "whose files are links out of it and are not followed; copy their targets";
         return Err(LogError::Directory { path: folder.to_owned(), cause });
     }
-    for Input { path, recorded, .. } in outside {
-        let mut losses = Losses::of(&path);
-        losses.add_unplaced(Extent::Messages, recorded, format!("it {LEADS_OUT}"));
+    for LogInput { path, recorded, .. } in outside {
+        let mut losses = Losses::new(&path);
+        losses.add_unplaced(Extent::Messages, recorded, format!("it {LINK_LEADS_OUTSIDE}"));
         intake.losses(losses);
     }
     Ok(inside)
 }
 
 /// One file being read.
-struct Reading<'a> {
+struct FileReader<'a> {
     path: &'a Path,
     in_bag: bool,
     /// The only wanted episode.
@@ -150,73 +150,78 @@ struct Reading<'a> {
     rtde: &'a mut rtde::Recording,
     tables: &'a mut Tables,
     /// Memory limit for the numbers of all tables.
-    memory: &'a mut Memory,
+    memory: &'a mut MemoryBudget,
     /// Stored size of the file in bytes.
     size: u64,
     /// Available part of the file.
     present: Present,
 }
 
-impl Reading<'_> {
+impl FileReader<'_> {
     /// Reads the file; fetches it first if it is an object.
-    fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
+    fn read_file(&mut self, input: &LogInput) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
             if input.given.is_none() && path.is_dir() {
-                return self.store(path);
+                return self.read_store(path);
             }
             let mapped = input.open()?;
             let before = self.intake.messages();
-            let file = self.whole(mapped.bytes(), None)?;
+            let file = self.read_whole(mapped.bytes(), None)?;
             if let Some(recorded) = input.recorded {
-                self.losses.settle("metadata.yaml", recorded, self.intake.messages() - before);
+                self.losses.infer_missing(
+                    "metadata.yaml",
+                    recorded,
+                    self.intake.messages() - before,
+                );
             }
             return Ok(LogFile { bytes: input.bytes(), ..file });
         };
         let Fetched { file: Unpacked { file, path: named }, present, bytes } =
             remote::fetch(address, &self.options)
                 .map_err(|fault| LogError::Remote { url: path.to_owned(), fault })?;
-        let mapped = Mapped::of(&file).map_err(|source| match source.kind() {
+        let mapped = MappedFile::from_temporary(&file).map_err(|source| match source.kind() {
             io::ErrorKind::UnexpectedEof => LogError::Empty { path: path.to_owned() },
             _ => LogError::io(path, source),
         })?;
         // Fetching dominates the time.
         self.options.progress = None;
         self.present = present;
-        Ok(LogFile { fetched: Some(bytes), ..self.whole(mapped.bytes(), named)? })
+        Ok(LogFile { fetched: Some(bytes), ..self.read_whole(mapped.bytes(), named)? })
     }
 
     /// Reads the store in a folder.
-    fn store(&mut self, folder: &Path) -> Result<LogFile, LogError> {
-        let sizes =
-            tables::files_of_store(folder).into_iter().filter_map(|file| file.metadata().ok());
+    fn read_store(&mut self, folder: &Path) -> Result<LogFile, LogError> {
+        let sizes = tables::store_files(folder).into_iter().filter_map(|file| file.metadata().ok());
         let bytes = sizes.map(|metadata| metadata.len()).sum();
         self.intake.begin_file(folder, bytes);
         self.size = bytes;
-        let kind = Kind::Table(tables::Kind::Zarr);
-        let (container, crc) = self.content(kind, folder, &[], || ())?;
+        let kind = FileFormat::Table(tables::TableFormat::Zarr);
+        let (container, crc) = self.read_content(kind, folder, &[], || ())?;
         Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
     }
 
-    /// Reads the `bytes` of a file, a temporary one if `named`.
-    fn whole(&mut self, bytes: &[u8], named: Option<StagedFile>) -> Result<LogFile, LogError> {
+    /// Reads the `bytes` of a file, a temporary one if `read_named`.
+    fn read_whole(&mut self, bytes: &[u8], named: Option<StagedFile>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.size = size;
         self.intake.begin_file(path, size);
         self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
-        let (container, crc) = match sniff::kind(bytes) {
-            Kind::Zstd => self.archive(bytes)?,
-            kind => self.named(kind, bytes, named)?,
+        let (container, crc) = match file_format::detect_format(bytes) {
+            FileFormat::Zstd => self.read_archive(bytes)?,
+            kind => self.read_named(kind, bytes, named)?,
         };
         Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
     }
 
-    /// Reads the log compressed in `archive`.
-    fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
+    /// Reads the log compressed in `read_archive`.
+    fn read_archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
         let options = &self.options;
         let (Unpacked { file, path }, end) =
-            unpack::file(archive, &mut self.intake.allowance, |offset| options.at(offset))
-                .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
+            unpack::file(archive, &mut self.intake.allowance, |offset| {
+                options.set_position(offset)
+            })
+            .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
         if let Err(error) = end {
             let extent = match error.extent() {
                 Extent::Messages => Extent::Tail,
@@ -225,37 +230,37 @@ impl Reading<'_> {
             self.losses.add_unplaced(extent, None, error.to_string());
         }
         let looks = "an empty zstd archive";
-        let unpacked = Mapped::of(&file)
+        let unpacked = MappedFile::from_temporary(&file)
             .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
         // Progress refers to the archive, which has been read.
         self.options.progress = None;
-        self.named(sniff::kind(unpacked.bytes()), unpacked.bytes(), path)
+        self.read_named(file_format::detect_format(unpacked.bytes()), unpacked.bytes(), path)
     }
 
-    /// Reads the `bytes` of a log, a temporary file if `named`.
-    fn named(
+    /// Reads the `bytes` of a log, a temporary file if `read_named`.
+    fn read_named(
         &mut self,
-        kind: Kind,
+        kind: FileFormat,
         bytes: &[u8],
         named: Option<StagedFile>,
     ) -> Result<(Container, Crc), LogError> {
         match named {
-            None => self.content(kind, self.path, bytes, || ()),
+            None => self.read_content(kind, self.path, bytes, || ()),
             // The name is removed once the file is open, or at the end on systems that cannot unlink open
             // files.
             Some(path) => {
                 let place = path.to_path_buf();
                 let opened = || drop(std::fs::remove_file(&*path));
-                self.content(kind, &place, bytes, opened)
+                self.read_content(kind, &place, bytes, opened)
             }
         }
     }
 
     /// Reads the `bytes` of a log located at `place`: its own path, or its temporary file. Calls `opened`
     /// once the name is no longer needed.
-    fn content(
+    fn read_content(
         &mut self,
-        kind: Kind,
+        kind: FileFormat,
         place: &Path,
         bytes: &[u8],
         opened: impl FnOnce(),
@@ -263,7 +268,7 @@ impl Reading<'_> {
         let Self { options, losses, intake, rtde, tables, memory, size, present, episode, .. } =
             self;
         let path = || self.path.to_owned();
-        let absent = |Absent(byte)| {
+        let absent = |MissingByte(byte)| {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };
             LogError::Remote { url: path(), fault }
         };
@@ -274,47 +279,51 @@ impl Reading<'_> {
                 program",
         };
         Ok(match kind {
-            Kind::Mcap => {
+            FileFormat::Mcap => {
                 let of_bag = if self.in_bag { Container::RosBag2Mcap } else { Container::Mcap };
                 let crc = mcap::read(bytes, present, options, losses, intake).map_err(absent)?;
                 (of_bag, crc)
             }
-            Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
+            FileFormat::RosBag1 => {
+                (Container::RosBag1, rosbag1::read(bytes, options, losses, intake))
+            }
             // SQLite opens files by name only.
-            Kind::Sqlite if options.given.contains_key(self.path) => return Err(no_database()),
+            FileFormat::Sqlite if options.given.contains_key(self.path) => {
+                return Err(no_database());
+            }
             #[cfg(target_arch = "wasm32")]
-            Kind::Sqlite => {
+            FileFormat::Sqlite => {
                 drop(opened);
                 return Err(no_database());
             }
             #[cfg(not(target_arch = "wasm32"))]
-            Kind::Sqlite => {
+            FileFormat::Sqlite => {
                 if !rosbag2::read_database(place, options, losses, intake, opened) {
                     let looks = "a SQLite database without rosbag2 tables";
                     return Err(LogError::NotALog { path: path(), looks });
                 }
                 (Container::RosBag2Sqlite, Crc::None)
             }
-            Kind::Rtde => {
+            FileFormat::Rtde => {
                 rtde.read(self.path, bytes, options, losses, intake);
                 (Container::RtdeCsv, Crc::None)
             }
-            Kind::Table(kind) => {
+            FileFormat::Table(kind) => {
                 let places = (self.path, place);
                 memory.add_file(*size);
-                let mut context = tables::Context { losses, memory };
+                let mut context = tables::ReadContext { losses, memory };
                 let asked = (&options.columns, *episode);
                 tables.read(kind, places, bytes, asked, &mut context, intake)?;
                 (kind.container(), Crc::None)
             }
-            Kind::Zstd => {
+            FileFormat::Zstd => {
                 let (looks, instead) = ("a zstd archive within a zstd archive", "unpack it first");
                 return Err(LogError::Unsupported { path: path(), looks, instead });
             }
-            Kind::Known { looks, instead } => {
+            FileFormat::Known { looks, instead } => {
                 return Err(LogError::Unsupported { path: path(), looks, instead });
             }
-            Kind::Unknown { looks } => return Err(LogError::NotALog { path: path(), looks }),
+            FileFormat::Unknown { looks } => return Err(LogError::NotALog { path: path(), looks }),
         })
     }
 }

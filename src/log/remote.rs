@@ -4,16 +4,16 @@
 //! ones of an indexed MCAP, otherwise all. Downloads run in parallel and resume after a broken connection.
 
 #[cfg(feature = "cloud")]
-mod cause;
+mod credentials;
+#[cfg(feature = "cloud")]
+mod error_cause;
 mod fault;
 #[cfg(feature = "cloud")]
 mod fetch;
 #[cfg(feature = "cloud")]
 mod listing;
 #[cfg(feature = "cloud")]
-mod named;
-#[cfg(feature = "cloud")]
-mod patience;
+mod minimum_rate;
 #[cfg(feature = "cloud")]
 mod store;
 
@@ -38,18 +38,18 @@ impl Address {
     ///
     /// # Errors
     /// Returns an error if the URL scheme is not supported.
-    pub(super) fn of(path: &Path) -> Result<Option<Self>, LogError> {
+    pub(super) fn from_path(path: &Path) -> Result<Option<Self>, LogError> {
         let Some((scheme, rest)) = scheme(path) else { return Ok(None) };
         if SCHEMES.contains(&scheme.as_str()) {
             return Ok(Some(Self(format!("{scheme}://{rest}"))));
         }
-        let url = SourceName::of(path).into();
+        let url = SourceName::from_path(path).into();
         Err(LogError::Remote { url, fault: RemoteFault::Scheme { scheme } })
     }
 
     /// Name in reports.
     pub(super) fn shown(&self) -> PathBuf {
-        SourceName::of(Path::new(&self.0)).into()
+        SourceName::from_path(Path::new(&self.0)).into()
     }
 }
 
@@ -81,8 +81,8 @@ pub fn is_url(path: &Path) -> bool {
 }
 
 /// `path`, with its scheme in lower case if it is a URL.
-pub fn normal(path: &Path) -> PathBuf {
-    match Address::of(path) {
+pub fn normalize_url(path: &Path) -> PathBuf {
+    match Address::from_path(path) {
         Ok(Some(Address(url))) => url.into(),
         _ => path.to_owned(),
     }
@@ -90,7 +90,7 @@ pub fn normal(path: &Path) -> PathBuf {
 
 /// Object found by [`list`].
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub struct Listed {
+pub struct RemoteObject {
     /// URL, as accepted by [`open`](super::open).
     pub url: String,
     /// Its size.
@@ -104,8 +104,8 @@ pub struct Listed {
 ///
 /// # Errors
 /// Returns an error if there are none, or if the store does not list them.
-pub fn list(url: &Path) -> Result<Vec<Listed>, LogError> {
-    let Some(address) = Address::of(url)? else {
+pub fn list(url: &Path) -> Result<Vec<RemoteObject>, LogError> {
+    let Some(address) = Address::from_path(url)? else {
         return Err(LogError::NotFound { path: url.to_owned() });
     };
     let shown = address.shown();
@@ -148,7 +148,7 @@ mod tests {
         assert!(is_url("s3://bucket/run.mcap") && is_url("https://host/run.mcap"));
         assert!(!is_url("run.mcap") && !is_url("C://run.mcap") && !is_url("./s3://x"));
         assert!(!is_url("ftp://host/run.mcap"));
-        let refused = Address::of(Path::new("ftp://host/run.mcap")).unwrap_err().to_string();
+        let refused = Address::from_path(Path::new("ftp://host/run.mcap")).unwrap_err().to_string();
         assert!(
             refused.starts_with("ftp://host/run.mcap: unsupported URL scheme ftp"),
             "{refused}"
@@ -163,12 +163,13 @@ mod tests {
     #[test]
     fn schemes_ignore_case_and_no_address_can_be_printed() {
         let path = Path::new("HTTPS://me:word@host/run.mcap?sig=word");
-        let address = Address::of(path).unwrap().expect("a URL");
+        let address = Address::from_path(path).unwrap().expect("a URL");
         assert_eq!(format!("{address:?}"), "Address(https://host/run.mcap)");
-        assert_eq!(normal(path), Path::new("https://me:word@host/run.mcap?sig=word"));
+        assert_eq!(normalize_url(path), Path::new("https://me:word@host/run.mcap?sig=word"));
         assert!(is_url(Path::new("S3://bucket/run.mcap")));
         assert_eq!(local(Path::new("FILE:///run.mcap")), Some("/run.mcap".into()));
-        let refused = Address::of(Path::new("htps://me:word@host/run?sig=word")).unwrap_err();
+        let refused =
+            Address::from_path(Path::new("htps://me:word@host/run?sig=word")).unwrap_err();
         assert!(!refused.to_string().contains("word"), "{refused}");
     }
 }

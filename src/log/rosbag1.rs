@@ -11,11 +11,11 @@ mod tests;
 use std::collections::HashMap;
 
 use self::record::{Broken, Chunk, Connection, Record, op};
-use super::ahead::{self, Ahead};
+use super::chunk_pool::{self, ChunkPool};
 use super::decode::Format;
-use super::intake::{ChannelId, Intake, MOST_AT_ONCE};
-use super::losses::{Losses, Unknown};
-use super::topic::{Message, Place};
+use super::intake::{ChannelId, Intake, MAX_BATCH_MESSAGES};
+use super::losses::{Losses, UnknownRecords};
+use super::topic::{Message, MessagePlace};
 use super::unpack::{Compression, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
@@ -29,7 +29,7 @@ pub(super) fn read(
     losses: &mut Losses,
     intake: &mut Intake,
 ) -> Crc {
-    ahead::with(|ahead| {
+    chunk_pool::with_pool(|ahead| {
         let before = intake.messages();
         let mut reader = Reader {
             bytes,
@@ -43,7 +43,7 @@ pub(super) fn read(
             recorded: (0, 0),
             covered: 0,
             orphans: None,
-            unknown: Unknown::default(),
+            unknown: UnknownRecords::default(),
             in_lost_chunk: false,
             in_packed: false,
         };
@@ -51,7 +51,7 @@ pub(super) fn read(
         reader.walk();
         let read = reader.intake.messages() - before;
         reader.close(read);
-        Crc::of(reader.covered, read)
+        Crc::from_counts(reader.covered, read)
     })
 }
 
@@ -60,7 +60,7 @@ struct Reader<'a, 'r, 'scope> {
     options: &'r ReadOptions,
     losses: &'r mut Losses,
     intake: &'r mut Intake,
-    ahead: &'r mut Ahead<'scope, 'a>,
+    ahead: &'r mut ChunkPool<'scope, 'a>,
     /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
     scanned: Option<usize>,
     /// By number in the bag; the first record of a number counts.
@@ -73,7 +73,7 @@ struct Reader<'a, 'r, 'scope> {
     /// Messages of undescribed connections: their number and the offset of the first.
     orphans: Option<(u64, usize)>,
     /// Records of unknown kinds.
-    unknown: Unknown,
+    unknown: UnknownRecords,
     /// Whether the previous record belongs to a lost chunk.
     in_lost_chunk: bool,
     /// Whether the last chunk is compressed: its data contain bytes that look like records.
@@ -134,7 +134,7 @@ impl<'a> Reader<'a, '_, '_> {
         // Chunk lengths are written when a chunk is full. After a crash the last one has length zero.
         let mut open: Option<Chunk<'a>> = None;
         while offset < self.bytes.len() {
-            self.options.at(offset);
+            self.options.set_position(offset);
             self.unpack_ahead(offset);
             match record::record(self.bytes, offset) {
                 Ok(record) => {
@@ -176,7 +176,7 @@ impl<'a> Reader<'a, '_, '_> {
                 self.recorded.0 += 1;
                 self.recorded.1 += record::chunk_info_messages(record);
                 if let Some((chunk, first, last)) = record::chunk_info_times(record) {
-                    self.losses.date(chunk, first, last);
+                    self.losses.set_span(chunk, first, last);
                 }
             }
             op::BAG if record.header.text("encryptor").is_some_and(|name| !name.is_empty()) => {
@@ -213,9 +213,9 @@ impl<'a> Reader<'a, '_, '_> {
                 self.losses.add(place, Extent::Index, Some(0), what);
             }
             op::BAG | op::INDEX | op::CHUNK | op::CHUNK_INFO | op::CONNECTION => {}
-            other => self.unknown.see(other),
+            other => self.unknown.add(other),
         }
-        if batch.len() == MOST_AT_ONCE {
+        if batch.len() == MAX_BATCH_MESSAGES {
             self.intake.batch(batch);
         }
     }
@@ -238,7 +238,7 @@ impl<'a> Reader<'a, '_, '_> {
             publish_time: header.time,
             sequence: number.filter(|_| numbers).unwrap_or(0),
             data,
-            place: Place::Byte(place as u64),
+            place: MessagePlace::Byte(place as u64),
             latched: latching,
         };
         Some((channel, message))
@@ -336,11 +336,11 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Compares the messages read with the index.
     fn close(&mut self, read: u64) {
-        if let Some(what) = self.unknown.said("op") {
+        if let Some(what) = self.unknown.note("op") {
             self.intake.note(self.losses.file(), what);
         }
         if let Some((messages, offset)) = self.orphans {
-            let (extent, why) = self.intake.nowhere();
+            let (extent, why) = self.intake.missing_channel_reason();
             let what = format!("the first of {messages} messages of connections {why}");
             self.losses.add(offset, extent, Some(messages), what);
         }
@@ -356,7 +356,7 @@ impl<'a> Reader<'a, '_, '_> {
                 }
             }
             Index::At { chunks, .. } if chunks == self.recorded.0 => {
-                self.losses.settle("the index", self.recorded.1, read);
+                self.losses.infer_missing("the index", self.recorded.1, read);
             }
             Index::At { offset, chunks } => {
                 if self.losses.is_empty() {

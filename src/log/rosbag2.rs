@@ -20,11 +20,11 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::decode::excerpt;
-use super::files::Input;
+use super::file_format::{self, FileFormat};
+use super::files::LogInput;
 use super::intake::Intake;
 use super::losses::Losses;
-use super::mapped::Mapped;
-use super::sniff::{self, Kind};
+use super::mapped::MappedFile;
 use super::{Extent, LogError};
 
 #[cfg(not(target_arch = "wasm32"))]
@@ -63,7 +63,7 @@ struct FileInformation {
 ///
 /// # Errors
 /// Returns an error if the folder contains no recording or more than one.
-pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>, LogError> {
+pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<LogInput>, LogError> {
     let path = folder.join(METADATA);
     if !path.is_file() {
         let inputs = logs_in(folder)?;
@@ -71,7 +71,7 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>,
         intake.note(folder, what);
         return Ok(inputs);
     }
-    let mut losses = Losses::of(&path);
+    let mut losses = Losses::new(&path);
     let inputs = match information(&path) {
         Ok(information) => {
             let mut inputs = listed(folder, &information, &mut losses);
@@ -80,7 +80,7 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>,
                 let what = format!("does not list {}, which was read as well", path.display());
                 losses.add_unplaced(Extent::Index, Some(0), what);
             }
-            inputs.extend(further.into_iter().map(Input::of_bag));
+            inputs.extend(further.into_iter().map(LogInput::bag_file));
             inputs
         }
         Err(cause) => {
@@ -114,7 +114,7 @@ fn information(path: &Path) -> Result<Information, String> {
 }
 
 /// Files listed in `metadata.yaml` that exist.
-fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<Input> {
+fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<LogInput> {
     let by_file = information.files.iter().map(|file| file.path.as_str());
     let by_path = information.relative_file_paths.iter().map(String::as_str);
     let mut names: Vec<&OsStr> = Vec::new();
@@ -135,11 +135,11 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         let unpacked = path.with_extension("");
         let is_packed = path.extension() == Some(OsStr::new("zstd"));
         if path.is_file() {
-            inputs.push(Input { recorded: recorded(name), ..Input::of_bag(path) });
+            inputs.push(LogInput { recorded: recorded(name), ..LogInput::bag_file(path) });
         } else if is_packed && unpacked.is_file() {
             // The recorder was stopped before it compressed its last file, or the file was decompressed
             // later.
-            inputs.push(Input { recorded: recorded(name), ..Input::of_bag(unpacked) });
+            inputs.push(LogInput { recorded: recorded(name), ..LogInput::bag_file(unpacked) });
         } else {
             let what =
                 format!("lists `{}`, which does not exist", excerpt(&name.to_string_lossy()));
@@ -150,7 +150,7 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
 }
 
 /// Log files of a folder without a list. They must look like parts of one recording.
-fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
+fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
     let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
@@ -160,12 +160,12 @@ fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
         return Err(refuse("with logs of several runs, or without their metadata.yaml"));
     }
-    Ok(paths.into_iter().map(Input::of_bag).collect())
+    Ok(paths.into_iter().map(LogInput::bag_file).collect())
 }
 
 /// Log files of a folder that are not in `inputs` but share a name with one of them except for the split
 /// number: the list may be truncated.
-fn further_splits(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
+fn further_splits(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     let family = |path: &Path| {
         let name = path.file_name().and_then(OsStr::to_str)?;
         let (run, split) = name.rsplit_once('_')?;
@@ -180,7 +180,7 @@ fn further_splits(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
 }
 
 /// Log files of a folder that are not in `inputs`.
-fn unlisted(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
+fn unlisted(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     let mut paths = files_in(folder).unwrap_or_default();
     paths.retain(|path| !inputs.iter().any(|input| input.path == *path) && is_log(path));
     paths
@@ -200,9 +200,16 @@ fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 }
 
 fn is_log(path: &Path) -> bool {
-    Mapped::open(path).is_ok_and(|mapped| {
-        let kind = sniff::kind(mapped.bytes());
-        matches!(kind, Kind::Mcap | Kind::RosBag1 | Kind::Sqlite | Kind::Zstd | Kind::Rtde)
+    MappedFile::open(path).is_ok_and(|mapped| {
+        let kind = file_format::detect_format(mapped.bytes());
+        matches!(
+            kind,
+            FileFormat::Mcap
+                | FileFormat::RosBag1
+                | FileFormat::Sqlite
+                | FileFormat::Zstd
+                | FileFormat::Rtde
+        )
     })
 }
 

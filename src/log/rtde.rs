@@ -18,7 +18,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::tables;
-use super::topic::{Message, Place};
+use super::topic::{Message, MessagePlace};
 use super::{Extent, ReadOptions};
 use ground::stream::{Columns, JointColumn, JointColumns, Times, is_usable};
 use ground::time;
@@ -239,7 +239,7 @@ impl Recording {
                     break;
                 }
             }
-            options.at(offset as usize);
+            options.set_position(offset as usize);
             if std::mem::take(&mut is_first) || record.iter().map(bare).eq(names.iter().copied()) {
                 continue;
             }
@@ -309,7 +309,7 @@ impl Recording {
             publish_time: time,
             sequence: 0,
             data: &[],
-            place: Place::Byte(offset),
+            place: MessagePlace::Byte(offset),
             latched: false,
         };
         for &(vector, _) in &table.layout.vectors {
@@ -339,7 +339,7 @@ impl Recording {
                 }
                 Meaning::Numbers => {
                     let stamps: Vec<_> = samples.stamps.iter().map(|&stamp| stamp.into()).collect();
-                    Columns::Array(tables::array(&stamps, vector.width, &samples.values))
+                    Columns::Array(tables::array_columns(&stamps, vector.width, &samples.values))
                 }
                 Meaning::Velocities => continue,
             };

@@ -27,7 +27,7 @@ pub(super) struct Message<'a> {
     /// Encoded message.
     pub(super) data: &'a [u8],
     /// Position of the message, or of its chunk, in the file.
-    pub(super) place: Place,
+    pub(super) place: MessagePlace,
     /// Whether it is latched: the sender repeats it for late subscribers, and a recorder at the start of
     /// every file.
     pub(super) latched: bool,
@@ -35,24 +35,24 @@ pub(super) struct Message<'a> {
 
 /// Position of a message in a file.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Place {
+pub(super) enum MessagePlace {
     /// Byte offset.
     Byte(u64),
     /// Row of a table.
     Row(i64),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for MessagePlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Place::Byte(offset) => write!(f, "record at byte {offset} of the file"),
-            Place::Row(row) => write!(f, "row {row} of the table `messages`"),
+            MessagePlace::Byte(offset) => write!(f, "record at byte {offset} of the file"),
+            MessagePlace::Row(row) => write!(f, "row {row} of the table `messages`"),
         }
     }
 }
 
 /// Decoder of one channel.
-pub(super) struct Channel {
+pub(super) struct ChannelDecoder {
     pub(super) decoding: Arc<Decoding>,
     /// Separate per channel, so slots do not contain values of a different type.
     row: Option<Box<Row>>,
@@ -76,7 +76,7 @@ pub(super) struct TopicIntake {
     pub(super) name: String,
     pub(super) type_name: String,
     pub(super) encoding: String,
-    pub(super) taken: Taken,
+    pub(super) content: TopicContent,
     /// Rows that were not decoded from messages.
     pub(super) columns: Option<Columns>,
     /// Interpretation of its columns.
@@ -89,8 +89,8 @@ pub(super) struct TopicIntake {
 
 /// Content read from a topic's messages, over all files or one chunk.
 #[derive(Default)]
-pub(super) struct Taken {
-    pub(super) channels: Vec<Channel>,
+pub(super) struct TopicContent {
+    pub(super) channels: Vec<ChannelDecoder>,
     pub(super) messages: u64,
     pub(super) builder: Option<Builder>,
     pub(super) undecodable: Option<Undecodable>,
@@ -99,39 +99,40 @@ pub(super) struct Taken {
 }
 
 /// Template for reading messages of a topic into separate columns.
-pub(super) struct Blank {
+pub(super) struct TopicTemplate {
     channels: Vec<(Arc<Decoding>, bool)>,
     builder: Option<Builder>,
 }
 
-impl Blank {
+impl TopicTemplate {
     /// Empty content.
-    pub(super) fn taken(&self) -> Taken {
+    pub(super) fn new_content(&self) -> TopicContent {
         let channel = |(decoding, may_be_packed): &(Arc<Decoding>, bool)| {
-            Channel::new(Arc::clone(decoding), *may_be_packed)
+            ChannelDecoder::new(Arc::clone(decoding), *may_be_packed)
         };
-        Taken {
+        TopicContent {
             channels: self.channels.iter().map(channel).collect(),
-            builder: self.builder.as_ref().map(Builder::blank),
-            ..Taken::default()
+            builder: self.builder.as_ref().map(Builder::empty_copy),
+            ..TopicContent::default()
         }
     }
 }
 
-impl Taken {
+impl TopicContent {
     /// The same channels and columns without content.
-    pub(super) fn blank(&self) -> Blank {
-        let channel = |channel: &Channel| (Arc::clone(&channel.decoding), channel.may_be_packed);
-        Blank {
+    pub(super) fn template(&self) -> TopicTemplate {
+        let channel =
+            |channel: &ChannelDecoder| (Arc::clone(&channel.decoding), channel.may_be_packed);
+        TopicTemplate {
             channels: self.channels.iter().map(channel).collect(),
-            builder: self.builder.as_ref().map(Builder::blank),
+            builder: self.builder.as_ref().map(Builder::empty_copy),
         }
     }
 
-    /// Whether [`Taken::join`] with `later` is equivalent to reading its messages here.
-    pub(super) fn fits(&self, later: &Self) -> bool {
+    /// Whether [`TopicContent::join`] with `later` is equivalent to reading its messages here.
+    pub(super) fn can_join(&self, later: &Self) -> bool {
         match (&self.builder, &later.builder) {
-            (Some(own), Some(later)) => own.fits(later),
+            (Some(own), Some(later)) => own.can_join(later),
             (None, Some(_)) => false,
             (_, None) => true,
         }
@@ -147,20 +148,20 @@ impl Taken {
             self.undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += messages;
         }
         for (file, (first, last)) in later.spans {
-            self.seen(file, first);
-            self.seen(file, last);
+            self.record_span(file, first);
+            self.record_span(file, last);
         }
     }
 
     /// Counts a message of file number `file`, and appends its rows if its channel has columns.
     pub(super) fn message(&mut self, place: usize, message: &Message<'_>, file: usize) {
         let times = RowTimes {
-            log: saturating(message.log_time),
-            publish: saturating(message.publish_time),
+            log: saturating_nanos(message.log_time),
+            publish: saturating_nanos(message.publish_time),
             sequence: message.sequence,
         };
         self.messages += 1;
-        self.seen(file, Stamp::from_nanos(times.log));
+        self.record_span(file, Stamp::from_nanos(times.log));
         let channel = &mut self.channels[place];
         if message.latched && channel.is_repeated(message.data) {
             return;
@@ -170,18 +171,18 @@ impl Taken {
                 let row = channel.row.get_or_insert_default();
                 let mut append = |row: &Row| builder.append(row, times);
                 if let Err(error) = plan.decode(message.data, row, &mut append) {
-                    take_down(&mut self.undecodable, message.place, &error);
+                    record_undecodable(&mut self.undecodable, message.place, &error);
                 }
             }
             (Decoding::Impossible { cause }, _) => {
-                take_down(&mut self.undecodable, message.place, cause);
+                record_undecodable(&mut self.undecodable, message.place, cause);
             }
             (Decoding::By(_) | Decoding::Ignored, _) => {}
         }
     }
 
     /// Records that file number `file` contains a message with log time `at`.
-    pub(super) fn seen(&mut self, file: usize, at: Stamp) {
+    pub(super) fn record_span(&mut self, file: usize, at: Stamp) {
         match self.spans.last_mut() {
             Some((last, (first_at, last_at))) if *last == file => {
                 *first_at = at.min(*first_at);
@@ -194,17 +195,17 @@ impl Taken {
 
 impl TopicIntake {
     /// Copy of the content so far, without the means to read more.
-    pub(super) fn so_far(&self) -> Self {
+    pub(super) fn snapshot(&self) -> Self {
         Self {
             name: self.name.clone(),
             type_name: self.type_name.clone(),
             encoding: self.encoding.clone(),
-            taken: Taken {
+            content: TopicContent {
                 channels: Vec::new(),
-                messages: self.taken.messages,
-                builder: self.taken.builder.clone(),
-                undecodable: self.taken.undecodable.clone(),
-                spans: self.taken.spans.clone(),
+                messages: self.content.messages,
+                builder: self.content.builder.clone(),
+                undecodable: self.content.undecodable.clone(),
+                spans: self.content.spans.clone(),
             },
             columns: self.columns.clone(),
             read_as: self.read_as.clone(),
@@ -215,14 +216,14 @@ impl TopicIntake {
 
     /// The topic, plus one per additional part of its messages.
     pub(super) fn finish(self) -> Vec<Topic> {
-        let Taken { messages, builder, mut undecodable, spans, .. } = self.taken;
+        let TopicContent { messages, builder, mut undecodable, spans, .. } = self.content;
         let span = spans.into_iter().map(|(_, span)| span).reduce(join);
-        let refused = builder.as_ref().map_or(0, Builder::refused);
+        let refused = builder.as_ref().map_or(0, Builder::rejected_rows);
         if refused > 0 {
             let first = format!("more than {MAX_FRAMES} pairs of frames");
             undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
         }
-        let useless = builder.as_ref().and_then(Builder::useless);
+        let useless = builder.as_ref().and_then(Builder::unusable_reason);
         let parts = match (self.columns, builder) {
             (Some(columns), _) => vec![("", Some(columns))],
             (None, Some(builder)) => builder.finalize(),
@@ -236,7 +237,7 @@ impl TopicIntake {
             columns,
             // Reported once per message.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
-            useless: useless.clone(),
+            unusable: useless.clone(),
             read_as: self.read_as.clone(),
             cells: self.cells.clone(),
             span,
@@ -245,7 +246,7 @@ impl TopicIntake {
     }
 }
 
-impl Channel {
+impl ChannelDecoder {
     pub(super) fn new(decoding: Arc<Decoding>, may_be_packed: bool) -> Self {
         Self { decoding, row: None, may_be_packed, latched: HashSet::new() }
     }
@@ -267,9 +268,9 @@ impl Channel {
 }
 
 /// Records that the message at `place` cannot be decoded.
-pub(super) fn take_down(
+pub(super) fn record_undecodable(
     undecodable: &mut Option<Undecodable>,
-    place: Place,
+    place: MessagePlace,
     cause: &dyn fmt::Display,
 ) {
     let undecodable = undecodable
@@ -277,6 +278,6 @@ pub(super) fn take_down(
     undecodable.messages += 1;
 }
 
-pub(super) fn saturating(nanos: u64) -> i64 {
+pub(super) fn saturating_nanos(nanos: u64) -> i64 {
     i64::try_from(nanos).unwrap_or(i64::MAX)
 }

@@ -135,7 +135,7 @@ impl From<LogError> for Trouble {
             }
             LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),
         };
-        let (place, remedy) = (SourceName::of(&path).to_string(), remedy.to_owned());
+        let (place, remedy) = (SourceName::from_path(&path).to_string(), remedy.to_owned());
         Trouble { kind, what, place, remedy }
     }
 }

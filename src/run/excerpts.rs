@@ -222,7 +222,7 @@ mod tests {
             messages: rows as u64,
             columns: Some(Columns::Joints(columns)),
             undecodable: None,
-            useless: None,
+            unusable: None,
             read_as: None,
             cells: Vec::new(),
             span: None,

@@ -234,7 +234,7 @@ mod tests {
                 messages: 3,
                 columns: Some(poses(stamps, length)),
                 undecodable: None,
-                useless: None,
+                unusable: None,
                 read_as: None,
                 cells: Vec::new(),
                 span: None,

@@ -293,7 +293,7 @@ mod tests {
             messages,
             columns: Some(columns),
             undecodable: None,
-            useless: None,
+            unusable: None,
             read_as: None,
             cells: Vec::new(),
             span: None,

@@ -237,7 +237,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     let Some(columns) = topic.columns.filter(has_rows) else {
         if let Some(undecodable) = topic.undecodable {
             stream.reason = format!("it cannot be decoded: {}", undecodable.first);
-        } else if let Some(useless) = topic.useless {
+        } else if let Some(useless) = topic.unusable {
             stream.reason = useless;
         }
         return vec![stream];

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use poseaudit::finding::{Finding, Severity};
-use poseaudit::log::{self, Extent, Follow, Growth, Log};
+use poseaudit::log::{self, Extent, Growth, Log, LogFollower};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, tame};
 use poseaudit::{Audited, Options, audit, audit_read};
 use serde_json::json;
@@ -48,7 +48,7 @@ enum Reading {
     /// File type not yet known.
     Unknown,
     /// Incrementally.
-    Grown(Box<Follow>),
+    Grown(Box<LogFollower>),
     /// As a whole each time; the size at the last check.
     Whole(u64),
 }
@@ -119,8 +119,8 @@ impl Current {
     /// Reads new data, and audits the log if it is due.
     pub fn look(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if matches!(self.reading, Reading::Unknown) && self.size() > 0 {
-            self.reading = match Follow::can(&self.path) {
-                true => Reading::Grown(Box::new(Follow::of(&self.path, &self.options.read))),
+            self.reading = match LogFollower::is_supported(&self.path) {
+                true => Reading::Grown(Box::new(LogFollower::new(&self.path, &self.options.read))),
                 false => Reading::Whole(0),
             };
         }
@@ -137,7 +137,7 @@ impl Current {
             Reading::Whole(before) => {
                 let is_shorter = size < *before;
                 *before = size;
-                if is_shorter { Growth::BegunAgain } else { Growth::More }
+                if is_shorter { Growth::Restarted } else { Growth::More }
             }
         };
         match growth {
@@ -146,7 +146,7 @@ impl Current {
                 self.has_ended = false;
                 (self.written, self.is_stale) = (Instant::now(), true);
             }
-            Growth::BegunAgain => self.begin_again()?,
+            Growth::Restarted => self.begin_again()?,
             Growth::Ended if self.has_ended => {}
             Growth::Ended if is_closed(&self.path) => return self.finish(screen),
             // It is damaged, or its end is being written.

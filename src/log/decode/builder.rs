@@ -5,7 +5,7 @@ mod poses;
 mod values;
 
 use self::joints::Joints;
-use self::poses::{Crowd, Naming, Poses};
+use self::poses::{Naming, PoseSet, Poses};
 use self::values::{Array, Numbers, append_imu, append_text, join_imu, join_texts};
 use super::row::{self, Row, RowTimes};
 use ground::stream::{Columns, ImuColumns, TextColumns};
@@ -19,21 +19,21 @@ pub(crate) use self::poses::MAX_FRAMES;
 /// others append a dot and the field, as in Foxglove's message paths.
 #[derive(Clone, Debug)]
 pub(crate) struct Builder {
-    kinds: &'static [PartOf],
+    kinds: &'static [NamedPart],
     parts: Vec<(&'static str, Part)>,
     /// Whether the type has a stamp.
     stamped: bool,
 }
 
 /// Suffix of the topic's name, and the columns to fill.
-pub(super) type PartOf = (&'static str, fn() -> Part);
+pub(super) type NamedPart = (&'static str, fn() -> Part);
 
 /// Columns of one kind of content.
 #[derive(Clone, Debug)]
 pub(super) enum Part {
     Joints(Joints),
     Poses(Poses),
-    Crowd(Crowd),
+    Crowd(PoseSet),
     Transforms(Poses),
     Imu(ImuColumns),
     Array(Array),
@@ -43,17 +43,17 @@ pub(super) enum Part {
 impl Part {
     /// Joint names and positions.
     pub(super) fn joints() -> Self {
-        Self::Joints(Joints::of(row::VALUES, row::VELOCITIES))
+        Self::Joints(Joints::new(row::VALUES, row::VELOCITIES))
     }
 
     /// Joint names and commanded positions.
     pub(super) fn reference() -> Self {
-        Self::Joints(Joints::of(row::REFERENCE, row::REFERENCE_VELOCITIES))
+        Self::Joints(Joints::new(row::REFERENCE, row::REFERENCE_VELOCITIES))
     }
 
     /// Joint positions of a Franka arm. Messages have no names, so the drivers' default names are used.
     pub(super) fn franka_joints() -> Self {
-        let mut joints = Joints::of(row::VALUES, row::VELOCITIES);
+        let mut joints = Joints::new(row::VALUES, row::VELOCITIES);
         joints.columns.unnamed = true;
         joints.stem = "panda_joint";
         Self::Joints(joints)
@@ -66,12 +66,12 @@ impl Part {
 
     /// Poses by their index in the message.
     pub(super) fn numbered_poses() -> Self {
-        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
+        Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
     }
 
     /// Poses by the name at their index in the message.
     pub(super) fn named_poses() -> Self {
-        Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Names, most: 0 })
+        Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Names, most: 0 })
     }
 
     /// Transforms by their frames.
@@ -142,7 +142,7 @@ impl Part {
             (Part::Imu(own), Part::Imu(later)) => join_imu(own, later),
             (Part::Array(own), Part::Array(later)) => own.join(later),
             (Part::Text(own), Part::Text(later)) => join_texts(own, later),
-            // Builders of one recipe have the same parts; `fits` checks this.
+            // Builders of one recipe have the same parts; `can_join` checks this.
             _ => {}
         }
     }
@@ -162,19 +162,19 @@ impl Part {
 
 impl Builder {
     /// Empty columns for the parts of a type.
-    pub(super) fn new(kinds: &'static [PartOf], stamped: bool) -> Self {
+    pub(super) fn new(kinds: &'static [NamedPart], stamped: bool) -> Self {
         let parts = kinds.iter().map(|(name, part)| (*name, part())).collect();
         Self { kinds, parts, stamped }
     }
 
     /// The same columns without rows.
-    pub(crate) fn blank(&self) -> Self {
+    pub(crate) fn empty_copy(&self) -> Self {
         Self::new(self.kinds, self.stamped)
     }
 
     /// Whether [`Builder::join`] with `later`, which has the same parts, is equivalent to appending its
     /// rows one by one.
-    pub(crate) fn fits(&self, later: &Self) -> bool {
+    pub(crate) fn can_join(&self, later: &Self) -> bool {
         let parts = self.parts.iter().zip(&later.parts);
         parts.into_iter().all(|((_, own), (_, later))| own.fits(later))
     }
@@ -192,7 +192,7 @@ impl Builder {
     }
 
     /// Number of rows rejected because the topic has more pairs of frames than [`MAX_FRAMES`].
-    pub(crate) fn refused(&self) -> u64 {
+    pub(crate) fn rejected_rows(&self) -> u64 {
         let refused = |part: &Part| match part {
             Part::Poses(poses) | Part::Transforms(poses) => poses.refused,
             Part::Crowd(crowd) => crowd.poses.refused,
@@ -202,12 +202,12 @@ impl Builder {
     }
 
     /// Reason why the appended content is unusable, if so.
-    pub(crate) fn useless(&self) -> Option<String> {
+    pub(crate) fn unusable_reason(&self) -> Option<String> {
         self.parts.iter().find_map(|(_, part)| match part {
             Part::Crowd(crowd) if crowd.is_too_large() => Some(format!(
                 "a message contains {} poses; an arm has at most {}",
                 crowd.most,
-                crowd.naming.most()
+                crowd.naming.max_poses()
             )),
             _ => None,
         })

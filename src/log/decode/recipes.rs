@@ -1,6 +1,6 @@
 //! Maps fields of message types to slots and columns.
 
-use super::builder::{Builder, Part, PartOf};
+use super::builder::{Builder, NamedPart, Part};
 use super::row::{self, Slot};
 use super::schema::canonical;
 
@@ -17,7 +17,7 @@ pub(crate) struct Recipe {
     pub(super) layouts: &'static [Fields],
     /// Columns to fill; the first has the topic's own name. If rows come from an array there is one part,
     /// and rows have groups ([`Row::group`](row::Row::group)).
-    parts: &'static [PartOf],
+    parts: &'static [NamedPart],
 }
 
 impl Recipe {

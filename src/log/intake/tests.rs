@@ -1,7 +1,7 @@
 use super::*;
 use crate::decode::MAX_FRAMES;
 use crate::testing::{Cdr, POSE_STAMPED};
-use crate::topic::Place;
+use crate::topic::MessagePlace;
 
 const HOUR: u64 = 3_600_000_000_000;
 
@@ -15,7 +15,7 @@ fn poses(schema: &str) -> Format<'_> {
 }
 
 fn message(time: u64, data: &[u8], latched: bool) -> Message<'_> {
-    let (log_time, publish_time, place) = (time, time, Place::Byte(0));
+    let (log_time, publish_time, place) = (time, time, MessagePlace::Byte(0));
     Message { log_time, publish_time, sequence: 0, data, place, latched }
 }
 
@@ -69,7 +69,7 @@ fn more_poses_than_an_arm_has_are_said_to_be_of_no_use() {
     intake.message(channel, message(1, &cloud, false));
     let log = intake.finish(Vec::new());
     assert_eq!((&log.topics[0].columns, &log.topics[0].undecodable), (&None, &None));
-    let useless = log.topics[0].useless.as_deref().unwrap();
+    let useless = log.topics[0].unusable.as_deref().unwrap();
     assert_eq!(useless, "a message contains 40 poses; an arm has at most 16");
 }
 

@@ -7,7 +7,7 @@ use std::io;
 use bytes::Bytes;
 use memmap2::MmapOptions;
 
-use super::Looks;
+use super::AccessPattern;
 
 /// A temporary file, deleted with the process.
 pub(crate) type Temporary = File;
@@ -64,12 +64,12 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
 
 /// Advises the system how `bytes` will be accessed; does not change them.
 #[cfg(target_os = "linux")]
-pub(crate) fn advise(bytes: &[u8], looks: Looks) {
+pub(crate) fn advise(bytes: &[u8], looks: AccessPattern) {
     /// The system rejects the advice if its pages are larger.
     const PAGE: usize = 1 << 12;
     let advice = match looks {
-        Looks::Scattered => libc::MADV_RANDOM,
-        Looks::Whole => libc::MADV_WILLNEED,
+        AccessPattern::Scattered => libc::MADV_RANDOM,
+        AccessPattern::Whole => libc::MADV_WILLNEED,
     };
     let before = bytes.as_ptr().addr() % PAGE;
     let start = bytes.as_ptr().wrapping_sub(before).cast_mut().cast();
@@ -78,4 +78,4 @@ pub(crate) fn advise(bytes: &[u8], looks: Looks) {
 }
 
 #[cfg(not(target_os = "linux"))]
-pub(crate) fn advise(_: &[u8], _: Looks) {}
+pub(crate) fn advise(_: &[u8], _: AccessPattern) {}

@@ -26,4 +26,4 @@ pub(super) fn map(_: &File, _: u64) -> io::Result<Bytes> {
 }
 
 /// Does nothing; memory needs no advice.
-pub(crate) fn advise(_: &[u8], _: super::Looks) {}
+pub(crate) fn advise(_: &[u8], _: super::AccessPattern) {}

@@ -2,7 +2,7 @@
 
 use super::Reader;
 use super::record::{self, Frame};
-use crate::mapped::{Looks, advise};
+use crate::mapped::{AccessPattern, advise};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
@@ -10,29 +10,29 @@ impl<'a> Reader<'a, '_, '_> {
     /// If they are wrong, the parts are read on demand.
     pub(super) fn advise(&mut self, chunk: &Frame<'a>, packed: &Packed<'a>) {
         let wanted = match packed.compression {
-            Compression::None => self.wanted(chunk, packed.data),
+            Compression::None => self.useful_parts(chunk, packed.data),
             _ => None,
         };
         match wanted {
             Some(wanted) => {
                 if !std::mem::replace(&mut self.is_scattered, true) {
-                    advise(&self.bytes[chunk.offset..], Looks::Scattered);
+                    advise(&self.bytes[chunk.offset..], AccessPattern::Scattered);
                 }
-                wanted.into_iter().for_each(|run| advise(run, Looks::Whole));
+                wanted.into_iter().for_each(|run| advise(run, AccessPattern::Whole));
             }
-            None if self.is_scattered => advise(packed.data, Looks::Whole),
+            None if self.is_scattered => advise(packed.data, AccessPattern::Whole),
             None => {}
         }
     }
 
     /// Parts of a chunk's records with useful messages; `None` unless unused messages make up most of its
     /// bytes.
-    fn wanted(&self, chunk: &Frame<'a>, records: &'a [u8]) -> Option<Vec<&'a [u8]>> {
+    fn useful_parts(&self, chunk: &Frame<'a>, records: &'a [u8]) -> Option<Vec<&'a [u8]>> {
         if self.options.verify || !self.has_ignored_channels() {
             return None;
         }
         let mut messages: Vec<(usize, bool)> = Vec::new();
-        for index in self.indexes_behind(chunk) {
+        for index in self.indexes_after(chunk) {
             let id = self.definitions.channel_of(index.channel_id);
             let is_ignored = id.is_some_and(|id| self.intake.ignores(id));
             let offsets = index.offsets().filter_map(|at| usize::try_from(at).ok());
@@ -69,7 +69,7 @@ mod tests {
 
     use super::*;
     use crate::ReadOptions;
-    use crate::ahead;
+    use crate::chunk_pool;
     use crate::intake::Intake;
     use crate::losses::Losses;
     use crate::ranges::Present;
@@ -91,9 +91,9 @@ mod tests {
 
     /// Requested parts of the only chunk, and its size in bytes.
     fn wanted(bytes: &[u8]) -> (Option<Vec<(usize, usize)>>, usize) {
-        let (mut losses, mut intake) = (Losses::of(Path::new("run.mcap")), Intake::default());
+        let (mut losses, mut intake) = (Losses::new(Path::new("run.mcap")), Intake::default());
         let options = ReadOptions::default();
-        ahead::with(|ahead| {
+        chunk_pool::with_pool(|ahead| {
             let present = &Present::Whole;
             let mut reader = Reader::new(bytes, present, &options, &mut losses, &mut intake, ahead);
             reader.summary();
@@ -105,7 +105,7 @@ mod tests {
                 let from = run.as_ptr().addr() - begin;
                 (from, from + run.len())
             };
-            let runs = reader.wanted(&chunk, packed.data);
+            let runs = reader.useful_parts(&chunk, packed.data);
             (runs.map(|runs| runs.into_iter().map(place).collect()), packed.data.len())
         })
     }

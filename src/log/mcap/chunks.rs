@@ -3,15 +3,15 @@
 use mcap::records::op;
 
 use super::record::{self, Frame};
-use super::{Absent, Reader, Use};
+use super::{ChunkUse, MissingByte, Reader};
 use crate::Extent;
-use crate::ahead::{self, Done};
+use crate::chunk_pool::{self, ChunkResult};
 use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
-        let far = here.saturating_add(ahead::MOST_DISTANCE);
+        let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
             let frame = match record::frame(self.bytes, offset) {
                 Ok(frame) if !matches!(frame.opcode, op::DATA_END | op::FOOTER) => frame,
@@ -27,29 +27,29 @@ impl<'a> Reader<'a, '_, '_> {
                 self.advise(&frame, packed);
             }
             if let Some(packed) = packed
-                && self.use_of(&frame, &packed) == Use::All
+                && self.chunk_use(&frame, &packed) == ChunkUse::All
                 && self.intake.allowance.admit(&packed).is_ok()
             {
-                let table = self.table();
+                let table = self.snapshot();
                 self.ahead.unpack(offset, packed, table);
             }
         }
     }
 
     /// Determines which records of a chunk are needed.
-    pub(super) fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+    pub(super) fn chunk_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
         if !self.present.holds(&self.place(packed.data)) {
-            return self.use_of_parts(frame, packed);
+            return self.parts_use(frame, packed);
         }
         if self.options.verify {
-            return Use::All;
+            return ChunkUse::All;
         }
         if packed.compression == Compression::None {
             let is_whole = packed.data.len() as u64 == packed.size;
             let may_be_passed_over = is_whole && self.has_ignored_channels();
-            return if may_be_passed_over { self.use_of_records(packed.data) } else { Use::All };
+            return if may_be_passed_over { self.records_use(packed.data) } else { ChunkUse::All };
         }
-        if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
+        if self.is_ignored_by_index(frame) { ChunkUse::Counts } else { ChunkUse::All }
     }
 
     /// Whether a known channel is unused.
@@ -59,10 +59,10 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Determines which records of an uncompressed chunk are needed; large unused messages can be skipped.
-    pub(super) fn use_of_records(&self, records: &[u8]) -> Use {
+    pub(super) fn records_use(&self, records: &[u8]) -> ChunkUse {
         let (mut ignored, mut frames) = (0, record::frames(records, 0));
         for frame in &mut frames {
-            let Ok(frame) = frame else { return Use::All };
+            let Ok(frame) = frame else { return ChunkUse::All };
             let message = match frame.opcode {
                 op::MESSAGE => record::Message::parse(frame.body),
                 _ => None,
@@ -76,11 +76,11 @@ impl<'a> Reader<'a, '_, '_> {
                 ignored += message.data.len();
             }
         }
-        if ignored > records.len() / 2 { Use::Some } else { Use::All }
+        if ignored > records.len() / 2 { ChunkUse::Some } else { ChunkUse::All }
     }
 
     /// Message indexes after a chunk.
-    pub(super) fn indexes_behind(
+    pub(super) fn indexes_after(
         &self,
         chunk: &Frame<'a>,
     ) -> impl Iterator<Item = record::MessageIndex<'a>> + use<'a> {
@@ -94,7 +94,10 @@ impl<'a> Reader<'a, '_, '_> {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
         self.has_chunks = true;
         let Some(chunk) = chunk else {
-            self.lose_chunk(frame.offset, "chunk is shorter than its declared length".to_owned());
+            self.record_lost_chunk(
+                frame.offset,
+                "chunk is shorter than its declared length".to_owned(),
+            );
             return false;
         };
         let Some(packed) = chunk.packed() else {
@@ -102,14 +105,14 @@ impl<'a> Reader<'a, '_, '_> {
             let what = format!(
                 "chunk has unsupported compression `{found}`, expected `zstd`, `lz4` or none"
             );
-            self.lose_chunk(frame.offset, what);
-            self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
+            self.record_lost_chunk(frame.offset, what);
+            self.losses.set_span(frame.offset, chunk.first_time, chunk.last_time);
             return false;
         };
-        let mut unpacked = match self.ahead.take(frame.offset) {
-            Some(Done::Unpacked(unpacked)) => Some(unpacked),
-            Some(Done::Read(part)) => {
-                if self.take_part(part, &packed) {
+        let mut unpacked = match self.ahead.take_result(frame.offset) {
+            Some(ChunkResult::Unpacked(unpacked)) => Some(unpacked),
+            Some(ChunkResult::Read(part)) => {
+                if self.join_part(part, &packed) {
                     return true;
                 }
                 None
@@ -118,20 +121,20 @@ impl<'a> Reader<'a, '_, '_> {
         };
         let records = match &mut unpacked {
             Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
-            None => match self.use_of(frame, &packed) {
-                Use::Counts => {
+            None => match self.chunk_use(frame, &packed) {
+                ChunkUse::Counts => {
                     self.count(frame);
                     return true;
                 }
-                Use::Some => {
+                ChunkUse::Some => {
                     self.chunk_records(packed.data, frame.offset);
                     return true;
                 }
-                Use::Absent => {
-                    self.absent.get_or_insert(Absent(frame.offset));
+                ChunkUse::Absent => {
+                    self.absent.get_or_insert(MissingByte(frame.offset));
                     return true;
                 }
-                Use::All => unpacker.chunk(&packed, &mut self.intake.allowance),
+                ChunkUse::All => unpacker.chunk(&packed, &mut self.intake.allowance),
             },
         };
         let is_sound = match records {
@@ -146,19 +149,19 @@ impl<'a> Reader<'a, '_, '_> {
             Err(error) => {
                 self.losses.add(frame.offset, error.extent(), None, error.to_string());
                 self.in_lost_chunk = true;
-                self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
+                self.losses.set_span(frame.offset, chunk.first_time, chunk.last_time);
                 false
             }
         };
         if let Some(unpacked) = unpacked {
-            self.ahead.give_back(unpacked);
+            self.ahead.recycle(unpacked);
         }
         is_sound
     }
 
     /// Counts the messages of a chunk without decompressing it.
     pub(super) fn count(&mut self, chunk: &Frame<'a>) {
-        for index in self.indexes_behind(chunk) {
+        for index in self.indexes_after(chunk) {
             if let Some((id, span)) =
                 self.definitions.channel_of(index.channel_id).zip(index.span())
             {
@@ -174,7 +177,7 @@ impl<'a> Reader<'a, '_, '_> {
             match frame {
                 Ok(frame) => {
                     if self.content(&frame, offset, &mut batch).is_none() {
-                        self.lose_record(&frame, offset);
+                        self.record_lost_record(&frame, offset);
                     }
                 }
                 Err(broken) => {
@@ -186,17 +189,17 @@ impl<'a> Reader<'a, '_, '_> {
         self.intake.batch(&mut batch);
     }
 
-    pub(super) fn lose_chunk(&mut self, offset: usize, what: String) {
+    pub(super) fn record_lost_chunk(&mut self, offset: usize, what: String) {
         self.losses.add(offset, Extent::Messages, None, what);
         self.in_lost_chunk = true;
     }
 
     /// Reads the complete records of a truncated chunk.
-    pub(super) fn cut_chunk(&mut self, records: &[u8], offset: usize) {
+    pub(super) fn salvage_chunk(&mut self, records: &[u8], offset: usize) {
         let mut batch = Vec::new();
         for frame in record::frames(records, 0).flatten() {
             if self.content(&frame, offset, &mut batch).is_none() {
-                self.lose_record(&frame, offset);
+                self.record_lost_record(&frame, offset);
             }
         }
         self.intake.batch(&mut batch);

@@ -67,20 +67,23 @@ impl<'a> Reader<'a, '_, '_> {
         /// Maximum size of an attachment whose checksum is verified by default.
         const SMALL: usize = 16 << 20;
         let Some(attachment) = record::Attachment::parse(frame.body) else {
-            return self
-                .lose_summary(frame.offset, "attachment is shorter than its declared length");
+            return self.record_lost_summary(
+                frame.offset,
+                "attachment is shorter than its declared length",
+            );
         };
         let checked = self.options.verify || attachment.covered.len() <= SMALL;
         if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
             let what = format!("attachment `{}` fails its checksum", excerpt(attachment.name));
-            return self.lose_summary(frame.offset, &what);
+            return self.record_lost_summary(frame.offset, &what);
         }
         self.intake.text(attachment.name, attachment.data);
     }
 
     pub(super) fn metadata(&mut self, frame: &Frame<'_>) {
         let Some((name, pairs)) = record::metadata(frame.body) else {
-            return self.lose_summary(frame.offset, "metadata is shorter than its declared length");
+            return self
+                .record_lost_summary(frame.offset, "metadata is shorter than its declared length");
         };
         for (key, value) in pairs {
             self.intake.text(&format!("{name}/{key}"), value.as_bytes());

@@ -5,7 +5,7 @@ use mcap::records::op;
 use super::record::Broken;
 use super::{Definitions, Reader, record};
 use crate::ReadOptions;
-use crate::ahead;
+use crate::chunk_pool;
 use crate::intake::Intake;
 use crate::losses::Losses;
 use crate::ranges::Present;
@@ -27,11 +27,11 @@ pub(crate) fn whole_records(bytes: &[u8]) -> (usize, bool) {
 
 /// Definitions of a file that is read while it is written.
 #[derive(Default)]
-pub(crate) struct Growing {
+pub(crate) struct GrowingFile {
     definitions: Definitions,
 }
 
-impl Growing {
+impl GrowingFile {
     /// Reads further complete records of the file, without the leading magic. Offsets in `losses` refer to
     /// `bytes`.
     pub(crate) fn read(
@@ -41,7 +41,7 @@ impl Growing {
         losses: &mut Losses,
         intake: &mut Intake,
     ) {
-        ahead::with(|ahead| {
+        chunk_pool::with_pool(|ahead| {
             let mut reader = Reader::new(bytes, &Present::Whole, options, losses, intake, ahead);
             reader.definitions = std::mem::take(&mut self.definitions);
             reader.walk();

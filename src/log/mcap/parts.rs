@@ -7,27 +7,27 @@ use mcap::records::op;
 use super::record;
 use super::{Definitions, Reader};
 use crate::intake::Intake;
-use crate::part::{Known, Part, Records};
+use crate::part::{ChannelSnapshot, PartContent, PartParser};
 use crate::unpack::Packed;
 
 /// Maximum number of snapshots of the definitions. In valid files all definitions are in the summary or the
 /// first chunks.
-const MOST_TABLES: u32 = 1 << 8;
+const MAX_SNAPSHOTS: u32 = 1 << 8;
 
 /// Snapshot of the definitions and channels.
-pub(super) struct Table {
+pub(super) struct DefinitionSnapshot {
     definitions: Definitions,
-    known: Known,
+    known: ChannelSnapshot,
 }
 
-impl Table {
-    fn of(definitions: &Definitions, intake: &Intake) -> Option<Self> {
+impl DefinitionSnapshot {
+    fn new(definitions: &Definitions, intake: &Intake) -> Option<Self> {
         Some(Self { definitions: definitions.clone(), known: intake.known()? })
     }
 }
 
-impl Records for Table {
-    fn part(&self, records: &[u8], offset: usize) -> Option<Part> {
+impl PartParser for DefinitionSnapshot {
+    fn part(&self, records: &[u8], offset: usize) -> Option<PartContent> {
         let mut part = self.known.part();
         for frame in record::frames(records, 0) {
             let frame = frame.ok()?;
@@ -46,16 +46,16 @@ impl Records for Table {
                 return None;
             }
         }
-        Some(part.done(self.definitions.changes))
+        Some(part.finish(self.definitions.changes))
     }
 }
 
 impl Reader<'_, '_, '_> {
     /// Returns the snapshot for reading a chunk ahead.
-    pub(super) fn table(&mut self) -> Option<Arc<dyn Records>> {
-        if self.table.is_none() && self.tables < MOST_TABLES {
+    pub(super) fn snapshot(&mut self) -> Option<Arc<dyn PartParser>> {
+        if self.table.is_none() && self.tables < MAX_SNAPSHOTS {
             self.tables += 1;
-            self.table = Table::of(&self.definitions, self.intake).map(Arc::new);
+            self.table = DefinitionSnapshot::new(&self.definitions, self.intake).map(Arc::new);
         }
         let table = Arc::clone(self.table.as_ref()?);
         Some(table)
@@ -63,7 +63,7 @@ impl Reader<'_, '_, '_> {
 
     /// Merges the result of reading the chunk `packed` ahead. Returns false if reading it now would give
     /// another result.
-    pub(super) fn take_part(&mut self, part: Part, packed: &Packed<'_>) -> bool {
+    pub(super) fn join_part(&mut self, part: PartContent, packed: &Packed<'_>) -> bool {
         let before = self.intake.messages();
         let is_current = part.changes == self.definitions.changes;
         if !is_current || self.intake.allowance.admit(packed).is_err() || !self.intake.join(part) {

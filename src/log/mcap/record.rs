@@ -206,7 +206,7 @@ impl<'a> Message<'a> {
             publish_time: self.publish_time,
             sequence: self.sequence,
             data: self.data,
-            place: topic::Place::Byte(offset as u64),
+            place: topic::MessagePlace::Byte(offset as u64),
             latched: false,
         }
     }

@@ -5,29 +5,29 @@ use std::ops::Range;
 use mcap::records::op;
 
 use super::record::{self, Frame};
-use super::{Absent, Reader, Use};
+use super::{ChunkUse, MissingByte, Reader};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Whether all bytes of `range` are present; stores the first missing one.
-    pub(super) fn is_there(&mut self, range: Range<usize>) -> bool {
+    pub(super) fn is_present(&mut self, range: Range<usize>) -> bool {
         let is_there = self.present.holds(&range);
         if !is_there {
-            self.absent.get_or_insert(Absent(range.start));
+            self.absent.get_or_insert(MissingByte(range.start));
         }
         is_there
     }
 
     /// Determines which records of a partially present chunk are needed.
-    pub(super) fn use_of_parts(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
+    pub(super) fn parts_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
         let is_open =
             packed.compression == Compression::None && packed.data.len() as u64 == packed.size;
         if self.is_ignored_by_index(frame) {
-            Use::Counts
-        } else if is_open && self.look_through(packed.data).is_ok() {
-            Use::Some
+            ChunkUse::Counts
+        } else if is_open && self.check_parts(packed.data).is_ok() {
+            ChunkUse::Some
         } else {
-            Use::Absent
+            ChunkUse::Absent
         }
     }
 
@@ -39,7 +39,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Whether the indexes after a chunk name only messages that are counted.
     pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
-        let mut indexes = self.indexes_behind(chunk).peekable();
+        let mut indexes = self.indexes_after(chunk).peekable();
         let is_ignored = |index: record::MessageIndex<'_>| {
             self.definitions.channel_of(index.channel_id).is_some_and(|id| self.intake.ignores(id))
         };
@@ -48,7 +48,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Checks that all needed parts of an uncompressed chunk are present. Returns the number of skipped
     /// message bytes, or the first missing range if it can be determined.
-    pub(super) fn look_through(&self, records: &'a [u8]) -> Result<usize, Option<Range<usize>>> {
+    pub(super) fn check_parts(&self, records: &'a [u8]) -> Result<usize, Option<Range<usize>>> {
         let Range { start: base, end } = self.place(records);
         let (mut at, mut ignored) = (0, 0);
         while at < records.len() {
@@ -59,7 +59,7 @@ impl<'a> Reader<'a, '_, '_> {
             let frame = record::frame(records, at).map_err(|_| None)?;
             let whole = base + at..base + frame.end();
             let passed_over = match frame.opcode {
-                op::MESSAGE => self.passed_over(frame.body).ok_or(None)?,
+                op::MESSAGE => self.skipped_bytes(frame.body).ok_or(None)?,
                 _ => 0,
             };
             if passed_over == 0 && !self.present.holds(&whole) {
@@ -79,7 +79,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Number of skipped bytes of a message; `None` if its channel is unknown.
-    fn passed_over(&self, body: &'a [u8]) -> Option<usize> {
+    fn skipped_bytes(&self, body: &'a [u8]) -> Option<usize> {
         let message = record::Message::parse(body)?;
         let id = self.definitions.channel_of(message.channel_id)?;
         Some(if self.intake.ignores(id) { message.data.len() } else { 0 })

@@ -16,7 +16,7 @@ use mcap::records::op;
 use super::record::{self, FRAME_HEADER, Frame};
 use super::{Reader, Summary};
 use crate::ReadOptions;
-use crate::ahead;
+use crate::chunk_pool;
 use crate::intake::Intake;
 use crate::losses::Losses;
 use crate::ranges::Present;
@@ -36,15 +36,15 @@ pub(crate) enum Survey {
 /// Determines the missing ranges of the file `bytes`, given the ranges in `present`.
 pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     let options = ReadOptions::default();
-    let mut losses = Losses::of("".as_ref());
+    let mut losses = Losses::new("".as_ref());
     let mut intake = Intake::default();
-    ahead::with(|ahead| {
+    chunk_pool::with_pool(|ahead| {
         Reader::new(bytes, present, &options, &mut losses, &mut intake, ahead).survey()
     })
 }
 
 /// The file does not match its index and must be fetched completely.
-struct Unlike;
+struct IndexMismatch;
 
 impl<'a> Reader<'a, '_, '_> {
     fn survey(&mut self) -> Survey {
@@ -54,20 +54,20 @@ impl<'a> Reader<'a, '_, '_> {
         match asked {
             Ok(missing) if missing.is_empty() => Survey::Nothing,
             Ok(missing) => Survey::Parts(missing),
-            Err(Unlike) => Survey::Rest,
+            Err(IndexMismatch) => Survey::Rest,
         }
     }
 
     /// Missing ranges of footer and summary.
-    fn missing_summary(&self) -> Result<Vec<Range<usize>>, Unlike> {
+    fn missing_summary(&self) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let size = self.bytes.len();
-        let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(Unlike)?;
+        let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(IndexMismatch)?;
         let end = footer..size;
         if !self.present.holds(&end) {
             return Ok(vec![end]);
         }
         let start = self.summary_start().filter(|start| (MAGIC.len()..footer).contains(start));
-        let summary = start.ok_or(Unlike)?..size;
+        let summary = start.ok_or(IndexMismatch)?..size;
         Ok(if self.present.holds(&summary) { Vec::new() } else { vec![summary] })
     }
 
@@ -80,37 +80,39 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Missing ranges before the summary, which is present.
-    fn missing(&mut self) -> Result<Vec<Range<usize>>, Unlike> {
-        let start = self.summary_start().ok_or(Unlike)?;
-        let Summary::Closed { messages: recorded } = self.summary() else { return Err(Unlike) };
+    fn missing(&mut self) -> Result<Vec<Range<usize>>, IndexMismatch> {
+        let start = self.summary_start().ok_or(IndexMismatch)?;
+        let Summary::Closed { messages: recorded } = self.summary() else {
+            return Err(IndexMismatch);
+        };
         if !self.losses.is_empty() {
-            return Err(Unlike);
+            return Err(IndexMismatch);
         }
         let outside = self.outside_of_chunks(start)?;
-        let missing = self.absent(outside);
+        let missing = self.missing_of(outside);
         if !missing.is_empty() {
             return Ok(missing);
         }
         let (missing, messages) = self.missing_in_chunks()?;
         match recorded {
-            Some(recorded) if recorded != messages => Err(Unlike),
+            Some(recorded) if recorded != messages => Err(IndexMismatch),
             _ => Ok(missing),
         }
     }
 
     /// Ranges outside the chunks, up to the summary at `end`, according to the chunk indexes.
-    fn outside_of_chunks(&self, end: usize) -> Result<Vec<Range<usize>>, Unlike> {
+    fn outside_of_chunks(&self, end: usize) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let records = record::frames(self.bytes, end).map_while(Result::ok);
         let indexes = records.filter(|frame| frame.opcode == op::CHUNK_INDEX);
         let chunks: Option<Vec<Range<usize>>> =
             indexes.map(|frame| record::chunk_place(frame.body)).collect();
-        let mut chunks = chunks.filter(|chunks| !chunks.is_empty()).ok_or(Unlike)?;
+        let mut chunks = chunks.filter(|chunks| !chunks.is_empty()).ok_or(IndexMismatch)?;
         chunks.sort_by_key(|chunk| chunk.start);
         let mut outside = Vec::with_capacity(chunks.len() + 1);
         let mut at = 0;
         for chunk in chunks {
             if chunk.start < at || chunk.end > end {
-                return Err(Unlike);
+                return Err(IndexMismatch);
             }
             outside.push(at..chunk.end.min(chunk.start + record::CHUNK_HEAD));
             at = chunk.end;
@@ -120,42 +122,42 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// Missing ranges of the needed chunks, and the number of messages in the indexes.
-    fn missing_in_chunks(&mut self) -> Result<(Vec<Range<usize>>, u64), Unlike> {
+    fn missing_in_chunks(&mut self) -> Result<(Vec<Range<usize>>, u64), IndexMismatch> {
         let (mut missing, mut messages) = (Vec::new(), 0);
         let mut offset = MAGIC.len();
         loop {
-            let frame = self.frame_there(offset)?;
+            let frame = self.present_frame(offset)?;
             match frame.opcode {
                 op::DATA_END | op::FOOTER => return Ok((missing, messages)),
                 op::CHUNK => {
                     let part = self.missing_in_chunk(&frame)?;
-                    missing.extend(self.absent(part));
-                    messages += self.indexes_behind(&frame).map(|index| index.count()).sum::<u64>();
+                    missing.extend(self.missing_of(part));
+                    messages += self.indexes_after(&frame).map(|index| index.count()).sum::<u64>();
                 }
-                _ if !self.present.holds(&(offset..frame.end())) => return Err(Unlike),
+                _ if !self.present.holds(&(offset..frame.end())) => return Err(IndexMismatch),
                 op::MESSAGE => messages += 1,
-                _ => self.definition(&frame).ok_or(Unlike)?,
+                _ => self.definition(&frame).ok_or(IndexMismatch)?,
             }
             offset = frame.end();
         }
     }
 
     /// The record at `offset`, if its length is present.
-    fn frame_there(&self, offset: usize) -> Result<Frame<'a>, Unlike> {
+    fn present_frame(&self, offset: usize) -> Result<Frame<'a>, IndexMismatch> {
         if !self.present.holds(&(offset..offset + FRAME_HEADER)) {
-            return Err(Unlike);
+            return Err(IndexMismatch);
         }
-        record::frame(self.bytes, offset).map_err(|_| Unlike)
+        record::frame(self.bytes, offset).map_err(|_| IndexMismatch)
     }
 
     /// Ranges of the chunk `frame` that the reader needs.
-    fn missing_in_chunk(&self, frame: &Frame<'a>) -> Result<Vec<Range<usize>>, Unlike> {
+    fn missing_in_chunk(&self, frame: &Frame<'a>) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let head = frame.offset..frame.end().min(frame.offset + record::CHUNK_HEAD);
         if !self.present.holds(&head) {
-            return Err(Unlike);
+            return Err(IndexMismatch);
         }
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
-        let packed = chunk.and_then(|chunk| chunk.packed()).ok_or(Unlike)?;
+        let packed = chunk.and_then(|chunk| chunk.packed()).ok_or(IndexMismatch)?;
         self.indexes_are_there(frame)?;
         let data = self.place(packed.data);
         let only_counted = self.is_ignored_by_index(frame);
@@ -173,10 +175,10 @@ impl<'a> Reader<'a, '_, '_> {
         if messages.iter().map(Range::len).sum::<usize>() > packed.data.len() / 2 {
             return Ok(vec![data]);
         }
-        if !self.absent(parts.clone()).is_empty() {
+        if !self.missing_of(parts.clone()).is_empty() {
             return Ok(parts);
         }
-        Ok(match self.look_through(packed.data) {
+        Ok(match self.check_parts(packed.data) {
             // A chunk that the reader would read and verify completely is fetched completely.
             Ok(ignored) if ignored > packed.data.len() / 2 => Vec::new(),
             Ok(_) => vec![data],
@@ -190,16 +192,16 @@ impl<'a> Reader<'a, '_, '_> {
         })
     }
 
-    fn indexes_are_there(&self, chunk: &Frame<'a>) -> Result<(), Unlike> {
+    fn indexes_are_there(&self, chunk: &Frame<'a>) -> Result<(), IndexMismatch> {
         let mut offset = chunk.end();
         loop {
-            let frame = self.frame_there(offset)?;
+            let frame = self.present_frame(offset)?;
             if frame.opcode != op::MESSAGE_INDEX {
                 return Ok(());
             }
             let is_there = self.present.holds(&(offset..frame.end()));
             if !is_there || record::MessageIndex::parse(frame.body).is_none() {
-                return Err(Unlike);
+                return Err(IndexMismatch);
             }
             offset = frame.end();
         }
@@ -210,7 +212,7 @@ impl<'a> Reader<'a, '_, '_> {
     /// index points outside the chunk.
     fn messages_of(&self, chunk: &Frame<'a>, length: usize) -> Option<Vec<Range<usize>>> {
         let mut starts = Vec::new();
-        for index in self.indexes_behind(chunk) {
+        for index in self.indexes_after(chunk) {
             let is_ignored = self.intake.ignores(self.definitions.channel_of(index.channel_id)?);
             for offset in index.offsets() {
                 let offset = usize::try_from(offset).ok().filter(|offset| *offset < length)?;
@@ -230,7 +232,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     /// What of `ranges` is not there.
-    fn absent(&self, mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
+    fn missing_of(&self, mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
         ranges.retain(|range| !self.present.holds(range));
         ranges
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use mcap::{Compression, WriteOptions};
 
-use super::super::mapped::Mapped;
+use super::super::mapped::MappedFile;
 use super::super::testing::{self, Cdr, LogWriter};
 use super::super::unpack::Allowance;
 use super::super::{Container, Log, LogFile, Loss};
@@ -36,9 +36,9 @@ pub(super) fn read_present(
     bytes: &[u8],
     present: &Present,
     options: ReadOptions,
-) -> Result<Log, Absent> {
+) -> Result<Log, MissingByte> {
     let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
-    let mut losses = Losses::of(path);
+    let mut losses = Losses::new(path);
     intake.begin_file(path, bytes.len() as u64);
     let crc = read(bytes, present, &options, &mut losses, &mut intake)?;
     intake.losses(losses);
@@ -303,7 +303,7 @@ fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
     // A sparse file, which needs no disk space.
     file.as_file().set_len(4 << 30).unwrap();
     let start = Instant::now();
-    let mapped = Mapped::open(file.path()).unwrap();
+    let mapped = MappedFile::open(file.path()).unwrap();
     let log = read_with(mapped.bytes(), ReadOptions::default());
     assert!(start.elapsed() < Duration::from_secs(10), "{:?}", start.elapsed());
     assert!(log.messages > 0);
@@ -315,7 +315,7 @@ fn what_is_not_read_unasked_is_no_damage() {
     let whole = poses(LogWriter::new(Some(Compression::Zstd)));
     let read = |allowance: Allowance| {
         let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
-        let mut losses = Losses::of(path);
+        let mut losses = Losses::new(path);
         intake.begin_file(path, whole.len() as u64);
         intake.allowance = allowance;
         read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake).unwrap();

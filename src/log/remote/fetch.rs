@@ -13,78 +13,78 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::{sleep, timeout};
 
 use super::fault::RemoteFault;
-use super::patience::Patience;
+use super::minimum_rate::MinimumRate;
 use super::store::Source;
-use super::{Address, Fetched, cause};
-use crate::mapped::Mapped;
+use super::{Address, Fetched, error_cause};
+use crate::file_format::{self, FileFormat};
+use crate::mapped::MappedFile;
 use crate::mcap::{self, Survey};
 use crate::ranges::{Present, Ranges};
-use crate::sniff::{self, Kind};
 use crate::unpack::Unpacked;
 use crate::{Progress, ReadOptions};
 
 /// Size of the first request, which also returns the size of the object.
-const HEAD: usize = 64 << 10;
+const HEAD_BYTES: usize = 64 << 10;
 
 /// Size of the first request at the end of an MCAP file; contains all or most of the summary.
-const TAIL: usize = 64 << 10;
+const TAIL_BYTES: usize = 64 << 10;
 
 /// Objects up to this size are downloaded completely, which is faster than requesting parts.
-const SMALL: usize = 1 << 20;
+const MAX_WHOLE_BYTES: usize = 1 << 20;
 
 /// Maximum gap that is downloaded with its neighbours, which is faster than another request.
-const GAP: usize = 16 << 10;
+const MAX_GAP_BYTES: usize = 16 << 10;
 
 /// Maximum size of a request.
-const PIECE: usize = 8 << 20;
+const MAX_REQUEST_BYTES: usize = 8 << 20;
 
 /// Maximum number of concurrent requests.
-const AT_ONCE: usize = 32;
+const MAX_CONCURRENT_REQUESTS: usize = 32;
 
 /// Maximum number of survey rounds. Summary, indexes, messages and the gaps between them need four.
-const ROUNDS: usize = 64;
+const MAX_SURVEY_ROUNDS: usize = 64;
 
 /// Maximum number of attempts for a request whose connection breaks off.
-const TRIES: u32 = 5;
+const MAX_ATTEMPTS: u32 = 5;
 
 /// Pause before the first retry; doubled for each further one.
-const PAUSE: Duration = Duration::from_millis(200);
+const FIRST_RETRY_DELAY: Duration = Duration::from_millis(200);
 
 /// Maximum time until an answer, including the client's retries.
-const ANSWER: Duration = Duration::from_secs(50);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(50);
 
 /// Maximum time between two parts of an answer before the rest is requested again.
-const STALL: Duration = Duration::from_secs(10);
+const STALL_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Downloads the parts of the object at `address` that are needed, or all of it for verification.
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     let source = Source::of(address)?;
     let came = Rc::clone(&source.came);
     let work = async {
-        let mut object = match head(&source).await? {
-            Head::Part { meta, bytes } => Object::of(source, meta, &bytes, options)?,
+        let mut object = match fetch_head(&source).await? {
+            Head::Part { meta, bytes } => Object::create(source, meta, &bytes, options)?,
             Head::Whole => {
                 let is_told = Cell::new(false);
-                return again(async || whole(&source, options, &is_told).await).await;
+                return with_retries(async || fetch_whole(&source, options, &is_told).await).await;
             }
         };
-        if !options.verify && object.size > SMALL && object.kind == Kind::Mcap {
-            object.fetch_what_is_read().await?;
+        if !options.verify && object.size > MAX_WHOLE_BYTES && object.kind == FileFormat::Mcap {
+            object.fetch_needed().await?;
         } else {
             object.fetch(Ranges::up_to(object.size)).await?;
         }
         Ok(object.finish())
     };
-    let patience = Patience::of_environment()?;
+    let patience = MinimumRate::from_environment()?;
     runtime()?.block_on(patience.watch(&came, work))
 }
 
 /// Runtime of the clients, on the current thread.
 pub(super) fn runtime() -> Result<Runtime, RemoteFault> {
-    Builder::new_current_thread().enable_all().build().map_err(disk)
+    Builder::new_current_thread().enable_all().build().map_err(disk_error)
 }
 
-fn disk(source: io::Error) -> RemoteFault {
+fn disk_error(source: io::Error) -> RemoteFault {
     RemoteFault::Disk { source }
 }
 
@@ -96,18 +96,21 @@ enum Head {
     Whole,
 }
 
-async fn head(source: &Source) -> Result<Head, RemoteFault> {
-    again(async || {
-        let (meta, answer) = match ask(source, Some(0..HEAD)).await? {
+async fn fetch_head(source: &Source) -> Result<Head, RemoteFault> {
+    with_retries(async || {
+        let (meta, answer) = match send_request(source, Some(0..HEAD_BYTES)).await? {
             Ok(answer) => (answer.meta.clone(), Some(answer)),
             Err(object_store::Error::NotSupported { .. }) => return Ok(Head::Whole),
             // An empty object has no first byte.
-            Err(error) if cause::is_behind_end(&error) => {
+            Err(error) if error_cause::is_range_beyond_end(&error) => {
                 let options = GetOptions { head: true, ..GetOptions::default() };
-                let answer = patiently(source.client.get_opts(&source.key, options)).await?;
-                (answer.map_err(|error| cause::fault(&error, source.store))?.meta, None)
+                let answer = with_timeout(source.client.get_opts(&source.key, options)).await?;
+                (
+                    answer.map_err(|error| error_cause::remote_fault(&error, source.store))?.meta,
+                    None,
+                )
             }
-            Err(error) => return Err(cause::fault(&error, source.store)),
+            Err(error) => return Err(error_cause::remote_fault(&error, source.store)),
         };
         let mut bytes = Vec::new();
         if let Some(answer) = answer {
@@ -124,28 +127,30 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
 
 /// Downloads a complete object, for servers without ranges. `is_told` stores whether its size was reported
 /// as progress.
-async fn whole(
+async fn fetch_whole(
     source: &Source,
     options: &ReadOptions,
     is_told: &Cell<bool>,
 ) -> Result<Fetched, RemoteFault> {
-    let answer = ask(source, None).await?.map_err(|error| cause::fault(&error, source.store))?;
+    let answer = send_request(source, None)
+        .await?
+        .map_err(|error| error_cause::remote_fault(&error, source.store))?;
     let size = answer.meta.size;
     let mut file = None;
     if let Some(progress) = options.progress.as_ref().filter(|_| !is_told.replace(true)) {
-        progress.grow(size);
+        progress.add_total(size);
     }
     let at = Cell::new(0);
     let keep = |part: &[u8]| {
         let file = match &mut file {
-            None => file.insert(Unpacked::of(part).map_err(disk)?),
+            None => file.insert(Unpacked::of(part).map_err(disk_error)?),
             Some(file) => file,
         };
-        options.at(at.get());
-        file.file.write_all(part).map_err(disk)
+        options.set_position(at.get());
+        file.file.write_all(part).map_err(disk_error)
     };
     read(answer, source, &at, keep).await?;
-    let file = file.map_or_else(|| Unpacked::of(&[]), Ok).map_err(disk)?;
+    let file = file.map_or_else(|| Unpacked::of(&[]), Ok).map_err(disk_error)?;
     Ok(Fetched { file, present: Present::Whole, bytes: at.get() as u64 })
 }
 
@@ -155,7 +160,7 @@ struct Object {
     /// Entity tag in the first answer.
     e_tag: Option<String>,
     size: usize,
-    kind: Kind,
+    kind: FileFormat,
     file: Unpacked,
     /// Ranges that are in the file.
     present: Ranges,
@@ -167,8 +172,8 @@ struct Object {
 }
 
 impl Object {
-    /// Creates the file from the first bytes, `head`.
-    fn of(
+    /// Creates the file from the first bytes, `fetch_head`.
+    fn create(
         source: Source,
         meta: ObjectMeta,
         head: &[u8],
@@ -177,16 +182,19 @@ impl Object {
         let too_large =
             |_| RemoteFault::Refused { cause: format!("its size is {} bytes", meta.size) };
         let size = usize::try_from(meta.size).map_err(too_large)?;
-        let mut file = Unpacked::of(head).map_err(disk)?;
-        file.file.set_len(meta.size).and_then(|()| file.file.write_all(head)).map_err(disk)?;
+        let mut file = Unpacked::of(head).map_err(disk_error)?;
+        file.file
+            .set_len(meta.size)
+            .and_then(|()| file.file.write_all(head))
+            .map_err(disk_error)?;
         if let Some(progress) = &options.progress {
-            progress.grow(meta.size);
+            progress.add_total(meta.size);
         }
         Ok(Self {
             source,
             e_tag: meta.e_tag,
             size,
-            kind: sniff::kind(head),
+            kind: file_format::detect_format(head),
             file,
             present: Ranges::up_to(head.len()),
             fetched: Cell::new(head.len()),
@@ -201,18 +209,18 @@ impl Object {
     }
 
     /// Downloads the ranges that the MCAP reader needs; all of it if there is no index.
-    async fn fetch_what_is_read(&mut self) -> Result<(), RemoteFault> {
-        let tail = self.size.saturating_sub(TAIL)..self.size;
-        self.fetch(Ranges::of(vec![tail], GAP)).await?;
-        for _ in 0..ROUNDS {
+    async fn fetch_needed(&mut self) -> Result<(), RemoteFault> {
+        let tail = self.size.saturating_sub(TAIL_BYTES)..self.size;
+        self.fetch(Ranges::new(vec![tail], MAX_GAP_BYTES)).await?;
+        for _ in 0..MAX_SURVEY_ROUNDS {
             let present = Present::of(self.present.clone(), self.size);
-            let mapped = Mapped::of(&self.file.file).map_err(disk)?;
+            let mapped = MappedFile::from_temporary(&self.file.file).map_err(disk_error)?;
             let survey = mcap::survey(mapped.bytes(), &present);
             // The file must not change while it is mapped.
             drop(mapped);
             match survey {
                 Survey::Nothing => return Ok(()),
-                Survey::Parts(parts) => self.fetch(Ranges::of(parts, GAP)).await?,
+                Survey::Parts(parts) => self.fetch(Ranges::new(parts, MAX_GAP_BYTES)).await?,
                 Survey::Rest => break,
             }
         }
@@ -223,57 +231,64 @@ impl Object {
     async fn fetch(&mut self, wanted: Ranges) -> Result<(), RemoteFault> {
         let missing = self.present.missing(&wanted);
         self.planned = self.fetched.get() + missing.bytes();
-        let pieces = stream::iter(missing.pieces(PIECE)).map(|piece| self.piece(piece));
-        pieces.buffer_unordered(AT_ONCE).try_for_each(|()| async { Ok(()) }).await?;
+        let pieces =
+            stream::iter(missing.pieces(MAX_REQUEST_BYTES)).map(|piece| self.fetch_piece(piece));
+        pieces
+            .buffer_unordered(MAX_CONCURRENT_REQUESTS)
+            .try_for_each(|()| async { Ok(()) })
+            .await?;
         self.present.extend(missing);
         Ok(())
     }
 
     /// Downloads one piece; if the connection breaks off, continues with the rest.
-    async fn piece(&self, piece: Range<usize>) -> Result<(), RemoteFault> {
+    async fn fetch_piece(&self, piece: Range<usize>) -> Result<(), RemoteFault> {
         let at = Cell::new(piece.start);
-        again(async || {
-            let answer = ask(&self.source, Some(at.get()..piece.end)).await?;
-            let answer = answer.map_err(|error| cause::fault(&error, self.source.store))?;
+        with_retries(async || {
+            let answer = send_request(&self.source, Some(at.get()..piece.end)).await?;
+            let answer =
+                answer.map_err(|error| error_cause::remote_fault(&error, self.source.store))?;
             if answer.meta.e_tag != self.e_tag || answer.meta.size != self.size as u64 {
                 return Err(RemoteFault::Changed);
             }
-            read(answer, &self.source, &at, |part| self.keep(at.get(), part)).await
+            read(answer, &self.source, &at, |part| self.write_at(at.get(), part)).await
         })
         .await
     }
 
-    /// Writes received bytes at offset `at`.
-    fn keep(&self, at: usize, part: &[u8]) -> Result<(), RemoteFault> {
+    /// Writes received bytes at offset `set_position`.
+    fn write_at(&self, at: usize, part: &[u8]) -> Result<(), RemoteFault> {
         let mut file = &self.file.file;
-        file.seek(SeekFrom::Start(at as u64)).and_then(|_| file.write_all(part)).map_err(disk)?;
+        file.seek(SeekFrom::Start(at as u64))
+            .and_then(|_| file.write_all(part))
+            .map_err(disk_error)?;
         self.fetched.update(|fetched| fetched + part.len());
         if let Some(progress) = &self.progress {
             let share = self.fetched.get() as f64 / self.planned as f64;
             // The progress is only complete after the last request.
-            progress.at((self.size as f64 * share.min(0.99)) as u64);
+            progress.set_position((self.size as f64 * share.min(0.99)) as u64);
         }
         Ok(())
     }
 }
 
 /// Requests a range of an object, or all of it.
-async fn ask(
+async fn send_request(
     source: &Source,
     range: Option<Range<usize>>,
 ) -> Result<Result<GetResult, object_store::Error>, RemoteFault> {
     let bounded = |range: Range<usize>| GetRange::Bounded(range.start as u64..range.end as u64);
     let options = GetOptions { range: range.map(bounded), ..GetOptions::default() };
-    patiently(source.client.get_opts(&source.key, options)).await
+    with_timeout(source.client.get_opts(&source.key, options)).await
 }
 
 /// Waits for an answer, up to the time limit.
-pub(super) async fn patiently<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
-    let silent = |_| RemoteFault::Silent { seconds: ANSWER.as_secs() };
-    timeout(ANSWER, answer).await.map_err(silent)
+pub(super) async fn with_timeout<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
+    let silent = |_| RemoteFault::Silent { seconds: ANSWER_TIMEOUT.as_secs() };
+    timeout(ANSWER_TIMEOUT, answer).await.map_err(silent)
 }
 
-/// Passes the parts of an answer to `keep`; `at` is the current offset.
+/// Passes the parts of an answer to `write_at`; `set_position` is the current offset.
 async fn read(
     answer: GetResult,
     source: &Source,
@@ -285,15 +300,15 @@ async fn read(
     let broken = |cause| RemoteFault::BrokenOff { byte: at.get() as u64, cause };
     let mut parts = answer.into_stream();
     loop {
-        let next = timeout(STALL, parts.next()).await;
-        match next.map_err(|_| RemoteFault::Silent { seconds: STALL.as_secs() })? {
+        let next = timeout(STALL_TIMEOUT, parts.next()).await;
+        match next.map_err(|_| RemoteFault::Silent { seconds: STALL_TIMEOUT.as_secs() })? {
             Some(Ok(part)) if part.len() <= end - at.get() => {
                 keep(&part)?;
                 source.came.update(|came| came + part.len());
                 at.set(at.get() + part.len());
             }
             Some(Ok(_)) => return Err(broken("it sent more than was requested".to_owned())),
-            Some(Err(error)) => return Err(broken(cause::deepest(&error))),
+            Some(Err(error)) => return Err(broken(error_cause::innermost_cause(&error))),
             None if at.get() < end => {
                 return Err(broken("it sent less than it announced".to_owned()));
             }
@@ -303,11 +318,11 @@ async fn read(
 }
 
 /// Runs `attempt`, and retries after a pause if the connection broke off or stalled.
-async fn again<T>(
+async fn with_retries<T>(
     mut attempt: impl AsyncFnMut() -> Result<T, RemoteFault>,
 ) -> Result<T, RemoteFault> {
-    let mut pause = PAUSE;
-    for _ in 1..TRIES {
+    let mut pause = FIRST_RETRY_DELAY;
+    for _ in 1..MAX_ATTEMPTS {
         match attempt().await {
             Err(RemoteFault::BrokenOff { .. } | RemoteFault::Silent { .. }) => sleep(pause).await,
             result => return result,

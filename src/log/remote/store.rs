@@ -18,7 +18,7 @@ use object_store::{
 use percent_encoding::percent_decode_str;
 
 use super::fault::{RemoteFault, Store};
-use super::{Address, cause, named};
+use super::{Address, credentials, error_cause};
 
 /// Maximum time to establish a connection.
 const CONNECT: Duration = Duration::from_secs(5);
@@ -73,7 +73,7 @@ impl Source {
         let client: Result<Arc<dyn ObjectStore>, object_store::Error> = match store {
             Store::S3 => {
                 let builder = AmazonS3Builder::from_env();
-                if !named::s3(|key| builder.get_config_value(&key)) {
+                if !credentials::has_s3_credentials(|key| builder.get_config_value(&key)) {
                     return missing();
                 }
                 builder
@@ -85,7 +85,7 @@ impl Source {
             }
             Store::Google => {
                 let builder = GoogleCloudStorageBuilder::from_env();
-                if !named::google(|key| builder.get_config_value(&key)) {
+                if !credentials::has_google_credentials(|key| builder.get_config_value(&key)) {
                     return missing();
                 }
                 builder
@@ -97,7 +97,7 @@ impl Source {
             }
             Store::Azure => {
                 let builder = MicrosoftAzureBuilder::from_env();
-                if !named::azure(|key| builder.get_config_value(&key)) {
+                if !credentials::has_azure_credentials(|key| builder.get_config_value(&key)) {
                     return missing();
                 }
                 builder
@@ -119,7 +119,7 @@ impl Source {
                     .map(|client| Arc::new(client) as _)
             }
         };
-        let client = client.map_err(|error| invalid(cause::deepest(&error)))?;
+        let client = client.map_err(|error| invalid(error_cause::innermost_cause(&error)))?;
         Ok(Self { client, key, store, root, came: Rc::default() })
     }
 }

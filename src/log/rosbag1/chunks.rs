@@ -3,14 +3,14 @@
 use super::Reader;
 use super::record::{self, Chunk, MessageIndex, Record, op};
 use crate::Extent;
-use crate::ahead::{self, Done};
+use crate::chunk_pool::{self, ChunkResult};
 use crate::decode::excerpt;
 use crate::unpack::{Compression, UnpackError, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
     /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
-        let far = here.saturating_add(ahead::MOST_DISTANCE);
+        let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
             self.scanned = None;
             if offset >= self.bytes.len() {
@@ -100,7 +100,7 @@ impl<'a> Reader<'a, '_, '_> {
             self.count(record);
             return true;
         }
-        let mut unpacked = self.ahead.take(record.offset).and_then(Done::unpacked);
+        let mut unpacked = self.ahead.take_result(record.offset).and_then(ChunkResult::unpacked);
         let content = match &mut unpacked {
             Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
             None => unpacker.chunk(&packed, &mut self.intake.allowance),
@@ -130,7 +130,7 @@ impl<'a> Reader<'a, '_, '_> {
             }
         };
         if let Some(unpacked) = unpacked {
-            self.ahead.give_back(unpacked);
+            self.ahead.recycle(unpacked);
         }
         is_sound
     }

@@ -44,7 +44,7 @@ fn read_bag(bytes: &[u8]) -> Log {
 
 fn read_bag_with(bytes: &[u8], options: &ReadOptions) -> Log {
     let (path, mut intake) = (Path::new("run.bag"), Intake::default());
-    let mut losses = Losses::of(path);
+    let mut losses = Losses::new(path);
     intake.begin_file(path, bytes.len() as u64);
     let crc = read(bytes, options, &mut losses, &mut intake);
     intake.losses(losses);

@@ -5,14 +5,14 @@ use std::ops::Range;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
-use crate::intake::{ChannelId, Intake, MOST_AT_ONCE};
-use crate::topic::{Message, Place};
+use crate::intake::{ChannelId, Intake, MAX_BATCH_MESSAGES};
+use crate::topic::{Message, MessagePlace};
 
 /// Size at which a batch is full, bytes.
-const ENOUGH_BYTES: usize = 1 << 20;
+const BATCH_BYTES: usize = 1 << 20;
 
 /// Maximum number of batches that wait for decoding.
-const WAITING: usize = 3;
+const MAX_QUEUED_BATCHES: usize = 3;
 
 /// Copied rows.
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Batch {
                 publish_time: row.time,
                 sequence: 0,
                 data: &self.bytes[row.data.clone()],
-                place: Place::Row(row.id),
+                place: MessagePlace::Row(row.id),
                 latched: false,
             };
             (row.channel, message)
@@ -68,7 +68,7 @@ impl Batches<'_> {
         let from = bytes.len();
         bytes.extend_from_slice(data);
         rows.push(Row { channel, id, time, data: from..bytes.len() });
-        if bytes.len() >= ENOUGH_BYTES || rows.len() == MOST_AT_ONCE {
+        if bytes.len() >= BATCH_BYTES || rows.len() == MAX_BATCH_MESSAGES {
             self.flush();
         }
     }
@@ -98,8 +98,8 @@ pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>
         return through(Sink::Here(intake));
     }
     thread::scope(|scope| {
-        let (full, waiting) = sync_channel::<Batch>(WAITING);
-        let (done, empty) = sync_channel(WAITING + 2);
+        let (full, waiting) = sync_channel::<Batch>(MAX_QUEUED_BATCHES);
+        let (done, empty) = sync_channel(MAX_QUEUED_BATCHES + 2);
         scope.spawn(move || {
             for mut batch in waiting {
                 batch.decode(intake);

@@ -332,7 +332,7 @@ impl Reader<'_> {
             intake.note(self.losses.file(), what);
         }
         if self.orphans > 0 {
-            let (extent, why) = intake.nowhere();
+            let (extent, why) = intake.missing_channel_reason();
             let what = format!("{} messages belong to topics {why}", self.orphans);
             self.losses.add_unplaced(extent, Some(self.orphans), what);
         }
@@ -414,7 +414,7 @@ impl Reader<'_> {
             return self.losses.add_unplaced(Extent::Messages, Some(1), what);
         };
         self.bytes = self.bytes.saturating_add(data.len());
-        self.options.at(self.bytes);
+        self.options.set_position(self.bytes);
         let Some(Some(channel)) = self.topics.get(&topic) else {
             self.orphans += 1;
             return;

@@ -3,19 +3,19 @@
 
 use std::ops::Range;
 
-use super::Refusal;
-use super::npy::Kind;
+use super::TableError;
+use super::npy::ElementType;
 
 /// Maximum number of missing chunks before the search stops.
-const MOST_ABSENT: usize = 1 << 16;
+const MAX_ABSENT_CHUNKS: usize = 1 << 16;
 
 /// Shape of an array and of its chunks.
 #[derive(Clone, Debug)]
-pub(super) struct Grid {
+pub(super) struct ChunkGrid {
     pub shape: Vec<usize>,
     /// Sides of a chunk, none of them 0.
     pub chunks: Vec<usize>,
-    pub kind: Kind,
+    pub kind: ElementType,
     /// Value of elements without a chunk.
     pub fill: f64,
     /// Whether the first index varies fastest within a chunk.
@@ -23,34 +23,34 @@ pub(super) struct Grid {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum ChunkState {
     Absent,
     Whole,
     Damaged,
 }
 
 /// Some rows of an array, assembled from its chunks.
-pub(super) struct Assembly<'a> {
-    grid: &'a Grid,
+pub(super) struct ChunkAssembly<'a> {
+    grid: &'a ChunkGrid,
     rows: Range<usize>,
     /// Number of chunks along each dimension except the first.
     inner: Vec<usize>,
     width: usize,
     values: Vec<f64>,
-    states: Vec<State>,
+    states: Vec<ChunkState>,
     absent: usize,
-    why: Option<Refusal>,
+    why: Option<TableError>,
 }
 
 /// Numbers of an array, with its lost rows and the reason.
 #[derive(Debug)]
-pub(super) struct Assembled {
+pub(super) struct AssembledRows {
     pub values: Vec<f64>,
     pub lost: Vec<Range<usize>>,
-    pub why: Option<Refusal>,
+    pub why: Option<TableError>,
 }
 
-impl Grid {
+impl ChunkGrid {
     /// Size of a chunk in bytes; `None` on overflow.
     pub fn chunk_bytes(&self) -> Option<usize> {
         let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
@@ -58,56 +58,60 @@ impl Grid {
     }
 }
 
-impl<'a> Assembly<'a> {
+impl<'a> ChunkAssembly<'a> {
     /// Prepares to assemble `rows` of the array. The caller accounts for the memory.
-    pub fn of(grid: &'a Grid, rows: Range<usize>) -> Self {
+    pub fn new(grid: &'a ChunkGrid, rows: Range<usize>) -> Self {
         let width: usize = grid.shape[1..].iter().product();
         let sides = grid.shape[1..].iter().zip(&grid.chunks[1..]);
         let inner: Vec<usize> = sides.map(|(side, own)| side.div_ceil(*own)).collect();
         let bands = rows.end.div_ceil(grid.chunks[0]) - rows.start / grid.chunks[0];
-        let states = vec![State::Absent; bands * inner.iter().product::<usize>()];
+        let states = vec![ChunkState::Absent; bands * inner.iter().product::<usize>()];
         let values = vec![grid.fill; rows.len() * width];
         Self { grid, rows, inner, width, values, states, absent: 0, why: None }
     }
 
     /// Indices of all chunks that contain any of the rows.
-    pub fn places(&self) -> impl Iterator<Item = Vec<usize>> + use<> {
+    pub fn chunk_indices(&self) -> impl Iterator<Item = Vec<usize>> + use<> {
         let (inner, first) = (self.inner.clone(), self.rows.start / self.grid.chunks[0]);
         let wide: usize = inner.iter().product();
         (0..self.states.len()).map(move |number| {
             let mut place = vec![first + number / wide];
-            place.extend(within(number % wide, &inner));
+            place.extend(unravel_index(number % wide, &inner));
             place
         })
     }
 
     /// Adds the numbers of a chunk. Returns false if too many chunks are missing to continue.
-    pub fn put(&mut self, place: &[usize], chunk: Result<Option<Vec<u8>>, Refusal>) -> bool {
+    pub fn add_chunk(
+        &mut self,
+        place: &[usize],
+        chunk: Result<Option<Vec<u8>>, TableError>,
+    ) -> bool {
         let Some(state) = self.state_of(place) else { return true };
         self.states[state] = match chunk {
             Ok(Some(bytes))
                 if self.grid.chunk_bytes().is_some_and(|whole| bytes.len() >= whole) =>
             {
                 self.scatter(&bytes, place);
-                State::Whole
+                ChunkState::Whole
             }
             Ok(None) => {
                 self.absent += 1;
-                State::Absent
+                ChunkState::Absent
             }
             other => {
                 let why = other.err().unwrap_or_else(|| "a chunk is truncated".into());
                 self.why.get_or_insert(why);
-                State::Damaged
+                ChunkState::Damaged
             }
         };
-        self.absent < MOST_ABSENT
+        self.absent < MAX_ABSENT_CHUNKS
     }
 
     /// Marks missing chunks as damaged: some could not be read, and it is unknown which.
-    pub fn damage_absent(&mut self, why: Refusal) {
-        let absent = self.states.iter_mut().filter(|state| **state == State::Absent);
-        absent.for_each(|state| *state = State::Damaged);
+    pub fn mark_absent_damaged(&mut self, why: TableError) {
+        let absent = self.states.iter_mut().filter(|state| **state == ChunkState::Absent);
+        absent.for_each(|state| *state = ChunkState::Damaged);
         self.why.get_or_insert(why);
     }
 
@@ -136,7 +140,7 @@ impl<'a> Assembly<'a> {
         let sides: usize = own.iter().product();
         let rows = self.band(first);
         for part in 0..sides {
-            let at_in_chunk = within(part, own);
+            let at_in_chunk = unravel_index(part, own);
             let at: Vec<usize> = at_in_chunk
                 .iter()
                 .zip(&place[1..])
@@ -166,7 +170,7 @@ impl<'a> Assembly<'a> {
     /// Returns the numbers and the lost rows. Writers omit chunks that hold only the fill value. A missing
     /// chunk is therefore a loss only if the number before or after it differs from the fill value. An
     /// array without any chunk is a loss if it `must_vary`.
-    pub fn finish(mut self, must_vary: bool) -> Assembled {
+    pub fn finish(mut self, must_vary: bool) -> AssembledRows {
         let wide: usize = self.inner.iter().product::<usize>().max(1);
         let bands = self.states.len() / wide;
         let first = self.rows.start / self.grid.chunks[0];
@@ -179,15 +183,15 @@ impl<'a> Assembly<'a> {
                 let at = (row - self.rows.start) * self.width;
                 columns.iter().all(|column| self.values[at + column] == self.grid.fill)
             };
-            let is_empty = (0..bands).all(|band| state(band) == State::Absent);
+            let is_empty = (0..bands).all(|band| state(band) == ChunkState::Absent);
             let mut band = 0;
             while band < bands {
                 let start = band;
-                while band < bands && state(band) == State::Absent {
+                while band < bands && state(band) == ChunkState::Absent {
                     band += 1;
                 }
                 if band > start {
-                    let whole = |band: usize| state(band) == State::Whole;
+                    let whole = |band: usize| state(band) == ChunkState::Whole;
                     let before = start.checked_sub(1).filter(|band| whole(*band));
                     let after = (band < bands).then_some(band).filter(|band| whole(*band));
                     let before = before.is_none_or(|band| is_fill(self.band(first + band).end - 1));
@@ -198,7 +202,7 @@ impl<'a> Assembly<'a> {
                     }
                 }
                 if band < bands {
-                    is_lost[band] |= state(band) == State::Damaged;
+                    is_lost[band] |= state(band) == ChunkState::Damaged;
                     band += 1;
                 }
             }
@@ -212,15 +216,15 @@ impl<'a> Assembly<'a> {
             let of = bands * wide;
             (missing > 0).then(|| format!("{missing} of its {of} chunks are missing").into())
         });
-        Assembled { values: self.values, lost, why }
+        AssembledRows { values: self.values, lost, why }
     }
 
     /// Columns of a row that are in the chunks of a cell.
     fn columns_of(&self, cell: usize) -> Vec<usize> {
         let (inner, own) = (&self.grid.shape[1..], &self.grid.chunks[1..]);
-        let place = within(cell, &self.inner);
+        let place = unravel_index(cell, &self.inner);
         let is_in = |column: &usize| {
-            let at = within(*column, inner);
+            let at = unravel_index(*column, inner);
             at.iter().zip(own).zip(&place).all(|((at, own), place)| at / own == *place)
         };
         (0..self.width).filter(is_in).collect()
@@ -228,7 +232,7 @@ impl<'a> Assembly<'a> {
 }
 
 /// Index of element `number` in a box with these sides; the last index varies fastest.
-pub(super) fn within(number: usize, sides: &[usize]) -> Vec<usize> {
+pub(super) fn unravel_index(number: usize, sides: &[usize]) -> Vec<usize> {
     let mut rest = number;
     let mut places: Vec<usize> = sides
         .iter()
@@ -252,18 +256,23 @@ mod tests {
         number: impl Fn(usize) -> f64,
         must_vary: bool,
         changed: &[(usize, usize, bool)],
-    ) -> Assembled {
-        let kind = Kind::of("<f8").expect("a kind");
-        let grid =
-            Grid { shape: vec![20, 4], chunks: vec![5, 2], kind, fill: 0.0, is_fortran: false };
-        let mut all = Assembly::of(&grid, 0..20);
-        for place in all.places() {
+    ) -> AssembledRows {
+        let kind = ElementType::parse("<f8").expect("a kind");
+        let grid = ChunkGrid {
+            shape: vec![20, 4],
+            chunks: vec![5, 2],
+            kind,
+            fill: 0.0,
+            is_fortran: false,
+        };
+        let mut all = ChunkAssembly::new(&grid, 0..20);
+        for place in all.chunk_indices() {
             let rows = 5 * place[0]..5 * place[0] + 5;
             let own = rows
                 .flat_map(|row| [2 * place[1], 2 * place[1] + 1].map(|at| number(4 * row + at)));
             let bytes = own.flat_map(f64::to_le_bytes).collect();
             let change = changed.iter().find(|(band, cell, _)| place == [*band, *cell]);
-            all.put(
+            all.add_chunk(
                 &place,
                 match change {
                     None => Ok(Some(bytes)),

@@ -8,10 +8,10 @@ use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
 /// Last words of the names of time columns.
-const TIMES: &[&str] =
+const TIME_WORDS: &[&str] =
     &["timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed"];
 /// Words for units, with the unit in seconds.
-const UNITS: &[(&str, f64)] = &[
+const UNIT_WORDS: &[(&str, f64)] = &[
     ("ns", 1e-9),
     ("nsec", 1e-9),
     ("nanos", 1e-9),
@@ -29,7 +29,7 @@ const UNITS: &[(&str, f64)] = &[
     ("seconds", 1.0),
 ];
 /// Words for times that are not the stamp of a row.
-const OTHERS: &[&str] = &[
+const EXCLUDED_WORDS: &[&str] = &[
     "delta",
     "dt",
     "duration",
@@ -43,10 +43,10 @@ const OTHERS: &[&str] = &[
 ];
 
 /// Maximum percentage of steps that go backwards.
-const MOST_BACK: usize = 2;
+const MAX_BACKWARD_PERCENT: usize = 2;
 
 /// Latest time since the start of a table, ns.
-const MOST_NANOS: f64 = 9e18;
+const MAX_NANOS: f64 = 9e18;
 
 /// Stamps of a table.
 pub(super) struct Clock {
@@ -57,9 +57,9 @@ pub(super) struct Clock {
     /// Column and index of the nanoseconds, if `cell` holds whole seconds.
     pub nanos: Option<(usize, usize)>,
     /// One-line description of the origin of the stamps.
-    pub said: String,
+    pub description: String,
     /// Name of the column, if it was identified by its numbers rather than its name.
-    pub told: Option<String>,
+    pub unnamed_column: Option<String>,
     /// Median step, s.
     step_s: f64,
 }
@@ -67,53 +67,53 @@ pub(super) struct Clock {
 /// Whether a name indicates a column of times.
 pub(super) fn is_time(name: &str) -> bool {
     let words = names::words(name);
-    let is_unit = |word: &&String| UNITS.iter().any(|(unit, _)| unit == word);
+    let is_unit = |word: &&String| UNIT_WORDS.iter().any(|(unit, _)| unit == word);
     let is_general = |word: &&String| ["data", "info", "value", "values"].contains(&word.as_str());
     let mut named = words.iter().rev().filter(|word| !is_general(word));
     let last = named.find(|word| !is_unit(word) || *word == "t");
     // DROID keeps its stamps in a group of that name.
     let is_below = name.contains('/') && words.contains(&"timestamp".to_owned());
-    (is_below || last.is_some_and(|word| TIMES.contains(&word.as_str())))
-        && !words.iter().any(|word| OTHERS.contains(&word.as_str()))
+    (is_below || last.is_some_and(|word| TIME_WORDS.contains(&word.as_str())))
+        && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
 }
 
 /// Determines the stamps of `table`.
 ///
 /// # Errors
 /// If the row times are unknown or ambiguous, or if the configured column does not hold times.
-pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
+pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
     if let Some(name) = &settings.time {
-        let cell = cell_of(table, name)
+        let cell = find_cell(table, name)
             .ok_or_else(|| format!("`columns.time` names '{name}', but there is no such column"))?;
         let column = &table.columns[cell.0];
         let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
         let kind = column.kind.clone();
         let own = Column { name: name.clone(), kind, width: 1, values, ..Column::default() };
-        return timed(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
+        return from_column(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
             || format!("`columns.time` names '{name}', but its numbers are not times: they must increase"),
         );
     }
     if let Some(rate_hz) = settings.rate_hz {
-        return Ok(made(table, rate_hz, "from `columns.rate_hz`"));
+        return Ok(from_rate(table, rate_hz, "from `columns.rate_hz`"));
     }
-    let best = best_of(named(table), table);
+    let best = best_clock(clocks_by_name(table), table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
-        (None, Some(rate_hz)) => Ok(made(table, rate_hz, "from the metadata")),
-        (None, None) => by_numbers(table),
+        (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
+        (None, None) => clock_by_values(table),
     }
 }
 
 /// Clocks of column groups that have their own, by the path of the group.
-pub(super) fn of_groups(table: &Table) -> BTreeMap<String, Clock> {
+pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
-    for clock in named(table) {
+    for clock in clocks_by_name(table) {
         let name = clock.cell.and_then(|(at, _)| Some(table.columns.get(at)?.name.as_str()));
         if let Some(group) = name.and_then(group_of) {
             groups.entry(group.to_owned()).or_default().push(clock);
         }
     }
-    let best = |(group, clocks)| Some((group, best_of(clocks, table)?));
+    let best = |(group, clocks)| Some((group, best_clock(clocks, table)?));
     groups.into_iter().filter_map(best).collect()
 }
 
@@ -123,7 +123,7 @@ pub(super) fn group_of(name: &str) -> Option<&str> {
 }
 
 /// Clocks in columns whose names indicate times.
-fn named(table: &Table) -> Vec<Clock> {
+fn clocks_by_name(table: &Table) -> Vec<Clock> {
     let columns = || table.columns.iter().enumerate();
     // Kawasaki's third angle is also named T.
     let has = |name: &str| table.columns.iter().any(|column| column.name == name);
@@ -131,7 +131,7 @@ fn named(table: &Table) -> Vec<Clock> {
     let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
-            1 => timed(at, column),
+            1 => from_column(at, column),
             2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
             _ => None,
         })
@@ -159,16 +159,16 @@ fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
 
 /// Selects the finest clock, because a stamp in whole seconds repeats. The stamp of a message header takes
 /// precedence over the receive time.
-fn best_of(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
+fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     /// Maximum percentage of rows that repeat a stamp in a fine clock.
-    const REPEATS: usize = 5;
+    const MAX_REPEATED_PERCENT: usize = 5;
     let is_header = |clock: &Clock| {
         let name = clock.cell.map(|(at, _)| names::words(&table.columns[at].name));
         name.is_some_and(|words| words.contains(&"header".to_owned()))
     };
     clocks.into_iter().min_by_key(|clock| {
         let repeats = clock.repeats();
-        let is_coarse = 100 * repeats > REPEATS * table.rows;
+        let is_coarse = 100 * repeats > MAX_REPEATED_PERCENT * table.rows;
         (is_coarse, !is_header(clock), clock.nanos.is_none(), repeats, clock.cell)
     })
 }
@@ -194,7 +194,9 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     // Fractions in another unit never come near a second.
     let is_nanos =
         cells[1].0 != cells[0].0 || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
-    if 100 * back > MOST_BACK * known.len().max(100) || 2 * known.len() < stamps.len() || !is_nanos
+    if 100 * back > MAX_BACKWARD_PERCENT * known.len().max(100)
+        || 2 * known.len() < stamps.len()
+        || !is_nanos
     {
         return None;
     }
@@ -208,19 +210,30 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         }
     };
     let [cell, nanos] = cells;
-    Some(Clock { stamps, cell: Some(cell), nanos: Some(nanos), said, told: None, step_s })
+    Some(Clock {
+        stamps,
+        cell: Some(cell),
+        nanos: Some(nanos),
+        description: said,
+        unnamed_column: None,
+        step_s,
+    })
 }
 
 /// Stamps from the only column whose numbers increase evenly, although its name does not indicate times.
 /// Copies in another unit or with another zero count as the same column.
-fn by_numbers(table: &Table) -> Result<Clock, String> {
+fn clock_by_values(table: &Table) -> Result<Clock, String> {
     /// Maximum number of such columns, copies included; more of them are ramps rather than clocks.
-    const MOST_ALIKE: usize = 2;
+    const MAX_INCREASING_COLUMNS: usize = 2;
     let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
         let why = match named.next() {
             Some(column) => {
-                format!("column '{}' is named as a time, but {}", column.name, no_time(column))
+                format!(
+                    "column '{}' is named as a time, but {}",
+                    column.name,
+                    why_not_times(column)
+                )
             }
             None => "no column holds times, and the metadata has no rate".to_owned(),
         };
@@ -236,7 +249,8 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
             let own = Column { kind, width: 1, values, ..Column::default() };
-            let Some(clock) = timed(at, &own).filter(|_| rises_evenly(&own.values)) else {
+            let Some(clock) = from_column(at, &own).filter(|_| increases_evenly(&own.values))
+            else {
                 continue;
             };
             let name = match column.width {
@@ -244,7 +258,8 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
                 _ => format!("{}[{part}]", column.name),
             };
             alike += 1;
-            let is_known = found.iter().any(|(_, _, other)| is_line(&other.values, &own.values));
+            let is_known =
+                found.iter().any(|(_, _, other)| is_linear_in(&other.values, &own.values));
             if !is_known {
                 found.push((name, Clock { cell: Some((at, part)), ..clock }, own));
             }
@@ -252,12 +267,12 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
     }
     match found.as_mut_slice() {
         [] => Err(none()),
-        [_] if alike > MOST_ALIKE => Err(none()),
+        [_] if alike > MAX_INCREASING_COLUMNS => Err(none()),
         [(name, ..)] => {
             let name = std::mem::take(name);
             let (_, clock, _) = found.swap_remove(0);
-            let said = clock.said.replacen("''", &format!("'{name}', by its numbers"), 1);
-            Ok(Clock { said, told: Some(name), ..clock })
+            let said = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
+            Ok(Clock { description: said, unnamed_column: Some(name), ..clock })
         }
         several => {
             let names: Vec<String> =
@@ -272,13 +287,13 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
 }
 
 /// Why the numbers of a column are not times.
-fn no_time(column: &Column) -> String {
+fn why_not_times(column: &Column) -> String {
     let steps = || column.values.windows(2).map(|pair| pair[1] - pair[0]);
     let back = steps().filter(|step| *step < 0.0).count();
     let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
     match median(&mut ahead) {
         None => "its numbers never increase".to_owned(),
-        Some(_) if 100 * back > MOST_BACK * column.values.len().max(100) => {
+        Some(_) if 100 * back > MAX_BACKWARD_PERCENT * column.values.len().max(100) => {
             format!("its numbers fall in {back} rows")
         }
         Some(step) => format!("its numbers increase by {step} per row, in an unknown unit"),
@@ -286,19 +301,19 @@ fn no_time(column: &Column) -> String {
 }
 
 /// Whether numbers always increase, nearly always by a similar step.
-fn rises_evenly(values: &[f64]) -> bool {
+fn increases_evenly(values: &[f64]) -> bool {
     /// Minimum percentage of steps of the usual size, and the range of that size relative to the median.
-    const USUAL: usize = 90;
-    const SIZE: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+    const MIN_REGULAR_PERCENT: usize = 90;
+    const REGULAR_STEP: std::ops::RangeInclusive<f64> = 0.5..=2.0;
     let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let Some(step) = median(&mut steps.clone()) else { return false };
-    let usual = steps.iter().filter(|own| SIZE.contains(&(**own / step))).count();
-    steps.iter().all(|own| *own > 0.0) && 100 * usual >= USUAL * steps.len()
+    let usual = steps.iter().filter(|own| REGULAR_STEP.contains(&(**own / step))).count();
+    steps.iter().all(|own| *own > 0.0) && 100 * usual >= MIN_REGULAR_PERCENT * steps.len()
 }
 
 /// Whether one column is a linear function of another, as for two clocks without drift.
-fn is_line(one: &[f64], other: &[f64]) -> bool {
-    const LEFT: f64 = 1e-4;
+fn is_linear_in(one: &[f64], other: &[f64]) -> bool {
+    const MAX_RELATIVE_RESIDUAL: f64 = 1e-4;
     let (Some(first), Some(last)) = (one.first().zip(other.first()), one.last().zip(other.last()))
     else {
         return false;
@@ -306,11 +321,11 @@ fn is_line(one: &[f64], other: &[f64]) -> bool {
     let slope = (last.1 - first.1) / (last.0 - first.0);
     let span = (last.1 - first.1).abs();
     let mut pairs = one.iter().zip(other);
-    pairs.all(|(a, b)| (first.1 + slope * (a - first.0) - b).abs() <= LEFT * span)
+    pairs.all(|(a, b)| (first.1 + slope * (a - first.0) - b).abs() <= MAX_RELATIVE_RESIDUAL * span)
 }
 
 /// Column with a name, or one number of its rows in the notation `NAME[INDEX]`.
-fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
+fn find_cell(table: &Table, name: &str) -> Option<(usize, usize)> {
     let column = |name: &str| table.column(name);
     if let Some(at) = column(name) {
         return Some((at, 0));
@@ -321,39 +336,40 @@ fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
 }
 
 /// Stamps generated from a rate.
-fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
+fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let step_ns = NANOS_PER_SECOND as f64 / rate_hz;
     // A low rate may place rows beyond the range of stamps.
     let stamp = |row: usize| {
         let nanos = (row as f64 * step_ns).round();
-        (nanos < MOST_NANOS).then_some(NANOS_PER_SECOND + nanos as i64)
+        (nanos < MAX_NANOS).then_some(NANOS_PER_SECOND + nanos as i64)
     };
     Clock {
         stamps: (0..table.rows).map(stamp).collect(),
         cell: None,
         nanos: None,
-        said: format!(
+        description: format!(
             "stamps generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
              columns"
         ),
-        told: None,
+        unnamed_column: None,
         step_s: 1.0 / rate_hz,
     }
 }
 
 /// Stamps in a column, if it holds times.
-fn timed(at: usize, column: &Column) -> Option<Clock> {
+fn from_column(at: usize, column: &Column) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let back = steps.iter().filter(|step| **step < 0.0).count();
     let mut ahead: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
     let step = median(&mut ahead)?;
-    if 100 * back > MOST_BACK * steps.len().max(100) || 2 * finite.len() < values.len() {
+    if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) || 2 * finite.len() < values.len() {
         return None;
     }
     let (first, words) = (*finite.first()?, names::words(&column.name));
-    let by_name = words.iter().rev().find_map(|word| UNITS.iter().find(|(unit, _)| unit == word));
+    let by_name =
+        words.iter().rev().find_map(|word| UNIT_WORDS.iter().find(|(unit, _)| unit == word));
     let by_name = by_name
         .map(|(_, unit)| *unit)
         .or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
@@ -375,7 +391,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         };
         exact.then_some(from.checked_add(nanos)?)
     };
-    let grain = grain(column);
+    let grain = rounding_error(column);
     let is_grid = steps.iter().all(|own| (own - step).abs() <= 2e-3 * step + grain);
     let unit_name = match unit {
         1.0 => "s",
@@ -394,14 +410,14 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         stamps: values.iter().map(|value| nanos(*value)).collect(),
         cell: Some((at, 0)),
         nanos: None,
-        said,
-        told: None,
+        description: said,
+        unnamed_column: None,
         step_s,
     })
 }
 
 /// Maximum rounding error of a step, in the column's unit.
-fn grain(column: &Column) -> f64 {
+fn rounding_error(column: &Column) -> f64 {
     let largest = column.values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     let bits = if column.kind.contains("32") || column.kind.contains("f4") {
         f32::EPSILON.into()
@@ -416,13 +432,13 @@ fn grain(column: &Column) -> f64 {
 fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
     /// Maximum mean increase of integers in seconds. Integers that most rows repeat cannot be ms: that
     /// would be 2000 rows per second or more.
-    const REPEATED: f64 = 0.5;
+    const MAX_MEAN_INCREASE: f64 = 0.5;
     // Since 1970, from 2001 to 2128.
     let epoch =
         [1.0, 1e-3, 1e-6, 1e-9].into_iter().find(|unit| (1e9..5e9).contains(&(first * unit)));
     epoch.or(match (step, is_whole) {
         (..0.0001, _) => None,
-        (..=10.0, true) if rise <= REPEATED => Some(1.0),
+        (..=10.0, true) if rise <= MAX_MEAN_INCREASE => Some(1.0),
         (..=2.0, false) => Some(1.0),
         (2.0..=1000.0, true) => Some(1e-3),
         (1000.0..=1e6, true) => Some(1e-6),
@@ -447,9 +463,9 @@ impl Clock {
     /// Contradiction between the stamps and the rate in the metadata.
     pub fn contradiction(&self, table: &Table) -> Option<String> {
         /// Maximum relative deviation from the declared rate.
-        const OFF: f64 = 0.02;
+        const MAX_RATE_DEVIATION: f64 = 0.02;
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
-        ((own_hz / rate_hz - 1.0).abs() > OFF && self.cell.is_some()).then(|| {
+        ((own_hz / rate_hz - 1.0).abs() > MAX_RATE_DEVIATION && self.cell.is_some()).then(|| {
             format!(
                 "the metadata declares {rate_hz} frames per second, but the stamps advance at \
                 {own_hz:.4} per second"

@@ -5,29 +5,29 @@
 
 use jiff::civil::{DateTime, Time};
 
-use super::{Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, clock};
+use super::{Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock};
 use crate::Extent;
 use crate::rtde;
 
 /// Minimum share of numeric cells in a column; other columns are text.
-const NUMERIC: f64 = 0.5;
+const MIN_NUMERIC_SHARE: f64 = 0.5;
 /// Maximum number of lines before the first row.
-const MOST_HEADER_LINES: usize = 200;
+const MAX_HEADER_LINES: usize = 200;
 /// Maximum length of a line, as for RTDE tables.
-const MOST_LINE: usize = 1 << 20;
+const MAX_LINE_BYTES: usize = 1 << 20;
 /// Comment markers.
-const COMMENTS: [&str; 3] = ["#", "%", "//"];
+const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
 /// Minimum number of cells in a row of a robot log.
-const LEAST_CELLS: usize = 3;
+const MIN_CELLS: usize = 3;
 /// Units in a row below the names.
-const UNITS: &[&str] = &[
+const UNIT_NAMES: &[&str] = &[
     "-", "1", "s", "sec", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg", "°", "degree",
     "degrees", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "m/s2", "m/s^2", "n", "nm", "n.m", "a",
     "ma", "v", "hz", "rpm", "count", "counts", "bool", "int", "float", "%", "c", "°c",
 ];
 
 /// Position of the rows of a text table, with its column names.
-struct Layout {
+struct TextLayout {
     delimiter: u8,
     /// Column names; `None` if no line has them.
     names: Option<Vec<String>>,
@@ -40,12 +40,12 @@ struct Layout {
 
 /// Whether the text `bytes` is a table: rows of numbers, with or without column names above.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
-    layout(bytes).is_some()
+    detect_layout(bytes).is_some()
 }
 
 /// Whether a text table has a column of times. It is then a log rather than a calibration table.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
-    let names = layout(bytes).and_then(|layout| layout.names);
+    let names = detect_layout(bytes).and_then(|layout| layout.names);
     names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
 }
 
@@ -53,29 +53,29 @@ pub(crate) fn has_time(bytes: &[u8]) -> bool {
 fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
-        return words.map(bare).collect();
+        return words.map(unquoted).collect();
     }
     let mut quoted = false;
     let split = line.split(|byte| {
         quoted ^= *byte == b'"';
         *byte == delimiter && !quoted
     });
-    let cells = split.map(bare).collect();
+    let cells = split.map(unquoted).collect();
     // An unmatched quotation mark does not quote.
     if quoted { rtde::cells(line, delimiter).collect() } else { cells }
 }
 
-fn bare(cell: &[u8]) -> &[u8] {
+fn unquoted(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
 
 /// The delimiter that yields the most numbers in a line, and their count.
-fn delimiter_of(row: &[u8]) -> (u8, usize) {
+fn detect_delimiter(row: &[u8]) -> (u8, usize) {
     let count = |delimiter: u8| {
         let cells = cells(row, delimiter);
         let numbers = cells.iter().filter(|cell| is_number(cell, delimiter)).count();
-        if cells.len() < LEAST_CELLS || 2 * numbers <= cells.len() { 0 } else { numbers }
+        if cells.len() < MIN_CELLS || 2 * numbers <= cells.len() { 0 } else { numbers }
     };
     let all = [b';', b'\t', b',', b' '].map(|delimiter| (delimiter, count(delimiter)));
     // On a tie, the first one wins.
@@ -89,7 +89,10 @@ fn is_number(cell: &[u8], delimiter: u8) -> bool {
 /// Text of a comment; `None` if the line is not one.
 fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii();
-    COMMENTS.iter().find_map(|mark| line.strip_prefix(mark.as_bytes())).map(<[u8]>::trim_ascii)
+    COMMENT_MARKERS
+        .iter()
+        .find_map(|mark| line.strip_prefix(mark.as_bytes()))
+        .map(<[u8]>::trim_ascii)
 }
 
 /// Lines with their offsets and numbers from 1, without blank ones. Tabs are kept because they may delimit
@@ -108,22 +111,22 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
 }
 
 /// Number of empty cells at the end of a row.
-fn open_cells(row: &[&[u8]]) -> usize {
+fn trailing_empty_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
 
-fn layout(bytes: &[u8]) -> Option<Layout> {
+fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
     let mark = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
     let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
     let mut above: Vec<&[u8]> = Vec::new();
     // Their offsets and numbers.
     let mut places: Vec<(usize, usize)> = Vec::new();
-    let mut all = all.take(MOST_HEADER_LINES).peekable();
+    let mut all = all.take(MAX_HEADER_LINES).peekable();
     while let Some((rows_at, line, text)) = all.next() {
         let (delimiter, count) = match comment(text) {
-            _ if text.len() > MOST_LINE => (b',', 0),
+            _ if text.len() > MAX_LINE_BYTES => (b',', 0),
             Some(_) => (b',', 0),
-            None => delimiter_of(text),
+            None => detect_delimiter(text),
         };
         if count == 0 {
             above.push(text);
@@ -133,14 +136,14 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         let mut row = cells(text, delimiter);
         // The next row has the same width. It may be shorter if only the head of the file is read.
         let is_table = match all.peek() {
-            Some((_, _, next)) if next.len() > MOST_LINE => false,
+            Some((_, _, next)) if next.len() > MAX_LINE_BYTES => false,
             Some((_, _, next)) => {
                 let next = cells(next, delimiter);
                 next.len() <= row.len() && next.iter().any(|cell| is_number(cell, delimiter))
             }
             None => !above.is_empty(),
         };
-        if !is_table || row.len() > MOST_COLUMNS {
+        if !is_table || row.len() > MAX_COLUMNS {
             return None;
         }
         // Data frames write arrays with a header of column indices.
@@ -152,10 +155,11 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         }
         let names = names_above(&above, delimiter, &row);
         // Delimiters at the end of each row are not cells, unless there are names above them.
-        let open = all.peek().map_or(0, |(_, _, next)| open_cells(&cells(next, delimiter)));
-        row.truncate(row.len() - open.min(open_cells(&row)));
+        let open =
+            all.peek().map_or(0, |(_, _, next)| trailing_empty_cells(&cells(next, delimiter)));
+        row.truncate(row.len() - open.min(trailing_empty_cells(&row)));
         let width = names.as_ref().map_or(row.len(), Vec::len);
-        if names.is_none() && width > MOST_WIDE {
+        if names.is_none() && width > MAX_WIDTH {
             return None;
         }
         // The first rows may be mostly empty, until the sensors are ready.
@@ -164,18 +168,18 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
             0 => (rows_at, line),
             count => places[places.len() - count],
         };
-        return Some(Layout { delimiter, names, width, rows_at, line });
+        return Some(TextLayout { delimiter, names, width, rows_at, line });
     }
     None
 }
 
 /// Whether a line is a row of `width` cells with some numbers and without text.
 fn is_sparse_row(line: &[u8], delimiter: u8, width: usize) -> bool {
-    if line.len() > MOST_LINE || comment(line).is_some() {
+    if line.len() > MAX_LINE_BYTES || comment(line).is_some() {
         return false;
     }
     let row = cells(line, delimiter);
-    let open = open_cells(&row);
+    let open = trailing_empty_cells(&row);
     let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
     let has_text = row.iter().zip(&numbers).any(|(cell, own)| is_text(cell, *own));
     let fits = row.len() >= width && row.len() - open <= width;
@@ -187,12 +191,14 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     let texts = |line: &[u8]| -> Option<Vec<String>> {
         let own = comment(line).unwrap_or(line);
         let mut cells = cells(own, delimiter);
-        let open = open_cells(row);
-        cells.truncate(cells.len() - open_cells(&cells).min(cells.len().saturating_sub(row.len())));
+        let open = trailing_empty_cells(row);
+        cells.truncate(
+            cells.len() - trailing_empty_cells(&cells).min(cells.len().saturating_sub(row.len())),
+        );
         // Rows may end in delimiters, or begin with an index that has no name.
         let fits = match cells.len() {
             count if count <= row.len() && count + open >= row.len() => true,
-            count if count + 1 == row.len() && count >= LEAST_CELLS => {
+            count if count + 1 == row.len() && count >= MIN_CELLS => {
                 cells.insert(0, b"");
                 true
             }
@@ -203,11 +209,12 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
         let all = || cells.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
         (fits && is_text).then(|| all().collect())
     };
-    let above = above.iter().rev().filter(|line| line.len() <= MOST_LINE);
+    let above = above.iter().rev().filter(|line| line.len() <= MAX_LINE_BYTES);
     let mut known = above.filter_map(|line| texts(line));
     let last = known.next()?;
     let unit = |text: &str| text.trim_matches(['[', ']', '(', ')', ' ']).to_lowercase();
-    let are_units = last.iter().all(|text| text.is_empty() || UNITS.contains(&unit(text).as_str()));
+    let are_units =
+        last.iter().all(|text| text.is_empty() || UNIT_NAMES.contains(&unit(text).as_str()));
     match known.next().filter(|_| are_units) {
         Some(names) if names.len() == last.len() => {
             let with_unit = |(name, text): (String, &String)| match unit(text).as_str() {
@@ -220,9 +227,11 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     }
 }
 
-pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let losses = &mut *context.losses;
-    let Some(Layout { delimiter, names, width, rows_at, line: first_line }) = layout(bytes) else {
+    let Some(TextLayout { delimiter, names, width, rows_at, line: first_line }) =
+        detect_layout(bytes)
+    else {
         return Err("it contains no rows of numbers".into());
     };
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
@@ -236,12 +245,12 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
             continue;
         }
         let line = first_line + line - 1;
-        let mut row = if text.len() > MOST_LINE { Vec::new() } else { cells(text, delimiter) };
-        row.truncate(row.len() - open_cells(&row).min(row.len().saturating_sub(width)));
+        let mut row = if text.len() > MAX_LINE_BYTES { Vec::new() } else { cells(text, delimiter) };
+        row.truncate(row.len() - trailing_empty_cells(&row).min(row.len().saturating_sub(width)));
         let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
         let texts_in_row =
             row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
-        let is_header = || names.as_ref().is_some_and(|names| are_names(&row, names));
+        let is_header = || names.as_ref().is_some_and(|names| repeats_names(&row, names));
         if row.len() == width && 2 * texts_in_row > width && is_header() {
             continue;
         }
@@ -256,7 +265,9 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
                 );
             } else {
                 let what = match () {
-                    () if text.len() > MOST_LINE => format!("line {line} has {} bytes", text.len()),
+                    () if text.len() > MAX_LINE_BYTES => {
+                        format!("line {line} has {} bytes", text.len())
+                    }
                     () if row.len() == width => {
                         format!("line {line}: {texts_in_row} of {width} cells are not numbers")
                     }
@@ -266,7 +277,7 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
             }
             continue;
         }
-        context.memory.take(width + 1)?;
+        context.memory.reserve(width + 1)?;
         line_numbers.push(line);
         for (((column, known), cell), own) in
             values.iter_mut().zip(&mut texts).zip(row).zip(numbers)
@@ -278,19 +289,19 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
     if let Some((count, first)) = malformed {
         losses.add_unplaced(Extent::Messages, Some(count), first);
     }
-    let table = Table { lines: line_numbers, ..table(names, values, &texts) };
+    let table = Table { lines: line_numbers, ..build_table(names, values, &texts) };
     Ok(vec![("0".to_owned(), table)])
 }
 
 /// Whether a cell, read as `number`, is text: neither a number nor a marker for a missing one.
 fn is_text(cell: &[u8], number: f64) -> bool {
-    const MISSING: [&[u8]; 9] =
+    const MISSING_MARKERS: [&[u8]; 9] =
         [b"", b"-", b"nan", b"-nan", b"-nan(ind)", b"na", b"n/a", b"null", b"none"];
-    number.is_nan() && !MISSING.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
+    number.is_nan() && !MISSING_MARKERS.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
 }
 
 /// Whether a row repeats the column names, as in concatenated files.
-fn are_names(row: &[&[u8]], names: &[String]) -> bool {
+fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
         // Names include the units of the line below them.
         let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
@@ -300,11 +311,15 @@ fn are_names(row: &[&[u8]], names: &[String]) -> bool {
 }
 
 /// Table with one column per name, or with a single column of all numbers if there are no names.
-fn table(names: Option<Vec<String>>, values: Vec<Vec<f64>>, texts: &[Option<&[u8]>]) -> Table {
+fn build_table(
+    names: Option<Vec<String>>,
+    values: Vec<Vec<f64>>,
+    texts: &[Option<&[u8]>],
+) -> Table {
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |values: &[f64]| {
         let finite = values.iter().filter(|value| value.is_finite()).count();
-        rows == 0 || finite as f64 >= NUMERIC * rows as f64
+        rows == 0 || finite as f64 >= MIN_NUMERIC_SHARE * rows as f64
     };
     let kind = || "number".to_owned();
     let mut made = Table { rows, ..Table::default() };
@@ -338,7 +353,7 @@ fn table(names: Option<Vec<String>>, values: Vec<Vec<f64>>, texts: &[Option<&[u8
 /// Number in a cell. Dates with time convert to seconds since 1970, times of day to seconds since midnight;
 /// NaN for other text.
 fn number(cell: &[u8], delimiter: u8) -> f64 {
-    let text = || std::str::from_utf8(bare(cell)).ok().and_then(seconds);
+    let text = || std::str::from_utf8(unquoted(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
 }
 
@@ -378,7 +393,7 @@ mod tests {
     use super::*;
 
     fn names(text: &str) -> Option<(u8, Option<Vec<String>>, usize)> {
-        layout(text.as_bytes()).map(|layout| (layout.delimiter, layout.names, layout.width))
+        detect_layout(text.as_bytes()).map(|layout| (layout.delimiter, layout.names, layout.width))
     }
 
     fn of(names: &[&str]) -> Option<Vec<String>> {

@@ -9,34 +9,35 @@ use hdf5_reader::{
     Attribute, ByteOrder, Dataset, Datatype, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
 };
 
-use super::chunks::{Assembly, Grid};
+use super::chunks::{ChunkAssembly, ChunkGrid};
 use super::npy;
 use super::{
-    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_METADATA, MOST_WIDE,
-    RATES, Refusal, RowLoss, Table, common_rows, is_rate, lies_on_side, names, rate_in, usual,
+    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH, RATE_NAMES,
+    ReadColumn, ReadContext, RowLoss, Table, TableError, common_rows, is_rate, is_transposed,
+    most_frequent, names, rate_in,
 };
-use crate::memory::Memory;
+use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
 /// Maximum depth of nested groups, and maximum number of groups in an episode.
-const DEEP: usize = 8;
-const MOST_GROUPS: usize = 10_000;
+const MAX_DEPTH: usize = 8;
+const MAX_GROUPS: usize = 10_000;
 /// Number of parts that an unchunked data set is read in if reading it whole fails.
-const PARTS: usize = 64;
+const FALLBACK_PARTS: usize = 64;
 /// Maximum header size of a group or data set, bytes.
-const MOST_HEADER: usize = 4 << 20;
+const MAX_HEADER_BYTES: usize = 4 << 20;
 /// Prefixes of numbered episode groups.
-const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
+const EPISODE_PREFIXES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 
 /// Episodes of a file, or only the `wanted` one.
 pub(super) fn read(
     bytes: Bytes,
     wanted: Option<&str>,
-    context: &mut Context,
-) -> Result<Episodes, Refusal> {
-    let (home, episodes, rate_hz) = opened(bytes, context.memory.left())?;
-    if wanted.is_none() && episodes.len() > MOST_EPISODES {
-        return Err(Refusal::Episodes);
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let (home, episodes, rate_hz) = open_file(bytes, context.memory.remaining())?;
+    if wanted.is_none() && episodes.len() > MAX_EPISODES {
+        return Err(TableError::Episodes);
     }
     let names = match episodes.is_empty() {
         true => vec![None],
@@ -55,13 +56,13 @@ pub(super) fn read(
         };
         let group = match group {
             Ok(group) => group,
-            Err(error) if is_one => return Err(worded(&error)),
+            Err(error) if is_one => return Err(read_error(&error)),
             Err(error) => {
-                worded(&error).of(&label).report(None, context.losses);
+                read_error(&error).in_part(&label).report(None, context.losses);
                 continue;
             }
         };
-        let mut walk = Walk::default();
+        let mut walk = GroupWalk::default();
         walk.descend(&group, "", 0);
         let mut table = walk.table(context.memory);
         table.rate_hz = rate_of(&group).or(rate_hz);
@@ -71,20 +72,20 @@ pub(super) fn read(
 }
 
 /// Names of the episodes of a file.
-pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
-    opened(bytes, MOST_METADATA).map(|(_, episodes, _)| episodes)
+pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, TableError> {
+    open_file(bytes, MAX_METADATA_BYTES).map(|(_, episodes, _)| episodes)
 }
 
 /// Opens a file. Returns the group that contains the episodes, their names, and the declared rate. Data
 /// sets of more than `most` bytes are not read.
-fn opened(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), Refusal> {
+fn open_file(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), TableError> {
     let most = usize::try_from(most).unwrap_or(usize::MAX);
     let options = OpenOptions::default()
         .with_max_read_bytes(most)
         .with_max_chunk_bytes(most.min(1 << 30))
-        .with_max_object_header_bytes(MOST_HEADER);
-    let file = Hdf5File::from_owner(bytes, options).map_err(|error| worded(&error))?;
-    let root = file.root_group().map_err(|error| worded(&error))?;
+        .with_max_object_header_bytes(MAX_HEADER_BYTES);
+    let file = Hdf5File::from_owner(bytes, options).map_err(|error| read_error(&error))?;
+    let root = file.root_group().map_err(|error| read_error(&error))?;
     let rate_hz = rate_of(&root);
     let episodes = episode_groups(&root);
     if let (true, Ok(data)) = (episodes.is_empty(), root.group("data")) {
@@ -104,7 +105,7 @@ fn episode_groups(group: &Group) -> Vec<String> {
         let digits = name.trim_start_matches(|c: char| !c.is_ascii_digit());
         let stem = name[..name.len() - digits.len()].trim_end_matches(['_', '-']).to_lowercase();
         let number: u64 = digits.parse().ok()?;
-        (stem.is_empty() || EPISODES.contains(&stem.as_str())).then_some((number, name))
+        (stem.is_empty() || EPISODE_PREFIXES.contains(&stem.as_str())).then_some((number, name))
     });
     let mut numbered: Vec<(u64, String)> = numbered.collect();
     numbered.sort();
@@ -113,7 +114,7 @@ fn episode_groups(group: &Group) -> Vec<String> {
 
 /// Traversal of the groups of an episode.
 #[derive(Default)]
-struct Walk {
+struct GroupWalk {
     /// Data sets with their paths.
     found: Vec<(String, Dataset)>,
     /// Addresses of visited groups, because links may form cycles.
@@ -122,15 +123,15 @@ struct Walk {
     losses: Vec<RowLoss>,
 }
 
-impl Walk {
+impl GroupWalk {
     fn descend(&mut self, group: &Group, path: &str, depth: usize) {
-        if self.visited.len() >= MOST_GROUPS || !self.visited.insert(group.address()) {
+        if self.visited.len() >= MAX_GROUPS || !self.visited.insert(group.address()) {
             return;
         }
         let (groups, datasets) = match group.members() {
             Ok(members) => members,
             Err(error) => {
-                let what = worded(&error).of(&format!("/{path}"));
+                let what = read_error(&error).in_part(&format!("/{path}"));
                 self.losses.push(RowLoss { rows: 0, what });
                 return;
             }
@@ -140,15 +141,15 @@ impl Walk {
             if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
         };
         for dataset in datasets {
-            if self.found.len() == MOST_COLUMNS {
-                let what = format!("more than {MOST_COLUMNS} data sets; the others are not read");
+            if self.found.len() == MAX_COLUMNS {
+                let what = format!("more than {MAX_COLUMNS} data sets; the others are not read");
                 self.losses.push(RowLoss { rows: 0, what: what.into() });
                 return;
             }
             let name = below(dataset.name());
             self.found.push((name, dataset));
         }
-        if depth < DEEP {
+        if depth < MAX_DEPTH {
             for group in groups {
                 self.descend(&group, &below(group.name()), depth + 1);
             }
@@ -156,7 +157,7 @@ impl Walk {
     }
 
     /// Builds the table from the data sets.
-    fn table(self, memory: &mut Memory) -> Table {
+    fn table(self, memory: &mut MemoryBudget) -> Table {
         let sides = |dataset: &Dataset| -> Vec<usize> {
             dataset
                 .shape()
@@ -164,19 +165,20 @@ impl Walk {
                 .map(|side| usize::try_from(*side).unwrap_or(usize::MAX))
                 .collect()
         };
-        let numeric = self.found.iter().filter(|(_, dataset)| kind_of(dataset.dtype()).is_some());
+        let numeric =
+            self.found.iter().filter(|(_, dataset)| number_type(dataset.dtype()).is_some());
         let shapes: Vec<Vec<usize>> = numeric.map(|(_, dataset)| sides(dataset)).collect();
         let common = common_rows(&shapes);
-        let arrays: Vec<Array> = self
+        let arrays: Vec<DataSetColumn> = self
             .found
             .iter()
             .filter_map(|(name, dataset)| {
-                let is_on_side = lies_on_side(&sides(dataset), common);
-                Array::of(name, dataset, sides(dataset), is_on_side)
+                let is_on_side = is_transposed(&sides(dataset), common);
+                DataSetColumn::new(name, dataset, sides(dataset), is_on_side)
             })
             .collect();
-        let rows = usual(arrays.iter().map(|array| array.rows));
-        let mut read = |array: Array| {
+        let rows = most_frequent(arrays.iter().map(|array| array.rows));
+        let mut read = |array: DataSetColumn| {
             // Data sets with a different number of rows are not columns.
             if array.rows == rows { array.read(memory) } else { array.unread() }
         };
@@ -188,7 +190,7 @@ impl Walk {
 }
 
 /// Numeric data set with one row per instant, or one column per instant if it is transposed.
-struct Array<'a> {
+struct DataSetColumn<'a> {
     dataset: &'a Dataset,
     column: Column,
     shape: Vec<usize>,
@@ -196,10 +198,10 @@ struct Array<'a> {
     is_on_side: bool,
 }
 
-impl<'a> Array<'a> {
+impl<'a> DataSetColumn<'a> {
     /// `None` for images and data sets without numbers.
-    fn of(name: &str, dataset: &'a Dataset, shape: Vec<usize>, is_on_side: bool) -> Option<Self> {
-        let kind = kind_of(dataset.dtype())?;
+    fn new(name: &str, dataset: &'a Dataset, shape: Vec<usize>, is_on_side: bool) -> Option<Self> {
+        let kind = number_type(dataset.dtype())?;
         let mut sides = shape.clone();
         if is_on_side {
             sides.reverse();
@@ -210,24 +212,24 @@ impl<'a> Array<'a> {
             return None;
         }
         let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let width = width.filter(|width| (1..=MOST_WIDE).contains(width))?;
+        let width = width.filter(|width| (1..=MAX_WIDTH).contains(width))?;
         rows.checked_mul(width).filter(|count| *count > 0)?;
         let column = Column { name: name.to_owned(), kind, width, ..Column::default() };
         Some(Self { dataset, column, shape, rows: *rows, is_on_side })
     }
 
-    fn unread(self) -> Candidate {
-        Candidate { column: self.column, rows: self.rows, ..Candidate::default() }
+    fn unread(self) -> ReadColumn {
+        ReadColumn { column: self.column, rows: self.rows, ..ReadColumn::default() }
     }
 
-    fn read(self, memory: &mut Memory) -> Candidate {
+    fn read(self, memory: &mut MemoryBudget) -> ReadColumn {
         let (rows, width) = (self.rows, self.column.width);
-        if let Err(refusal) = memory.take(rows * width) {
-            return Candidate::refused(&self.column.name, rows, refusal.into());
+        if let Err(refusal) = memory.reserve(rows * width) {
+            return ReadColumn::unreadable(&self.column.name, rows, refusal.into());
         }
         let grid = (!self.is_on_side).then(|| self.grid()).flatten();
         if let Some(grid) = grid {
-            return self.chunked(&grid);
+            return self.read_chunked(&grid);
         }
         match values(self.dataset) {
             Ok(mut values) => {
@@ -235,61 +237,67 @@ impl<'a> Array<'a> {
                     let turned = (0..rows * width).map(|at| values[at % width * rows + at / width]);
                     values = turned.collect();
                 }
-                Candidate { column: Column { values, ..self.column }, rows, ..Candidate::default() }
+                ReadColumn {
+                    column: Column { values, ..self.column },
+                    rows,
+                    ..ReadColumn::default()
+                }
             }
             Err(error) if self.is_on_side => {
-                Candidate::refused(&self.column.name, rows, worded(&error))
+                ReadColumn::unreadable(&self.column.name, rows, read_error(&error))
             }
-            Err(error) => self.by_parts(worded(&error)),
+            Err(error) => self.read_by_parts(read_error(&error)),
         }
     }
 
     /// Its chunk layout, if it is chunked.
-    fn grid(&self) -> Option<Grid> {
+    fn grid(&self) -> Option<ChunkGrid> {
         let chunks = self.dataset.chunks()?;
         let chunks: Vec<usize> = chunks.iter().map(|side| *side as usize).collect();
-        let kind = kind_of_elements(self.dataset.dtype())?;
+        let kind = element_type(self.dataset.dtype())?;
         let is_sound = chunks.len() == self.shape.len() && !chunks.contains(&0);
         let value = self.dataset.fill_value().and_then(|fill| fill.value.as_deref());
         let fill =
             value.filter(|value| value.len() == kind.size()).map_or(0.0, |value| kind.read(value));
         let shape = self.shape.clone();
-        is_sound.then_some(Grid { shape, chunks, kind, fill, is_fortran: false })
+        is_sound.then_some(ChunkGrid { shape, chunks, kind, fill, is_fortran: false })
     }
 
     /// Reads the numbers from the readable chunks.
-    fn chunked(self, grid: &Grid) -> Candidate {
+    fn read_chunked(self, grid: &ChunkGrid) -> ReadColumn {
         let rows = self.rows;
         let chunks = match self.dataset.iter_chunks() {
             Ok(chunks) => chunks,
-            Err(error) => return Candidate::refused(&self.column.name, rows, worded(&error)),
+            Err(error) => {
+                return ReadColumn::unreadable(&self.column.name, rows, read_error(&error));
+            }
         };
-        let mut all = Assembly::of(grid, 0..rows);
+        let mut all = ChunkAssembly::new(grid, 0..rows);
         let mut failed = None;
         for chunk in chunks {
             match chunk {
                 Ok(chunk) => {
                     let place = chunk.offsets().iter().zip(&grid.chunks);
                     let place: Vec<usize> = place.map(|(at, side)| *at as usize / side).collect();
-                    all.put(&place, Ok(Some(chunk.bytes().to_vec())));
+                    all.add_chunk(&place, Ok(Some(chunk.bytes().to_vec())));
                 }
-                Err(error) => _ = failed.get_or_insert_with(|| worded(&error)),
+                Err(error) => _ = failed.get_or_insert_with(|| read_error(&error)),
             }
         }
         if let Some(why) = failed {
-            all.damage_absent(why);
+            all.mark_absent_damaged(why);
         }
-        let read = all.finish(names::is_of_arm(&self.column.name));
+        let read = all.finish(names::is_joints_or_pose(&self.column.name));
         let column = Column { values: read.values, ..self.column };
-        Candidate { column, rows, lost: read.lost, why: read.why }
+        ReadColumn { column, rows, lost: read.lost, why: read.why }
     }
 
     /// Reads the numbers from the readable parts, after reading the whole failed because of `why`.
-    fn by_parts(self, why: Refusal) -> Candidate {
+    fn read_by_parts(self, why: TableError) -> ReadColumn {
         let (rows, width) = (self.rows, self.column.width);
         let mut values = vec![f64::NAN; rows * width];
         let mut lost = Vec::new();
-        let deep = rows.div_ceil(PARTS).max(1);
+        let deep = rows.div_ceil(FALLBACK_PARTS).max(1);
         for start in (0..rows).step_by(deep) {
             let part = start..rows.min(start + deep);
             let whole =
@@ -304,7 +312,7 @@ impl<'a> Array<'a> {
                 _ => lost.push(part),
             }
         }
-        Candidate { column: Column { values, ..self.column }, rows, lost, why: Some(why) }
+        ReadColumn { column: Column { values, ..self.column }, rows, lost, why: Some(why) }
     }
 }
 
@@ -339,7 +347,7 @@ fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::e
 }
 
 /// Element type of a chunk; `None` if it is not numeric.
-fn kind_of_elements(datatype: &Datatype) -> Option<npy::Kind> {
+fn element_type(datatype: &Datatype) -> Option<npy::ElementType> {
     let (letter, size, order) = match datatype {
         Datatype::FloatingPoint { size, byte_order, .. } => ('f', size, byte_order),
         Datatype::FixedPoint { size, signed: true, byte_order, .. } => ('i', size, byte_order),
@@ -347,10 +355,10 @@ fn kind_of_elements(datatype: &Datatype) -> Option<npy::Kind> {
         _ => return None,
     };
     let order = if matches!(order, ByteOrder::BigEndian) { '>' } else { '<' };
-    npy::Kind::of(&format!("{order}{letter}{size}"))
+    npy::ElementType::parse(&format!("{order}{letter}{size}"))
 }
 
-fn kind_of(datatype: &Datatype) -> Option<String> {
+fn number_type(datatype: &Datatype) -> Option<String> {
     match datatype {
         Datatype::FloatingPoint { size: size @ (4 | 8), .. } => Some(format!("float{}", 8 * size)),
         Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), signed, .. } => {
@@ -365,12 +373,15 @@ fn kind_of(datatype: &Datatype) -> Option<String> {
 fn rate_of(group: &Group) -> Option<f64> {
     let attributes = group.attributes().ok()?;
     let plain = |attribute: &Attribute| {
-        RATES.contains(&attribute.name.as_str()).then(|| attribute.read_as_f64().ok()).flatten()
+        RATE_NAMES
+            .contains(&attribute.name.as_str())
+            .then(|| attribute.read_as_f64().ok())
+            .flatten()
     };
     let in_text = |attribute: &Attribute| {
         let text =
             (attribute.name == "env_args").then(|| attribute.read_string().ok()).flatten()?;
-        if text.len() as u64 > MOST_METADATA {
+        if text.len() as u64 > MAX_METADATA_BYTES {
             return None;
         }
         rate_in(&serde_json::from_str(&text).ok()?)
@@ -379,7 +390,7 @@ fn rate_of(group: &Group) -> Option<f64> {
     is_rate(&rate).then_some(rate)
 }
 
-fn worded(error: &hdf5_reader::error::Error) -> Refusal {
+fn read_error(error: &hdf5_reader::error::Error) -> TableError {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
     // LZF of h5py, and filters from plugins.

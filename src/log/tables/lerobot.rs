@@ -10,16 +10,16 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{MOST_METADATA, Table};
+use super::{MAX_METADATA_BYTES, Table};
 use crate::LogError;
-use crate::contained::{Contained, LEADS_OUT};
-use crate::files::Input;
+use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
+use crate::files::LogInput;
 
-const INFO: &str = "meta/info.json";
+const INFO_PATH: &str = "meta/info.json";
 /// Maximum number of parent folders searched, from `data/chunk-000/file-000.parquet` upwards.
-const DEEP: usize = 4;
+const MAX_PARENTS: usize = 4;
 /// Maximum number of data files in one audit.
-const MOST_FILES: usize = 100;
+const MAX_FILES: usize = 100;
 
 /// Metadata of a dataset.
 #[derive(Clone, Debug, Default)]
@@ -36,7 +36,7 @@ pub(super) struct Feature {
     width: Option<usize>,
     names: Vec<String>,
     /// Numbers per kind, as counted in a description.
-    pub counted: Vec<usize>,
+    pub described_counts: Vec<usize>,
 }
 
 #[derive(Deserialize)]
@@ -61,19 +61,19 @@ struct RawFeature {
 
 /// Whether a folder is a LeRobot dataset.
 pub fn is_dataset(folder: &Path) -> bool {
-    folder.join(INFO).is_file()
+    folder.join(INFO_PATH).is_file()
 }
 
 /// The LeRobot dataset that contains a file.
-pub fn dataset_of(file: &Path) -> Option<PathBuf> {
-    file.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder)).map(Path::to_owned)
+pub fn enclosing_dataset(file: &Path) -> Option<PathBuf> {
+    file.ancestors().skip(1).take(MAX_PARENTS).find(|folder| is_dataset(folder)).map(Path::to_owned)
 }
 
 /// Data files of the dataset in `folder`.
 ///
 /// # Errors
 /// If it has none, or more than one audit can take.
-pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
+pub(crate) fn dataset_files(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refused = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let mut files = Vec::new();
     let chunks = fs::read_dir(folder.join("data"))
@@ -89,7 +89,7 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
     files.sort();
     match files.len() {
         0 => Err(refused("of a dataset without data files")),
-        1..=MOST_FILES => Ok(files.into_iter().map(Input::of_bag).collect()),
+        1..=MAX_FILES => Ok(files.into_iter().map(LogInput::bag_file).collect()),
         _ => Err(refused(
             "of a dataset with more than 100 data files: `poseaudit fleet` audits each episode",
         )),
@@ -97,34 +97,34 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
 }
 
 /// Metadata of the dataset in the nearest parent folder with `meta/info.json`, or why it cannot be read.
-pub(super) fn above(path: &Path) -> Option<Result<Dataset, String>> {
-    let folder = dataset_of(path)?;
-    Some(text_in(&folder, &folder.join(INFO)).and_then(|text| dataset(&text)))
+pub(super) fn enclosing_metadata(path: &Path) -> Option<Result<Dataset, String>> {
+    let folder = enclosing_dataset(path)?;
+    Some(read_metadata(&folder, &folder.join(INFO_PATH)).and_then(|text| parse_info(&text)))
 }
 
 /// Text of a metadata file inside a folder.
-pub(super) fn text_in(folder: &Path, path: &Path) -> Result<String, String> {
+pub(super) fn read_metadata(folder: &Path, path: &Path) -> Result<String, String> {
     let refused = |what: &dyn std::fmt::Display| Err(format!("{}: {what}", path.display()));
-    if !Contained::of(folder).holds(path) {
-        return refused(&LEADS_OUT);
+    if !Containment::new(folder).holds(path) {
+        return refused(&LINK_LEADS_OUTSIDE);
     }
     match fs::metadata(path) {
-        Ok(metadata) if metadata.len() > MOST_METADATA => {
-            refused(&format!("it has {} bytes; the limit is {MOST_METADATA}", metadata.len()))
+        Ok(metadata) if metadata.len() > MAX_METADATA_BYTES => {
+            refused(&format!("it has {} bytes; the limit is {MAX_METADATA_BYTES}", metadata.len()))
         }
         Ok(_) => fs::read_to_string(path).or_else(|error| refused(&error)),
         Err(error) => refused(&error),
     }
 }
 
-fn dataset(text: &str) -> Result<Dataset, String> {
-    let Info { fps, robot_type, features } =
-        serde_json::from_str(text).map_err(|error| format!("{INFO} cannot be read: {error}"))?;
+fn parse_info(text: &str) -> Result<Dataset, String> {
+    let Info { fps, robot_type, features } = serde_json::from_str(text)
+        .map_err(|error| format!("{INFO_PATH} cannot be read: {error}"))?;
     let features = features.into_iter().map(|(name, RawFeature { dtype, shape, names })| {
         let width = shape.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
         let width =
             width.and_then(|width| usize::try_from(width).ok()).filter(|_| !shape.is_empty());
-        (name, Feature { dtype, names: names_of(&names), ..Feature::of_width(width) })
+        (name, Feature { dtype, names: flatten_names(&names), ..Feature::with_width(width) })
     });
     Ok(Dataset {
         rate_hz: fps.filter(super::is_rate),
@@ -134,18 +134,18 @@ fn dataset(text: &str) -> Result<Dataset, String> {
 }
 
 /// Names in a list, or in the lists of a table such as `{"motors": […]}`.
-fn names_of(value: &Value) -> Vec<String> {
+fn flatten_names(value: &Value) -> Vec<String> {
     match value {
         Value::String(name) => vec![name.clone()],
-        Value::Array(all) => all.iter().flat_map(names_of).collect(),
-        Value::Object(all) => all.values().flat_map(names_of).collect(),
+        Value::Array(all) => all.iter().flat_map(flatten_names).collect(),
+        Value::Object(all) => all.values().flat_map(flatten_names).collect(),
         _ => Vec::new(),
     }
 }
 
 impl Feature {
     /// A feature with only a declared width.
-    pub fn of_width(width: Option<usize>) -> Self {
+    pub fn with_width(width: Option<usize>) -> Self {
         Self { width, ..Self::default() }
     }
 }
@@ -188,9 +188,10 @@ impl Dataset {
                 ));
             }
             let counted: usize =
-                feature.counted.iter().fold(0, |all, own| all.saturating_add(*own));
+                feature.described_counts.iter().fold(0, |all, own| all.saturating_add(*own));
             if counted > 0 && counted != column.width {
-                let counts: Vec<String> = feature.counted.iter().map(usize::to_string).collect();
+                let counts: Vec<String> =
+                    feature.described_counts.iter().map(usize::to_string).collect();
                 found.push(format!(
                     "`{name}` is described as {} = {counted} numbers per row but has {}",
                     counts.join(" + "),

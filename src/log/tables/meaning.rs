@@ -1,23 +1,26 @@
 //! Identifies what the columns of a table hold: as configured, otherwise by their names. Unidentified
 //! columns are passed on as bare numbers.
 
-mod said;
+mod configured;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock};
-use super::names::{self, Axis, Part};
-use super::{Column, ColumnSettings, Found, RowStamps, Table, array, lost, positions};
+use super::names::{self, PoseComponent, PosePart};
+use super::{
+    Column, ColumnSettings, RowStamps, Table, TableTopic, array_columns, position_columns,
+    row_losses,
+};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
 /// Number of joints of an arm, with its gripper.
-const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
+const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
 /// Minimum number of cells for joint positions, a pose or a part of a pose.
-const LEAST_CELLS: usize = 3;
+const MIN_CELLS: usize = 3;
 /// LeRobot columns that are not measurements.
-const COUNTERS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
+const COUNTER_COLUMNS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
 /// One number of a row.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -27,7 +30,7 @@ struct Cell {
 }
 
 /// What a group of cells holds.
-enum Meaning {
+enum ColumnMeaning {
     /// Joint positions; `unnamed` if the joint names are generated.
     Joints {
         names: Vec<String>,
@@ -43,37 +46,37 @@ enum Meaning {
     /// Unidentified numbers.
     Numbers,
     /// Not used in an audit.
-    Nothing,
+    Unused,
 }
 
-struct Group {
+struct ColumnGroup {
     topic: String,
     cells: Vec<Cell>,
-    meaning: Meaning,
+    meaning: ColumnMeaning,
     why: String,
     /// Set if the group is one part of a pose.
-    part: Option<PartOf>,
+    part: Option<PosePartKey>,
 }
 
 /// Column that contains the parts (empty if each number is a column), words that the parts share, and the
 /// part.
-type PartOf = (String, Vec<String>, Part);
+type PosePartKey = (String, Vec<String>, PosePart);
 
 /// Identifies the topics in `table`.
 ///
 /// # Errors
 /// If the configuration selects columns that do not exist.
-pub(super) fn of(
+pub(super) fn identify_topics(
     table: &Table,
     clock: &Clock,
     settings: &ColumnSettings,
-) -> Result<Vec<Found>, String> {
-    let mut groups = said::said(table, settings)?;
-    let taken_by = |groups: &[Group]| -> HashSet<Cell> {
+) -> Result<Vec<TableTopic>, String> {
+    let mut groups = configured::configured_groups(table, settings)?;
+    let taken_by = |groups: &[ColumnGroup]| -> HashSet<Cell> {
         groups.iter().flat_map(|group| &group.cells).copied().collect()
     };
     let own_clocks = match settings.time.is_none() && settings.rate_hz.is_none() {
-        true => clock::of_groups(table),
+        true => clock::detect_in_groups(table),
         false => BTreeMap::new(),
     };
     let clocks: HashSet<(usize, usize)> = own_clocks
@@ -91,48 +94,48 @@ pub(super) fn of(
         .flat_map(|&column| cells(table, column))
         .filter(|cell| !said.contains(cell) && !is_clock(cell))
         .collect();
-    let by_name = named_groups(table, &named);
+    let by_name = group_by_names(table, &named);
     groups.extend(by_name);
     let taken = taken_by(&groups);
     for column in open {
         let all = (0..table.columns[column].width).map(|part| Cell { column, part });
         let free: Vec<Cell> = all.filter(|cell| !taken.contains(cell) && !is_clock(cell)).collect();
-        let is_counter = COUNTERS.contains(&table.columns[column].name.as_str());
+        let is_counter = COUNTER_COLUMNS.contains(&table.columns[column].name.as_str());
         match free.len() {
             0 => {}
             _ if is_counter => {
                 let topic = table.columns[column].name.clone();
                 let why = "counts rows or episodes, by its name".to_owned();
-                groups.push(Group {
+                groups.push(ColumnGroup {
                     topic,
                     cells: free,
-                    meaning: Meaning::Nothing,
+                    meaning: ColumnMeaning::Unused,
                     why,
                     part: None,
                 });
             }
             count if count == table.columns[column].width => {
-                groups.push(whole(&table.columns[column], free));
+                groups.push(identify_column(&table.columns[column], free));
             }
-            _ if settings.says_all() => {}
-            _ => groups.push(rest(&table.columns[column], free)),
+            _ if settings.declares_all() => {}
+            _ => groups.push(unidentified_rest(&table.columns[column], free)),
         }
     }
-    join_parts(table, &mut groups);
+    join_pose_parts(table, &mut groups);
     groups.retain(|group| !group.cells.is_empty());
-    take_velocities(table, clock, &mut groups);
-    distinct(&mut groups);
-    let most = groups.iter().map(|group| group.most(table)).fold(0.0, f64::max);
-    let clock_of = |group: &Group| {
+    assign_velocities(table, clock, &mut groups);
+    number_duplicates(&mut groups);
+    let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
+    let clock_of = |group: &ColumnGroup| {
         let group_of = |cell: &Cell| clock::group_of(&table.columns[cell.column].name);
         let home = group.cells.first().and_then(group_of)?;
         own_clocks.get(home).filter(|_| group.cells.iter().all(|cell| group_of(cell) == Some(home)))
     };
     let found = groups.into_iter().map(|group| {
         let own = clock_of(&group).unwrap_or(clock);
-        group.found(table, (clock, own), most)
+        group.into_topic(table, (clock, own), most)
     });
-    let unread = table.unread.iter().map(|(name, why)| Found {
+    let unread = table.unread.iter().map(|(name, why)| TableTopic {
         topic: name.clone(),
         kind: "unread".to_owned(),
         why: why.clone(),
@@ -150,26 +153,32 @@ pub(super) fn of(
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 /// Words for rad in names.
-const RADIANS: &[&str] = &["rad", "rads", "radian", "radians"];
+const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
 
 /// Words for degrees in names.
-const DEGREES: &[&str] = &["deg", "degs", "degree", "degrees"];
+const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees"];
 
 /// Why joint positions too large for rad are not degrees either; `None` if they may be.
-fn no_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
+fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
     /// Maximum plausible angle in degrees (two turns), the end of a percentage range, and the minimum
     /// number of joints that reach this end.
-    const TURNS: f64 = 720.0;
-    const END: f64 = 100.0;
-    const REACH: usize = 2;
-    if most > TURNS {
+    const MAX_DEGREES: f64 = 720.0;
+    const RANGE_END_PERCENT: f64 = 100.0;
+    const MIN_JOINTS_AT_END: usize = 2;
+    if most > MAX_DEGREES {
         return Some("too large for degrees as well: encoder ticks or another unit".to_owned());
     }
     let reaches = |cell: &&Cell| {
         let column = &table.columns[cell.column];
-        column.values.iter().skip(cell.part).step_by(column.width).any(|value| value.abs() == END)
+        column
+            .values
+            .iter()
+            .skip(cell.part)
+            .step_by(column.width)
+            .any(|value| value.abs() == RANGE_END_PERCENT)
     };
-    let is_share = most == END && cells.iter().filter(reaches).count() >= REACH;
+    let is_share =
+        most == RANGE_END_PERCENT && cells.iter().filter(reaches).count() >= MIN_JOINTS_AT_END;
     is_share.then(|| "several end at exactly 100, like percentages of a range".to_owned())
 }
 
@@ -203,49 +212,54 @@ fn is_measured(table: &Table, cell: Cell) -> bool {
 }
 
 /// Column of a cell with named numbers; empty if each number is a column.
-fn home(table: &Table, cell: Cell) -> &str {
+fn home_column(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
 }
 
 /// Poses and joints among the named cells.
-fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
+fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut groups = Vec::new();
-    let mut poses: BTreeMap<(&str, Vec<String>), BTreeMap<Axis, Cell>> = BTreeMap::new();
+    let mut poses: BTreeMap<(&str, Vec<String>), BTreeMap<PoseComponent, Cell>> = BTreeMap::new();
     for &cell in all {
-        for (key, axis) in names::axes(name(table, cell)) {
-            poses.entry((home(table, cell), key)).or_default().entry(axis).or_insert(cell);
+        for (key, axis) in names::pose_components(name(table, cell)) {
+            poses.entry((home_column(table, cell), key)).or_default().entry(axis).or_insert(cell);
         }
     }
     for ((home, key), axes) in poses {
-        let all_of = |count: usize, of: &dyn Fn(usize) -> Axis| -> Option<Vec<Cell>> {
+        let all_of = |count: usize, of: &dyn Fn(usize) -> PoseComponent| -> Option<Vec<Cell>> {
             (0..count).map(|axis| axes.get(&of(axis)).copied()).collect()
         };
-        let position = all_of(3, &Axis::Xyz).or_else(|| all_of(3, &Axis::Position));
+        let position =
+            all_of(3, &PoseComponent::Xyz).or_else(|| all_of(3, &PoseComponent::Position));
         let is_free = |cells: &Vec<Cell>| {
             position.as_ref().is_none_or(|own| cells.iter().all(|cell| !own.contains(cell)))
         };
         let with_w = || {
-            let w = *axes.get(&Axis::Quaternion(3))?;
-            Some([all_of(3, &Axis::Turn)?, vec![w]].concat())
+            let w = *axes.get(&PoseComponent::Quaternion(3))?;
+            Some([all_of(3, &PoseComponent::Rotation)?, vec![w]].concat())
         };
-        let label = |label: usize| all_of(3, &|at| Axis::Label(label, at)).filter(is_free);
-        let turn = all_of(4, &Axis::Quaternion)
+        let label = |label: usize| all_of(3, &|at| PoseComponent::Label(label, at)).filter(is_free);
+        let turn = all_of(4, &PoseComponent::Quaternion)
             .or_else(with_w)
-            .or_else(|| all_of(3, &Axis::Turn))
-            .or_else(|| (0..names::labels()).find_map(label));
+            .or_else(|| all_of(3, &PoseComponent::Rotation))
+            .or_else(|| (0..names::label_count()).find_map(label));
         // A rotation whose position is in numbered columns. Single-letter labels are too ambiguous without
         // a position.
         let turn_alone = || {
-            let named =
-                all_of(4, &Axis::Quaternion).or_else(with_w).or_else(|| all_of(3, &Axis::Turn))?;
-            Some((named.clone(), if named.len() == 4 { Part::Quaternion } else { Part::Turn }))
+            let named = all_of(4, &PoseComponent::Quaternion)
+                .or_else(with_w)
+                .or_else(|| all_of(3, &PoseComponent::Rotation))?;
+            Some((
+                named.clone(),
+                if named.len() == 4 { PosePart::Quaternion } else { PosePart::Rotation },
+            ))
         };
         let (cells, meaning, part) = match (position, turn) {
-            (Some(position), Some(turn)) => ([position, turn].concat(), Meaning::Pose, None),
-            (Some(position), None) => (position, Meaning::Position, Some(Part::Position)),
+            (Some(position), Some(turn)) => ([position, turn].concat(), ColumnMeaning::Pose, None),
+            (Some(position), None) => (position, ColumnMeaning::Position, Some(PosePart::Position)),
             (None, _) => match turn_alone() {
-                Some((turn, part)) => (turn, Meaning::Numbers, Some(part)),
+                Some((turn, part)) => (turn, ColumnMeaning::Numbers, Some(part)),
                 None => continue,
             },
         };
@@ -256,25 +270,31 @@ fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
             (false, false) => format!("{home}/{label}"),
         };
         let part = part.map(|part| (home.to_owned(), key, part));
-        groups.push(Group { topic, why: why(table, &cells, "by name"), cells, meaning, part });
+        groups.push(ColumnGroup {
+            topic,
+            why: describe_origin(table, &cells, "by name"),
+            cells,
+            meaning,
+            part,
+        });
     }
-    let free = |groups: &[Group]| -> Vec<Cell> {
+    let free = |groups: &[ColumnGroup]| -> Vec<Cell> {
         let taken: HashSet<Cell> = groups.iter().flat_map(|group| &group.cells).copied().collect();
         all.iter().copied().filter(|cell| !taken.contains(cell)).collect()
     };
-    groups.extend(matrices(table, &free(&groups)));
-    groups.extend(numbered(table, &free(&groups)));
-    groups.extend(limbs(table, &free(&groups)));
+    groups.extend(group_matrices(table, &free(&groups)));
+    groups.extend(group_numbered(table, &free(&groups)));
+    groups.extend(group_by_limb_names(table, &free(&groups)));
     groups
 }
 
 /// Matrices whose numbers are named by row and column.
-fn matrices(table: &Table, all: &[Cell]) -> Vec<Group> {
+fn group_matrices(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     type Family<'a> = (&'a str, Vec<String>);
     let mut families: BTreeMap<Family<'_>, BTreeMap<(usize, usize), Cell>> = BTreeMap::new();
     for &cell in all {
         if let Some((stem, at)) = names::matrix_cell(name(table, cell)) {
-            families.entry((home(table, cell), stem)).or_default().entry(at).or_insert(cell);
+            families.entry((home_column(table, cell), stem)).or_default().entry(at).or_insert(cell);
         }
     }
     let made = families.into_iter().filter_map(|((home, stem), members)| {
@@ -286,16 +306,16 @@ fn matrices(table: &Table, all: &[Cell]) -> Vec<Group> {
             })
         };
         let (meaning, part) = match () {
-            () if is_whole(4, 4) || is_whole(3, 4) => (Meaning::Pose, None),
-            () if is_whole(3, 3) => (Meaning::Numbers, Some(Part::Matrix)),
+            () if is_whole(4, 4) || is_whole(3, 4) => (ColumnMeaning::Pose, None),
+            () if is_whole(3, 3) => (ColumnMeaning::Numbers, Some(PosePart::Matrix)),
             () => return None,
         };
         let cells: Vec<Cell> = members.values().copied().collect();
         let topic = topic_of(home, &stem);
-        let part = part.map(|part| (home.to_owned(), names::key_of(&stem), part));
-        Some(Group {
+        let part = part.map(|part| (home.to_owned(), names::pose_key_of_stem(&stem), part));
+        Some(ColumnGroup {
             topic,
-            why: why(table, &cells, "matrix elements by name"),
+            why: describe_origin(table, &cells, "matrix elements by name"),
             cells,
             meaning,
             part,
@@ -310,21 +330,21 @@ fn topic_of(home: &str, stem: &[String]) -> String {
 }
 
 /// Joints, poses and pose parts whose names end in a number.
-fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
+fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut families: BTreeMap<(&str, Vec<String>), BTreeMap<usize, Cell>> = BTreeMap::new();
     for &cell in all {
         let own = names::numbered(name(table, cell));
         let is_known = |stem: &[String]| {
             names::is_stem_of_joints(stem)
                 || names::is_pose(stem)
-                || (3..=4).any(|width| names::part(&stem.join("_"), width).is_some())
+                || (3..=4).any(|width| names::pose_part(&stem.join("_"), width).is_some())
         };
         let Some((stem, number)) = own.filter(|(stem, _)| is_known(stem)) else { continue };
-        families.entry((home(table, cell), stem)).or_default().entry(number).or_insert(cell);
+        families.entry((home_column(table, cell), stem)).or_default().entry(number).or_insert(cell);
     }
     let has_other_joints = |own: &[String]| {
         families.iter().any(|((_, stem), members)| {
-            stem != own && names::is_stem_of_joints(stem) && JOINTS.contains(&members.len())
+            stem != own && names::is_stem_of_joints(stem) && JOINT_COUNTS.contains(&members.len())
         })
     };
     let mut groups = Vec::new();
@@ -335,11 +355,17 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
             continue;
         }
         let cells: Vec<Cell> = members.values().copied().collect();
-        let reason = why(table, &cells, "by name and number");
+        let reason = describe_origin(table, &cells, "by name and number");
         let topic = topic_of(home, stem);
-        let part = |part: Part| Some(((*home).to_owned(), names::key_of(stem), part));
+        let part = |part: PosePart| Some(((*home).to_owned(), names::pose_key_of_stem(stem), part));
         if names::is_pose(stem) && matches!(cells.len(), 6 | 7 | 12 | 16) {
-            groups.push(Group { topic, cells, meaning: Meaning::Pose, why: reason, part: None });
+            groups.push(ColumnGroup {
+                topic,
+                cells,
+                meaning: ColumnMeaning::Pose,
+                why: reason,
+                part: None,
+            });
             continue;
         }
         // ABB logs a quaternion as q1 to q4; the joints then have other names.
@@ -348,22 +374,32 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
             && has_other_joints(stem)
             && are_unit(table, &cells);
         if is_quaternion {
-            let part = part(Part::Quaternion);
-            groups.push(Group { topic, cells, meaning: Meaning::Numbers, why: reason, part });
+            let part = part(PosePart::Quaternion);
+            groups.push(ColumnGroup {
+                topic,
+                cells,
+                meaning: ColumnMeaning::Numbers,
+                why: reason,
+                part,
+            });
             continue;
         }
-        if let Some((_, own)) = names::part(&stem.join("_"), cells.len())
-            && !(names::is_stem_of_joints(stem) && JOINTS.contains(&cells.len()))
+        if let Some((_, own)) = names::pose_part(&stem.join("_"), cells.len())
+            && !(names::is_stem_of_joints(stem) && JOINT_COUNTS.contains(&cells.len()))
         {
-            let meaning = if own == Part::Position { Meaning::Position } else { Meaning::Numbers };
-            groups.push(Group { topic, cells, meaning, why: reason, part: part(own) });
+            let meaning = if own == PosePart::Position {
+                ColumnMeaning::Position
+            } else {
+                ColumnMeaning::Numbers
+            };
+            groups.push(ColumnGroup { topic, cells, meaning, why: reason, part: part(own) });
             continue;
         }
-        if !names::is_stem_of_joints(stem) || !JOINTS.contains(&cells.len()) {
+        if !names::is_stem_of_joints(stem) || !JOINT_COUNTS.contains(&cells.len()) {
             continue;
         }
-        let is_plain = names::is_plain(stem);
-        let side = names::side(stem);
+        let is_plain = names::is_generic(stem);
+        let side = names::arm_prefix(stem);
         let own = match logged_names(table, stem, first, cells.len()) {
             Some(names) => Some(names),
             None if is_plain => None,
@@ -384,8 +420,9 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
             true => stem.join("_"),
             false => (*home).to_owned(),
         };
-        let meaning = Meaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
-        groups.push(Group { topic, cells, meaning, why: reason, part: None });
+        let meaning =
+            ColumnMeaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
+        groups.push(ColumnGroup { topic, cells, meaning, why: reason, part: None });
     }
     groups
 }
@@ -401,19 +438,19 @@ fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> O
 /// Whether the cells have unit norm in nearly every row.
 fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     /// Minimum percentage of such rows, and maximum deviation of the norm (rounding to two digits).
-    const MOST: usize = 95;
-    const OFF: f64 = 0.03;
+    const MIN_UNIT_PERCENT: usize = 95;
+    const MAX_NORM_DEVIATION: f64 = 0.03;
     let value = |row: usize, cell: &Cell| {
         let column = &table.columns[cell.column];
         column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
     };
     let norm = |row: usize| cells.iter().map(|cell| value(row, cell).powi(2)).sum::<f64>().sqrt();
-    let unit = (0..table.rows).filter(|&row| (norm(row) - 1.0).abs() < OFF).count();
-    100 * unit >= MOST * table.rows
+    let unit = (0..table.rows).filter(|&row| (norm(row) - 1.0).abs() < MAX_NORM_DEVIATION).count();
+    100 * unit >= MIN_UNIT_PERCENT * table.rows
 }
 
 /// Assigns velocity columns to the joints with matching names.
-fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
+fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>) {
     let words_of = |cell: &Cell| {
         let column = &table.columns[cell.column];
         let part = column.parts.get(cell.part);
@@ -424,15 +461,16 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
         }
         words
     };
-    let read =
-        groups.iter().filter(|group| !matches!(group.meaning, Meaning::Numbers | Meaning::Nothing));
+    let read = groups
+        .iter()
+        .filter(|group| !matches!(group.meaning, ColumnMeaning::Numbers | ColumnMeaning::Unused));
     let used: HashSet<Cell> = read.flat_map(|group| &group.cells).copied().collect();
     let mut open: BTreeMap<Vec<String>, Cell> = BTreeMap::new();
     for (column, own) in table.columns.iter().enumerate() {
         for part in 0..own.width {
             let cell = Cell { column, part };
             let words = words_of(&cell);
-            if names::are_velocities(&words) && !used.contains(&cell) {
+            if names::is_joint_velocities(&words) && !used.contains(&cell) {
                 open.entry(names::shared_words(&words)).or_insert(cell);
             }
         }
@@ -440,8 +478,8 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
     let mut taken: Vec<Vec<Cell>> = Vec::new();
     let mut commands: Vec<(Vec<Cell>, Vec<String>, bool)> = Vec::new();
     for group in groups.iter_mut() {
-        let Group { cells, meaning, why, .. } = group;
-        let Meaning::Joints { velocities, names, unnamed, .. } = meaning else { continue };
+        let ColumnGroup { cells, meaning, why, .. } = group;
+        let ColumnMeaning::Joints { velocities, names, unnamed, .. } = meaning else { continue };
         let velocity = |cell: &Cell| open.get(&names::shared_words(&words_of(cell))).copied();
         let Some(own) = cells.iter().map(velocity).collect::<Option<Vec<Cell>>>() else { continue };
         if taken.iter().flatten().any(|cell| own.contains(cell)) {
@@ -467,8 +505,9 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
         let why = "desired joint positions: their values follow the joint positions, not the joint \
             velocities";
         let topic = format!("{}_command", velocity_topic(table, &cells));
-        let meaning = Meaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
-        groups.push(Group { topic, cells, meaning, why: why.to_owned(), part: None });
+        let meaning =
+            ColumnMeaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
+        groups.push(ColumnGroup { topic, cells, meaning, why: why.to_owned(), part: None });
     }
 }
 
@@ -489,7 +528,7 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
 /// Whether numbers that may be velocities are desired positions: they must be much closer to the positions
 /// than to the rates of the positions.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
-    const NEARER: f64 = 0.5;
+    const MAX_DISTANCE_RATIO: f64 = 0.5;
     let value = |row: usize, cell: &Cell| {
         let column = &table.columns[cell.column];
         column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
@@ -508,16 +547,16 @@ fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]
             }
         }
     }
-    to_positions < NEARER * NEARER * to_rates
+    to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * to_rates
 }
 
 /// Joints named after the parts of an arm, in one column or in single-number columns.
-fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
+fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
         let own = name(table, cell);
         let Some(joint) = names::joint_name(own) else { continue };
-        let home = match home(table, cell) {
+        let home = match home_column(table, cell) {
             // The path before a joint name distinguishes states from commands.
             "" => own
                 .rsplit_once(['/', '.'])
@@ -533,16 +572,16 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
     for (home, members) in homes {
         let own =
             members.iter().filter(|(_, joint)| !names::is_gripper(&names::words(joint))).count();
-        if own < *JOINTS.start() {
+        if own < *JOINT_COUNTS.start() {
             continue;
         }
         let (cells, names): (Vec<Cell>, Vec<String>) = members.into_iter().unzip();
         let topic = if home.is_empty() { "joints".to_owned() } else { home };
-        let why = why(table, &cells, "by joint names");
-        groups.push(Group {
+        let why = describe_origin(table, &cells, "by joint names");
+        groups.push(ColumnGroup {
             topic,
             cells,
-            meaning: Meaning::Joints {
+            meaning: ColumnMeaning::Joints {
                 names,
                 unnamed: false,
                 lines: Vec::new(),
@@ -556,19 +595,19 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
 }
 
 /// Identifies a column of unnamed numbers.
-fn whole(column: &Column, cells: Vec<Cell>) -> Group {
+fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let words = names::words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
     let (meaning, why) = match column.width {
-        _ if names::is_other(&words) || names::is_gripper(&words) => {
-            (Meaning::Nothing, "neither joint positions nor a pose, by its name".to_owned())
+        _ if names::is_other_quantity(&words) || names::is_gripper(&words) => {
+            (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }
         6 if names::words(&column.name).ends_with(&["actual".into(), "q".into()])
             || names::words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
             (
-                Meaning::Joints {
+                ColumnMeaning::Joints {
                     names,
                     unnamed: false,
                     lines: Vec::new(),
@@ -577,52 +616,65 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
                 by_name("joints of a UR"),
             )
         }
-        width if names::are_joints(&words) && JOINTS.contains(&width) => {
-            let side = names::side(&words);
+        width if names::is_joint_positions(&words) && JOINT_COUNTS.contains(&width) => {
+            let side = names::arm_prefix(&words);
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
             (
-                Meaning::Joints { names, unnamed: true, lines: Vec::new(), velocities: Vec::new() },
+                ColumnMeaning::Joints {
+                    names,
+                    unnamed: true,
+                    lines: Vec::new(),
+                    velocities: Vec::new(),
+                },
                 by_name("joint positions"),
             )
         }
-        6 | 7 | 12 | 16 if names::is_pose(&words) => (Meaning::Pose, by_name("a pose")),
-        3 if names::part(&column.name, 3).is_some_and(|(_, part)| part == Part::Position) => {
-            (Meaning::Position, by_name("a position"))
+        6 | 7 | 12 | 16 if names::is_pose(&words) => (ColumnMeaning::Pose, by_name("a pose")),
+        3 if names::pose_part(&column.name, 3)
+            .is_some_and(|(_, part)| part == PosePart::Position) =>
+        {
+            (ColumnMeaning::Position, by_name("a position"))
         }
-        1 => (Meaning::Numbers, "its name does not show what it holds".to_owned()),
+        1 => (ColumnMeaning::Numbers, "its name does not show what it holds".to_owned()),
         width => (
-            Meaning::Numbers,
+            ColumnMeaning::Numbers,
             format!(
                 "its name does not show what its {width} numbers are: declare it in [columns] of the config"
             ),
         ),
     };
-    let part = names::part(&column.name, column.width)
-        .filter(|_| !matches!(meaning, Meaning::Pose | Meaning::Joints { .. }))
+    let part = names::pose_part(&column.name, column.width)
+        .filter(|_| !matches!(meaning, ColumnMeaning::Pose | ColumnMeaning::Joints { .. }))
         .map(|(key, part)| (String::new(), key, part));
-    Group { topic: column.name.clone(), cells, meaning, why, part }
+    ColumnGroup { topic: column.name.clone(), cells, meaning, why, part }
 }
 
 /// Group for the unidentified numbers of a column.
-fn rest(column: &Column, cells: Vec<Cell>) -> Group {
+fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let why = format!("its name does not show what these {} numbers are", cells.len());
-    Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why, part: None }
+    ColumnGroup {
+        topic: column.name.clone(),
+        cells,
+        meaning: ColumnMeaning::Numbers,
+        why,
+        part: None,
+    }
 }
 
 /// Joins a position with the rotation of the same name in other columns.
-fn join_parts(table: &Table, groups: &mut [Group]) {
+fn join_pose_parts(table: &Table, groups: &mut [ColumnGroup]) {
     for at in 0..groups.len() {
-        let Some((home, key, Part::Position)) = groups[at].part.clone() else { continue };
-        let is_turn = |group: &Group| {
+        let Some((home, key, PosePart::Position)) = groups[at].part.clone() else { continue };
+        let is_turn = |group: &ColumnGroup| {
             group.part.as_ref().is_some_and(|(own_home, own, part)| {
-                *own_home == home && *own == key && *part != Part::Position
+                *own_home == home && *own == key && *part != PosePart::Position
             })
         };
         let turns = (0..groups.len()).filter(|&other| is_turn(&groups[other]));
         // If the rotation is logged twice, prefer the quaternion.
-        let rank = |group: &Group| match group.part {
-            Some((_, _, Part::Quaternion)) => 2,
-            Some((_, _, Part::Matrix)) => 1,
+        let rank = |group: &ColumnGroup| match group.part {
+            Some((_, _, PosePart::Quaternion)) => 2,
+            Some((_, _, PosePart::Matrix)) => 1,
             _ => 0,
         };
         let Some(other) = turns.max_by_key(|&other| rank(&groups[other])) else { continue };
@@ -632,12 +684,12 @@ fn join_parts(table: &Table, groups: &mut [Group]) {
         let own = &mut groups[at];
         own.part = None;
         own.why = match own.why.starts_with("columns ") {
-            true => format!("{}; {}", own.why, why(table, &turn, "its rotation")),
+            true => format!("{}; {}", own.why, describe_origin(table, &turn, "its rotation")),
             false => {
                 format!("a position, and its rotation in '{name}', by the names of the columns")
             }
         };
-        own.meaning = Meaning::Pose;
+        own.meaning = ColumnMeaning::Pose;
         own.cells = match (turn.len(), own.cells.as_slice()) {
             (9, [_, _, _]) => {
                 let rows = turn.chunks(3).zip(&own.cells);
@@ -649,7 +701,7 @@ fn join_parts(table: &Table, groups: &mut [Group]) {
 }
 
 /// Numbers topics of the same name.
-fn distinct(groups: &mut [Group]) {
+fn number_duplicates(groups: &mut [ColumnGroup]) {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for group in groups {
         let count = seen.entry(group.topic.clone()).or_default();
@@ -661,15 +713,15 @@ fn distinct(groups: &mut [Group]) {
 }
 
 /// Names of the cells, and how they were identified.
-fn why(table: &Table, cells: &[Cell], by: &str) -> String {
+fn describe_origin(table: &Table, cells: &[Cell], by: &str) -> String {
     let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
     format!("columns {}, {by}", names.join(", "))
 }
 
-impl Group {
+impl ColumnGroup {
     /// Largest absolute position of a joint except the gripper, in the logged unit; 0 for other groups.
-    fn most(&self, table: &Table) -> f64 {
-        let Meaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
+    fn max_position(&self, table: &Table) -> f64 {
+        let ColumnMeaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
         if !lines.is_empty() {
             return 0.0;
         }
@@ -685,9 +737,9 @@ impl Group {
         sizes.filter(|size| is_usable(*size)).fold(0.0, f64::max)
     }
 
-    /// Converts the group to a topic. `most` is the largest joint position of the table; beyond two turns
+    /// Converts the group to a topic. `max_position` is the largest joint position of the table; beyond two turns
     /// all joint positions are taken for degrees, states and commands alike.
-    fn found(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> Found {
+    fn into_topic(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> TableTopic {
         let Self { topic, cells, meaning, mut why, .. } = self;
         let mut contradiction = None;
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
@@ -705,7 +757,9 @@ impl Group {
                 continue;
             }
             match (*own, *stamp) {
-                (Some(own), Some(stamp)) => rows.push((row, RowStamps { own, row: stamp })),
+                (Some(own), Some(stamp)) => {
+                    rows.push((row, RowStamps { column_ns: own, row_ns: stamp }))
+                }
                 (None, Some(_)) if cells.iter().any(|cell| at(row, cell).is_finite()) => {
                     unstamped += 1
                 }
@@ -713,9 +767,9 @@ impl Group {
             }
         }
         let damaged = match meaning {
-            Meaning::Nothing => None,
-            Meaning::Numbers if cells.len() < LEAST_CELLS => None,
-            _ => lost::take_damaged(table, &mut rows, cells.len(), &|row| {
+            ColumnMeaning::Unused => None,
+            ColumnMeaning::Numbers if cells.len() < MIN_CELLS => None,
+            _ => row_losses::remove_damaged_rows(table, &mut rows, cells.len(), &|row| {
                 cells.iter().map(|cell| at(row, cell)).collect()
             }),
         };
@@ -724,10 +778,10 @@ impl Group {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
         };
         let values = || values_of(&cells);
-        let is_pose = matches!(meaning, Meaning::Pose);
-        let is_open = matches!(meaning, Meaning::Numbers);
+        let is_pose = matches!(meaning, ColumnMeaning::Pose);
+        let is_open = matches!(meaning, ColumnMeaning::Numbers);
         let columns = match meaning {
-            Meaning::Joints { names, unnamed, lines, velocities } => {
+            ColumnMeaning::Joints { names, unnamed, lines, velocities } => {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
                 let speeds = values_of(&velocities);
                 for (at, joint) in joints.joints.iter_mut().enumerate().take(velocities.len()) {
@@ -745,7 +799,7 @@ impl Group {
                     words.any(|word| known.contains(&word.as_str()))
                 };
                 let are_degrees = most > TWO_TURNS && lines.is_empty();
-                if in_words(DEGREES) || (are_degrees && !in_words(RADIANS)) {
+                if in_words(DEGREE_WORDS) || (are_degrees && !in_words(RADIAN_WORDS)) {
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.velocity);
                     all.for_each(|velocity| *velocity = velocity.to_radians());
                 }
@@ -753,13 +807,13 @@ impl Group {
                     why += &format!(
                         "; taken for degrees: values up to {most:.1} are too large for rad"
                     );
-                    if let Some(what) = no_degrees(table, &cells, most) {
+                    if let Some(what) = why_not_degrees(table, &cells, most) {
                         why += &format!(", but {what}");
                     }
                     let says_rad = |cell: &&Cell| {
                         names::words(name(table, **cell))
                             .iter()
-                            .any(|word| RADIANS.contains(&word.as_str()))
+                            .any(|word| RADIAN_WORDS.contains(&word.as_str()))
                     };
                     contradiction = cells.iter().find(says_rad).map(|&cell| {
                         let name = name(table, cell);
@@ -774,13 +828,17 @@ impl Group {
                 joints.conversions = lines;
                 Some(Columns::Joints(joints))
             }
-            Meaning::Pose => Some(Columns::Array(array(&stamps, cells.len(), &values()))),
-            Meaning::Numbers => {
-                let array = array(&stamps, cells.len(), &values());
+            ColumnMeaning::Pose => {
+                Some(Columns::Array(array_columns(&stamps, cells.len(), &values())))
+            }
+            ColumnMeaning::Numbers => {
+                let array = array_columns(&stamps, cells.len(), &values());
                 Some(Columns::Array(ArrayColumns { unnamed: true, ..array }))
             }
-            Meaning::Position => Some(Columns::Poses(vec![positions(&stamps, &values())])),
-            Meaning::Nothing => None,
+            ColumnMeaning::Position => {
+                Some(Columns::Poses(vec![position_columns(&stamps, &values())]))
+            }
+            ColumnMeaning::Unused => None,
         };
         let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
         let labels = names.get(3..).filter(|_| is_pose).and_then(names::rotation_labels);
@@ -791,13 +849,13 @@ impl Group {
         };
         let cells = cells.iter().enumerate().map(cell).collect();
         let rows = stamps.len() as u64;
-        Found { topic, kind, why, cells, contradiction, columns, rows, unstamped, damaged }
+        TableTopic { topic, kind, why, cells, contradiction, columns, rows, unstamped, damaged }
     }
 }
 
 fn joints(stamps: &[RowStamps], names: &[String], values: &[f64], unnamed: bool) -> JointColumns {
     let mut times = Times::default();
-    stamps.iter().for_each(|stamp| times.push(stamp.own, stamp.row, stamp.row));
+    stamps.iter().for_each(|stamp| times.push(stamp.column_ns, stamp.row_ns, stamp.row_ns));
     let mut joints = JointColumns { times, unnamed, ..JointColumns::default() };
     for (at, name) in names.iter().enumerate() {
         let logged = values.iter().skip(at).step_by(names.len()).copied();

@@ -10,7 +10,6 @@ mod clock;
 mod csv;
 mod hdf5;
 mod lerobot;
-mod lost;
 mod meaning;
 mod names;
 mod npy;
@@ -18,6 +17,7 @@ mod pages;
 mod parquet;
 mod repeats;
 mod rlds;
+mod row_losses;
 mod rsi;
 mod settings;
 #[cfg(test)]
@@ -35,8 +35,8 @@ use serde_json::Value;
 use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
-use super::mapped::Mapped;
-use super::memory::Memory;
+use super::mapped::MappedFile;
+use super::memory_budget::MemoryBudget;
 use super::{Container, Extent, LogError, TableCell};
 use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, is_usable};
 use ground::time::NANOS_PER_SECOND;
@@ -45,27 +45,28 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 pub(super) use self::csv::{has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
-pub(super) use self::lerobot::files_of;
-pub use self::lerobot::{dataset_of, is_dataset};
-pub(super) use self::lost::{Candidate, Refusal, RowLoss};
+pub(super) use self::lerobot::dataset_files;
+pub use self::lerobot::{enclosing_dataset, is_dataset};
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
-pub(super) use self::rlds::beside as declared_beside;
+pub(super) use self::rlds::metadata_files as declared_beside;
+pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::tfrecord::has_record;
 pub(super) use self::zarr::is_zip_store;
-pub use self::zarr::{files_of_store, is_store};
+pub use self::zarr::{is_store, store_files};
 
 /// Maximum number of episodes in one audit.
-const MOST_EPISODES: usize = 100;
+const MAX_EPISODES: usize = 100;
 /// Maximum number of columns that are read from a table.
-const MOST_COLUMNS: usize = 2000;
+const MAX_COLUMNS: usize = 2000;
 /// Maximum numbers per row in one column; larger arrays are images.
-const MOST_WIDE: usize = 256;
+const MAX_WIDTH: usize = 256;
 /// Maximum size of a metadata file, bytes. Real ones have up to about 100 kB, and parsed JSON takes up to
 /// 60 times as much memory.
-const MOST_METADATA: u64 = 4 << 20;
+const MAX_METADATA_BYTES: u64 = 4 << 20;
 /// Attributes that hold a rate.
-const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
+const RATE_NAMES: &[&str] =
+    &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
 /// Rows of one episode.
 #[derive(Clone, Debug, Default)]
@@ -87,9 +88,9 @@ pub(super) struct Table {
 }
 
 /// Where the readers report losses and account for memory.
-pub(super) struct Context<'a> {
+pub(super) struct ReadContext<'a> {
     pub losses: &'a mut Losses,
-    pub memory: &'a mut Memory,
+    pub memory: &'a mut MemoryBudget,
 }
 
 impl Table {
@@ -127,14 +128,14 @@ pub(super) struct Column {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowStamps {
     /// Stamp of the column's own clock, if it has one.
-    own: i64,
+    column_ns: i64,
     /// Stamp of the table row.
-    row: i64,
+    row_ns: i64,
 }
 
 impl From<i64> for RowStamps {
     fn from(stamp: i64) -> Self {
-        Self { own: stamp, row: stamp }
+        Self { column_ns: stamp, row_ns: stamp }
     }
 }
 
@@ -142,7 +143,7 @@ type Episodes = Vec<(String, Table)>;
 
 /// Format of a file with tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Kind {
+pub(super) enum TableFormat {
     Npy,
     Npz,
     Parquet,
@@ -153,7 +154,7 @@ pub(super) enum Kind {
     TfRecord,
 }
 
-impl Kind {
+impl TableFormat {
     pub(super) fn container(self) -> Container {
         match self {
             Self::Npy => Container::Npy,
@@ -171,13 +172,13 @@ impl Kind {
 /// Everything read from the tables of a run.
 #[derive(Default)]
 pub(super) struct Tables {
-    streams: BTreeMap<String, Stream>,
+    streams: BTreeMap<String, TableStream>,
     /// Episodes read, in order.
     episodes: Vec<Episode>,
     /// Last receive time that was assigned, ns.
-    until: Option<i64>,
-    told: bool,
-    repeats: repeats::Repeats,
+    last_receive_ns: Option<i64>,
+    has_noted_clock: bool,
+    repeats: repeats::RepeatCounts,
 }
 
 /// An episode that was read.
@@ -190,7 +191,7 @@ struct Episode {
 }
 
 /// A topic made of columns.
-struct Stream {
+struct TableStream {
     channel: ChannelId,
     columns: Columns,
     /// Indices of the episodes that have it.
@@ -198,7 +199,7 @@ struct Stream {
 }
 
 /// Columns that form one topic, with the reason.
-pub(super) struct Found {
+pub(super) struct TableTopic {
     pub topic: String,
     pub kind: String,
     pub why: String,
@@ -214,11 +215,11 @@ pub(super) struct Found {
 }
 
 /// Why an episode is rejected.
-enum Refused {
+enum EpisodeError {
     /// Its columns or its stamps cannot be identified.
-    Question(String),
+    Unidentified(String),
     /// Its rows are not usable.
-    Rows(String),
+    UnusableRows(String),
 }
 
 impl Tables {
@@ -226,40 +227,44 @@ impl Tables {
     /// the losses.
     pub(super) fn read(
         &mut self,
-        kind: Kind,
+        kind: TableFormat,
         (path, place): (&Path, &Path),
         bytes: &[u8],
         (settings, wanted): (&ColumnSettings, Option<&str>),
-        context: &mut Context<'_>,
+        context: &mut ReadContext<'_>,
         intake: &mut Intake,
     ) -> Result<(), LogError> {
         let dataset = match kind {
-            Kind::Parquet => lerobot::above(path),
-            Kind::TfRecord => rlds::declared(path),
+            TableFormat::Parquet => lerobot::enclosing_metadata(path),
+            TableFormat::TfRecord => rlds::declared_dataset(path),
             _ => None,
         };
         let dataset = dataset.and_then(|read| {
             read.map_err(|what| context.losses.add_unplaced(Extent::Index, None, what)).ok()
         });
         let read = match kind {
-            Kind::Npy => npy::npy(bytes, context),
-            Kind::Npz => npy::npz(bytes, context),
-            Kind::Csv => csv::read(bytes, context),
-            Kind::Rsi => rsi::read(bytes, context),
-            Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref(), wanted, context),
-            Kind::Hdf5 => hdf5::read(owned(place, bytes), wanted, context),
-            Kind::Zarr if place.is_dir() => zarr::read(zarr::At::Folder(place), wanted, context),
-            Kind::Zarr => zarr::read(zarr::At::Bytes(bytes), wanted, context),
-            Kind::TfRecord => {
+            TableFormat::Npy => npy::read_npy(bytes, context),
+            TableFormat::Npz => npy::read_npz(bytes, context),
+            TableFormat::Csv => csv::read(bytes, context),
+            TableFormat::Rsi => rsi::read(bytes, context),
+            TableFormat::Parquet => {
+                parquet::read(owned_bytes(place, bytes), dataset.as_ref(), wanted, context)
+            }
+            TableFormat::Hdf5 => hdf5::read(owned_bytes(place, bytes), wanted, context),
+            TableFormat::Zarr if place.is_dir() => {
+                zarr::read(zarr::StoreLocation::Folder(place), wanted, context)
+            }
+            TableFormat::Zarr => zarr::read(zarr::StoreLocation::Bytes(bytes), wanted, context),
+            TableFormat::TfRecord => {
                 let declared = dataset.as_ref();
                 let width = |name: &str| declared.and_then(|dataset| dataset.width(name));
                 tfrecord::read(bytes, wanted, width, context)
             }
         };
-        let too_many = || LogError::Episodes { path: path.to_owned(), most: MOST_EPISODES };
+        let too_many = || LogError::Episodes { path: path.to_owned(), most: MAX_EPISODES };
         let mut episodes = match read {
             Ok(episodes) => episodes,
-            Err(Refusal::Episodes) => return Err(too_many()),
+            Err(TableError::Episodes) => return Err(too_many()),
             Err(refusal) => {
                 refusal.report(None, context.losses);
                 return Ok(());
@@ -275,16 +280,16 @@ impl Tables {
             }
         }
         let count = episodes.len();
-        if self.episodes.len() + count > MOST_EPISODES {
+        if self.episodes.len() + count > MAX_EPISODES {
             return Err(too_many());
         }
-        let home = dataset_of(path).filter(|_| kind == Kind::Parquet);
+        let home = enclosing_dataset(path).filter(|_| kind == TableFormat::Parquet);
         let home = home.unwrap_or_else(|| path.to_owned());
         if let Some(dataset) = dataset {
             for (_, table) in &mut episodes {
                 dataset.describe(table);
             }
-            intake.declared(dataset.robot.as_deref());
+            intake.declare_metadata(dataset.robot.as_deref());
             for what in dataset.contradictions(&episodes) {
                 intake.contradiction(path, what);
             }
@@ -300,12 +305,12 @@ impl Tables {
             }
             let (home, file) = (home.clone(), path.to_owned());
             self.episodes.push(Episode { home, file, name, rows: table.rows });
-            match self.take(path, &label, &table, settings, (context.losses, intake)) {
+            match self.add_episode(path, &label, &table, settings, (context.losses, intake)) {
                 Ok(()) => {}
-                Err(Refused::Question(what)) => {
+                Err(EpisodeError::Unidentified(what)) => {
                     return Err(LogError::Columns { path: path.to_owned(), what });
                 }
-                Err(Refused::Rows(what)) => {
+                Err(EpisodeError::UnusableRows(what)) => {
                     let rows = (table.rows > 0).then_some(table.rows as u64);
                     context.losses.add_unplaced(Extent::Messages, rows, format!("{label}{what}"));
                 }
@@ -315,32 +320,35 @@ impl Tables {
     }
 
     /// Adds one episode.
-    fn take(
+    fn add_episode(
         &mut self,
         path: &Path,
         label: &str,
         table: &Table,
         settings: &ColumnSettings,
         (losses, intake): (&mut Losses, &mut Intake),
-    ) -> Result<(), Refused> {
+    ) -> Result<(), EpisodeError> {
         if table.rows < 2 {
-            return Err(Refused::Rows(format!("it has {} rows", table.rows)));
+            return Err(EpisodeError::UnusableRows(format!("it has {} rows", table.rows)));
         }
-        let clock = clock::of(table, settings).map_err(Refused::Question)?;
-        let found = meaning::of(table, &clock, settings).map_err(Refused::Question)?;
+        let clock = clock::detect(table, settings).map_err(EpisodeError::Unidentified)?;
+        let found = meaning::identify_topics(table, &clock, settings)
+            .map_err(EpisodeError::Unidentified)?;
         if found.iter().all(|found| found.columns.is_none()) {
-            return Err(Refused::Rows("it holds no numbers besides its times".to_owned()));
+            return Err(EpisodeError::UnusableRows(
+                "it holds no numbers besides its times".to_owned(),
+            ));
         }
-        lost::report_unstamped(table, &clock, label, losses);
-        let shift = self.shift(clock.first(), clock.last());
+        row_losses::report_unstamped(table, &clock, label, losses);
+        let shift = self.receive_offset_ns(clock.first(), clock.last());
         let span =
             [clock.first(), clock.last()].map(|stamp| stamp.saturating_add(shift).max(0) as u64);
-        if !std::mem::replace(&mut self.told, true) {
-            intake.note(path, clock.said.clone());
+        if !std::mem::replace(&mut self.has_noted_clock, true) {
+            intake.note(path, clock.description.clone());
         }
-        intake.timed_by(clock.told.as_deref());
+        intake.set_time_column(clock.unnamed_column.as_deref());
         if table.rate_hz.is_some() {
-            intake.declared(None);
+            intake.declare_metadata(None);
         }
         self.repeats.count(&found);
         if let Some(what) = clock.contradiction(table) {
@@ -349,7 +357,7 @@ impl Tables {
         let episode = self.episodes.len().saturating_sub(1);
         for mut found in found {
             let (unstamped, damaged) = (found.unstamped, found.damaged.take());
-            let Found { topic, kind, why, cells, contradiction, columns, rows, .. } = found;
+            let TableTopic { topic, kind, why, cells, contradiction, columns, rows, .. } = found;
             if let Some(what) = contradiction {
                 intake.contradiction(path, what);
             }
@@ -385,7 +393,7 @@ impl Tables {
                 }
                 None => {
                     let episodes = BTreeSet::from([episode]);
-                    self.streams.insert(topic, Stream { channel, columns, episodes });
+                    self.streams.insert(topic, TableStream { channel, columns, episodes });
                 }
             }
         }
@@ -394,32 +402,34 @@ impl Tables {
 
     /// Offset from the stamps of an episode to its receive times, ns. Each episode restarts its clock, so
     /// episodes are placed one after another.
-    fn shift(&mut self, first: i64, last: i64) -> i64 {
-        const APART: i64 = NANOS_PER_SECOND / 1000;
-        let shift = match self.until {
-            Some(until) if first <= until => until.saturating_add(APART).saturating_sub(first),
+    fn receive_offset_ns(&mut self, first: i64, last: i64) -> i64 {
+        const EPISODE_GAP_NS: i64 = NANOS_PER_SECOND / 1000;
+        let shift = match self.last_receive_ns {
+            Some(until) if first <= until => {
+                until.saturating_add(EPISODE_GAP_NS).saturating_sub(first)
+            }
             _ => 0,
         };
-        self.until = Some(last.saturating_add(shift));
+        self.last_receive_ns = Some(last.saturating_add(shift));
         shift
     }
 
     /// Passes the columns of all tables to `intake`, and reports the episodes that lack a column of the
     /// others.
-    pub(super) fn hand_over(self, intake: &mut Intake) {
+    pub(super) fn finish(self, intake: &mut Intake) {
         for (topic, stream) in &self.streams {
             self.report_missing(topic, stream, intake);
         }
-        if self.told {
+        if self.has_noted_clock {
             intake.repeats(self.repeats.in_all());
         }
-        for Stream { channel, columns, .. } in self.streams.into_values() {
+        for TableStream { channel, columns, .. } in self.streams.into_values() {
             intake.columns(channel, columns);
         }
     }
 
     /// Reports the episodes without a topic that at least half of the episodes of their file have.
-    fn report_missing(&self, topic: &str, stream: &Stream, intake: &mut Intake) {
+    fn report_missing(&self, topic: &str, stream: &TableStream, intake: &mut Intake) {
         let of_home = |home: &Path| {
             let all = self.episodes.iter().enumerate();
             all.filter(|(_, episode)| episode.home == home).map(|(at, _)| at).collect::<Vec<_>>()
@@ -434,7 +444,7 @@ impl Tables {
                 continue;
             }
             for Episode { file, name, rows, .. } in missing.iter().map(|at| &self.episodes[*at]) {
-                let mut losses = Losses::of(file);
+                let mut losses = Losses::new(file);
                 let what =
                     format!("episode {name} has no usable '{topic}', which other episodes have");
                 losses.add_unplaced(Extent::Messages, Some(*rows as u64), what);
@@ -446,14 +456,14 @@ impl Tables {
 
 /// The bytes as an owned buffer: a memory map of the file at `place` if it has the same content, otherwise
 /// a copy.
-fn owned(place: &Path, bytes: &[u8]) -> Bytes {
-    const HEAD: usize = 64;
-    let is_it = |mapped: &Mapped| {
+fn owned_bytes(place: &Path, bytes: &[u8]) -> Bytes {
+    const COMPARED_BYTES: usize = 64;
+    let is_it = |mapped: &MappedFile| {
         let own = mapped.bytes();
-        let head = HEAD.min(bytes.len());
+        let head = COMPARED_BYTES.min(bytes.len());
         own.len() == bytes.len() && own[..head] == bytes[..head]
     };
-    match Mapped::open(place).ok().filter(is_it) {
+    match MappedFile::open(place).ok().filter(is_it) {
         Some(mapped) => Bytes::from_owner(mapped),
         None => Bytes::copy_from_slice(bytes),
     }
@@ -504,11 +514,11 @@ fn extend(to: &mut Times, more: &Times) {
 }
 
 /// Bare numbers, `width` per row. Rows with an unusable number are counted and omitted.
-pub(super) fn array(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
+pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
     let mut array = ArrayColumns { width, ..ArrayColumns::default() };
     for (stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
         if row.iter().all(|value| is_usable(*value)) {
-            array.times.push(stamp.own, stamp.row, stamp.row);
+            array.times.push(stamp.column_ns, stamp.row_ns, stamp.row_ns);
             array.values.extend_from_slice(row);
         } else {
             array.not_finite += 1;
@@ -518,8 +528,8 @@ pub(super) fn array(stamps: &[RowStamps], width: usize, values: &[f64]) -> Array
 }
 
 /// Positions without orientations.
-fn positions(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
-    let array = array(stamps, 3, values);
+fn position_columns(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
+    let array = array_columns(stamps, 3, values);
     PoseColumns {
         xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
         q_xyzw: vec![[0.0; 4]; array.times.len()],
@@ -537,7 +547,7 @@ fn is_rate(rate_hz: &f64) -> bool {
 /// Rate in the attributes.
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
-    let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
+    let own = RATE_NAMES.iter().find_map(|name| all.get(*name)?.as_f64());
     own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
 }
 
@@ -545,15 +555,15 @@ fn rate_in(value: &Value) -> Option<f64> {
 /// number.
 fn common_rows(shapes: &[Vec<usize>]) -> usize {
     /// Minimum ratio of the second side to the first for an array to count as transposed.
-    const WIDER: usize = 4;
+    const MIN_ASPECT: usize = 4;
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
     for shape in shapes {
         if let Some(rows) = shape.first() {
             *votes.entry(*rows).or_default() += 1;
         }
         if let &[columns, rows] = shape.as_slice()
-            && (1..=MOST_WIDE).contains(&columns)
-            && rows / WIDER > columns
+            && (1..=MAX_WIDTH).contains(&columns)
+            && rows / MIN_ASPECT > columns
         {
             *votes.entry(rows).or_default() += 1;
         }
@@ -563,12 +573,12 @@ fn common_rows(shapes: &[Vec<usize>]) -> usize {
 }
 
 /// Whether an array of that shape is transposed in a table with so many rows.
-fn lies_on_side(shape: &[usize], rows: usize) -> bool {
+fn is_transposed(shape: &[usize], rows: usize) -> bool {
     matches!(shape, &[columns, own] if own == rows && columns < rows)
 }
 
 /// The most frequent number of rows.
-fn usual(rows: impl Iterator<Item = usize>) -> usize {
+fn most_frequent(rows: impl Iterator<Item = usize>) -> usize {
     let rows: Vec<usize> = rows.collect();
     let count = |of: usize| rows.iter().filter(|own| **own == of).count();
     rows.iter().copied().max_by_key(|&of| (count(of), of)).unwrap_or(0)
@@ -578,24 +588,32 @@ fn usual(rows: impl Iterator<Item = usize>) -> usize {
 /// tables.
 pub fn episodes(path: &Path) -> Vec<String> {
     if is_store(path) {
-        return several(zarr::episodes_in(zarr::At::Folder(path)));
+        return if_several(zarr::episodes_in(zarr::StoreLocation::Folder(path)));
     }
-    let Some(mapped) = Mapped::open(path).ok() else { return Vec::new() };
-    several(match crate::sniff::kind(mapped.bytes()) {
-        crate::sniff::Kind::Table(Kind::Parquet) => parquet::episodes_in(Bytes::from_owner(mapped)),
-        crate::sniff::Kind::Table(Kind::Hdf5) => hdf5::episodes_in(Bytes::from_owner(mapped)),
-        crate::sniff::Kind::Table(Kind::Zarr) => zarr::episodes_in(zarr::At::Bytes(mapped.bytes())),
-        crate::sniff::Kind::Table(Kind::TfRecord) => tfrecord::episodes_in(mapped.bytes()),
+    let Some(mapped) = MappedFile::open(path).ok() else { return Vec::new() };
+    if_several(match crate::file_format::detect_format(mapped.bytes()) {
+        crate::file_format::FileFormat::Table(TableFormat::Parquet) => {
+            parquet::episodes_in(Bytes::from_owner(mapped))
+        }
+        crate::file_format::FileFormat::Table(TableFormat::Hdf5) => {
+            hdf5::episodes_in(Bytes::from_owner(mapped))
+        }
+        crate::file_format::FileFormat::Table(TableFormat::Zarr) => {
+            zarr::episodes_in(zarr::StoreLocation::Bytes(mapped.bytes()))
+        }
+        crate::file_format::FileFormat::Table(TableFormat::TfRecord) => {
+            tfrecord::episodes_in(mapped.bytes())
+        }
         _ => return Vec::new(),
     })
 }
 
-fn several(names: Result<Vec<String>, Refusal>) -> Vec<String> {
+fn if_several(names: Result<Vec<String>, TableError>) -> Vec<String> {
     names.ok().filter(|names| names.len() > 1).unwrap_or_default()
 }
 
 /// Splits a path from an episode name after `#`, unless the whole path exists as a file.
-pub fn episode_of(path: &Path) -> (PathBuf, Option<String>) {
+pub fn split_episode(path: &Path) -> (PathBuf, Option<String>) {
     let split = || {
         let (file, episode) = path.to_str()?.rsplit_once('#')?;
         let file = PathBuf::from(file);

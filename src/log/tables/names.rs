@@ -4,8 +4,8 @@ use crate::RotationLabels;
 
 /// Whether a name belongs to a transition between two states, of which a run has one fewer than states:
 /// actions, rewards and episode ends, as Gymnasium environments return from `step`.
-pub(super) fn is_of_steps(name: &str) -> bool {
-    const STEPS: &[&str] = &[
+pub(super) fn is_transition(name: &str) -> bool {
+    const TRANSITION_WORDS: &[&str] = &[
         "action",
         "actions",
         "reward",
@@ -17,13 +17,13 @@ pub(super) fn is_of_steps(name: &str) -> bool {
         "success",
         "discount",
     ];
-    words(name).iter().any(|word| STEPS.contains(&word.as_str()))
+    words(name).iter().any(|word| TRANSITION_WORDS.contains(&word.as_str()))
 }
 
 /// Whether a name indicates joint positions or a pose.
-pub(super) fn is_of_arm(name: &str) -> bool {
+pub(super) fn is_joints_or_pose(name: &str) -> bool {
     let words = words(name);
-    are_joints(&words) || is_pose(&words)
+    is_joint_positions(&words) || is_pose(&words)
 }
 
 /// Lower-case words of a name. Splits at characters other than letters and digits, before a capital that
@@ -46,7 +46,7 @@ pub(super) fn words(name: &str) -> Vec<String> {
 }
 
 /// Words for velocities.
-const VELOCITIES: &[&str] = &[
+const VELOCITY_WORDS: &[&str] = &[
     "vel",
     "vels",
     "velocity",
@@ -61,7 +61,7 @@ const VELOCITIES: &[&str] = &[
 ];
 
 /// Words for numbers that are neither joint positions nor poses.
-const OTHERS: &[&str] = &[
+const OTHER_WORDS: &[&str] = &[
     "ddq",
     "qdd",
     "qddot",
@@ -118,11 +118,11 @@ const OTHERS: &[&str] = &[
 ];
 
 /// Words for grippers.
-pub(super) const GRIPPERS: &[&str] =
+pub(super) const GRIPPER_WORDS: &[&str] =
     &["gripper", "grippers", "finger", "fingers", "jaw", "claw", "hand"];
 
 /// Words for joint positions.
-const JOINTS: &[&str] = &[
+const JOINT_WORDS: &[&str] = &[
     "q",
     "qpos",
     "joint",
@@ -136,10 +136,10 @@ const JOINTS: &[&str] = &[
     "servo",
 ];
 /// Parts of arms in joint names.
-const LIMBS: &[&str] =
+const LIMB_WORDS: &[&str] =
     &["shoulder", "elbow", "wrist", "waist", "forearm", "upperarm", "joint", "arm"];
 /// Words in the stem of a numbered joint name that do not name the joint.
-const PLAIN: &[&str] = &[
+const GENERIC_WORDS: &[&str] = &[
     "actual",
     "measured",
     "state",
@@ -179,10 +179,10 @@ const PLAIN: &[&str] = &[
     "aipos",
 ];
 /// Words for the position of a tool.
-const POSITIONS: &[&str] =
+const POSITION_WORDS: &[&str] =
     &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
 /// Words for the rotation of a tool.
-const ROTATIONS: &[&str] = &[
+const ROTATION_WORDS: &[&str] = &[
     "quat",
     "quats",
     "quaternion",
@@ -206,12 +206,12 @@ const ROTATIONS: &[&str] = &[
     "angle",
 ];
 /// Rotation words that mean a quaternion.
-const QUATERNIONS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
+const QUATERNION_WORDS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
 /// Words for poses, also for columns of bare numbers.
-const POSES: &[&str] =
+const POSE_WORDS: &[&str] =
     &["pose", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand"];
 /// Words for units.
-const UNITS: &[&str] = &[
+const UNIT_WORDS: &[&str] = &[
     "m",
     "mm",
     "cm",
@@ -232,7 +232,7 @@ const UNITS: &[&str] = &[
 ];
 /// Names of three rotation angles by vendors and libraries, in order: FANUC's W P R, KUKA's A B C,
 /// Kawasaki's O A T, Epson's U V W and textbook notations.
-const LABELS: &[[&str; 3]] = &[
+const ANGLE_LABELS: &[[&str; 3]] = &[
     ["rx", "ry", "rz"],
     ["roll", "pitch", "yaw"],
     ["rr", "rp", "ry"],
@@ -245,21 +245,23 @@ const LABELS: &[[&str; 3]] = &[
     ["phi", "theta", "psi"],
 ];
 
-fn has(words: &[String], known: &[&str]) -> bool {
+fn contains_any(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
 }
 
 /// Whether a name indicates velocities or other quantities that are not audited.
-pub(super) fn is_other(words: &[String]) -> bool {
-    has(words, OTHERS) || has(words, VELOCITIES) || is_motor_current(words)
+pub(super) fn is_other_quantity(words: &[String]) -> bool {
+    contains_any(words, OTHER_WORDS)
+        || contains_any(words, VELOCITY_WORDS)
+        || is_motor_current(words)
 }
 
 /// Whether a name indicates joint velocities.
-pub(super) fn are_velocities(words: &[String]) -> bool {
-    let of_tool = |word: &String| POSES.contains(&word.as_str()) || word.as_str() == "linear";
-    has(words, VELOCITIES)
-        && !has(words, OTHERS)
-        && !has(words, GRIPPERS)
+pub(super) fn is_joint_velocities(words: &[String]) -> bool {
+    let of_tool = |word: &String| POSE_WORDS.contains(&word.as_str()) || word.as_str() == "linear";
+    contains_any(words, VELOCITY_WORDS)
+        && !contains_any(words, OTHER_WORDS)
+        && !contains_any(words, GRIPPER_WORDS)
         && !words.iter().any(of_tool)
         && !is_motor_current(words)
 }
@@ -269,9 +271,9 @@ fn is_motor_current(words: &[String]) -> bool {
     let is_measured = |word: &String| {
         let word = word.as_str();
         let is_short = matches!(word, "p" | "t");
-        let is_part = POSITIONS.contains(&word) || ROTATIONS.contains(&word);
+        let is_part = POSITION_WORDS.contains(&word) || ROTATION_WORDS.contains(&word);
         (is_part && !is_short)
-            || POSES.contains(&word)
+            || POSE_WORDS.contains(&word)
             || matches!(word, "x" | "y" | "z" | "q" | "qpos" | "jpos" | "state" | "states")
     };
     let at = words.iter().position(|word| word == "current");
@@ -280,7 +282,7 @@ fn is_motor_current(words: &[String]) -> bool {
 
 /// Words that a joint's position and velocity columns share, such as its number, side or `target`.
 pub(super) fn shared_words(words: &[String]) -> Vec<String> {
-    const NEUTRAL: &[&str] = &[
+    const NEUTRAL_WORDS: &[&str] = &[
         "state",
         "states",
         "observation",
@@ -304,31 +306,36 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
     ];
     let is_neutral = |word: &String| {
         let word = word.as_str();
-        [VELOCITIES, POSITIONS, JOINTS, UNITS, NEUTRAL].iter().any(|known| known.contains(&word))
+        [VELOCITY_WORDS, POSITION_WORDS, JOINT_WORDS, UNIT_WORDS, NEUTRAL_WORDS]
+            .iter()
+            .any(|known| known.contains(&word))
     };
     words.iter().filter(|word| !is_neutral(word)).cloned().collect()
 }
 
 /// Whether a name can mean desired positions as well as velocities: `qd`.
 pub(super) fn is_ambiguous_velocity(words: &[String]) -> bool {
-    has(words, &["qd"])
+    contains_any(words, &["qd"])
 }
 
 pub(super) fn is_gripper(words: &[String]) -> bool {
-    has(words, GRIPPERS) && !has(words, &["wrist"])
+    contains_any(words, GRIPPER_WORDS) && !contains_any(words, &["wrist"])
 }
 
 /// Whether the name of a column of bare numbers indicates joint positions.
-pub(super) fn are_joints(words: &[String]) -> bool {
-    has(words, JOINTS) && !is_other(words) && !has(words, GRIPPERS) && !is_pose(words)
+pub(super) fn is_joint_positions(words: &[String]) -> bool {
+    contains_any(words, JOINT_WORDS)
+        && !is_other_quantity(words)
+        && !contains_any(words, GRIPPER_WORDS)
+        && !is_pose(words)
 }
 
 /// Whether the name of a column of bare numbers indicates poses.
 pub(super) fn is_pose(words: &[String]) -> bool {
-    let is_both = has(words, POSITIONS) && has(words, ROTATIONS);
-    (has(words, POSES) || is_both)
-        && !is_other(words)
-        && !has(words, &["joint", "joints", "gripper"])
+    let is_both = contains_any(words, POSITION_WORDS) && contains_any(words, ROTATION_WORDS);
+    (contains_any(words, POSE_WORDS) || is_both)
+        && !is_other_quantity(words)
+        && !contains_any(words, &["joint", "joints", "gripper"])
 }
 
 /// Row and column of the matrix element at the end of a name, from 0, and the words before it: `T_03`,
@@ -346,7 +353,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
         _ => return None,
     };
     let number: usize = text.parse().ok()?;
-    let is_of_pose = !stem.is_empty() && !is_other(stem) && !is_stem_of_joints(stem);
+    let is_of_pose = !stem.is_empty() && !is_other_quantity(stem) && !is_stem_of_joints(stem);
     (is_of_pose && number / 10 <= 4 && number % 10 <= 4)
         .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
@@ -354,14 +361,14 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
 /// Joint name in a column name, as models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
     let own = words(name);
-    if is_other(&own) {
+    if is_other_quantity(&own) {
         return None;
     }
     let bare = [".pos", "_pos", ".position", "_position", ".q", "_rad", "_deg"]
         .iter()
         .find_map(|end| name.strip_suffix(end))
         .unwrap_or(name);
-    (has(&own, LIMBS) || is_gripper(&own)).then(|| bare.to_owned())
+    (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
 }
 
 /// Stem and number of a name that contains a number.
@@ -372,7 +379,7 @@ pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     let stem: Vec<String> = words
         .iter()
         .enumerate()
-        .filter(|(other, word)| *other != at && !UNITS.contains(&word.as_str()))
+        .filter(|(other, word)| *other != at && !UNIT_WORDS.contains(&word.as_str()))
         .map(|(_, word)| word.clone())
         .collect();
     Some((stem, number))
@@ -383,15 +390,15 @@ pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
     let letters = stem.last().is_some_and(|word| ["a", "j", "jt", "rax"].contains(&word.as_str()));
     // `rostopic echo -p` of a JointState.
     let is_field = stem.ends_with(&["field".to_owned(), "position".to_owned()]);
-    let is_joint = has(stem, JOINTS) || letters || is_field;
+    let is_joint = contains_any(stem, JOINT_WORDS) || letters || is_field;
     is_joint
-        && !is_other(stem)
-        && (!is_pose(stem) || has(stem, &["joint", "joints"]))
-        && !has(stem, GRIPPERS)
+        && !is_other_quantity(stem)
+        && (!is_pose(stem) || contains_any(stem, &["joint", "joints"]))
+        && !contains_any(stem, GRIPPER_WORDS)
 }
 
 /// Prefix for the arm that a stem names, `left_` or `right_`; empty if it names neither.
-pub(super) fn side(stem: &[String]) -> String {
+pub(super) fn arm_prefix(stem: &[String]) -> String {
     let mut own = stem.iter().map(String::as_str);
     match own.find(|word| ["left", "right", "l", "r"].contains(word)) {
         Some("l") => "left_".to_owned(),
@@ -402,11 +409,11 @@ pub(super) fn side(stem: &[String]) -> String {
 }
 
 /// Whether a stem consists of generic words and a side.
-pub(super) fn is_plain(stem: &[String]) -> bool {
+pub(super) fn is_generic(stem: &[String]) -> bool {
     stem.iter().all(|word| {
         let word = word.as_str();
-        JOINTS.contains(&word)
-            || PLAIN.contains(&word)
+        JOINT_WORDS.contains(&word)
+            || GENERIC_WORDS.contains(&word)
             || ["left", "right", "l", "r"].contains(&word)
             || word.chars().all(|c| c.is_ascii_digit())
     })
@@ -414,54 +421,58 @@ pub(super) fn is_plain(stem: &[String]) -> bool {
 
 /// One component of a position or of a rotation.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub(super) enum Axis {
+pub(super) enum PoseComponent {
     /// x, y, z of a position or of a rotation.
     Xyz(usize),
     /// x, y, z of a position only.
     Position(usize),
     /// x, y, z of a rotation; of a quaternion if there is also a w.
-    Turn(usize),
+    Rotation(usize),
     /// x, y, z, w of a quaternion.
     Quaternion(usize),
-    /// Index into [`LABELS`], and index within that triple.
+    /// Index into [`ANGLE_LABELS`], and index within that triple.
     Label(usize, usize),
 }
 
 /// All pose components that a name may mean. Each comes with the remaining words, which the components of
 /// one pose share.
-pub(super) fn axes(name: &str) -> Vec<(Vec<String>, Axis)> {
+pub(super) fn pose_components(name: &str) -> Vec<(Vec<String>, PoseComponent)> {
     let words = words(name);
-    if is_other(&words) || is_gripper(&words) {
+    if is_other_quantity(&words) || is_gripper(&words) {
         return Vec::new();
     }
-    let of_rotation = has(&words, ROTATIONS);
+    let of_rotation = contains_any(&words, ROTATION_WORDS);
     let place = |all: &[&str], word: &str| all.iter().position(|axis| *axis == word);
     let mut found = Vec::new();
     for (at, word) in words.iter().enumerate() {
         let word = word.as_str();
         let before = |known: &str| words[..at].iter().any(|word| word == known);
-        let mut axes: Vec<Axis> = Vec::new();
+        let mut axes: Vec<PoseComponent> = Vec::new();
         if let Some(of) = place(&["x", "y", "z"], word) {
             axes.push(match () {
-                () if has(&words, QUATERNIONS) || before("q") => Axis::Quaternion(of),
-                () if of_rotation || before("r") => Axis::Turn(of),
-                () => Axis::Xyz(of),
+                () if contains_any(&words, QUATERNION_WORDS) || before("q") => {
+                    PoseComponent::Quaternion(of)
+                }
+                () if of_rotation || before("r") => PoseComponent::Rotation(of),
+                () => PoseComponent::Xyz(of),
             });
         }
         for position in [["px", "py", "pz"], ["tx", "ty", "tz"]] {
-            axes.extend(place(&position, word).map(Axis::Position));
+            axes.extend(place(&position, word).map(PoseComponent::Position));
         }
-        axes.extend(place(&["qx", "qy", "qz", "qw"], word).map(Axis::Quaternion));
+        axes.extend(place(&["qx", "qy", "qz", "qw"], word).map(PoseComponent::Quaternion));
         if word == "w" && (of_rotation || before("q")) {
-            axes.push(Axis::Quaternion(3));
+            axes.push(PoseComponent::Quaternion(3));
         } else {
-            let labels = LABELS.iter().enumerate();
+            let labels = ANGLE_LABELS.iter().enumerate();
             axes.extend(
-                labels.filter_map(|(label, all)| Some(Axis::Label(label, place(all, word)?))),
+                labels.filter_map(|(label, all)| {
+                    Some(PoseComponent::Label(label, place(all, word)?))
+                }),
             );
         }
         let rest = words.iter().enumerate().filter(|(other, _)| *other != at);
-        let key = key(rest.map(|(_, word)| word));
+        let key = pose_key(rest.map(|(_, word)| word));
         found.extend(axes.into_iter().map(|axis| (key.clone(), axis)));
     }
     found
@@ -469,22 +480,26 @@ pub(super) fn axes(name: &str) -> Vec<(Vec<String>, Axis)> {
 
 /// Rotation encoding indicated by the names of its numbers.
 pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
-    let has_axis = |name: &&str, wanted: Axis| axes(name).iter().any(|(_, axis)| *axis == wanted);
-    let is_all = |of: &dyn Fn(usize) -> Axis| {
+    let has_axis = |name: &&str, wanted: PoseComponent| {
+        pose_components(name).iter().any(|(_, axis)| *axis == wanted)
+    };
+    let is_all = |of: &dyn Fn(usize) -> PoseComponent| {
         names.iter().enumerate().all(|(at, name)| has_axis(name, of(at)))
     };
-    let are_named = |known: &[&str]| names.iter().all(|name| has(&words(name), known));
-    let label = |label: usize| is_all(&|at| Axis::Label(label, at));
+    let are_named = |known: &[&str]| names.iter().all(|name| contains_any(&words(name), known));
+    let label = |label: usize| is_all(&|at| PoseComponent::Label(label, at));
     match names.len() {
         4 => {
-            let by_letter = |at| if at < 3 { Axis::Turn(at) } else { Axis::Quaternion(3) };
-            let is_it = is_all(&Axis::Quaternion) || is_all(&by_letter);
+            let by_letter = |at| {
+                if at < 3 { PoseComponent::Rotation(at) } else { PoseComponent::Quaternion(3) }
+            };
+            let is_it = is_all(&PoseComponent::Quaternion) || is_all(&by_letter);
             is_it.then_some(RotationLabels::Quaternion)
         }
-        3 if label(1) || (are_named(&["rpy"]) && is_all(&Axis::Turn)) => {
+        3 if label(1) || (are_named(&["rpy"]) && is_all(&PoseComponent::Rotation)) => {
             Some(RotationLabels::RollPitchYaw)
         }
-        3 if are_named(&["rotvec", "rv", "axisangle"]) && is_all(&Axis::Turn) => {
+        3 if are_named(&["rotvec", "rv", "axisangle"]) && is_all(&PoseComponent::Rotation) => {
             Some(RotationLabels::RotationVector)
         }
         3 if label(4) => Some(RotationLabels::Abc),
@@ -494,17 +509,17 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-/// Number of triples that [`Axis::Label`] indexes.
-pub(super) fn labels() -> usize {
-    LABELS.len()
+/// Number of triples that [`PoseComponent::Label`] indexes.
+pub(super) fn label_count() -> usize {
+    ANGLE_LABELS.len()
 }
 
 /// Words that name a pose, without those for its parts and units.
-fn key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
+fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     let is_of_part = |word: &str| {
-        POSITIONS.contains(&word)
-            || ROTATIONS.contains(&word)
-            || UNITS.contains(&word)
+        POSITION_WORDS.contains(&word)
+            || ROTATION_WORDS.contains(&word)
+            || UNIT_WORDS.contains(&word)
             || word == "q"
             || word == "r"
     };
@@ -512,32 +527,33 @@ fn key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Words that name a pose in the stem of numbered names.
-pub(super) fn key_of(stem: &[String]) -> Vec<String> {
-    key(stem.iter())
+pub(super) fn pose_key_of_stem(stem: &[String]) -> Vec<String> {
+    pose_key(stem.iter())
 }
 
 /// The pose part that a column of bare numbers holds, and the words that name the pose.
-pub(super) fn part(name: &str, width: usize) -> Option<(Vec<String>, Part)> {
+pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePart)> {
     let words = words(name);
-    if is_other(&words) || has(&words, &["joint", "joints"]) || is_gripper(&words) {
+    if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper(&words)
+    {
         return None;
     }
-    let is_position = has(&words, POSITIONS);
+    let is_position = contains_any(&words, POSITION_WORDS);
     let part = match width {
-        3 if has(&words, ROTATIONS) => Part::Turn,
-        4 if has(&words, ROTATIONS) => Part::Quaternion,
-        9 if has(&words, ROTATIONS) && !is_position => Part::Matrix,
-        3 if is_position || is_pose(&words) => Part::Position,
+        3 if contains_any(&words, ROTATION_WORDS) => PosePart::Rotation,
+        4 if contains_any(&words, ROTATION_WORDS) => PosePart::Quaternion,
+        9 if contains_any(&words, ROTATION_WORDS) && !is_position => PosePart::Matrix,
+        3 if is_position || is_pose(&words) => PosePart::Position,
         _ => return None,
     };
-    Some((key(words.iter()), part))
+    Some((pose_key(words.iter()), part))
 }
 
 /// A part of a pose.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Part {
+pub(super) enum PosePart {
     Position,
-    Turn,
+    Rotation,
     Quaternion,
     /// Nine numbers of a rotation matrix.
     Matrix,
@@ -547,28 +563,28 @@ pub(super) enum Part {
 mod tests {
     use super::*;
 
-    fn is(name: &str) -> Vec<(String, Axis)> {
-        axes(name).into_iter().map(|(key, axis)| (key.join(" "), axis)).collect()
+    fn is(name: &str) -> Vec<(String, PoseComponent)> {
+        pose_components(name).into_iter().map(|(key, axis)| (key.join(" "), axis)).collect()
     }
 
     #[test]
     fn names_of_numbers_of_poses_are_read() {
         for (name, key, axis) in [
-            ("x", "", Axis::Xyz(0)),
-            ("tcp_qw", "tcp", Axis::Quaternion(3)),
-            ("pose.orientation.w", "pose", Axis::Quaternion(3)),
-            ("pose.position.y", "pose", Axis::Xyz(1)),
-            ("pose.orientation.x", "pose", Axis::Turn(0)),
-            ("ee_roll_deg", "ee", Axis::Label(1, 0)),
-            ("A_RIst", "rist", Axis::Label(4, 0)),
-            ("W [deg]", "", Axis::Label(5, 0)),
-            ("P", "", Axis::Label(5, 1)),
-            ("T", "", Axis::Label(6, 2)),
-            ("current_pos_x", "current", Axis::Xyz(0)),
-            ("goal_orientation_w", "goal", Axis::Quaternion(3)),
-            ("r_x", "", Axis::Turn(0)),
-            ("Z_RSol", "rsol", Axis::Xyz(2)),
-            ("rot_x", "", Axis::Turn(0)),
+            ("x", "", PoseComponent::Xyz(0)),
+            ("tcp_qw", "tcp", PoseComponent::Quaternion(3)),
+            ("pose.orientation.w", "pose", PoseComponent::Quaternion(3)),
+            ("pose.position.y", "pose", PoseComponent::Xyz(1)),
+            ("pose.orientation.x", "pose", PoseComponent::Rotation(0)),
+            ("ee_roll_deg", "ee", PoseComponent::Label(1, 0)),
+            ("A_RIst", "rist", PoseComponent::Label(4, 0)),
+            ("W [deg]", "", PoseComponent::Label(5, 0)),
+            ("P", "", PoseComponent::Label(5, 1)),
+            ("T", "", PoseComponent::Label(6, 2)),
+            ("current_pos_x", "current", PoseComponent::Xyz(0)),
+            ("goal_orientation_w", "goal", PoseComponent::Quaternion(3)),
+            ("r_x", "", PoseComponent::Rotation(0)),
+            ("Z_RSol", "rsol", PoseComponent::Xyz(2)),
+            ("rot_x", "", PoseComponent::Rotation(0)),
         ] {
             assert!(is(name).contains(&(key.to_owned(), axis)), "{name}: {:?}", is(name));
         }

@@ -1,31 +1,31 @@
-//! NumPy's `.npy` arrays and `.npz` archives of them.
+//! NumPy's `.read_npy` arrays and `.read_npz` archives of them.
 //!
 //! Format: NumPy Enhancement Proposal 1 (`numpy.lib.format`), versions 1 to 3.
 
 use std::io::{Cursor, Read};
 
-use super::chunks::within;
+use super::chunks::unravel_index;
 use super::{
-    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, common_rows,
-    lies_on_side,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, Table, TableError,
+    common_rows, is_transposed,
 };
-use crate::memory::Memory;
+use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Maximum header length, bytes.
-const MOST_HEADER: usize = 1 << 16;
+const MAX_HEADER_BYTES: usize = 1 << 16;
 
 /// Type of one element.
 #[derive(Clone, Copy, PartialEq, Debug)]
-pub(super) struct Kind {
+pub(super) struct ElementType {
     letter: u8,
     size: usize,
     is_big: bool,
 }
 
-impl Kind {
+impl ElementType {
     /// Parses a type such as `<f8`; `None` if it is not numeric.
-    pub fn of(text: &str) -> Option<Self> {
+    pub fn parse(text: &str) -> Option<Self> {
         let bare = text.trim_start_matches(['<', '>', '|', '=']);
         let (letter, size) = bare.split_at_checked(1)?;
         let (letter, size) = (letter.as_bytes()[0], size.parse().ok()?);
@@ -65,7 +65,7 @@ impl Kind {
         let raw = u64::from_le_bytes(own);
         let spare = 64 - 8 * self.size as u32;
         match (self.letter, self.size) {
-            (b'f', 2) => half(raw as u16),
+            (b'f', 2) => half_to_f64(raw as u16),
             (b'f', 4) => f32::from_bits(raw as u32).into(),
             (b'f', _) => f64::from_bits(raw),
             (b'i', _) => ((raw << spare) as i64 >> spare) as f64,
@@ -75,7 +75,7 @@ impl Kind {
 }
 
 /// 16-bit float: sign, 5 bits of exponent, 10 of fraction.
-fn half(bits: u16) -> f64 {
+fn half_to_f64(bits: u16) -> f64 {
     let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
     let size = match exponent {
         0 => fraction * 2_f64.powi(-24),
@@ -90,48 +90,48 @@ fn half(bits: u16) -> f64 {
 /// column-major.
 #[derive(Clone)]
 struct Header {
-    fields: Vec<(String, Kind, usize, usize)>,
+    fields: Vec<(String, ElementType, usize, usize)>,
     row_bytes: usize,
     shape: Vec<usize>,
     is_fortran: bool,
 }
 
 /// Reads a single array.
-pub(super) fn npy(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
-    let (header, data) = header(bytes)?;
+pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let (header, data) = parse_header(bytes)?;
     let rows = common_rows(std::slice::from_ref(&header.shape));
-    let array = Array::of("array", header, data.len(), rows)?;
+    let array = NpyArray::new("array", header, data.len(), rows)?;
     let candidates = array.columns(data, context.memory)?;
     Ok(vec![("0".to_owned(), Table::of(candidates, None, context.memory))])
 }
 
 /// Reads an archive. Its arrays with the same number of rows form one table; a scalar called `fps` or
 /// similar is the rate. Members are unpacked one by one, only if their headers declare numbers.
-pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
     let (mut arrays, mut rate_hz) = (Vec::new(), None);
     let (mut unread, mut candidates) = (Vec::new(), Vec::new());
     let count = archive.len();
-    if count > MOST_COLUMNS {
-        let what = format!("{count} arrays; only {MOST_COLUMNS} are read");
-        Refusal::from(what).report(None, context.losses);
+    if count > MAX_COLUMNS {
+        let what = format!("{count} arrays; only {MAX_COLUMNS} are read");
+        TableError::from(what).report(None, context.losses);
     }
-    for index in 0..count.min(MOST_COLUMNS) {
+    for index in 0..count.min(MAX_COLUMNS) {
         let name = archive.name_for_index(index).and_then(Result::ok);
         let Some(name) = name.and_then(|name| name.strip_suffix(".npy").map(str::to_owned)) else {
             continue;
         };
-        match unpacked(&mut archive, index, MOST_HEADER as u64 + 64) {
-            Ok(head) => match header(&head) {
+        match unpack_member(&mut archive, index, MAX_HEADER_BYTES as u64 + 64) {
+            Ok(head) => match parse_header(&head) {
                 Ok((header, _)) if header.is_scalar() => {
-                    let rate = scalar(&head).filter(super::is_rate);
-                    rate_hz = rate.filter(|_| RATES.contains(&name.as_str())).or(rate_hz);
+                    let rate = scalar_value(&head).filter(super::is_rate);
+                    rate_hz = rate.filter(|_| RATE_NAMES.contains(&name.as_str())).or(rate_hz);
                 }
                 Ok((header, data)) => arrays.push((index, name, header, head.len() - data.len())),
                 Err(why) => unread.push((name, why.to_string())),
             },
-            Err(why) => why.of(&name).report(None, context.losses),
+            Err(why) => why.in_part(&name).report(None, context.losses),
         }
     }
     let shapes: Vec<Vec<usize>> =
@@ -139,7 +139,8 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
     let common = common_rows(&shapes);
     for (index, name, header, begin) in arrays {
         let needed = header.bytes().and_then(|bytes| bytes.checked_add(begin));
-        let array = match Array::of(&name, header, needed.unwrap_or(usize::MAX) - begin, common) {
+        let array = match NpyArray::new(&name, header, needed.unwrap_or(usize::MAX) - begin, common)
+        {
             Ok(array) => array,
             Err(why) => {
                 unread.push((name, why.to_string()));
@@ -149,15 +150,15 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
         let rows = array.rows;
         // The unpacked bytes and the numbers are in memory at the same time.
         let most = needed.unwrap_or(usize::MAX) as u64;
-        let read = context.memory.allows(most).map_err(Refusal::from);
+        let read = context.memory.check_available(most).map_err(TableError::from);
         // Read one extra byte to reach the end, which verifies the checksum.
-        let read = read.and_then(|()| unpacked(&mut archive, index, most.saturating_add(1)));
+        let read = read.and_then(|()| unpack_member(&mut archive, index, most.saturating_add(1)));
         let read = read.and_then(|content| {
             array.columns(content.get(begin..).unwrap_or_default(), context.memory)
         });
         match read {
             Ok(columns) => candidates.extend(columns),
-            Err(why) => candidates.push(Candidate::refused(&name, rows, why)),
+            Err(why) => candidates.push(ReadColumn::unreadable(&name, rows, why)),
         }
     }
     if candidates.is_empty() {
@@ -170,12 +171,12 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
 }
 
 /// Names of scalar arrays that hold a rate.
-const RATES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
+const RATE_NAMES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 
 /// First `most` bytes of an archive member.
-fn unpacked(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, Refusal> {
+fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, TableError> {
     let member = archive.by_index(index).map_err(|error| format!("it cannot be read: {error}"))?;
     let mut content = Vec::new();
     member
@@ -201,14 +202,14 @@ impl Header {
 }
 
 /// Number of a scalar array.
-fn scalar(bytes: &[u8]) -> Option<f64> {
-    let (header, data) = header(bytes).ok()?;
+fn scalar_value(bytes: &[u8]) -> Option<f64> {
+    let (header, data) = parse_header(bytes).ok()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
     (header.is_scalar() && data.len() >= kind.size).then(|| kind.read(data))
 }
 
 /// An array that fits a table.
-struct Array<'a> {
+struct NpyArray<'a> {
     name: &'a str,
     header: Header,
     rows: usize,
@@ -217,19 +218,19 @@ struct Array<'a> {
     is_record: bool,
 }
 
-impl<'a> Array<'a> {
+impl<'a> NpyArray<'a> {
     /// Checks the header of an array with `bytes` bytes of data. An array with `rows` columns is
     /// transposed.
-    fn of(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, Refusal> {
+    fn new(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, TableError> {
         let mut header = header;
-        if lies_on_side(&header.shape, rows) {
+        if is_transposed(&header.shape, rows) {
             header.shape.swap(0, 1);
             header.is_fortran = !header.is_fortran;
         }
         let rows = *header.shape.first().ok_or("it is a single number")?;
         let inner = header.shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         let inner = inner
-            .filter(|inner| (1..=MOST_WIDE).contains(inner))
+            .filter(|inner| (1..=MAX_WIDTH).contains(inner))
             .ok_or("its rows are images or empty")?;
         // Without data, the declared size is not credible.
         if header.bytes().is_none() || (rows > 0 && bytes == 0) {
@@ -243,7 +244,11 @@ impl<'a> Array<'a> {
     }
 
     /// Columns from the bytes available.
-    fn columns(&self, data: &[u8], memory: &mut Memory) -> Result<Vec<Candidate>, Refusal> {
+    fn columns(
+        &self,
+        data: &[u8],
+        memory: &mut MemoryBudget,
+    ) -> Result<Vec<ReadColumn>, TableError> {
         let Self { name, header, rows, inner, is_record } = self;
         let Header { fields, row_bytes, shape, is_fortran } = header;
         let (rows, inner) = (*rows, *inner);
@@ -255,7 +260,7 @@ impl<'a> Array<'a> {
             false => (elements / inner).min(rows),
         };
         let wide: usize = fields.iter().map(|(_, _, _, wide)| wide * inner).sum();
-        memory.take(there.saturating_mul(wide))?;
+        memory.reserve(there.saturating_mul(wide))?;
         let why = (there < rows).then(|| {
             let needed = rows.saturating_mul(inner).saturating_mul(*row_bytes);
             format!("truncated: {needed} bytes declared, {} present", data.len()).into()
@@ -271,22 +276,22 @@ impl<'a> Array<'a> {
                 // The first index varies fastest; the other dimensions are reordered to row-major.
                 (false, true) => (0..there)
                     .flat_map(|row| (0..inner).map(move |part| (row, part)))
-                    .map(|(row, part)| element(row + rows * transposed(part, &shape[1..])))
+                    .map(|(row, part)| element(row + rows * column_major_index(part, &shape[1..])))
                     .collect(),
             };
             let name = if field.is_empty() { (*name).to_owned() } else { field.clone() };
             let width = if *is_record { *wide } else { inner };
             let column = Column { name, kind: kind.name(), width, parts: Vec::new(), values };
-            Candidate { column, rows, lost: Vec::new(), why: Option::clone(&why) }
+            ReadColumn { column, rows, lost: Vec::new(), why: Option::clone(&why) }
         });
         Ok(columns.collect())
     }
 }
 
 /// Column-major index of the element with row-major index `part`.
-fn transposed(part: usize, sides: &[usize]) -> usize {
+fn column_major_index(part: usize, sides: &[usize]) -> usize {
     let mut step = 1;
-    within(part, sides)
+    unravel_index(part, sides)
         .iter()
         .zip(sides)
         .map(|(place, side)| {
@@ -298,26 +303,26 @@ fn transposed(part: usize, sides: &[usize]) -> usize {
 }
 
 /// Parses the header. Returns it with the bytes after it.
-fn header(bytes: &[u8]) -> Result<(Header, &[u8]), Refusal> {
-    let cut = || Refusal::from("truncated within its header");
+fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), TableError> {
+    let cut = || TableError::from("truncated within its header");
     let rest = bytes.strip_prefix(MAGIC).ok_or("not an NPY array")?;
     let (version, rest) = rest.split_at_checked(2).ok_or_else(cut)?;
     let wide = if version[0] >= 2 { 4 } else { 2 };
     let (length, rest) = rest.split_at_checked(wide).ok_or_else(cut)?;
     let length = length.iter().rev().fold(0, |all, byte| all << 8 | usize::from(*byte));
-    if length > MOST_HEADER {
+    if length > MAX_HEADER_BYTES {
         return Err(format!("its header has {length} bytes, too many").into());
     }
     let (text, data) = rest.split_at_checked(length).ok_or_else(cut)?;
     let text = std::str::from_utf8(text).map_err(|_| "its header is not text")?;
-    let header = parsed(text).ok_or(match text.contains("O'") {
+    let header = parse_header_text(text).ok_or(match text.contains("O'") {
         true => "it contains Python objects, which cannot be read; save plain arrays",
         false => "its header does not describe numbers",
     })?;
     Ok((header, data))
 }
 
-fn parsed(text: &str) -> Option<Header> {
+fn parse_header_text(text: &str) -> Option<Header> {
     let after =
         |key: &str| text.split_once(&format!("'{key}':")).map(|(_, rest)| rest.trim_start());
     let is_fortran = after("fortran_order")?.starts_with("True");
@@ -334,7 +339,7 @@ fn parsed(text: &str) -> Option<Header> {
     let mut at = 0;
     match kind.strip_prefix('[') {
         None => {
-            let kind = Kind::of(&quoted(kind)?)?;
+            let kind = ElementType::parse(&quoted(kind)?)?;
             fields.push((String::new(), kind, 0, 1));
             at = kind.size;
         }
@@ -347,7 +352,7 @@ fn parsed(text: &str) -> Option<Header> {
                 let behind =
                     field.get(name.len() + 2..)?.trim_start().strip_prefix(',')?.trim_start();
                 let kind_text = quoted(behind)?;
-                let kind = Kind::of(&kind_text)?;
+                let kind = ElementType::parse(&kind_text)?;
                 let behind = behind.get(kind_text.len() + 2..)?.trim_start();
                 let (wide, behind) = match behind.strip_prefix(',').map(str::trim_start) {
                     Some(sides) => {
@@ -355,7 +360,7 @@ fn parsed(text: &str) -> Option<Header> {
                         let sides = sides.split(',').map(str::trim).filter(|side| !side.is_empty());
                         let wide: Option<usize> =
                             sides.map(|side| side.parse::<usize>().ok()).product();
-                        (wide.filter(|wide| (1..=MOST_WIDE).contains(wide))?, behind)
+                        (wide.filter(|wide| (1..=MAX_WIDTH).contains(wide))?, behind)
                     }
                     None => (1, behind),
                 };
@@ -370,7 +375,7 @@ fn parsed(text: &str) -> Option<Header> {
 
 #[cfg(test)]
 mod tests {
-    use super::Kind;
+    use super::ElementType;
 
     /// Reference values from `numpy.float16`.
     #[test]
@@ -385,10 +390,11 @@ mod tests {
             (0xfc00, f64::NEG_INFINITY),
         ];
         for (bits, number) in cases {
-            let read = |kind: &str, bytes: [u8; 2]| Kind::of(kind).expect("known").read(&bytes);
+            let read =
+                |kind: &str, bytes: [u8; 2]| ElementType::parse(kind).expect("known").read(&bytes);
             assert_eq!(read("<f2", u16::to_le_bytes(bits)), number, "{bits:x}");
             assert_eq!(read(">f2", u16::to_be_bytes(bits)), number, "{bits:x}");
         }
-        assert!(Kind::of("<f2").expect("known").read(&[0xff, 0x7f]).is_nan());
+        assert!(ElementType::parse("<f2").expect("known").read(&[0xff, 0x7f]).is_nan());
     }
 }

@@ -6,7 +6,7 @@
 use parquet::column::page::PageMetadata;
 
 /// Maximum depth of nested structures that are skipped.
-const DEEP: usize = 16;
+const MAX_DEPTH: usize = 16;
 
 /// Header of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -140,7 +140,7 @@ impl Reader<'_> {
                 (3, I32) => packed = Some(self.integer()?),
                 (5, STRUCT) => data = Some(self.counts()?),
                 (8, STRUCT) => data_v2 = Some(self.counts()?),
-                _ => self.skip(of, DEEP)?,
+                _ => self.skip(of, MAX_DEPTH)?,
             }
         }
         let size = |number: i64| usize::try_from(number).ok();
@@ -166,7 +166,7 @@ impl Reader<'_> {
             match (number, kind) {
                 (1, I32) => values = Some(self.integer()?),
                 (3, I32) => rows = Some(self.integer()?),
-                _ => self.skip(kind, DEEP)?,
+                _ => self.skip(kind, MAX_DEPTH)?,
             }
         }
         Some((values?, rows))

@@ -20,35 +20,35 @@ use ::parquet::file::statistics::Statistics;
 use super::lerobot::Dataset;
 use super::pages::{self, PageHeader};
 use super::{
-    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_WIDE, Refusal, RowLoss,
-    Table, usual,
+    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, ReadColumn, ReadContext, RowLoss,
+    Table, TableError, most_frequent,
 };
-use crate::memory::Memory;
+use crate::memory_budget::MemoryBudget;
 
 /// Column with the episode index of a dataset.
-const EPISODE: &str = "episode_index";
+const EPISODE_COLUMN: &str = "episode_index";
 /// Records decoded per call.
-const BATCH: usize = 1 << 14;
+const BATCH_ROWS: usize = 1 << 14;
 
 /// A file and its metadata.
-struct File {
+struct ParquetFile {
     bytes: Arc<Bytes>,
     metadata: Arc<ParquetMetaData>,
 }
 
-impl File {
+impl ParquetFile {
     /// Parses the metadata, unless it equals that of the previous file. Parsing takes as long as reading
     /// one episode of a dataset.
-    fn open(bytes: Bytes) -> Result<Self, Refusal> {
-        static LAST: Mutex<Option<(Vec<u8>, Arc<ParquetMetaData>)>> = Mutex::new(None);
-        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+    fn open(bytes: Bytes) -> Result<Self, TableError> {
+        static LAST_METADATA: Mutex<Option<(Vec<u8>, Arc<ParquetMetaData>)>> = Mutex::new(None);
+        let mut last = LAST_METADATA.lock().unwrap_or_else(PoisonError::into_inner);
         let footer = footer(&bytes).unwrap_or_default();
         let known = last.as_ref().filter(|(known, _)| !footer.is_empty() && known == footer);
         let metadata = match known {
             Some((_, metadata)) => Arc::clone(metadata),
             None => {
                 let read = ParquetMetaDataReader::new().parse_and_finish(&bytes);
-                let metadata = Arc::new(read.map_err(|error| worded(&error))?);
+                let metadata = Arc::new(read.map_err(|error| read_error(&error))?);
                 *last = Some((footer.to_vec(), Arc::clone(&metadata)));
                 metadata
             }
@@ -61,8 +61,8 @@ impl File {
         &self,
         group: usize,
         at: usize,
-        memory: &Memory,
-    ) -> Result<(ColumnReader, Damaged), Refusal> {
+        memory: &MemoryBudget,
+    ) -> Result<(ColumnReader, SharedPageCounts), TableError> {
         let of = self.metadata.row_group(group);
         let column = of.column(at);
         let rows = usize::try_from(of.num_rows()).unwrap_or(0);
@@ -74,14 +74,15 @@ impl File {
         let headers: VecDeque<PageHeader> = pages::headers(content).into();
         for page in &headers {
             // A page, its unpacked bytes and its numbers are in memory at the same time.
-            memory.allows((page.unpacked_bytes.max(page.values.saturating_mul(8))) as u64)?;
+            memory
+                .check_available((page.unpacked_bytes.max(page.values.saturating_mul(8))) as u64)?;
         }
         let pages = SerializedPageReader::new(Arc::clone(&self.bytes), column, rows, None);
-        let pages = pages.map_err(|error| worded(&error))?;
+        let pages = pages.map_err(|error| read_error(&error))?;
         let declared = usize::try_from(column.num_values()).unwrap_or(0);
-        let damaged = Arc::new(Mutex::new(Pages { declared, ..Pages::default() }));
+        let damaged = Arc::new(Mutex::new(PageCounts { declared, ..PageCounts::default() }));
         let found = Arc::clone(&damaged);
-        let pages = Sound { pages, headers, found, has_dictionary: false };
+        let pages = IntactPages { pages, headers, found, has_dictionary: false };
         Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
     }
 
@@ -93,7 +94,7 @@ impl File {
 
 /// Values in the pages of a column in a row group, and the unreadable pages.
 #[derive(Debug, Default)]
-struct Pages {
+struct PageCounts {
     /// Values in all pages so far.
     values: usize,
     /// Damaged pages: number of values before the page and in it, and the reason.
@@ -102,21 +103,21 @@ struct Pages {
     declared: usize,
 }
 
-type Damaged = Arc<Mutex<Pages>>;
+type SharedPageCounts = Arc<Mutex<PageCounts>>;
 
 /// Page reader that skips and records damaged pages.
-struct Sound {
+struct IntactPages {
     pages: SerializedPageReader<Bytes>,
     /// Headers of the pages not yet read.
     headers: VecDeque<PageHeader>,
-    found: Damaged,
+    found: SharedPageCounts,
     /// Whether the dictionary page was read.
     has_dictionary: bool,
 }
 
-impl Sound {
+impl IntactPages {
     /// Counts the next page. Returns the number of values before it.
-    fn passed(&mut self) -> (usize, Option<PageHeader>) {
+    fn count_page(&mut self) -> (usize, Option<PageHeader>) {
         let header = self.headers.pop_front();
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         let before = found.values;
@@ -126,9 +127,9 @@ impl Sound {
     }
 }
 
-impl Sound {
+impl IntactPages {
     /// Rejects a page that needs a missing dictionary, because the decoder of the crate panics on it.
-    fn decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
+    fn check_decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
         let is_coded = |page: &Page| {
             matches!(page.encoding(), Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY)
         };
@@ -144,7 +145,7 @@ impl Sound {
     }
 }
 
-impl Iterator for Sound {
+impl Iterator for IntactPages {
     type Item = ::parquet::errors::Result<Page>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -152,16 +153,16 @@ impl Iterator for Sound {
     }
 }
 
-impl PageReader for Sound {
+impl PageReader for IntactPages {
     fn get_next_page(&mut self) -> ::parquet::errors::Result<Option<Page>> {
         loop {
-            let page = self.pages.get_next_page().and_then(|page| self.decodable(page));
-            let (before, header) = self.passed();
+            let page = self.pages.get_next_page().and_then(|page| self.check_decodable(page));
+            let (before, header) = self.count_page();
             match (page, header) {
                 (Ok(page), _) => return Ok(page),
                 (Err(error), Some(header)) if !header.is_dictionary => {
                     let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-                    found.damaged.push((before, header.values, worded(&error).to_string()));
+                    found.damaged.push((before, header.values, read_error(&error).to_string()));
                 }
                 // Without its dictionary no page can be decoded.
                 (Err(error), _) => return Err(error),
@@ -175,7 +176,7 @@ impl PageReader for Sound {
 
     fn skip_next_page(&mut self) -> ::parquet::errors::Result<()> {
         self.pages.skip_next_page()?;
-        self.passed();
+        self.count_page();
         Ok(())
     }
 
@@ -198,14 +199,14 @@ pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
-    context: &mut Context,
-) -> Result<Episodes, Refusal> {
-    let reader = File::open(bytes)?;
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let reader = ParquetFile::open(bytes)?;
     let schema = reader.metadata.file_metadata().schema_descr_ptr();
     let all: usize = reader.groups().fold(0, usize::saturating_add);
     let rows = match wanted {
         Some(wanted) => {
-            let Some(rows) = rows_of(&reader, wanted, context.memory)? else {
+            let Some(rows) = rows_of_episode(&reader, wanted, context.memory)? else {
                 return Ok(Vec::new());
             };
             rows
@@ -215,14 +216,14 @@ pub(super) fn read(
     let declared = usize::try_from(reader.metadata.file_metadata().num_rows()).unwrap_or(0);
     if wanted.is_none() && declared > all {
         let what = format!("the footer declares {declared} rows, the row groups {all}");
-        Refusal::from(what).report(Some((declared - all) as u64), context.losses);
+        TableError::from(what).report(Some((declared - all) as u64), context.losses);
     }
-    if schema.num_columns() > MOST_COLUMNS {
-        let what = format!("{} columns; only {MOST_COLUMNS} are read", schema.num_columns());
-        Refusal::from(what).report(None, context.losses);
+    if schema.num_columns() > MAX_COLUMNS {
+        let what = format!("{} columns; only {MAX_COLUMNS} are read", schema.num_columns());
+        TableError::from(what).report(None, context.losses);
     }
     let (mut candidates, mut unread) = (Vec::new(), Vec::new());
-    for at in 0..schema.num_columns().min(MOST_COLUMNS) {
+    for at in 0..schema.num_columns().min(MAX_COLUMNS) {
         let column = schema.column(at);
         let kind = match column.physical_type() {
             Type::BOOLEAN => "bool",
@@ -242,13 +243,13 @@ pub(super) fn read(
         if column.max_rep_level() > 1 || !is_wanted {
             continue;
         }
-        let mut of = Numbers::of(&reader, at, rows.clone());
+        let mut of = LeafValues::new(&reader, at, rows.clone());
         if let Err(what) = of.read(&reader, at, context.memory) {
-            candidates.push(Candidate::refused(&name, rows.len(), what));
+            candidates.push(ReadColumn::unreadable(&name, rows.len(), what));
             continue;
         }
         let column = Column { name, kind: kind.to_owned(), ..Column::default() };
-        match of.candidate(column) {
+        match of.into_column(column) {
             Ok(candidate) => candidates.push(candidate),
             Err(name) => unread.push((name, "lists of different lengths".to_owned())),
         }
@@ -264,37 +265,40 @@ pub(super) fn read(
             first.map_or_else(|| "it contains no column of numbers".into(), |loss| loss.what)
         );
     }
-    episodes(whole, wanted)
+    split_episodes(whole, wanted)
 }
 
 /// Names of the episodes of a file.
-pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
-    let mut memory = Memory::of(None);
+pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, TableError> {
+    let mut memory = MemoryBudget::new(None);
     memory.add_file(bytes.len() as u64);
-    let mut index = index(&File::open(bytes)?, &mut memory)?;
+    let mut index = read_episode_index(&ParquetFile::open(bytes)?, &mut memory)?;
     index.dedup();
     Ok(index.iter().map(f64::to_string).collect())
 }
 
 /// Episode of each row; empty if there is no such column.
-fn index(reader: &File, memory: &mut Memory) -> Result<Vec<f64>, Refusal> {
+fn read_episode_index(
+    reader: &ParquetFile,
+    memory: &mut MemoryBudget,
+) -> Result<Vec<f64>, TableError> {
     let Some(at) = index_column(reader) else { return Ok(Vec::new()) };
-    let mut of = Numbers::of(reader, at, 0..reader.groups().fold(0, usize::saturating_add));
+    let mut of = LeafValues::new(reader, at, 0..reader.groups().fold(0, usize::saturating_add));
     of.read(reader, at, memory)?;
     Ok(of.values)
 }
 
-fn index_column(reader: &File) -> Option<usize> {
+fn index_column(reader: &ParquetFile) -> Option<usize> {
     let schema = reader.metadata.file_metadata().schema_descr_ptr();
-    (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE)
+    (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE_COLUMN)
 }
 
 /// Rows of one episode. Skips row groups whose statistics exclude it.
-fn rows_of(
-    reader: &File,
+fn rows_of_episode(
+    reader: &ParquetFile,
     wanted: &str,
-    memory: &mut Memory,
-) -> Result<Option<Range<usize>>, Refusal> {
+    memory: &mut MemoryBudget,
+) -> Result<Option<Range<usize>>, TableError> {
     let (Some(at), Ok(number)) = (index_column(reader), wanted.parse::<i64>()) else {
         return Ok(None);
     };
@@ -313,9 +317,9 @@ fn rows_of(
         if !may_hold {
             continue;
         }
-        let mut of = Numbers::of(reader, at, own.clone());
+        let mut of = LeafValues::new(reader, at, own.clone());
         of.read(reader, at, memory)?;
-        memory.give_back(of.values.len());
+        memory.release(of.values.len());
         let is_its = |value: &f64| *value == number as f64;
         let Some(start) = of.values.iter().position(is_its) else { continue };
         let length = of.values[start..].iter().take_while(|value| is_its(value)).count();
@@ -330,8 +334,9 @@ fn rows_of(
 }
 
 /// Splits the table by episode. Returns it whole if it has no episode column.
-fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
-    let index = whole.columns.iter().position(|column| column.name == EPISODE && column.width == 1);
+fn split_episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, TableError> {
+    let index =
+        whole.columns.iter().position(|column| column.name == EPISODE_COLUMN && column.width == 1);
     let Some(index) = index else { return Ok(vec![("0".to_owned(), whole)]) };
     let mut spans: Vec<(f64, Range<usize>)> = Vec::new();
     let number = |row: usize| whole.columns[index].values[row];
@@ -340,8 +345,8 @@ fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
             Some((_, span)) => span.end = row + 1,
             None => spans.push((number(row), row..row + 1)),
         }
-        if wanted.is_none() && spans.len() > MOST_EPISODES {
-            return Err(Refusal::Episodes);
+        if wanted.is_none() && spans.len() > MAX_EPISODES {
+            return Err(TableError::Episodes);
         }
     }
     let of = |(number, span): (f64, Range<usize>), losses: Vec<RowLoss>| {
@@ -374,7 +379,7 @@ fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
 }
 
 /// Numbers of a leaf in some rows; NaN if missing.
-struct Numbers {
+struct LeafValues {
     is_list: bool,
     /// Definition levels of a number and of an element of a list.
     defined: i16,
@@ -386,11 +391,11 @@ struct Numbers {
     lengths: Vec<u32>,
     /// Unreadable rows, relative to the start of `rows`.
     lost: Vec<Range<usize>>,
-    why: Option<Refusal>,
+    why: Option<TableError>,
 }
 
-impl Numbers {
-    fn of(reader: &File, at: usize, rows: Range<usize>) -> Self {
+impl LeafValues {
+    fn new(reader: &ParquetFile, at: usize, rows: Range<usize>) -> Self {
         let column = reader.metadata.file_metadata().schema_descr_ptr().column(at);
         let defined = column.max_def_level();
         let is_list = column.max_rep_level() == 1;
@@ -405,7 +410,12 @@ impl Numbers {
     }
 
     /// Reads column `at` of all row groups that overlap the rows.
-    fn read(&mut self, reader: &File, at: usize, memory: &mut Memory) -> Result<(), Refusal> {
+    fn read(
+        &mut self,
+        reader: &ParquetFile,
+        at: usize,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
         let mut first = 0_usize;
         for (group, count) in reader.groups().enumerate() {
             let end = first.saturating_add(count);
@@ -418,8 +428,8 @@ impl Numbers {
                 });
                 match read {
                     // After exceeding the memory limit, no further group is read.
-                    Err(refusal @ Refusal::Memory(_)) => return Err(refusal),
-                    read => self.settle(begin, rows.len(), read.err(), memory)?,
+                    Err(refusal @ TableError::Memory(_)) => return Err(refusal),
+                    read => self.complete_row_group(begin, rows.len(), read.err(), memory)?,
                 }
             }
             first = end;
@@ -428,16 +438,16 @@ impl Numbers {
     }
 
     /// Marks the missing rows of a row group as lost.
-    fn settle(
+    fn complete_row_group(
         &mut self,
         begin: usize,
         rows: usize,
-        why: Option<Refusal>,
-        memory: &mut Memory,
-    ) -> Result<(), Refusal> {
+        why: Option<TableError>,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
         let read = self.count() - begin;
         if read < rows {
-            memory.take(rows - read)?;
+            memory.reserve(rows - read)?;
             self.lost.push(begin + read..begin + rows);
             self.why = self
                 .why
@@ -456,9 +466,9 @@ impl Numbers {
         &mut self,
         column: ColumnReader,
         rows: Range<usize>,
-        damaged: &Damaged,
-        memory: &mut Memory,
-    ) -> Result<(), Refusal> {
+        damaged: &SharedPageCounts,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
         let rest = (rows, damaged, memory);
         match column {
             ColumnReader::BoolColumnReader(column) => {
@@ -477,19 +487,19 @@ impl Numbers {
     fn append<T: DataType>(
         &mut self,
         mut column: ColumnReaderImpl<T>,
-        (rows, damaged, memory): (Range<usize>, &Damaged, &mut Memory),
+        (rows, damaged, memory): (Range<usize>, &SharedPageCounts, &mut MemoryBudget),
         number: impl Fn(T::T) -> f64,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), TableError> {
         let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
         let begin = (self.count(), self.values.len());
-        column.skip_records(rows.start).map_err(|error| worded(&error))?;
+        column.skip_records(rows.start).map_err(|error| read_error(&error))?;
         let mut left = rows.len();
         let mut read = Ok(());
         while left > 0 {
             found.clear();
             definitions.clear();
             repetitions.clear();
-            let most = BATCH.min(left);
+            let most = BATCH_ROWS.min(left);
             let records = column.read_records(
                 most,
                 Some(&mut definitions),
@@ -500,12 +510,12 @@ impl Numbers {
                 Ok((0, ..)) => break,
                 Ok((records, _, levels)) => (records, levels),
                 Err(error) => {
-                    read = Err(worded(&error));
+                    read = Err(read_error(&error));
                     break;
                 }
             };
             left -= records.min(left);
-            memory.take(levels)?;
+            memory.reserve(levels)?;
             let is_all = definitions.is_empty() || found.len() == levels;
             let mut own = found.drain(..);
             for level in 0..levels {
@@ -535,16 +545,16 @@ impl Numbers {
         &mut self,
         begin: (usize, usize),
         skipped: usize,
-        damaged: &Damaged,
-    ) -> Result<(), Refusal> {
+        damaged: &SharedPageCounts,
+    ) -> Result<(), TableError> {
         let found = std::mem::take(&mut *damaged.lock().unwrap_or_else(PoisonError::into_inner));
-        let Pages { values, declared, damaged } = found;
+        let PageCounts { values, declared, damaged } = found;
         let Some((_, _, what)) = damaged.first() else { return Ok(()) };
         self.why.get_or_insert_with(|| what.clone().into());
         // The position of the lost rows is unknown if rows were skipped, if pages do not contain whole
         // rows, or if the number of values differs from the declared one.
         let width = match self.is_list {
-            true => usual(self.lengths[begin.0..].iter().map(|length| *length as usize)),
+            true => most_frequent(self.lengths[begin.0..].iter().map(|length| *length as usize)),
             false => 1,
         };
         let is_even = width > 0
@@ -572,18 +582,18 @@ impl Numbers {
     }
 
     /// Returns the column, or its name if its lists differ in length.
-    fn candidate(self, column: Column) -> Result<Candidate, String> {
+    fn into_column(self, column: Column) -> Result<ReadColumn, String> {
         let Self { is_list, rows, values, lengths, mut lost, mut why, .. } = self;
         if !is_list {
             let column = Column { width: 1, values, ..column };
-            return Ok(Candidate { column, rows: rows.len(), lost, why });
+            return Ok(ReadColumn { column, rows: rows.len(), lost, why });
         }
         let there = lengths.iter().filter(|length| **length > 0).map(|length| *length as usize);
-        let width = usual(there);
+        let width = most_frequent(there);
         let others = |length: &&u32| **length as usize != width && **length > 0;
         // Lists of varying length, such as point clouds.
         if width == 0
-            || width > MOST_WIDE
+            || width > MAX_WIDTH
             || 2 * lengths.iter().filter(others).count() >= lengths.len()
         {
             return Err(column.name);
@@ -618,11 +628,11 @@ impl Numbers {
             }
         }
         let column = Column { width, values: whole, ..column };
-        Ok(Candidate { column, rows: rows.len(), lost, why })
+        Ok(ReadColumn { column, rows: rows.len(), lost, why })
     }
 }
 
-fn worded(error: &ParquetError) -> Refusal {
+fn read_error(error: &ParquetError) -> TableError {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
     format!("the Parquet file cannot be read: {line}").into()

@@ -2,38 +2,38 @@
 
 use std::collections::BTreeMap;
 
-use super::{Found, names};
+use super::{TableTopic, names};
 use crate::Repeat;
 use ground::stream::{Columns, JointColumns};
 
 /// Minimum rows of an episode for this check, and minimum rows in which a repeated column must change.
-const LEAST_ROWS: usize = 20;
-const LEAST_CHANGES: usize = 10;
+const MIN_ROWS: usize = 20;
+const MIN_CHANGES: usize = 10;
 /// Maximum number of topics of an episode that are compared with each other.
-const MOST_TOPICS: usize = 100;
+const MAX_TOPICS: usize = 100;
 
 /// Repetitions, each with the number of episodes that have it.
 #[derive(Default)]
-pub(super) struct Repeats {
+pub(super) struct RepeatCounts {
     episodes: usize,
     found: BTreeMap<Repeat, usize>,
 }
 
-impl Repeats {
+impl RepeatCounts {
     /// Counts the repetitions in an episode.
-    pub fn count(&mut self, episode: &[Found]) {
+    pub fn count(&mut self, episode: &[TableTopic]) {
         let told: Vec<(&str, &Columns)> = episode
             .iter()
             .filter_map(|found| Some((found.topic.as_str(), found.columns.as_ref()?)))
-            .filter(|(_, columns)| rows(columns).len() >= LEAST_ROWS)
-            .take(MOST_TOPICS)
+            .filter(|(_, columns)| rows(columns).len() >= MIN_ROWS)
+            .take(MAX_TOPICS)
             .collect();
         if told.is_empty() {
             return;
         }
         self.episodes += 1;
         let all: Vec<Vec<&[f64]>> = told.iter().map(|(_, columns)| rows(columns)).collect();
-        let moves = |at: usize| changes(&all[at]) >= LEAST_CHANGES;
+        let moves = |at: usize| count_changes(&all[at]) >= MIN_CHANGES;
         let is_arm = |columns: &Columns| matches!(columns, Columns::Joints(_));
         let arm_moves = (0..told.len()).any(|at| is_arm(told[at].1) && moves(at));
         for (at, (topic, columns)) in told.iter().enumerate() {
@@ -43,14 +43,14 @@ impl Repeats {
                 of,
             };
             if !moves(at) {
-                let is_still = changes(&all[at]) == 0 && arm_moves && !is_arm(columns);
+                let is_still = count_changes(&all[at]) == 0 && arm_moves && !is_arm(columns);
                 self.add(is_still.then(|| of(None, None)));
                 continue;
             }
-            let first = (0..at).find(|&other| same(&all[at], &all[other]));
+            let first = (0..at).find(|&other| are_rows_equal(&all[at], &all[other]));
             self.add(first.map(|other| of(None, Some(told[other].0.to_owned()))));
             if let Columns::Joints(joints) = columns {
-                for (joint, other) in within(joints) {
+                for (joint, other) in repeated_joints(joints) {
                     self.add(Some(of(Some(joint), other)));
                 }
             }
@@ -86,29 +86,30 @@ fn rows(columns: &Columns) -> Vec<&[f64]> {
 }
 
 /// Number of rows that differ from the previous one.
-fn changes(rows: &[&[f64]]) -> usize {
-    rows.windows(2).filter(|pair| !equal(pair[0], pair[1])).count()
+fn count_changes(rows: &[&[f64]]) -> usize {
+    rows.windows(2).filter(|pair| !are_bitwise_equal(pair[0], pair[1])).count()
 }
 
-fn same(a: &[&[f64]], b: &[&[f64]]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| equal(a, b))
+fn are_rows_equal(a: &[&[f64]], b: &[&[f64]]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| are_bitwise_equal(a, b))
 }
 
 /// Bitwise equality: two measurements differ at least by noise.
-fn equal(a: &[f64], b: &[f64]) -> bool {
+fn are_bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
 /// Joints that repeat an earlier joint, or never move. Fingers are excluded because they move together.
-fn within(joints: &JointColumns) -> Vec<(String, Option<String>)> {
+fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let is_finger = |name: &str| names::is_gripper(&names::words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();
     let own: Vec<Vec<&[f64]>> =
         arm.iter().map(|joint| joint.position.chunks(1).collect()).collect();
     let mut found = Vec::new();
     for (at, joint) in arm.iter().enumerate() {
-        let count = changes(&own[at]);
-        let other = (0..at).find(|&other| count >= LEAST_CHANGES && same(&own[at], &own[other]));
+        let count = count_changes(&own[at]);
+        let other =
+            (0..at).find(|&other| count >= MIN_CHANGES && are_rows_equal(&own[at], &own[other]));
         if other.is_some() || count == 0 {
             found.push((joint.name.clone(), other.map(|other| arm[other].name.clone())));
         }

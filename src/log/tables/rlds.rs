@@ -4,23 +4,23 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::lerobot::{Dataset, Feature, text_in};
+use super::lerobot::{Dataset, Feature, read_metadata};
 use super::rate_in;
-use super::tfrecord::STEPS;
+use super::tfrecord::STEP_PREFIX;
 
 const FEATURES: &str = "features.json";
 const INFO: &str = "dataset_info.json";
 /// Maximum depth of nested features.
-const DEEP: usize = 8;
+const MAX_DEPTH: usize = 8;
 
 /// Metadata files next to a file of records.
-pub(crate) fn beside(path: &Path) -> Vec<PathBuf> {
+pub(crate) fn metadata_files(path: &Path) -> Vec<PathBuf> {
     [FEATURES, INFO].map(|name| path.with_file_name(name)).into()
 }
 
 /// Features of the steps that the dataset of this file declares, or why they cannot be read. `None` if
 /// there is no `features.json`.
-pub(super) fn declared(path: &Path) -> Option<Result<Dataset, String>> {
+pub(super) fn declared_dataset(path: &Path) -> Option<Result<Dataset, String>> {
     let json = |name: &str| -> Option<Result<Value, String>> {
         let file = path.with_file_name(name);
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
@@ -28,13 +28,13 @@ pub(super) fn declared(path: &Path) -> Option<Result<Dataset, String>> {
         let parsed = |text: String| {
             serde_json::from_str(&text).map_err(|error| format!("{name} cannot be read: {error}"))
         };
-        file.symlink_metadata().is_ok().then(|| text_in(folder, &file).and_then(parsed))
+        file.symlink_metadata().is_ok().then(|| read_metadata(folder, &file).and_then(parsed))
     };
     let features = json(FEATURES)?;
     let rate_hz = json(INFO).and_then(Result::ok).and_then(|info| rate_in(&info));
     Some(features.map(|features| {
         let mut dataset = Dataset { rate_hz, ..Dataset::default() };
-        descend(&features, "", DEEP, &mut dataset);
+        add_features(&features, "", MAX_DEPTH, &mut dataset);
         dataset
     }))
 }
@@ -49,17 +49,17 @@ fn counts(description: &str) -> Vec<usize> {
 }
 
 /// Adds the tensors of a feature and of its nested features.
-fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
+fn add_features(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
     if let Some(shape) = feature.get("tensor").map(|tensor| tensor.get("shape")) {
         let sides = shape.and_then(|shape| shape.get("dimensions")).and_then(Value::as_array);
         let side = |value: &Value| value.as_str().map_or(value.as_u64(), |text| text.parse().ok());
         let sides = sides.into_iter().flatten().map(side);
         let mut width = sides.map(|side| side.and_then(|side| usize::try_from(side).ok()));
         let width = width.try_fold(1_usize, |all, side| all.checked_mul(side?));
-        if let Some(name) = path.strip_prefix(STEPS) {
+        if let Some(name) = path.strip_prefix(STEP_PREFIX) {
             let said = feature.get("description").and_then(Value::as_str).unwrap_or_default();
-            let mut own = Feature::of_width(width);
-            own.counted = counts(said);
+            let mut own = Feature::with_width(width);
+            own.described_counts = counts(said);
             dataset.features.insert(name.to_owned(), own);
         }
     }
@@ -70,7 +70,7 @@ fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
     for (name, feature) in inside.and_then(Value::as_object).into_iter().flatten() {
         let path = if path.is_empty() { name.clone() } else { format!("{path}/{name}") };
         if deep > 0 {
-            descend(feature, &path, deep - 1, dataset);
+            add_features(feature, &path, deep - 1, dataset);
         }
     }
 }

@@ -8,7 +8,7 @@ use std::ops::Range;
 use ground::robot::xml_document;
 use roxmltree::Node;
 
-use super::{Candidate, Column, Context, Episodes, Refusal, Table};
+use super::{Column, Episodes, ReadColumn, ReadContext, Table, TableError};
 use crate::Extent;
 
 /// Elements of a packet that are read, with the attributes of their numbers.
@@ -19,32 +19,32 @@ const ELEMENTS: &[(&str, &[&str])] = &[
     ("ASPos", &["A1", "A2", "A3", "A4", "A5", "A6"]),
 ];
 const CLOCK: &str = "IPOC";
-const OPEN: &[u8] = b"<Rob";
-const CLOSE: &[u8] = b"</Rob>";
+const PACKET_START: &[u8] = b"<Rob";
+const PACKET_END: &[u8] = b"</Rob>";
 /// Maximum length of a packet, that of a datagram.
-const MOST_BYTES: usize = 1 << 16;
+const MAX_PACKET_BYTES: usize = 1 << 16;
 
 /// Whether the text `bytes` contains packets.
 pub(crate) fn has_packet(bytes: &[u8]) -> bool {
-    let Some(at) = opening(bytes, 0) else { return false };
+    let Some(at) = find_packet(bytes, 0) else { return false };
     let rest = &bytes[at..];
     ["RIst", "AIPos", CLOCK]
         .iter()
         .any(|name| find(rest, format!("<{name}").as_bytes(), 0).is_some())
 }
 
-pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let losses = &mut *context.losses;
     let wide: usize = ELEMENTS.iter().map(|(_, numbers)| numbers.len()).sum();
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); ELEMENTS.len()];
     let mut clock = Vec::new();
     let mut malformed: Option<(usize, u64, String)> = None;
     let mut at = 0;
-    while let Some(packet) = next(bytes, at) {
+    while let Some(packet) = next_packet(bytes, at) {
         at = packet.end;
-        context.memory.take(wide + 1)?;
+        context.memory.reserve(wide + 1)?;
         let mut row = vec![f64::NAN; wide + 1];
-        match numbers(&bytes[packet.clone()], &mut row) {
+        match parse_packet(&bytes[packet.clone()], &mut row) {
             Ok(()) => {
                 clock.push(row[wide]);
                 let mut rest = row.as_slice();
@@ -55,7 +55,10 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
                 }
             }
             // The last packet of a dump is usually truncated.
-            Err(_) if opening(bytes, at).is_none() && !bytes[packet.clone()].ends_with(CLOSE) => {
+            Err(_)
+                if find_packet(bytes, at).is_none()
+                    && !bytes[packet.clone()].ends_with(PACKET_END) =>
+            {
                 losses.add(
                     packet.start,
                     Extent::Tail,
@@ -89,24 +92,24 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
         .map(|((name, parts), values)| column(name, parts, values))
         .chain([column(CLOCK, &[], clock)])
         .filter(|column| is_there(&column.values))
-        .map(Candidate::whole);
+        .map(ReadColumn::complete);
     Ok(vec![("0".to_owned(), Table::of(columns.collect(), Some(rows), context.memory))])
 }
 
 /// Byte range of the first packet from `at` on, up to its end or the start of the next one.
-fn next(bytes: &[u8], at: usize) -> Option<Range<usize>> {
-    let start = opening(bytes, at)?;
-    let reach = bytes.len().min(start + MOST_BYTES);
-    let reach = opening(&bytes[..reach], start + OPEN.len()).unwrap_or(reach);
-    let close = find(&bytes[..reach], CLOSE, start);
-    Some(start..close.map_or(reach, |close| close + CLOSE.len()))
+fn next_packet(bytes: &[u8], at: usize) -> Option<Range<usize>> {
+    let start = find_packet(bytes, at)?;
+    let reach = bytes.len().min(start + MAX_PACKET_BYTES);
+    let reach = find_packet(&bytes[..reach], start + PACKET_START.len()).unwrap_or(reach);
+    let close = find(&bytes[..reach], PACKET_END, start);
+    Some(start..close.map_or(reach, |close| close + PACKET_END.len()))
 }
 
 /// Start of the next packet.
-fn opening(bytes: &[u8], mut at: usize) -> Option<usize> {
+fn find_packet(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
-        let start = find(bytes, OPEN, at)?;
-        at = start + OPEN.len();
+        let start = find(bytes, PACKET_START, at)?;
+        at = start + PACKET_START.len();
         if let Some(b'>' | b' ' | b'\t' | b'\r' | b'\n') = bytes.get(at) {
             return Some(start);
         }
@@ -118,7 +121,7 @@ fn find(bytes: &[u8], what: &[u8], at: usize) -> Option<usize> {
 }
 
 /// Writes the numbers of a packet to `row`; missing ones are NaN.
-fn numbers(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
+fn parse_packet(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
     let text = std::str::from_utf8(packet).map_err(|error| error.to_string())?;
     let packet = xml_document(text).map_err(|(_, problem)| problem.to_string())?;
     let number = |text: &str| text.trim().parse::<f64>().unwrap_or(f64::NAN);

@@ -25,7 +25,7 @@ pub struct ColumnSettings {
 
 impl ColumnSettings {
     /// Whether joints and poses are both declared, so no other columns are searched.
-    pub(super) fn says_all(&self) -> bool {
+    pub(super) fn declares_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();
         says(self) || (!self.arms.is_empty() && self.arms.iter().all(|(_, arm)| says(arm)))
     }

@@ -15,7 +15,7 @@ use ::parquet::file::writer::SerializedFileWriter;
 use ::parquet::schema::parser::parse_message_type;
 
 use crate::losses::Losses;
-use crate::memory::Memory;
+use crate::memory_budget::MemoryBudget;
 use crate::{ColumnSettings, Log, LogError, ReadOptions, Topic, open};
 use ground::stream::Columns;
 use ground::time::NANOS_PER_SECOND;
@@ -110,9 +110,9 @@ fn columns_first_and_rows_first_are_the_same_array() {
         [0, 3, 1, 4, 2, 5].iter().flat_map(|n| f64::from(*n).to_le_bytes()).collect();
     let read = |order: &str, data: &[u8]| {
         let header = format!("{{'descr': '<f8', 'fortran_order': {order}, 'shape': (2, 3), }}\n");
-        let (mut losses, mut memory) = (Losses::of(Path::new("a")), Memory::of(None));
-        let mut context = super::Context { losses: &mut losses, memory: &mut memory };
-        let read = super::npy::npy(&npy(&header, data), &mut context).expect("an array");
+        let (mut losses, mut memory) = (Losses::new(Path::new("a")), MemoryBudget::new(None));
+        let mut context = super::ReadContext { losses: &mut losses, memory: &mut memory };
+        let read = super::npy::read_npy(&npy(&header, data), &mut context).expect("an array");
         read[0].1.columns[0].values.clone()
     };
     assert_eq!(read("False", &by_rows), read("True", &by_columns));

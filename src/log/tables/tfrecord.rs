@@ -7,34 +7,34 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
-    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_WIDE, RATES, Refusal,
-    RowLoss, Table, usual,
+    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext,
+    RowLoss, Table, TableError, most_frequent,
 };
 use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
-use crate::memory::Memory;
+use crate::memory_budget::MemoryBudget;
 
 /// Prefix of the names of step features.
-pub(super) const STEPS: &str = "steps/";
+pub(super) const STEP_PREFIX: &str = "steps/";
 /// Features with one number per step.
-const SINGLE: &[&str] = &["is_first", "is_last", "is_terminal", "reward", "discount"];
+const SCALAR_FEATURES: &[&str] = &["is_first", "is_last", "is_terminal", "reward", "discount"];
 /// Bytes before a record (length and its checksum) and after it (checksum of the record).
-const HEAD: usize = 12;
-const FOOT: usize = 4;
+const HEADER_BYTES: usize = 12;
+const FOOTER_BYTES: usize = 4;
 
 /// Whether `bytes` begin with a record: a length with a valid checksum.
 pub(crate) fn has_record(bytes: &[u8]) -> bool {
-    length(bytes).is_some()
+    record_length(bytes).is_some()
 }
 
 /// Length of the record at the start of `bytes`; `None` if its checksum is wrong.
-fn length(bytes: &[u8]) -> Option<u64> {
+fn record_length(bytes: &[u8]) -> Option<u64> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
-    (masked(length) == *rest.first_chunk()?).then_some(u64::from_le_bytes(*length))
+    (masked_checksum(length) == *rest.first_chunk()?).then_some(u64::from_le_bytes(*length))
 }
 
 /// Masked checksum as stored in the file.
-fn masked(bytes: &[u8]) -> [u8; 4] {
+fn masked_checksum(bytes: &[u8]) -> [u8; 4] {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
@@ -49,20 +49,20 @@ impl<'a> Iterator for Records<'a> {
 
     fn next(&mut self) -> Option<Self::Item> {
         let start = self.at;
-        let length = usize::try_from(length(self.bytes.get(start..)?)?).ok()?;
-        let end = start.checked_add(HEAD)?.checked_add(length)?;
-        let record = self.bytes.get(start + HEAD..end)?;
-        self.bytes.get(end..end.checked_add(FOOT)?)?;
-        self.at = end + FOOT;
+        let length = usize::try_from(record_length(self.bytes.get(start..)?)?).ok()?;
+        let end = start.checked_add(HEADER_BYTES)?.checked_add(length)?;
+        let record = self.bytes.get(start + HEADER_BYTES..end)?;
+        self.bytes.get(end..end.checked_add(FOOTER_BYTES)?)?;
+        self.at = end + FOOTER_BYTES;
         Some((start, record))
     }
 }
 
 /// Names of the episodes of a file.
-pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, Refusal> {
+pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, TableError> {
     let mut records = Records { bytes, at: 0 };
     let is_episode = records.next().is_some_and(|(_, first)| {
-        let example = Example::of(first);
+        let example = Example::parse(first);
         example.is_ok_and(|example| example.is_episode())
     });
     let count = if is_episode { 1 + records.count() } else { 1 };
@@ -74,9 +74,9 @@ pub(super) fn read(
     bytes: &[u8],
     wanted: Option<&str>,
     width: impl Fn(&str) -> Option<usize>,
-    context: &mut Context,
-) -> Result<Episodes, Refusal> {
-    let Context { losses, memory } = context;
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let ReadContext { losses, memory } = context;
     let (mut found, mut steps) = (Vec::new(), Vec::new());
     let mut records = Records { bytes, at: 0 };
     for (number, (start, record)) in records.by_ref().enumerate() {
@@ -85,8 +85,8 @@ pub(super) fn read(
         if is_other && steps.is_empty() && number > 0 {
             continue;
         }
-        let crc = &bytes[start + HEAD + record.len()..][..FOOT];
-        if masked(record) != *crc {
+        let crc = &bytes[start + HEADER_BYTES + record.len()..][..FOOTER_BYTES];
+        if masked_checksum(record) != *crc {
             let what = format!("record {number}: wrong checksum");
             losses.add(start, Extent::Messages, Some(1), what);
             continue;
@@ -96,12 +96,12 @@ pub(super) fn read(
         };
         // Numbers take 4 bytes in the file (1 if they are small) and 8 in memory.
         if !is_other || number == 0 {
-            memory.take(record.len())?;
+            memory.reserve(record.len())?;
         }
-        if wanted.is_none() && found.len() > MOST_EPISODES {
-            return Err(Refusal::Episodes);
+        if wanted.is_none() && found.len() > MAX_EPISODES {
+            return Err(TableError::Episodes);
         }
-        match Example::of(record) {
+        match Example::parse(record) {
             Ok(example) if example.is_episode() && is_other => {}
             Ok(example) if example.is_episode() => match example.table(&width, memory) {
                 Ok(table) => found.push((name, table)),
@@ -117,7 +117,7 @@ pub(super) fn read(
         losses.add(end, Extent::Tail, None, what);
     }
     if found.is_empty() && !steps.is_empty() {
-        found.push(("0".to_owned(), single_steps(&steps, memory)?));
+        found.push(("0".to_owned(), table_of_single_steps(&steps, memory)?));
     }
     Ok(found)
 }
@@ -130,14 +130,14 @@ struct Example {
 }
 
 impl Example {
-    fn of(record: &[u8]) -> Result<Self, WireError> {
+    fn parse(record: &[u8]) -> Result<Self, WireError> {
         let mut example = Self::default();
         let mut reader = Reader::new(record);
         while let Some((number, value)) = reader.field()? {
             let Value::Bytes(bytes) = value else { continue };
             match number {
-                1 => example.features.extend(entries(bytes, numbers)?),
-                2 => example.sequences.extend(entries(bytes, rows)?),
+                1 => example.features.extend(parse_entries(bytes, parse_numbers)?),
+                2 => example.sequences.extend(parse_entries(bytes, parse_rows)?),
                 _ => {}
             }
         }
@@ -145,12 +145,12 @@ impl Example {
     }
 
     fn is_episode(&self) -> bool {
-        !self.sequences.is_empty() || self.features.keys().any(|name| name.starts_with(STEPS))
+        !self.sequences.is_empty() || self.features.keys().any(|name| name.starts_with(STEP_PREFIX))
     }
 
     /// Rate in a feature of the episode.
     fn rate_hz(&self) -> Option<f64> {
-        let is_rate = |name: &str| RATES.contains(&name.rsplit('/').next().unwrap_or(name));
+        let is_rate = |name: &str| RATE_NAMES.contains(&name.rsplit('/').next().unwrap_or(name));
         let rate = self.features.iter().find(|(name, own)| is_rate(name) && own.len() == 1);
         rate.map(|(_, own)| own[0]).filter(super::is_rate)
     }
@@ -159,32 +159,32 @@ impl Example {
     fn table(
         self,
         width: &impl Fn(&str) -> Option<usize>,
-        memory: &mut Memory,
-    ) -> Result<Table, Refusal> {
+        memory: &mut MemoryBudget,
+    ) -> Result<Table, TableError> {
         let rate_hz = self.rate_hz();
         let (mut unread, mut candidates) = (Vec::new(), Vec::new());
         for (name, rows) in self.sequences {
-            match steps_of(&name, rows.iter().map(|row| Some(row.as_slice()))) {
+            match step_column(&name, rows.iter().map(|row| Some(row.as_slice()))) {
                 Some(candidate) => candidates.push(candidate),
                 None => unread.push((name, "rows of different lengths, or images".to_owned())),
             }
         }
         let mut columns = Vec::new();
         for (name, values) in self.features {
-            let Some(name) = name.strip_prefix(STEPS).filter(|_| !values.is_empty()) else {
+            let Some(name) = name.strip_prefix(STEP_PREFIX).filter(|_| !values.is_empty()) else {
                 continue;
             };
-            let width = if SINGLE.contains(&name) { Some(1) } else { width(name) };
+            let width = if SCALAR_FEATURES.contains(&name) { Some(1) } else { width(name) };
             columns.push((name.to_owned(), width.filter(|width| *width > 0), values));
         }
-        let single = columns.iter().find(|(name, ..)| SINGLE.contains(&name.as_str()));
+        let single = columns.iter().find(|(name, ..)| SCALAR_FEATURES.contains(&name.as_str()));
         let declared =
             columns.iter().filter_map(|(_, width, values)| Some(values.len() / (*width)?));
         let declared = declared.chain(candidates.iter().map(|candidate| candidate.rows));
         let rows = match single {
             Some((_, _, values)) => values.len(),
             None if columns.iter().any(|(_, width, _)| width.is_some()) || columns.is_empty() => {
-                usual(declared)
+                most_frequent(declared)
             }
             None => columns.iter().map(|(_, _, values)| values.len()).min().unwrap_or(0),
         };
@@ -194,7 +194,7 @@ impl Example {
         let mut losses = Vec::new();
         for (name, width, values) in columns {
             let count = values.len();
-            if count / rows > MOST_WIDE {
+            if count / rows > MAX_WIDTH {
                 unread.push((name, "its rows are images".to_owned()));
             } else if !count.is_multiple_of(rows) {
                 let whole = width.map_or(rows, |width| count / width);
@@ -204,13 +204,13 @@ impl Example {
                 losses.push(RowLoss { rows: whole, what: what.into() });
                 unread.push((name, format!("{count} numbers, not a multiple of {rows} steps")));
             } else {
-                candidates.push(Candidate::whole(column(name, count / rows, values)));
+                candidates.push(ReadColumn::complete(column(name, count / rows, values)));
             }
         }
-        if candidates.len() > MOST_COLUMNS {
-            let what = format!("{} features; only {MOST_COLUMNS} are read", candidates.len());
+        if candidates.len() > MAX_COLUMNS {
+            let what = format!("{} features; only {MAX_COLUMNS} are read", candidates.len());
             losses.push(RowLoss { rows: 0, what: what.into() });
-            candidates.truncate(MOST_COLUMNS);
+            candidates.truncate(MAX_COLUMNS);
         }
         let mut table = Table::of(candidates, Some(rows), memory);
         table.rate_hz = rate_hz;
@@ -222,14 +222,14 @@ impl Example {
 
 /// Column of a feature with its numbers per step. `None` for images and for lists of varying length. Steps
 /// with a different number of values are lost.
-fn steps_of<'a>(
+fn step_column<'a>(
     name: &str,
     steps: impl ExactSizeIterator<Item = Option<&'a [f64]>> + Clone,
-) -> Option<Candidate> {
+) -> Option<ReadColumn> {
     let rows = steps.len();
-    let width = usual(steps.clone().flatten().map(<[f64]>::len).filter(|own| *own > 0));
+    let width = most_frequent(steps.clone().flatten().map(<[f64]>::len).filter(|own| *own > 0));
     let fits = |own: &Option<&[f64]>| own.is_some_and(|own| own.len() == width);
-    if !(1..=MOST_WIDE).contains(&width) || 2 * steps.clone().filter(fits).count() <= rows {
+    if !(1..=MAX_WIDTH).contains(&width) || 2 * steps.clone().filter(fits).count() <= rows {
         return None;
     }
     let (mut values, mut lost, mut why) = (Vec::with_capacity(rows * width), Vec::new(), None);
@@ -246,20 +246,23 @@ fn steps_of<'a>(
             }
         }
     }
-    Some(Candidate { column: column(name.to_owned(), width, values), rows, lost, why })
+    Some(ReadColumn { column: column(name.to_owned(), width, values), rows, lost, why })
 }
 
 /// Table of records with one step each.
-fn single_steps(steps: &[Example], memory: &mut Memory) -> Result<Table, Refusal> {
+fn table_of_single_steps(
+    steps: &[Example],
+    memory: &mut MemoryBudget,
+) -> Result<Table, TableError> {
     let names: BTreeSet<&String> = steps.iter().flat_map(|step| step.features.keys()).collect();
     let (mut unread, mut candidates) = (Vec::new(), Vec::new());
-    if names.len() > MOST_COLUMNS {
-        return Err(format!("{} features, more than {MOST_COLUMNS}", names.len()).into());
+    if names.len() > MAX_COLUMNS {
+        return Err(format!("{} features, more than {MAX_COLUMNS}", names.len()).into());
     }
     for name in names {
         let own = steps.iter().map(|step| step.features.get(name).map(Vec::as_slice));
-        memory.take(own.clone().flatten().map(<[f64]>::len).sum())?;
-        match steps_of(name, own) {
+        memory.reserve(own.clone().flatten().map(<[f64]>::len).sum())?;
+        match step_column(name, own) {
             Some(candidate) => candidates.push(candidate),
             None => unread.push((name.clone(), "rows of different lengths, or images".to_owned())),
         }
@@ -275,7 +278,7 @@ fn column(name: String, width: usize, values: Vec<f64>) -> Column {
 }
 
 /// Names and values of a feature map; `read` parses a value. Features without numbers are omitted.
-fn entries<T>(
+fn parse_entries<T>(
     bytes: &[u8],
     read: impl Fn(&[u8]) -> Result<Option<T>, WireError>,
 ) -> Result<Vec<(String, T)>, WireError> {
@@ -296,7 +299,7 @@ fn entries<T>(
 }
 
 /// Numbers of a feature; `None` if it holds bytes.
-fn numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
+fn parse_numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
     let mut reader = Reader::new(feature);
     while let Some((kind, list)) = reader.field()? {
         let (Value::Bytes(list), 2 | 3) = (list, kind) else { continue };
@@ -325,11 +328,11 @@ fn numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
 }
 
 /// Rows of a feature list.
-fn rows(list: &[u8]) -> Result<Option<Vec<Vec<f64>>>, WireError> {
+fn parse_rows(list: &[u8]) -> Result<Option<Vec<Vec<f64>>>, WireError> {
     let (mut reader, mut rows) = (Reader::new(list), Vec::new());
     while let Some((_, feature)) = reader.field()? {
         let Value::Bytes(feature) = feature else { continue };
-        let Some(row) = numbers(feature)? else { return Ok(None) };
+        let Some(row) = parse_numbers(feature)? else { return Ok(None) };
         rows.push(row);
     }
     Ok(Some(rows))

@@ -10,35 +10,38 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use self::array::Array;
-use self::store::Store;
-use super::{Candidate, Column, Context, Episodes, MOST_EPISODES, Refusal, Table, rate_in, usual};
-use crate::contained::Contained;
-use crate::memory::Memory;
+use self::array::ZarrArray;
+use self::store::ZarrStore;
+use super::{
+    Column, Episodes, MAX_EPISODES, ReadColumn, ReadContext, Table, TableError, most_frequent,
+    rate_in,
+};
+use crate::containment::Containment;
+use crate::memory_budget::MemoryBudget;
 
 #[cfg(test)]
-pub(crate) use self::blosc::unpacked as unpacked_blosc;
+pub(crate) use self::blosc::unpack as unpacked_blosc;
 pub use self::store::is_store;
 pub(crate) use self::store::is_zip_store;
 
 /// Array with the end row of each episode.
-const ENDS: &str = "episode_ends";
+const EPISODE_ENDS: &str = "episode_ends";
 /// Group prefix that is omitted from array names.
-const DATA: &str = "data/";
+const DATA_PREFIX: &str = "data/";
 
 /// Location of a store: a folder, or the bytes of an archive.
 #[derive(Clone, Copy)]
-pub(super) enum At<'a> {
+pub(super) enum StoreLocation<'a> {
     Folder(&'a Path),
     Bytes(&'a [u8]),
 }
 
 /// Readable arrays of a store, and its episodes.
-struct Contents<'a> {
-    store: Store<'a>,
-    arrays: Vec<Array>,
+struct StoreContents<'a> {
+    store: ZarrStore<'a>,
+    arrays: Vec<ZarrArray>,
     /// Why some arrays cannot be read.
-    refused: Vec<Refusal>,
+    refused: Vec<TableError>,
     /// Whether the store declares episode ends.
     has_ends: bool,
     episodes: Vec<Range<usize>>,
@@ -46,18 +49,18 @@ struct Contents<'a> {
 
 /// Episodes of a store, or only the `wanted` one.
 pub(super) fn read(
-    at: At,
+    at: StoreLocation,
     wanted: Option<&str>,
-    context: &mut Context,
-) -> Result<Episodes, Refusal> {
-    let Contents { mut store, arrays, refused, has_ends, episodes } = opened(at)?;
+    context: &mut ReadContext,
+) -> Result<Episodes, TableError> {
+    let StoreContents { mut store, arrays, refused, has_ends, episodes } = open_store(at)?;
     for what in refused {
         what.report(None, context.losses);
     }
-    if wanted.is_none() && episodes.len() > MOST_EPISODES {
-        return Err(Refusal::Episodes);
+    if wanted.is_none() && episodes.len() > MAX_EPISODES {
+        return Err(TableError::Episodes);
     }
-    let mut groups = vec![String::new(), DATA.trim_end_matches('/').to_owned()];
+    let mut groups = vec![String::new(), DATA_PREFIX.trim_end_matches('/').to_owned()];
     groups.extend(arrays.iter().map(|array| array.path.clone()));
     let rate_hz = groups.iter().find_map(|path| rate_in(&store.attributes(path)?));
     let mut found = Vec::new();
@@ -69,7 +72,7 @@ pub(super) fn read(
         let mut candidates = Vec::new();
         for array in &arrays {
             let column = Column {
-                name: match array.path.strip_prefix(DATA).unwrap_or(&array.path) {
+                name: match array.path.strip_prefix(DATA_PREFIX).unwrap_or(&array.path) {
                     "" => "array".to_owned(),
                     path => path.to_owned(),
                 },
@@ -80,18 +83,18 @@ pub(super) fn read(
             // If the store has several episodes, a short array lacks the last rows.
             let declared = if has_ends { span.len() } else { array.rows() };
             if declared != span.len() {
-                candidates.push(Candidate { column, rows: declared, ..Candidate::default() });
+                candidates.push(ReadColumn { column, rows: declared, ..ReadColumn::default() });
                 continue;
             }
             let own = span.start.min(array.rows())..span.end.min(array.rows());
             candidates.push(match array.read(&mut store, own, context.memory) {
-                Ok(read) => Candidate {
+                Ok(read) => ReadColumn {
                     column: Column { values: read.values, ..column },
                     rows: declared,
                     lost: read.lost,
                     why: read.why,
                 },
-                Err(why) => Candidate::refused(&column.name, declared, why),
+                Err(why) => ReadColumn::unreadable(&column.name, declared, why),
             });
         }
         let table = Table { rate_hz, ..Table::of(candidates, Some(span.len()), context.memory) };
@@ -101,11 +104,13 @@ pub(super) fn read(
 }
 
 /// Files in a folder store that belong to its table.
-pub fn files_of_store(folder: &Path) -> Vec<PathBuf> {
-    let arrays = opened(At::Folder(folder)).map(|contents| contents.arrays).unwrap_or_default();
+pub fn store_files(folder: &Path) -> Vec<PathBuf> {
+    let arrays = open_store(StoreLocation::Folder(folder))
+        .map(|contents| contents.arrays)
+        .unwrap_or_default();
     let mut open: Vec<PathBuf> = arrays.iter().map(|array| folder.join(&array.path)).collect();
-    open.push(folder.join("meta").join(ENDS));
-    let (mut found, mut contained) = (Vec::new(), Contained::of(folder));
+    open.push(folder.join("meta").join(EPISODE_ENDS));
+    let (mut found, mut contained) = (Vec::new(), Containment::new(folder));
     while let Some(path) = open.pop() {
         let inside = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         for entry in inside.filter(|entry| contained.holds(&entry.path())) {
@@ -118,33 +123,35 @@ pub fn files_of_store(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// Names of the episodes of a store.
-pub(super) fn episodes_in(at: At) -> Result<Vec<String>, Refusal> {
-    Ok((0..opened(at)?.episodes.len()).map(|number| number.to_string()).collect())
+pub(super) fn episodes_in(at: StoreLocation) -> Result<Vec<String>, TableError> {
+    Ok((0..open_store(at)?.episodes.len()).map(|number| number.to_string()).collect())
 }
 
-fn opened(at: At) -> Result<Contents, Refusal> {
+fn open_store(at: StoreLocation) -> Result<StoreContents, TableError> {
     let mut store = match at {
-        At::Folder(path) => Store::folder(path),
-        At::Bytes(bytes) => Store::zip(bytes)?,
+        StoreLocation::Folder(path) => ZarrStore::folder(path),
+        StoreLocation::Bytes(bytes) => ZarrStore::zip(bytes)?,
     };
     let (mut arrays, mut ends, mut refused) = (Vec::new(), None, Vec::new());
     for (path, metadata) in store.arrays() {
-        match metadata.map(|metadata| Array::of(&path, &metadata)) {
-            Ok(Some(Ok(array))) if path.rsplit('/').next() == Some(ENDS) => ends = Some(array),
+        match metadata.map(|metadata| ZarrArray::from_metadata(&path, &metadata)) {
+            Ok(Some(Ok(array))) if path.rsplit('/').next() == Some(EPISODE_ENDS) => {
+                ends = Some(array)
+            }
             Ok(Some(Ok(array))) if array.width().is_some() => arrays.push(array),
             Ok(Some(Err(what))) | Err(what) => refused.push(what),
             Ok(_) => {}
         }
     }
-    let mut memory = Memory::of(None);
+    let mut memory = MemoryBudget::new(None);
     let ends = ends.map(|ends| ends.read(&mut store, 0..ends.rows(), &mut memory)).transpose()?;
     if let Some(ends) = ends.as_ref().filter(|ends| !ends.lost.is_empty()) {
         let why = ends.why.clone();
-        return Err(why.unwrap_or_else(|| "some chunks are missing".into()).of(ENDS));
+        return Err(why.unwrap_or_else(|| "some chunks are missing".into()).in_part(EPISODE_ENDS));
     }
     let rows = match ends.as_ref().and_then(|ends| ends.values.last()) {
         Some(last) => *last as usize,
-        None => usual(arrays.iter().map(Array::rows)),
+        None => most_frequent(arrays.iter().map(ZarrArray::rows)),
     };
     // With episodes, the rows of shorter arrays cannot be aligned.
     arrays.retain(|array| ends.is_none() || array.rows() > rows / 2);
@@ -152,19 +159,19 @@ fn opened(at: At) -> Result<Contents, Refusal> {
         let none = || "it contains no arrays of numbers with a common number of rows".into();
         return Err(refused.into_iter().next().unwrap_or_else(none));
     }
-    let episodes = episodes(ends.as_ref().map(|ends| ends.values.as_slice()), rows)?;
-    Ok(Contents { store, arrays, refused, has_ends: ends.is_some(), episodes })
+    let episodes = episode_spans(ends.as_ref().map(|ends| ends.values.as_slice()), rows)?;
+    Ok(StoreContents { store, arrays, refused, has_ends: ends.is_some(), episodes })
 }
 
 /// Row range of each episode.
-fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refusal> {
+fn episode_spans(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, TableError> {
     let whole = [rows as f64];
     let mut first = 0;
     let mut span = |end: &f64| {
         let span = first..*end as usize;
         first = span.end;
         let is_sound = span.start < span.end && span.end <= rows;
-        is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not increase").into())
+        is_sound.then_some(span).ok_or_else(|| format!("'{EPISODE_ENDS}' does not increase").into())
     };
     ends.unwrap_or(&whole).iter().map(&mut span).collect()
 }

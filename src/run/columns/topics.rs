@@ -84,7 +84,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
                 name: selectors(&names).concat(),
                 type_name: kind(&topic, run.len()),
                 cells,
-                useless: Some(said),
+                unusable: Some(said),
                 ..topic_like(&topic)
             });
         }
@@ -98,7 +98,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
 pub(super) fn leave_singles(log: &mut Log) {
     for topic in log.topics.iter_mut().filter(|topic| is_open(topic) && topic.cells.len() == 1) {
         topic.columns = None;
-        topic.useless = topic.read_as.take();
+        topic.unusable = topic.read_as.take();
     }
 }
 
@@ -111,7 +111,7 @@ fn topic_like(topic: &Topic) -> Topic {
         messages: topic.messages,
         columns: None,
         undecodable: None,
-        useless: None,
+        unusable: None,
         read_as: None,
         cells: Vec::new(),
         span: topic.span,

@@ -127,7 +127,7 @@ impl Recording {
             messages: ROWS as u64,
             columns: Some(columns),
             undecodable: None,
-            useless: None,
+            unusable: None,
             read_as: None,
             cells: Vec::new(),
             span: None,

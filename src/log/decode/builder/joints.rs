@@ -14,10 +14,10 @@ const MAX_JOINTS: usize = 256;
 /// Number of values missing from their messages (one gigabyte) above which sparsity is checked, …
 const ABSENT_CELLS: usize = 1 << 26;
 /// … and the minimum share of present values is then one in this many. A topic does not have more senders.
-const SENDERS: usize = 8;
+const MAX_SENDERS: usize = 8;
 
 /// Prefix of unnamed joints, followed by their number.
-const COUNTED: &str = "q";
+const UNNAMED_PREFIX: &str = "q";
 
 /// Joints in a message exceed the limits.
 #[derive(Debug, thiserror::Error)]
@@ -53,25 +53,25 @@ pub(in crate::decode) struct Joints {
 }
 
 impl Joints {
-    pub(super) fn of(positions: usize, velocities: usize) -> Self {
+    pub(super) fn new(positions: usize, velocities: usize) -> Self {
         Self { positions, velocities, ..Self::default() }
     }
 
     pub(super) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
         let [positions, velocities] =
             [self.positions, self.velocities].map(|index| row.lists[index].as_slice());
-        let is_counted = self.columns.unnamed && self.stem == COUNTED;
+        let is_counted = self.columns.unnamed && self.stem == UNNAMED_PREFIX;
         if is_counted && !row.names.is_empty() {
             // Messages with names take precedence over earlier ones without.
             let dropped = self.columns.wrong_length + self.columns.times.len() as u64;
-            *self = Self::of(self.positions, self.velocities);
+            *self = Self::new(self.positions, self.velocities);
             self.columns.wrong_length = dropped;
         } else if row.names.is_empty()
             && !positions.is_empty()
             && self.columns.joints.is_empty()
             && self.stem.is_empty()
         {
-            (self.columns.unnamed, self.stem) = (true, COUNTED);
+            (self.columns.unnamed, self.stem) = (true, UNNAMED_PREFIX);
         }
         let unnamed = self.columns.unnamed;
         if !unnamed && positions.len() != row.names.len() {
@@ -79,7 +79,7 @@ impl Joints {
             return Ok(());
         }
         if unnamed && positions.len() != self.names.len() {
-            self.map_names(&usual_names(self.stem, positions.len()))?;
+            self.map_names(&default_names(self.stem, positions.len()))?;
         } else if !unnamed && row.names != self.names {
             self.map_names(&row.names)?;
         }
@@ -229,11 +229,11 @@ impl Joints {
 /// Whether the rows need far more memory than their content, given the number of all values and of missing
 /// ones.
 fn is_too_sparse(cells: usize, absent: usize) -> bool {
-    absent > ABSENT_CELLS && cells / SENDERS > cells - absent
+    absent > ABSENT_CELLS && cells / MAX_SENDERS > cells - absent
 }
 
 /// Default names of `count` unnamed joints.
-fn usual_names(stem: &str, count: usize) -> Names {
+fn default_names(stem: &str, count: usize) -> Names {
     let mut names = Names::default();
     for joint in 1..=count {
         names.push(format!("{stem}{joint}").as_bytes());

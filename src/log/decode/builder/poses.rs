@@ -9,7 +9,7 @@ use ground::stream::PoseColumns;
 
 /// Child frames for poses identified by their index in the message. The first is empty, as for a single
 /// pose. Particle clouds and paths have more poses.
-const PLACES: [&str; 16] = [
+const INDEX_NAMES: [&str; 16] = [
     "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
     "[13]", "[14]", "[15]",
 ];
@@ -154,7 +154,7 @@ impl Poses {
 
 /// Poses of messages that contain several.
 #[derive(Clone, Debug)]
-pub(in crate::decode) struct Crowd {
+pub(in crate::decode) struct PoseSet {
     pub(super) poses: Poses,
     pub(super) naming: Naming,
     /// Maximum number in one message.
@@ -164,22 +164,22 @@ pub(in crate::decode) struct Crowd {
 /// Identification of the poses within a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Naming {
-    /// By index; see [`PLACES`].
+    /// By index; see [`INDEX_NAMES`].
     Numbers,
     /// By the name at their index, in the frame of the simulated world.
     Names,
 }
 
 impl Naming {
-    pub(super) const fn most(self) -> usize {
+    pub(super) const fn max_poses(self) -> usize {
         match self {
-            Naming::Numbers => PLACES.len(),
+            Naming::Numbers => INDEX_NAMES.len(),
             Naming::Names => MAX_FRAMES,
         }
     }
 }
 
-impl Crowd {
+impl PoseSet {
     pub(super) fn append(&mut self, row: &Row, times: RowTimes) {
         self.most = self.most.max(row.index + 1);
         if self.is_too_large() {
@@ -187,7 +187,7 @@ impl Crowd {
         }
         match self.naming {
             Naming::Numbers => {
-                self.poses.append_of(row.frame(row::FRAME), PLACES[row.index], row, times);
+                self.poses.append_of(row.frame(row::FRAME), INDEX_NAMES[row.index], row, times);
             }
             Naming::Names => {
                 if let Some(name) = row.names.get(row.index) {
@@ -207,7 +207,7 @@ impl Crowd {
 
     /// Whether a message contained too many poses for an arm.
     pub(super) fn is_too_large(&self) -> bool {
-        self.most > self.naming.most()
+        self.most > self.naming.max_poses()
     }
 
     /// The poses, unless there are too many for an arm.
@@ -215,14 +215,14 @@ impl Crowd {
         let is_too_large = self.is_too_large();
         let mut groups = self.poses.groups;
         if self.naming == Naming::Names {
-            take_off_models(&mut groups);
+            remove_model_names(&mut groups);
         }
         (!is_too_large).then_some(groups)
     }
 }
 
 /// Removes the model from `model::link` if links are unique without it.
-fn take_off_models(groups: &mut [PoseColumns]) {
+fn remove_model_names(groups: &mut [PoseColumns]) {
     let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
     let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();
     let mut models = HashMap::<&str, usize>::new();

@@ -23,7 +23,7 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
         for part in &parts {
             file[part.clone()].copy_from_slice(&bytes[part.clone()]);
         }
-        present.extend(Ranges::of(parts, 0));
+        present.extend(Ranges::new(parts, 0));
         let there = Present::of(present.clone(), bytes.len());
         if there == Present::Whole {
             return (file, there, bytes.len());
@@ -33,7 +33,7 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
             Survey::Parts(parts) => parts,
             Survey::Rest => vec![whole.clone()],
         };
-        let asked = Ranges::of(parts.clone(), 0);
+        let asked = Ranges::new(parts.clone(), 0);
         assert!(present.missing(&asked).bytes() > 0, "requested again: {asked:?}");
     }
 }
@@ -166,7 +166,7 @@ fn what_is_not_there_is_refused_and_not_guessed() {
     // Each requested range is needed.
     for piece in ranges.pieces(usize::MAX) {
         let rest = ranges.pieces(usize::MAX).filter(|other| *other != piece).collect();
-        let present = Present::Parts(Ranges::of(rest, 0));
+        let present = Present::Parts(Ranges::new(rest, 0));
         let mut file = file.clone();
         file[piece.clone()].fill(0);
         let read = read_present(&file, &present, ReadOptions::default());

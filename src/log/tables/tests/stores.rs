@@ -179,7 +179,7 @@ fn links_out_of_the_folder_are_not_followed_and_cycles_end() {
     let log = of_folder(folder.path()).expect("a log");
     assert_eq!(topic(&log, "q").messages, 40);
     assert!(log.losses[0].what.contains("is a link out of the log folder"), "{:?}", log.losses);
-    assert!(crate::files_of_store(folder.path()).iter().all(|file| !file.ends_with("q/1.0")));
+    assert!(crate::store_files(folder.path()).iter().all(|file| !file.ends_with("q/1.0")));
 }
 
 #[test]

@@ -5,46 +5,46 @@ use std::ops::Range;
 use serde_json::Value;
 
 use super::codec::Codec;
-use super::store::Store;
-use crate::memory::Memory;
-use crate::tables::chunks::{Assembled, Assembly, Grid};
-use crate::tables::npy::Kind;
-use crate::tables::{MOST_WIDE, Refusal, names};
+use super::store::ZarrStore;
+use crate::memory_budget::MemoryBudget;
+use crate::tables::chunks::{AssembledRows, ChunkAssembly, ChunkGrid};
+use crate::tables::npy::ElementType;
+use crate::tables::{MAX_WIDTH, TableError, names};
 
 /// Maximum side of an array; larger values are not credible.
-const LONGEST: usize = 1 << 30;
+const MAX_SIDE: usize = 1 << 30;
 /// Maximum number of codecs. Writers use up to four: filters, a shuffle, a compressor and a checksum.
-const MOST_CODECS: usize = 16;
+const MAX_CODECS: usize = 16;
 
 /// Layout of an array, with the names and codecs of its chunks.
 #[derive(Clone, Debug)]
-pub(super) struct Array {
+pub(super) struct ZarrArray {
     /// Path within the store.
     pub path: String,
-    grid: Grid,
+    grid: ChunkGrid,
     /// In encoding order.
     codecs: Vec<Codec>,
     /// Prefix and separator of the indices in the name of a chunk.
-    before: &'static str,
-    between: &'static str,
+    prefix: &'static str,
+    separator: &'static str,
 }
 
-impl Array {
+impl ZarrArray {
     /// Parses the metadata of the array at `path`; `None` if it is not numeric.
-    pub fn of(path: &str, metadata: &Value) -> Option<Result<Self, Refusal>> {
+    pub fn from_metadata(path: &str, metadata: &Value) -> Option<Result<Self, TableError>> {
         let is_third = metadata.get("zarr_format")?.as_u64()? == 3;
-        let read = if is_third { third(metadata) } else { second(metadata) };
+        let read = if is_third { parse_v3(metadata) } else { parse_v2(metadata) };
         let array = match read? {
             Ok(array) => array,
-            Err(what) => return Some(Err(what.of(path))),
+            Err(what) => return Some(Err(what.in_part(path))),
         };
-        let Grid { shape, chunks, .. } = &array.grid;
+        let ChunkGrid { shape, chunks, .. } = &array.grid;
         let is_sound = chunks.len() == shape.len()
             && !shape.is_empty()
-            && chunks.iter().all(|side| (1..=LONGEST).contains(side))
-            && shape.iter().all(|side| *side <= LONGEST);
-        if array.codecs.len() > MOST_CODECS {
-            return Some(Err(format!("'{path}': more than {MOST_CODECS} codecs").into()));
+            && chunks.iter().all(|side| (1..=MAX_SIDE).contains(side))
+            && shape.iter().all(|side| *side <= MAX_SIDE);
+        if array.codecs.len() > MAX_CODECS {
+            return Some(Err(format!("'{path}': more than {MAX_CODECS} codecs").into()));
         }
         let array = Self { path: path.to_owned(), ..array };
         Some(if is_sound { Ok(array) } else { Err(format!("'{path}': invalid chunks").into()) })
@@ -59,7 +59,7 @@ impl Array {
         let inner = &self.grid.shape[1..];
         let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         let is_image = inner.len() > 1 && !self.grid.kind.is_float();
-        width.filter(|width| (1..=MOST_WIDE).contains(width) && !is_image)
+        width.filter(|width| (1..=MAX_WIDTH).contains(width) && !is_image)
     }
 
     pub fn kind(&self) -> String {
@@ -69,38 +69,38 @@ impl Array {
     /// Reads some rows; also returns which of them are lost.
     pub fn read(
         &self,
-        store: &mut Store,
+        store: &mut ZarrStore,
         rows: Range<usize>,
-        memory: &mut Memory,
-    ) -> Result<Assembled, Refusal> {
+        memory: &mut MemoryBudget,
+    ) -> Result<AssembledRows, TableError> {
         if rows.is_empty() {
-            return Ok(Assembled { values: Vec::new(), lost: Vec::new(), why: None });
+            return Ok(AssembledRows { values: Vec::new(), lost: Vec::new(), why: None });
         }
         let whole = self.grid.chunk_bytes();
         let whole =
             whole.ok_or_else(|| format!("its chunk size is invalid: {:?}", self.grid.chunks))?;
-        memory.take(rows.len().saturating_mul(self.width().unwrap_or(0)))?;
+        memory.reserve(rows.len().saturating_mul(self.width().unwrap_or(0)))?;
         // Packed, unpacked and unshuffled copies.
-        memory.allows((whole as u64).saturating_mul(3))?;
-        let mut all = Assembly::of(&self.grid, rows);
-        for place in all.places() {
+        memory.check_available((whole as u64).saturating_mul(3))?;
+        let mut all = ChunkAssembly::new(&self.grid, rows);
+        for place in all.chunk_indices() {
             let numbers: Vec<String> = place.iter().map(usize::to_string).collect();
-            let key = format!("{}/{}{}", self.path, self.before, numbers.join(self.between));
-            let chunk = store
-                .get(&key, whole as u64)
-                .and_then(|packed| packed.map(|packed| self.unpacked(packed, whole)).transpose());
-            if !all.put(&place, chunk) {
+            let key = format!("{}/{}{}", self.path, self.prefix, numbers.join(self.separator));
+            let chunk = store.get(&key, whole as u64).and_then(|packed| {
+                packed.map(|packed| self.decode_chunk(packed, whole)).transpose()
+            });
+            if !all.add_chunk(&place, chunk) {
                 break;
             }
         }
-        Ok(all.finish(names::is_of_arm(&self.path)))
+        Ok(all.finish(names::is_joints_or_pose(&self.path)))
     }
 
     /// Decodes a chunk of `whole` bytes.
-    fn unpacked(&self, mut bytes: Vec<u8>, whole: usize) -> Result<Vec<u8>, Refusal> {
+    fn decode_chunk(&self, mut bytes: Vec<u8>, whole: usize) -> Result<Vec<u8>, TableError> {
         for codec in self.codecs.iter().rev() {
             // A checksum adds 4 bytes.
-            bytes = codec.undo(&bytes, whole + 4)?;
+            bytes = codec.decode(&bytes, whole + 4)?;
         }
         match bytes.len() {
             own if own < whole => Err(format!("a chunk has {own} bytes instead of {whole}").into()),
@@ -109,13 +109,13 @@ impl Array {
     }
 }
 
-fn sides(value: Option<&Value>) -> Option<Vec<usize>> {
+fn parse_sides(value: Option<&Value>) -> Option<Vec<usize>> {
     let side = |value: &Value| usize::try_from(value.as_u64()?).ok();
     value?.as_array()?.iter().map(side).collect()
 }
 
 /// Fill value for missing chunks: a number, or a name of one.
-fn fill(value: Option<&Value>) -> f64 {
+fn parse_fill_value(value: Option<&Value>) -> f64 {
     match value {
         Some(Value::Number(number)) => number.as_f64().unwrap_or(f64::NAN),
         Some(Value::String(word)) => word.parse().unwrap_or(f64::NAN),
@@ -124,46 +124,49 @@ fn fill(value: Option<&Value>) -> f64 {
     }
 }
 
-fn second(metadata: &Value) -> Option<Result<Array, Refusal>> {
-    let kind = Kind::of(metadata.get("dtype")?.as_str()?)?;
-    let codec =
-        |value: &Value| Codec::of(value.get("id").and_then(Value::as_str).unwrap_or(""), value);
+fn parse_v2(metadata: &Value) -> Option<Result<ZarrArray, TableError>> {
+    let kind = ElementType::parse(metadata.get("dtype")?.as_str()?)?;
+    let codec = |value: &Value| {
+        Codec::from_name(value.get("id").and_then(Value::as_str).unwrap_or(""), value)
+    };
     let filters = metadata.get("filters").and_then(Value::as_array).into_iter().flatten();
     let packer = metadata.get("compressor").filter(|value| !value.is_null());
-    let codecs: Result<Vec<Codec>, Refusal> =
-        filters.chain(packer).take(MOST_CODECS + 1).map(codec).collect();
+    let codecs: Result<Vec<Codec>, TableError> =
+        filters.chain(packer).take(MAX_CODECS + 1).map(codec).collect();
     let separator = metadata.get("dimension_separator").and_then(Value::as_str);
     let array = |codecs| {
-        Some(Array {
+        Some(ZarrArray {
             path: String::new(),
-            grid: Grid {
-                shape: sides(metadata.get("shape"))?,
-                chunks: sides(metadata.get("chunks"))?,
+            grid: ChunkGrid {
+                shape: parse_sides(metadata.get("shape"))?,
+                chunks: parse_sides(metadata.get("chunks"))?,
                 kind,
-                fill: fill(metadata.get("fill_value")),
+                fill: parse_fill_value(metadata.get("fill_value")),
                 is_fortran: metadata.get("order").and_then(Value::as_str) == Some("F"),
             },
             codecs,
-            before: "",
-            between: if separator == Some("/") { "/" } else { "." },
+            prefix: "",
+            separator: if separator == Some("/") { "/" } else { "." },
         })
     };
     codecs.map(array).transpose()
 }
 
-fn third(metadata: &Value) -> Option<Result<Array, Refusal>> {
+fn parse_v3(metadata: &Value) -> Option<Result<ZarrArray, TableError>> {
     let text =
         |value: &Value, name: &str| value.get(name).and_then(Value::as_str).map(str::to_owned);
     let settings = |value: &Value, name: &str| text(value.get("configuration")?, name);
     let (mut codecs, mut is_big) = (Vec::new(), false);
     let all = metadata.get("codecs").and_then(Value::as_array).into_iter().flatten();
-    for codec in all.take(MOST_CODECS + 2) {
+    for codec in all.take(MAX_CODECS + 2) {
         match text(codec, "name").as_deref().unwrap_or("") {
             "bytes" => is_big = settings(codec, "endian").as_deref() == Some("big"),
-            name => match Codec::of(name, codec.get("configuration").unwrap_or(&Value::Null)) {
-                Ok(codec) => codecs.push(codec),
-                Err(what) => return Some(Err(what)),
-            },
+            name => {
+                match Codec::from_name(name, codec.get("configuration").unwrap_or(&Value::Null)) {
+                    Ok(codec) => codecs.push(codec),
+                    Err(what) => return Some(Err(what)),
+                }
+            }
         }
     }
     let (mark, kind) = (if is_big { ">" } else { "<" }, text(metadata, "data_type")?);
@@ -179,21 +182,21 @@ fn third(metadata: &Value) -> Option<Result<Array, Refusal>> {
     let separator = encoding.and_then(|own| settings(own, "separator"));
     let is_dotted = separator.as_deref().map_or(is_second, |separator| separator == ".");
     let grid = metadata.get("chunk_grid").and_then(|grid| grid.get("configuration"));
-    Some(Ok(Array {
+    Some(Ok(ZarrArray {
         path: String::new(),
-        grid: Grid {
-            shape: sides(metadata.get("shape"))?,
-            chunks: sides(grid.and_then(|grid| grid.get("chunk_shape")))?,
-            kind: Kind::of(&kind)?,
-            fill: fill(metadata.get("fill_value")),
+        grid: ChunkGrid {
+            shape: parse_sides(metadata.get("shape"))?,
+            chunks: parse_sides(grid.and_then(|grid| grid.get("chunk_shape")))?,
+            kind: ElementType::parse(&kind)?,
+            fill: parse_fill_value(metadata.get("fill_value")),
             is_fortran: false,
         },
         codecs,
-        before: match (is_second, is_dotted) {
+        prefix: match (is_second, is_dotted) {
             (true, _) => "",
             (false, true) => "c.",
             (false, false) => "c/",
         },
-        between: if is_dotted { "." } else { "/" },
+        separator: if is_dotted { "." } else { "/" },
     }))
 }

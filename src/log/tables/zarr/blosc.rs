@@ -2,19 +2,19 @@
 //!
 //! Format: `README_CHUNK_FORMAT.rst` of c-blosc 1.21.
 
-use super::codec::{all, lz4, worded};
-use crate::tables::Refusal;
+use super::codec::{codec_error, decode_lz4, read_all};
+use crate::tables::TableError;
 
-const HEADER: usize = 16;
+const HEADER_BYTES: usize = 16;
 /// Last version of the format; Blosc 2 uses higher ones.
-const VERSION: u8 = 2;
-/// Blocks are split by byte of the element if elements have at most `MOST_SPLITS` bytes and each part at
-/// least `LEAST_PART`.
-const MOST_SPLITS: usize = 16;
-const LEAST_PART: usize = 128;
+const MAX_VERSION: u8 = 2;
+/// Blocks are split by byte of the element if elements have at most `MAX_SPLIT_BYTES` bytes and each part at
+/// least `MIN_PART_BYTES`.
+const MAX_SPLIT_BYTES: usize = 16;
+const MIN_PART_BYTES: usize = 128;
 
 /// Names of the compressors by their code.
-const PACKERS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
+const COMPRESSORS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
 
 struct Header {
     flags: u8,
@@ -26,10 +26,10 @@ struct Header {
 }
 
 /// Unpacks a chunk to at most `most` bytes.
-pub(crate) fn unpacked(chunk: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
-    let cut = || Refusal::from("a chunk is truncated");
-    let (header, rest) = chunk.split_first_chunk::<HEADER>().ok_or_else(cut)?;
-    if header[0] > VERSION {
+pub(crate) fn unpack(chunk: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
+    let cut = || TableError::from("a chunk is truncated");
+    let (header, rest) = chunk.split_first_chunk::<HEADER_BYTES>().ok_or_else(cut)?;
+    if header[0] > MAX_VERSION {
         return Err("a chunk is not in Blosc 1 format".into());
     }
     let word = |at: usize| read_u32(header, at).unwrap_or(0);
@@ -50,7 +50,7 @@ pub(crate) fn unpacked(chunk: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
         let length = block.min(bytes - whole.len());
         let start = read_u32(rest, 4 * number).ok_or_else(cut)?;
         let packed = chunk.get(start..).ok_or_else(cut)?;
-        whole.extend(header.unshuffled(header.block(packed, length).ok_or_else(cut)??));
+        whole.extend(header.unshuffle(header.block(packed, length).ok_or_else(cut)??));
     }
     Ok(whole)
 }
@@ -63,10 +63,10 @@ fn read_u32(bytes: &[u8], at: usize) -> Option<usize> {
 impl Header {
     /// Decompresses the block of `length` bytes at the start of `packed`, without unshuffling. `None` if it
     /// is truncated.
-    fn block(&self, packed: &[u8], length: usize) -> Option<Result<Vec<u8>, Refusal>> {
+    fn block(&self, packed: &[u8], length: usize) -> Option<Result<Vec<u8>, TableError>> {
         let is_split = self.flags & 0x10 == 0
-            && self.size <= MOST_SPLITS
-            && length / self.size >= LEAST_PART
+            && self.size <= MAX_SPLIT_BYTES
+            && length / self.size >= MIN_PART_BYTES
             && length == self.block;
         let part = if is_split { length / self.size } else { length };
         let (mut block, mut at) = (Vec::new(), 0);
@@ -83,24 +83,24 @@ impl Header {
         Some(Ok(block))
     }
 
-    fn part(&self, packed: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
+    fn part(&self, packed: &[u8], length: usize) -> Result<Vec<u8>, TableError> {
         match self.flags >> 5 {
-            1 => lz4(packed, length),
-            3 => all(flate2::read::ZlibDecoder::new(packed), length),
-            4 => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, length),
+            1 => decode_lz4(packed, length),
+            3 => read_all(flate2::read::ZlibDecoder::new(packed), length),
+            4 => read_all(zstd::Decoder::with_buffer(packed).map_err(codec_error)?, length),
             other => Err(format!(
                 "its chunks are compressed with {}, which is not supported; write it with lz4 or zstd",
-                PACKERS[usize::from(other)]
+                COMPRESSORS[usize::from(other)]
             )
             .into()),
         }
     }
 
-    fn unshuffled(&self, block: Vec<u8>) -> Vec<u8> {
+    fn unshuffle(&self, block: Vec<u8>) -> Vec<u8> {
         match (self.flags & 1 != 0, self.flags & 4 != 0) {
-            (true, _) => unshuffled(&block, self.size),
+            (true, _) => unshuffle_bytes(&block, self.size),
             (false, true) if (block.len() / self.size).is_multiple_of(8) => {
-                bits_unshuffled(&block, self.size)
+                unshuffle_bits(&block, self.size)
             }
             _ => block,
         }
@@ -108,7 +108,7 @@ impl Header {
 }
 
 /// Undoes a byte shuffle of elements of `size` bytes: all first bytes, then all second bytes, and so on.
-pub(super) fn unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
+pub(super) fn unshuffle_bytes(bytes: &[u8], size: usize) -> Vec<u8> {
     let count = bytes.len() / size;
     let mut whole = bytes.to_vec();
     for (element, own) in whole.chunks_exact_mut(size).enumerate() {
@@ -118,7 +118,7 @@ pub(super) fn unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
 }
 
 /// Undoes a bit shuffle, lowest bit first.
-fn bits_unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
+fn unshuffle_bits(bytes: &[u8], size: usize) -> Vec<u8> {
     let row = bytes.len() / size / 8;
     let mut whole = bytes.to_vec();
     for (element, own) in whole.chunks_exact_mut(size).enumerate() {

@@ -5,7 +5,7 @@ use std::io::Read;
 use serde_json::Value;
 
 use super::blosc;
-use crate::tables::Refusal;
+use crate::tables::TableError;
 
 /// One encoding step.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -25,7 +25,7 @@ pub(super) enum Codec {
 
 impl Codec {
     /// Codec with this name in the metadata.
-    pub fn of(name: &str, settings: &Value) -> Result<Self, Refusal> {
+    pub fn from_name(name: &str, settings: &Value) -> Result<Self, TableError> {
         let size = || settings.get("elementsize").and_then(Value::as_u64).unwrap_or(4);
         // Zarr 3 adds this prefix to the codecs of numcodecs.
         Ok(match name.strip_prefix("numcodecs.").unwrap_or(name) {
@@ -47,46 +47,46 @@ impl Codec {
     }
 
     /// Decodes `packed` to at most `most` bytes.
-    pub fn undo(self, packed: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
+    pub fn decode(self, packed: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
         match self {
-            Self::Zlib => all(flate2::read::ZlibDecoder::new(packed), most),
-            Self::Gzip => all(flate2::read::MultiGzDecoder::new(packed), most),
-            Self::Zstd => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, most),
-            Self::Bzip2 => all(bzip2::read::BzDecoder::new(packed), most),
+            Self::Zlib => read_all(flate2::read::ZlibDecoder::new(packed), most),
+            Self::Gzip => read_all(flate2::read::MultiGzDecoder::new(packed), most),
+            Self::Zstd => read_all(zstd::Decoder::with_buffer(packed).map_err(codec_error)?, most),
+            Self::Bzip2 => read_all(bzip2::read::BzDecoder::new(packed), most),
             Self::Lz4 => {
                 let (length, block) = packed.split_first_chunk().ok_or("a chunk is truncated")?;
                 let length = u32::from_le_bytes(*length) as usize;
                 match length <= most {
-                    true => lz4(block, length),
+                    true => decode_lz4(block, length),
                     false => Err(too_long(length, most)),
                 }
             }
-            Self::Blosc => blosc::unpacked(packed, most),
+            Self::Blosc => blosc::unpack(packed, most),
             Self::Crc32c => Ok(packed[..packed.len().saturating_sub(4)].to_vec()),
-            Self::Shuffle(size) => Ok(blosc::unshuffled(packed, size)),
+            Self::Shuffle(size) => Ok(blosc::unshuffle_bytes(packed, size)),
         }
     }
 }
 
 /// Output of a decoder, at most `most` bytes.
-pub(super) fn all(decoder: impl Read, most: usize) -> Result<Vec<u8>, Refusal> {
+pub(super) fn read_all(decoder: impl Read, most: usize) -> Result<Vec<u8>, TableError> {
     let mut bytes = Vec::new();
-    decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(worded)?;
+    decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(codec_error)?;
     if bytes.len() > most { Err(too_long(bytes.len(), most)) } else { Ok(bytes) }
 }
 
 /// Unpacks an LZ4 block to `length` bytes. The caller has limited `length`.
-pub(super) fn lz4(block: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
+pub(super) fn decode_lz4(block: &[u8], length: usize) -> Result<Vec<u8>, TableError> {
     let length = i32::try_from(length).map_err(|_| "a chunk is too long")?;
-    lz4::block::decompress(block, Some(length)).map_err(worded)
+    lz4::block::decompress(block, Some(length)).map_err(codec_error)
 }
 
-fn too_long(length: usize, most: usize) -> Refusal {
+fn too_long(length: usize, most: usize) -> TableError {
     format!("a chunk unpacks to {length} bytes or more instead of {most}").into()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]
-pub(super) fn worded(error: std::io::Error) -> Refusal {
+pub(super) fn codec_error(error: std::io::Error) -> TableError {
     let text = error.to_string();
     format!("a chunk cannot be unpacked: {}", text.lines().next().unwrap_or_default()).into()
 }

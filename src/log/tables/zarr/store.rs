@@ -9,19 +9,19 @@ use serde_json::Value;
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use crate::contained::{Contained, LEADS_OUT};
-use crate::tables::{MOST_COLUMNS, MOST_METADATA, Refusal};
+use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
+use crate::tables::{MAX_COLUMNS, MAX_METADATA_BYTES, TableError};
 
 /// Metadata files of an array or a group, in Zarr 2 and 3.
-const METADATA: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
-const ATTRIBUTES: &str = ".zattrs";
+const METADATA_FILES: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
+const ATTRIBUTES_FILE: &str = ".zattrs";
 /// Maximum depth of nested groups.
-const DEEP: usize = 8;
+const MAX_DEPTH: usize = 8;
 /// Maximum overhead of packing, bytes: headers and incompressible blocks.
-const PACKING: u64 = 1 << 16;
+const MAX_PACKING_BYTES: u64 = 1 << 16;
 
-pub(super) enum Store<'a> {
-    Folder(PathBuf, Contained),
+pub(super) enum ZarrStore<'a> {
+    Folder(PathBuf, Containment),
     /// An archive, and the folder in it that is the store.
     Zip(ZipArchive<Cursor<&'a [u8]>>, String),
 }
@@ -29,20 +29,23 @@ pub(super) enum Store<'a> {
 /// Whether a folder is a Zarr store.
 pub fn is_store(folder: &Path) -> bool {
     let is_metadata = |name: &&str| {
-        let metadata = Store::folder(folder).json(name);
+        let metadata = ZarrStore::folder(folder).json(name);
         metadata.is_ok_and(|it| it.is_some_and(|it| is_metadata(&it)))
     };
-    METADATA.iter().any(|name| folder.join(name).is_file()) && METADATA.iter().any(is_metadata)
+    METADATA_FILES.iter().any(|name| folder.join(name).is_file())
+        && METADATA_FILES.iter().any(is_metadata)
 }
 
 /// Whether a zip archive is a Zarr store, according to the names at its start and end.
 pub(crate) fn is_zip_store(bytes: &[u8]) -> bool {
     /// Number of bytes searched for names at each end.
-    const GLANCE: usize = 1 << 16;
-    let (head, tail) =
-        (&bytes[..bytes.len().min(GLANCE)], &bytes[bytes.len().saturating_sub(GLANCE)..]);
+    const SEARCHED_BYTES: usize = 1 << 16;
+    let (head, tail) = (
+        &bytes[..bytes.len().min(SEARCHED_BYTES)],
+        &bytes[bytes.len().saturating_sub(SEARCHED_BYTES)..],
+    );
     let names = |part: &[u8]| {
-        METADATA.iter().any(|name| memchr::memmem::find(part, name.as_bytes()).is_some())
+        METADATA_FILES.iter().any(|name| memchr::memmem::find(part, name.as_bytes()).is_some())
     };
     names(head) || names(tail)
 }
@@ -51,11 +54,11 @@ fn is_metadata(value: &Value) -> bool {
     matches!(value.get("zarr_format").and_then(Value::as_u64), Some(2 | 3))
 }
 
-impl<'a> Store<'a> {
-    pub fn zip(bytes: &'a [u8]) -> Result<Self, Refusal> {
+impl<'a> ZarrStore<'a> {
+    pub fn zip(bytes: &'a [u8]) -> Result<Self, TableError> {
         let archive = ZipArchive::new(Cursor::new(bytes))
             .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
-        let home = folders(&archive, "").into_iter().min_by_key(String::len);
+        let home = folders_with_metadata(&archive, "").into_iter().min_by_key(String::len);
         let home = home.ok_or("the zip archive holds no Zarr store")?;
         // Without metadata at the top, the store is the folder above its parts.
         let is_part = |home: &str| home == "data" || home == "meta";
@@ -68,18 +71,18 @@ impl<'a> Store<'a> {
     }
 
     pub fn folder(path: &Path) -> Self {
-        Self::Folder(path.to_owned(), Contained::of(path))
+        Self::Folder(path.to_owned(), Containment::new(path))
     }
 
     /// Bytes at a key, limited to `most` plus packing overhead; `None` if the key does not exist.
-    pub fn get(&mut self, key: &str, most: u64) -> Result<Option<Vec<u8>>, Refusal> {
-        let most = most.saturating_add(most / 8).saturating_add(PACKING);
+    pub fn get(&mut self, key: &str, most: u64) -> Result<Option<Vec<u8>>, TableError> {
+        let most = most.saturating_add(most / 8).saturating_add(MAX_PACKING_BYTES);
         let mut bytes = Vec::new();
         let read = match self {
             Self::Folder(folder, contained) => {
                 let path = folder.join(key);
                 if !contained.holds(&path) {
-                    return Err(format!("'{key}' {LEADS_OUT}").into());
+                    return Err(format!("'{key}' {LINK_LEADS_OUTSIDE}").into());
                 }
                 // Opening a pipe would block.
                 if !path.is_file() {
@@ -101,34 +104,37 @@ impl<'a> Store<'a> {
     }
 
     /// JSON at a key; `None` if the key does not exist.
-    pub fn json(&mut self, key: &str) -> Result<Option<Value>, Refusal> {
-        let Some(bytes) = self.get(key, MOST_METADATA)? else { return Ok(None) };
+    pub fn json(&mut self, key: &str) -> Result<Option<Value>, TableError> {
+        let Some(bytes) = self.get(key, MAX_METADATA_BYTES)? else { return Ok(None) };
         let read = serde_json::from_slice(&bytes);
         read.map(Some).map_err(|error| format!("'{key}' cannot be read: {error}").into())
     }
 
     /// Metadata of all arrays, sorted by path, or why it cannot be read. Chunks without metadata are listed
     /// as an unreadable array.
-    pub fn arrays(&mut self) -> Vec<(String, Result<Value, Refusal>)> {
+    pub fn arrays(&mut self) -> Vec<(String, Result<Value, TableError>)> {
         let (mut paths, chunks) = match self {
-            Self::Folder(folder, contained) => in_folder(folder, contained),
-            Self::Zip(archive, home) => (folders(archive, home), chunks_of(archive, home)),
+            Self::Folder(folder, contained) => scan_folder(folder, contained),
+            Self::Zip(archive, home) => {
+                (folders_with_metadata(archive, home), arrays_with_chunks(archive, home))
+            }
         };
         paths.sort();
         paths.dedup();
-        let mut are_too_many = paths.len() > MOST_COLUMNS;
-        paths.truncate(MOST_COLUMNS);
+        let mut are_too_many = paths.len() > MAX_COLUMNS;
+        paths.truncate(MAX_COLUMNS);
         let is_array = |metadata: &Value| is_metadata(metadata) && metadata.get("shape").is_some();
         let mut found = BTreeMap::new();
         for path in paths {
-            for name in METADATA {
-                match self.json(&joined(&path, name)) {
+            for name in METADATA_FILES {
+                match self.json(&join_key(&path, name)) {
                     Ok(Some(metadata)) if is_array(&metadata) => {
                         found.insert(path.clone(), Ok(metadata));
                         break;
                     }
-                    Ok(Some(_)) if name == METADATA[0] => {
-                        let what = format!("'{}' does not describe an array", joined(&path, name));
+                    Ok(Some(_)) if name == METADATA_FILES[0] => {
+                        let what =
+                            format!("'{}' does not describe an array", join_key(&path, name));
                         found.entry(path.clone()).or_insert(Err(what.into()));
                     }
                     Ok(_) => {}
@@ -147,17 +153,17 @@ impl<'a> Store<'a> {
             let what = format!("'{path}' has chunks but no metadata");
             found.insert(path, Err(what.into()));
         }
-        are_too_many |= found.len() > MOST_COLUMNS;
-        let what = format!("more than {MOST_COLUMNS} arrays; the others are not read");
+        are_too_many |= found.len() > MAX_COLUMNS;
+        let what = format!("more than {MAX_COLUMNS} arrays; the others are not read");
         let others = are_too_many.then(|| (String::new(), Err(what.into())));
-        found.into_iter().take(MOST_COLUMNS).chain(others).collect()
+        found.into_iter().take(MAX_COLUMNS).chain(others).collect()
     }
 
     /// Attributes of the group at `path`.
     pub fn attributes(&mut self, path: &str) -> Option<Value> {
-        let third = self.json(&joined(path, "zarr.json")).ok().flatten();
+        let third = self.json(&join_key(path, "zarr.json")).ok().flatten();
         let third = third.and_then(|value| value.get("attributes").cloned());
-        third.or_else(|| self.json(&joined(path, ATTRIBUTES)).ok().flatten())
+        third.or_else(|| self.json(&join_key(path, ATTRIBUTES_FILE)).ok().flatten())
     }
 }
 
@@ -185,29 +191,29 @@ fn array_of_chunk(key: &str) -> Option<&str> {
 }
 
 /// Arrays with chunks in an archive, below `home`.
-fn chunks_of(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> BTreeSet<String> {
+fn arrays_with_chunks(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> BTreeSet<String> {
     let names = archive.file_names().filter_map(Result::ok);
     let of = |name: &str| array_of_chunk(name.strip_prefix(home)?).map(str::to_owned);
     names.filter_map(|name| of(&name)).collect()
 }
 
 /// Folders with metadata in an archive, below `home`.
-fn folders(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> Vec<String> {
+fn folders_with_metadata(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> Vec<String> {
     let of = |name: &str| {
         let name = name.strip_prefix(home)?;
         let (folder, own) = name.rsplit_once('/').unwrap_or(("", name));
-        METADATA.contains(&own).then(|| folder.to_owned())
+        METADATA_FILES.contains(&own).then(|| folder.to_owned())
     };
     archive.file_names().filter_map(Result::ok).filter_map(|name| of(&name)).collect()
 }
 
-fn joined(path: &str, name: &str) -> String {
+fn join_key(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
 }
 
 /// Paths in a folder that may have metadata, and arrays with chunks but possibly no metadata. Folders of
 /// arrays are not searched.
-fn in_folder(folder: &Path, contained: &mut Contained) -> (Vec<String>, BTreeSet<String>) {
+fn scan_folder(folder: &Path, contained: &mut Containment) -> (Vec<String>, BTreeSet<String>) {
     let (mut found, mut chunks, mut seen) = (Vec::new(), BTreeSet::new(), HashSet::new());
     let mut open = vec![(String::new(), 0)];
     while let Some((path, depth)) = open.pop() {
@@ -222,11 +228,11 @@ fn in_folder(folder: &Path, contained: &mut Contained) -> (Vec<String>, BTreeSet
         }
         let is_array = own.join(".zarray").is_file() || own.join("c").exists();
         found.push(path.clone());
-        if is_array || depth == DEEP || found.len() > MOST_COLUMNS {
+        if is_array || depth == MAX_DEPTH || found.len() > MAX_COLUMNS {
             continue;
         }
         for entry in fs::read_dir(&own).into_iter().flatten().filter_map(Result::ok) {
-            let below = joined(&path, &entry.file_name().to_string_lossy());
+            let below = join_key(&path, &entry.file_name().to_string_lossy());
             if entry.path().is_dir() {
                 open.push((below, depth + 1));
             } else if let Some(array) = array_of_chunk(&below) {

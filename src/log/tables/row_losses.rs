@@ -6,13 +6,13 @@
 use std::ops::Range;
 
 use super::clock::Clock;
-use super::{Column, Extent, Losses, Table, names, usual};
-use crate::memory::{Memory, OutOfMemory};
+use super::{Column, Extent, Losses, Table, most_frequent, names};
+use crate::memory_budget::{MemoryBudget, OutOfMemory};
 use ground::stream::is_usable;
 
 /// Why a table file, or part of it, cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Refusal {
+pub(crate) enum TableError {
     /// Damaged or unsupported.
     Damage(String),
     /// Exceeds the memory limit.
@@ -21,7 +21,7 @@ pub(crate) enum Refusal {
     Episodes,
 }
 
-impl Refusal {
+impl TableError {
     /// Adds it to `losses` as the cause of the loss of `rows`.
     pub fn report(&self, rows: Option<u64>, losses: &mut Losses) {
         losses.add_unplaced(self.extent(), rows, self.to_string());
@@ -35,7 +35,7 @@ impl Refusal {
     }
 
     /// Prefixes the message with the part called `name`.
-    pub fn of(self, name: &str) -> Self {
+    pub fn in_part(self, name: &str) -> Self {
         match self {
             Self::Damage(what) => Self::Damage(format!("'{name}': {what}")),
             other => other,
@@ -43,7 +43,7 @@ impl Refusal {
     }
 }
 
-impl std::fmt::Display for Refusal {
+impl std::fmt::Display for TableError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Damage(what) => f.write_str(what),
@@ -53,19 +53,19 @@ impl std::fmt::Display for Refusal {
     }
 }
 
-impl From<String> for Refusal {
+impl From<String> for TableError {
     fn from(what: String) -> Self {
         Self::Damage(what)
     }
 }
 
-impl From<&str> for Refusal {
+impl From<&str> for TableError {
     fn from(what: &str) -> Self {
         Self::Damage(what.to_owned())
     }
 }
 
-impl From<OutOfMemory> for Refusal {
+impl From<OutOfMemory> for TableError {
     fn from(what: OutOfMemory) -> Self {
         Self::Memory(what)
     }
@@ -75,7 +75,7 @@ impl From<OutOfMemory> for Refusal {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RowLoss {
     pub rows: usize,
-    pub what: Refusal,
+    pub what: TableError,
 }
 
 impl RowLoss {
@@ -88,7 +88,7 @@ impl RowLoss {
 
 /// A column as read.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Candidate {
+pub(crate) struct ReadColumn {
     /// Numbers read; rows after the last one read may be absent.
     pub column: Column,
     /// Rows declared by the file.
@@ -96,18 +96,18 @@ pub(crate) struct Candidate {
     /// Rows that could not be read.
     pub lost: Vec<Range<usize>>,
     /// Why the first of these could not be read.
-    pub why: Option<Refusal>,
+    pub why: Option<TableError>,
 }
 
-impl Candidate {
+impl ReadColumn {
     /// A column with all rows read.
-    pub fn whole(column: Column) -> Self {
+    pub fn complete(column: Column) -> Self {
         let rows = column.values.len() / column.width.max(1);
         Self { column, rows, ..Self::default() }
     }
 
     /// A column without readable rows.
-    pub fn refused(name: &str, rows: usize, why: Refusal) -> Self {
+    pub fn unreadable(name: &str, rows: usize, why: TableError) -> Self {
         let column = Column { name: name.to_owned(), width: 1, ..Column::default() };
         Self { column, rows, lost: std::iter::once(0..rows).collect(), why: Some(why) }
     }
@@ -115,8 +115,9 @@ impl Candidate {
 
 impl Table {
     /// Builds the table from columns. It has `rows` rows, or the most frequent declared number.
-    pub fn of(candidates: Vec<Candidate>, rows: Option<usize>, memory: &mut Memory) -> Self {
-        let rows = rows.unwrap_or_else(|| usual(candidates.iter().map(|column| column.rows)));
+    pub fn of(candidates: Vec<ReadColumn>, rows: Option<usize>, memory: &mut MemoryBudget) -> Self {
+        let rows =
+            rows.unwrap_or_else(|| most_frequent(candidates.iter().map(|column| column.rows)));
         let mut table = Self { rows, ..Self::default() };
         for candidate in candidates {
             table.add(candidate, memory);
@@ -124,12 +125,12 @@ impl Table {
         table
     }
 
-    fn add(&mut self, candidate: Candidate, memory: &mut Memory) {
-        let Candidate { mut column, rows: own, mut lost, why } = candidate;
+    fn add(&mut self, candidate: ReadColumn, memory: &mut MemoryBudget) {
+        let ReadColumn { mut column, rows: own, mut lost, why } = candidate;
         let (rows, width, name) = (self.rows, column.width, column.name.clone());
         if own != rows {
             let why = format!("{own} rows, not {rows}");
-            if is_of_same_rows(own, rows) && !(own + 1 == rows && names::is_of_steps(&name)) {
+            if covers_same_rows(own, rows) && !(own + 1 == rows && names::is_transition(&name)) {
                 let what = format!("'{name}' has {why}: it is unknown which are missing");
                 self.losses.push(RowLoss { rows: own, what: what.into() });
             }
@@ -140,19 +141,19 @@ impl Table {
         if read < rows {
             lost.push(read..rows);
         }
-        let lost = joined(lost, rows);
+        let lost = merged_ranges(lost, rows);
         let count: usize = lost.iter().map(Range::len).sum();
-        let mut lose = |rows: usize, what: Refusal| self.losses.push(RowLoss { rows, what });
+        let mut lose = |rows: usize, what: TableError| self.losses.push(RowLoss { rows, what });
         if count > 0 {
-            let which = which(&lost, rows);
+            let which = describe_rows(&lost, rows);
             lose(
                 count,
                 match why {
-                    Some(Refusal::Damage(what)) => {
-                        Refusal::Damage(format!("'{name}': {what}{which}"))
+                    Some(TableError::Damage(what)) => {
+                        TableError::Damage(format!("'{name}': {what}{which}"))
                     }
                     Some(other) => other,
-                    None => Refusal::Damage(format!("'{name}'{which}")),
+                    None => TableError::Damage(format!("'{name}'{which}")),
                 },
             );
         }
@@ -160,7 +161,7 @@ impl Table {
         let missing = rows.saturating_sub(read).saturating_mul(width);
         if count == rows {
             self.unread.push((name, "none of its rows can be read".to_owned()));
-        } else if let Err(refusal) = memory.take(missing) {
+        } else if let Err(refusal) = memory.reserve(missing) {
             lose(rows - count, refusal.into());
             self.unread.push((name, "its rows take too much memory".to_owned()));
         } else {
@@ -185,12 +186,12 @@ impl Table {
 
 /// Whether columns with these row counts cover the same instants, so that rows are missing. A slower stream
 /// of the same run has at most half as many.
-fn is_of_same_rows(own: usize, rows: usize) -> bool {
+fn covers_same_rows(own: usize, rows: usize) -> bool {
     own > rows / 2 && own < rows.saturating_mul(2)
 }
 
 /// Ranges sorted, merged and limited to the rows.
-fn joined(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
+fn merged_ranges(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
     ranges.sort_by_key(|range| range.start);
     let mut all: Vec<Range<usize>> = Vec::new();
     for range in ranges {
@@ -205,7 +206,7 @@ fn joined(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
 }
 
 /// Describes the lost rows.
-fn which(lost: &[Range<usize>], rows: usize) -> String {
+fn describe_rows(lost: &[Range<usize>], rows: usize) -> String {
     let count: usize = lost.iter().map(Range::len).sum();
     match lost {
         [all] if all.len() == rows => format!("; all its {rows} rows"),
@@ -244,14 +245,14 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
 /// A number is damaged if it is not [`is_usable`] although nearly all numbers of its column are. Rows before
 /// the first whole row and after the last are kept, because sensors send NaN until they are ready. Columns
 /// with many gaps are ignored, because they are sampled less often than the table.
-pub(super) fn take_damaged<T: Copy>(
+pub(super) fn remove_damaged_rows<T: Copy>(
     table: &Table,
     rows: &mut Vec<(usize, T)>,
     width: usize,
     values: &dyn Fn(usize) -> Vec<f64>,
 ) -> Option<(u64, String)> {
     /// Minimum percentage of usable numbers in a column without gaps.
-    const USABLE: usize = 90;
+    const MIN_USABLE_PERCENT: usize = 90;
     let mut counts = vec![0; width];
     let unusable: Vec<Vec<usize>> = rows
         .iter()
@@ -261,7 +262,8 @@ pub(super) fn take_damaged<T: Copy>(
             unusable.map(|(cell, _)| cell).inspect(|cell| counts[*cell] += 1).collect()
         })
         .collect();
-    let is_dense = |cell: &usize| 100 * (rows.len() - counts[*cell]) >= USABLE * rows.len();
+    let is_dense =
+        |cell: &usize| 100 * (rows.len() - counts[*cell]) >= MIN_USABLE_PERCENT * rows.len();
     let damaged: Vec<usize> =
         unusable.iter().map(|own| own.iter().filter(|cell| is_dense(cell)).count()).collect();
     let first = damaged.iter().position(|count| *count == 0)?;
@@ -286,10 +288,10 @@ pub(super) fn take_damaged<T: Copy>(
 mod tests {
     use super::*;
 
-    fn candidate(name: &str, rows: usize, read: usize) -> Candidate {
+    fn candidate(name: &str, rows: usize, read: usize) -> ReadColumn {
         let values = (0..2 * read).map(|n| n as f64).collect();
         let column = Column { name: name.to_owned(), width: 2, values, ..Column::default() };
-        Candidate { column, rows, ..Candidate::default() }
+        ReadColumn { column, rows, ..ReadColumn::default() }
     }
 
     #[test]
@@ -301,7 +303,7 @@ mod tests {
                 let is_damaged = |cell: usize| damaged.contains(&(row, cell));
                 (0..3).map(|cell| if is_damaged(cell) { f64::NAN } else { 1.0 }).collect()
             };
-            let taken = take_damaged(&table, &mut rows, 3, &values);
+            let taken = remove_damaged_rows(&table, &mut rows, 3, &values);
             (taken.map(|(count, what)| format!("{count}: {what}")), rows.len())
         };
         assert_eq!(of(&[]), (None, 40));
@@ -321,12 +323,12 @@ mod tests {
 
     #[test]
     fn rows_in_are_rows_in_the_table_and_rows_reported() {
-        let damaged = Candidate {
+        let damaged = ReadColumn {
             lost: vec![30..40, 10..20, 15..25, 99..200],
             why: Some("a chunk is damaged".into()),
             ..candidate("damaged", 100, 100)
         };
-        let refused = Candidate::refused("refused", 100, "it cannot be unpacked".into());
+        let refused = ReadColumn::unreadable("refused", 100, "it cannot be unpacked".into());
         let all = vec![
             candidate("whole", 100, 100),
             candidate("cut", 100, 60),
@@ -337,7 +339,7 @@ mod tests {
             candidate("rewards", 99, 99),
             candidate("slow", 50, 50),
         ];
-        let table = Table::of(all, None, &mut Memory::of(None));
+        let table = Table::of(all, None, &mut MemoryBudget::new(None));
         let kept: Vec<&str> = table.columns.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(kept, ["whole", "cut", "damaged"]);
         let lost: Vec<usize> = table.losses.iter().map(|loss| loss.rows).collect();

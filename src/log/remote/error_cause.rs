@@ -7,12 +7,12 @@ use object_store::client::{HttpError, HttpErrorKind};
 use super::fault::{RemoteFault, Store};
 
 /// Maximum length of a server's answer in a message, characters.
-const LONGEST: usize = 200;
+const MAX_ANSWER_CHARS: usize = 200;
 
 /// Converts an error of a client of `store`.
-pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
+pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteFault {
     let said = error.to_string();
-    let cause = || answer(&said).unwrap_or_else(|| deepest(error));
+    let cause = || describe_response(&said).unwrap_or_else(|| innermost_cause(error));
     match error {
         object_store::Error::NotFound { .. } if is_bucket(&said) => RemoteFault::NoBucket,
         object_store::Error::NotFound { .. } => RemoteFault::NoObject,
@@ -21,25 +21,28 @@ pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
             RemoteFault::Denied { store, cause: cause() }
         }
         // The request went to the metadata service, to obtain credentials.
-        _ if is_of_metadata(&said) => {
-            RemoteFault::NoCredentials { store, cause: format!("{} at {METADATA}", deepest(error)) }
-        }
-        _ => match transport(error) {
-            Some(HttpErrorKind::Connect) => RemoteFault::Unreachable { cause: deepest(error) },
+        _ if mentions_metadata_service(&said) => RemoteFault::NoCredentials {
+            store,
+            cause: format!("{} at {METADATA}", innermost_cause(error)),
+        },
+        _ => match transport_error(error) {
+            Some(HttpErrorKind::Connect) => {
+                RemoteFault::Unreachable { cause: innermost_cause(error) }
+            }
             _ => RemoteFault::Refused { cause: cause() },
         },
     }
 }
 
 /// Whether the server reports that the range starts after the end, so the object is empty.
-pub(super) fn is_behind_end(error: &object_store::Error) -> bool {
+pub(super) fn is_range_beyond_end(error: &object_store::Error) -> bool {
     status(&error.to_string()).is_some_and(|status| status.starts_with("416"))
 }
 
 /// Service that supplies credentials to a cloud machine.
 const METADATA: &str = "the machine's metadata service";
 
-fn is_of_metadata(said: &str) -> bool {
+fn mentions_metadata_service(said: &str) -> bool {
     ["169.254.169.254", "169.254.170.2", "metadata.google.internal", "metadata.google"]
         .iter()
         .any(|host| said.contains(host))
@@ -52,12 +55,12 @@ fn is_bucket(said: &str) -> bool {
 }
 
 /// Kind of the transport error, if it is one.
-fn transport(error: &object_store::Error) -> Option<HttpErrorKind> {
+fn transport_error(error: &object_store::Error) -> Option<HttpErrorKind> {
     causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
 }
 
 /// Status of the server's answer, with the error code of the store if there is one.
-fn answer(said: &str) -> Option<String> {
+fn describe_response(said: &str) -> Option<String> {
     let status = status(said)?;
     let between = |tag: &str| {
         let (_, rest) = said.split_once(&format!("<{tag}>"))?;
@@ -77,7 +80,7 @@ fn status(said: &str) -> Option<&str> {
 }
 
 /// Innermost cause in one line. Outer errors repeat it with the URL.
-pub(super) fn deepest(error: &(dyn Error + 'static)) -> String {
+pub(super) fn innermost_cause(error: &(dyn Error + 'static)) -> String {
     causes(error).last().map(|cause| line(&cause.to_string())).unwrap_or_default()
 }
 
@@ -89,7 +92,7 @@ fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a (dyn
 fn line(text: &str) -> String {
     let words: Vec<&str> = text.split_whitespace().collect();
     let text = words.join(" ");
-    let end = text.char_indices().nth(LONGEST).map_or(text.len(), |(end, _)| end);
+    let end = text.char_indices().nth(MAX_ANSWER_CHARS).map_or(text.len(), |(end, _)| end);
     text[..end].trim_end_matches('.').to_owned()
 }
 
@@ -103,12 +106,12 @@ mod tests {
                     code: 403 Forbidden: <?xml?>\n<Error><Code>SignatureDoesNotMatch</Code>\n\
                     <Message>The signature\n does not match.</Message></Error>";
         let expected = "403 Forbidden, SignatureDoesNotMatch (The signature does not match)";
-        assert_eq!(answer(said).as_deref(), Some(expected));
+        assert_eq!(describe_response(said).as_deref(), Some(expected));
         assert_eq!(
-            answer("… non-2xx status code: 400 Bad Request: ").as_deref(),
+            describe_response("… non-2xx status code: 400 Bad Request: ").as_deref(),
             Some("400 Bad Request")
         );
-        assert_eq!(answer("connection refused"), None);
-        assert_eq!(line(&"ä".repeat(300)).chars().count(), LONGEST);
+        assert_eq!(describe_response("connection refused"), None);
+        assert_eq!(line(&"ä".repeat(300)).chars().count(), MAX_ANSWER_CHARS);
     }
 }

@@ -7,7 +7,7 @@ use super::Extent;
 
 /// Memory for the numbers of all files of a run.
 #[derive(Debug)]
-pub(super) struct Memory {
+pub(super) struct MemoryBudget {
     limit: u64,
     used: u64,
 }
@@ -29,31 +29,31 @@ impl OutOfMemory {
     pub(super) const EXTENT: Extent = Extent::Unread;
 }
 
-impl Memory {
+impl MemoryBudget {
     /// Base limit of a run regardless of file sizes: 4 million numbers. An audit needs up to seven times as
     /// much in total.
-    const BASE: u64 = 32 << 20;
+    const BASE_BYTES: u64 = 32 << 20;
     /// Additional limit per byte of a file: 4 numbers. Episodes of LeRobot (Parquet) and robomimic (HDF5
     /// with gzip) need 1 to 4 bytes per number.
-    const RATIO: u64 = 32;
+    const BYTES_PER_FILE_BYTE: u64 = 32;
 
     /// Limit of a run, at least the requested GiB.
-    pub(super) fn of(asked_gib: Option<u32>) -> Self {
-        Self { limit: Self::BASE.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
+    pub(super) fn new(asked_gib: Option<u32>) -> Self {
+        Self { limit: Self::BASE_BYTES.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
     /// Increases the limit for a file of `bytes`.
     pub(super) fn add_file(&mut self, bytes: u64) {
-        self.limit = self.limit.saturating_add(bytes.saturating_mul(Self::RATIO));
+        self.limit = self.limit.saturating_add(bytes.saturating_mul(Self::BYTES_PER_FILE_BYTE));
     }
 
     /// Counts `numbers` to be kept.
-    pub(super) fn take(&mut self, numbers: usize) -> Result<(), OutOfMemory> {
-        self.take_bytes((numbers as u64).saturating_mul(8))
+    pub(super) fn reserve(&mut self, numbers: usize) -> Result<(), OutOfMemory> {
+        self.reserve_bytes((numbers as u64).saturating_mul(8))
     }
 
     /// Counts `bytes`.
-    pub(super) fn take_bytes(&mut self, bytes: u64) -> Result<(), OutOfMemory> {
+    pub(super) fn reserve_bytes(&mut self, bytes: u64) -> Result<(), OutOfMemory> {
         let used = self.used.saturating_add(bytes);
         if used > self.limit {
             return Err(OutOfMemory { bytes, limit: self.limit });
@@ -63,7 +63,7 @@ impl Memory {
     }
 
     /// Whether `bytes` may be used temporarily.
-    pub(super) fn allows(&self, bytes: u64) -> Result<(), OutOfMemory> {
+    pub(super) fn check_available(&self, bytes: u64) -> Result<(), OutOfMemory> {
         match self.used.saturating_add(bytes) > self.limit {
             true => Err(OutOfMemory { bytes, limit: self.limit }),
             false => Ok(()),
@@ -71,12 +71,12 @@ impl Memory {
     }
 
     /// Remaining bytes.
-    pub(super) fn left(&self) -> u64 {
+    pub(super) fn remaining(&self) -> u64 {
         self.limit.saturating_sub(self.used)
     }
 
     /// Releases memory counted for numbers that are not kept.
-    pub(super) fn give_back(&mut self, numbers: usize) {
+    pub(super) fn release(&mut self, numbers: usize) {
         self.used = self.used.saturating_sub((numbers as u64).saturating_mul(8));
     }
 }
@@ -87,16 +87,19 @@ mod tests {
 
     #[test]
     fn all_files_share_what_they_may_take_together() {
-        let mut memory = Memory::of(None);
+        let mut memory = MemoryBudget::new(None);
         memory.add_file(1000);
-        assert_eq!(memory.take((4 << 20) + 4001).map_err(|it| it.limit), Err((32 << 20) + 32_000));
-        memory.take(4 << 20).expect("within the base");
-        memory.take(4000).expect("within the limit of the file");
-        let refusal = memory.take(1).expect_err("beyond").to_string();
+        assert_eq!(
+            memory.reserve((4 << 20) + 4001).map_err(|it| it.limit),
+            Err((32 << 20) + 32_000)
+        );
+        memory.reserve(4 << 20).expect("within the base");
+        memory.reserve(4000).expect("within the limit of the file");
+        let refusal = memory.reserve(1).expect_err("beyond").to_string();
         assert!(refusal.contains("--max-unpacked") && !refusal.contains('\n'), "{refusal}");
-        memory.give_back(1);
-        memory.take(1).expect("as much as was released");
-        assert!(memory.allows(u64::MAX).is_err());
-        Memory::of(Some(1)).take(1 << 27).expect("as asked for");
+        memory.release(1);
+        memory.reserve(1).expect("as much as was released");
+        assert!(memory.check_available(u64::MAX).is_err());
+        MemoryBudget::new(Some(1)).reserve(1 << 27).expect("as asked for");
     }
 }

@@ -19,26 +19,26 @@ const SECONDS: &str = "POSEAUDIT_PATIENCE";
 
 /// Minimum rate of a download, averaged over all its requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Patience {
+pub(super) struct MinimumRate {
     /// Minimum rate in bytes per second; 0 for no minimum.
     rate: usize,
     /// Averaging time, s.
     seconds: u64,
 }
 
-impl Default for Patience {
+impl Default for MinimumRate {
     /// Two periods take less than a minute and end after all timeouts of a silent server.
     fn default() -> Self {
         Self { rate: 1000, seconds: 28 }
     }
 }
 
-impl Patience {
+impl MinimumRate {
     /// Reads the settings from the environment.
     ///
     /// # Errors
     /// If a setting is not a whole number.
-    pub fn of_environment() -> Result<Self, RemoteFault> {
+    pub fn from_environment() -> Result<Self, RemoteFault> {
         let usual = Self::default();
         Ok(Self { rate: setting(RATE, usual.rate)?, seconds: setting(SECONDS, usual.seconds)? })
     }
@@ -52,14 +52,14 @@ impl Patience {
         came: &Cell<usize>,
         work: impl Future<Output = Result<T, RemoteFault>>,
     ) -> Result<T, RemoteFault> {
-        match select(pin!(work), pin!(self.tire(came))).await {
+        match select(pin!(work), pin!(self.wait_until_slow(came))).await {
             Either::Left((done, _)) => done,
             Either::Right((fault, _)) => Err(fault),
         }
     }
 
     /// Waits until the rate is too low.
-    async fn tire(self, came: &Cell<usize>) -> RemoteFault {
+    async fn wait_until_slow(self, came: &Cell<usize>) -> RemoteFault {
         let Self { rate, seconds } = self;
         loop {
             let before = came.get();

@@ -15,7 +15,7 @@ const MAX_ROWS: usize = 100_000;
 
 /// Table with named columns and numeric rows.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PostureTable {
+pub struct CalibrationTable {
     /// Column names.
     pub names: Vec<String>,
     /// Rows, each with one number per name.
@@ -67,15 +67,15 @@ const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
 ///
 /// # Errors
 /// Returns an error if the file cannot be opened.
-pub fn posture_table(path: &Path) -> Result<Option<PostureTable>, LogError> {
+pub fn read_calibration_table(path: &Path) -> Result<Option<CalibrationTable>, LogError> {
     let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
     let mut bytes = Vec::new();
     let read = File::open(&path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
     read.map_err(|source| LogError::Io { path, source })?;
-    Ok(of_bytes(&bytes))
+    Ok(parse_table(&bytes))
 }
 
-fn of_bytes(bytes: &[u8]) -> Option<PostureTable> {
+fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
     let is_text = std::str::from_utf8(bytes.get(..bytes.len().min(4096))?)
         .map_or_else(|error| error.error_len().is_none(), |_| true);
     if !is_text || bytes.len() as u64 > MAX_BYTES || super::looks_like_log(bytes) {
@@ -111,7 +111,7 @@ fn of_bytes(bytes: &[u8]) -> Option<PostureTable> {
             None => dropped.push(at + 2),
         }
     }
-    Some(PostureTable { names, rows, dropped, position, rotation })
+    Some(CalibrationTable { names, rows, dropped, position, rotation })
 }
 
 /// Columns of position and rotation, identified by common names.
@@ -151,7 +151,7 @@ fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
     Some((position, rotation))
 }
 
-impl PostureTable {
+impl CalibrationTable {
     /// Columns of the joints by these names, otherwise by number: `q1`, `joint_1`, `J1` and so on, from 0
     /// or 1.
     pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
@@ -197,14 +197,15 @@ mod tests {
 
     #[test]
     fn columns_are_told_by_their_names() {
-        let table =
-            of_bytes(b"q1,q2,x,y,z,rx,ry,rz\n1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7\n1,2,3,nan,5,6,7,8\n")
-                .unwrap();
+        let table = parse_table(
+            b"q1,q2,x,y,z,rx,ry,rz\n1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7\n1,2,3,nan,5,6,7,8\n",
+        )
+        .unwrap();
         assert_eq!(table.position, [2, 3, 4]);
         assert_eq!(table.rotation, RotationColumns::Numbers([5, 6, 7]));
         assert_eq!(table.joints(&names(&["shoulder", "elbow"])), Some(vec![0, 1]));
         assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [3, 4].as_slice()));
-        let table = of_bytes(b"X;Y;Z;qx;qy;qz;qw;elbow\n0,5;0;0;0;0;0;1;0,25\n").unwrap();
+        let table = parse_table(b"X;Y;Z;qx;qy;qz;qw;elbow\n0,5;0;0;0;0;0;1;0,25\n").unwrap();
         assert_eq!(table.rotation, RotationColumns::Quaternion([3, 4, 5, 6]));
         assert_eq!(table.rows[0][7], 0.25);
         assert_eq!(table.joints(&names(&["elbow"])), Some(vec![7]));
@@ -215,7 +216,7 @@ mod tests {
     fn what_is_no_table_of_postures_is_none() {
         for text in ["", "a,b\n1,2\n", "1,2,3\n", "timestamp,actual_q_0,x,y,z\n1,2,3,4,5\n", "\0\0"]
         {
-            assert_eq!(of_bytes(text.as_bytes()), None, "{text:?}");
+            assert_eq!(parse_table(text.as_bytes()), None, "{text:?}");
         }
     }
 }

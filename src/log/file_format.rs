@@ -6,7 +6,7 @@ use super::unpack::ZSTD_MAGIC;
 
 /// Format of a file according to its first bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Kind {
+pub(super) enum FileFormat {
     /// An MCAP file.
     Mcap,
     /// A ROS 1 bag, version 2.0.
@@ -18,7 +18,7 @@ pub(super) enum Kind {
     /// A table whose first line names RTDE fields.
     Rtde,
     /// A table of numbers.
-    Table(tables::Kind),
+    Table(tables::TableFormat),
     /// A known but unsupported format.
     Known {
         /// Format with its article.
@@ -37,7 +37,7 @@ const TO_MCAP: &str = "convert it to MCAP first";
 const UNPACK: &str = "unpack it first";
 
 /// Magic bytes of known but unsupported formats.
-const KNOWN: &[(&[u8], &str, &str)] = &[
+const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
     (b"#ROSBAG", "a ROS 1 bag of a version other than 2.0", "convert it with `rosbag fix` first"),
     (b"\x89MCAP", "an MCAP file of a version other than 0", "write it as MCAP version 0"),
     (b"ULog\x01\x12\x35", "a PX4 ULog", TO_MCAP),
@@ -53,13 +53,13 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
 ];
 
 /// Magic bytes of the supported formats, besides MCAP.
-const READ: &[(&[u8], Kind)] = &[
-    (b"#ROSBAG V2.0\n", Kind::RosBag1),
-    (b"SQLite format 3\0", Kind::Sqlite),
-    (ZSTD_MAGIC, Kind::Zstd),
-    (b"PAR1", Kind::Table(tables::Kind::Parquet)),
-    (HDF5_MAGIC, Kind::Table(tables::Kind::Hdf5)),
-    (NPY_MAGIC, Kind::Table(tables::Kind::Npy)),
+const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
+    (b"#ROSBAG V2.0\n", FileFormat::RosBag1),
+    (b"SQLite format 3\0", FileFormat::Sqlite),
+    (ZSTD_MAGIC, FileFormat::Zstd),
+    (b"PAR1", FileFormat::Table(tables::TableFormat::Parquet)),
+    (HDF5_MAGIC, FileFormat::Table(tables::TableFormat::Hdf5)),
+    (NPY_MAGIC, FileFormat::Table(tables::TableFormat::Npy)),
 ];
 
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
@@ -70,45 +70,45 @@ const ZIP_NAME: usize = 30;
 const GLANCE: usize = 4096;
 
 /// Format of `bytes`.
-pub(super) fn kind(bytes: &[u8]) -> Kind {
+pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if bytes.starts_with(mcap::MAGIC) {
-        return Kind::Mcap;
+        return FileFormat::Mcap;
     }
-    if let Some(&(_, kind)) = READ.iter().find(|(magic, _)| bytes.starts_with(magic)) {
+    if let Some(&(_, kind)) = SUPPORTED_FORMATS.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         return kind;
     }
     if mcap::MAGIC.starts_with(bytes) {
-        return Kind::Unknown { looks: "an MCAP file truncated within its first 8 bytes" };
+        return FileFormat::Unknown { looks: "an MCAP file truncated within its first 8 bytes" };
     }
     if is_npz(bytes) {
-        return Kind::Table(tables::Kind::Npz);
+        return FileFormat::Table(tables::TableFormat::Npz);
     }
     if bytes.starts_with(ZIP_MAGIC) && tables::is_zip_store(bytes) {
-        return Kind::Table(tables::Kind::Zarr);
+        return FileFormat::Table(tables::TableFormat::Zarr);
     }
     if tables::has_record(bytes) {
-        return Kind::Table(tables::Kind::TfRecord);
+        return FileFormat::Table(tables::TableFormat::TfRecord);
     }
-    let known = KNOWN.iter().find(|(magic, ..)| bytes.starts_with(magic));
+    let known = UNSUPPORTED_FORMATS.iter().find(|(magic, ..)| bytes.starts_with(magic));
     if let Some(&(_, looks, instead)) = known {
-        return Kind::Known { looks, instead };
+        return FileFormat::Known { looks, instead };
     }
     let glance = &bytes[..bytes.len().min(GLANCE)];
     let looks = if glance.iter().all(|&byte| byte == 0) {
         "a file of zeros"
     } else if is_text(glance) {
         match rtde::first_line(bytes) {
-            rtde::FirstLine::Names => return Kind::Rtde,
-            _ if tables::has_packet(glance) => return Kind::Table(tables::Kind::Rsi),
+            rtde::FirstLine::Names => return FileFormat::Rtde,
+            _ if tables::has_packet(glance) => return FileFormat::Table(tables::TableFormat::Rsi),
             rtde::FirstLine::Other if tables::is_table(bytes) => {
-                return Kind::Table(tables::Kind::Csv);
+                return FileFormat::Table(tables::TableFormat::Csv);
             }
             rtde::FirstLine::Other => "text",
         }
     } else {
         "unknown binary data"
     };
-    Kind::Unknown { looks }
+    FileFormat::Unknown { looks }
 }
 
 /// Whether a zip archive is a NumPy archive, according to the name of its first member.
@@ -136,13 +136,19 @@ mod tests {
 
     #[test]
     fn text_may_end_within_a_character() {
-        assert_eq!(kind("Grüße, 1.0\nü".as_bytes()), Kind::Unknown { looks: "text" });
-        assert_eq!(kind(b"Gr\xc3"), Kind::Unknown { looks: "text" });
-        assert_eq!(kind(b"Gr\xc3(("), Kind::Unknown { looks: "unknown binary data" });
+        assert_eq!(
+            detect_format("Grüße, 1.0\nü".as_bytes()),
+            FileFormat::Unknown { looks: "text" }
+        );
+        assert_eq!(detect_format(b"Gr\xc3"), FileFormat::Unknown { looks: "text" });
+        assert_eq!(
+            detect_format(b"Gr\xc3(("),
+            FileFormat::Unknown { looks: "unknown binary data" }
+        );
     }
 
     #[test]
     fn another_mcap_version_is_named() {
-        assert!(matches!(kind(b"\x89MCAP9\r\n...."), Kind::Known { .. }));
+        assert!(matches!(detect_format(b"\x89MCAP9\r\n...."), FileFormat::Known { .. }));
     }
 }

@@ -14,7 +14,7 @@ const METADATA_SERVICE: &str = "POSEAUDIT_METADATA_SERVICE";
 const GCLOUD: &str = ".config/gcloud/application_default_credentials.json";
 
 /// Whether an S3 client finds credentials.
-pub(super) fn s3(value: impl Fn(S3) -> Option<String>) -> bool {
+pub(super) fn has_s3_credentials(value: impl Fn(S3) -> Option<String>) -> bool {
     use S3::{
         AccessKeyId, ContainerAuthorizationTokenFile, ContainerCredentialsFullUri,
         ContainerCredentialsRelativeUri, RoleArn, SecretAccessKey, SkipSignature,
@@ -27,20 +27,20 @@ pub(super) fn s3(value: impl Fn(S3) -> Option<String>) -> bool {
         &[ContainerCredentialsRelativeUri],
         &[ContainerCredentialsFullUri, ContainerAuthorizationTokenFile],
     ];
-    are_named(&sets, &[SkipSignature], value)
+    has_credentials(&sets, &[SkipSignature], value)
 }
 
 /// Whether a Google Cloud Storage client finds credentials.
-pub(super) fn google(value: impl Fn(Google) -> Option<String>) -> bool {
+pub(super) fn has_google_credentials(value: impl Fn(Google) -> Option<String>) -> bool {
     use Google::{ApplicationCredentials, ServiceAccount, ServiceAccountKey, SkipSignature};
     let sets: [&[Google]; 3] = [&[ServiceAccount], &[ServiceAccountKey], &[ApplicationCredentials]];
     let is_logged_in =
         || std::env::var_os("HOME").is_some_and(|home| Path::new(&home).join(GCLOUD).is_file());
-    are_named(&sets, &[SkipSignature], value) || is_logged_in()
+    has_credentials(&sets, &[SkipSignature], value) || is_logged_in()
 }
 
 /// Whether an Azure client finds credentials.
-pub(super) fn azure(value: impl Fn(Azure) -> Option<String>) -> bool {
+pub(super) fn has_azure_credentials(value: impl Fn(Azure) -> Option<String>) -> bool {
     use Azure::{
         AccessKey, AuthorityId, ClientId, ClientSecret, FabricClusterIdentifier,
         FabricSessionToken, FabricTokenServiceUrl, FabricWorkloadHost, FederatedTokenFile, SasKey,
@@ -54,12 +54,16 @@ pub(super) fn azure(value: impl Fn(Azure) -> Option<String>) -> bool {
         &[ClientId, AuthorityId, ClientSecret],
         &[FabricTokenServiceUrl, FabricWorkloadHost, FabricSessionToken, FabricClusterIdentifier],
     ];
-    are_named(&sets, &[SkipSignature, UseAzureCli, UseEmulator], value)
+    has_credentials(&sets, &[SkipSignature, UseAzureCli, UseEmulator], value)
 }
 
 /// Whether all keys of one of the `sets` have a value, one of the `switches` is on, or the metadata service
 /// is permitted.
-fn are_named<K: Copy>(sets: &[&[K]], switches: &[K], value: impl Fn(K) -> Option<String>) -> bool {
+fn has_credentials<K: Copy>(
+    sets: &[&[K]],
+    switches: &[K],
+    value: impl Fn(K) -> Option<String>,
+) -> bool {
     let is_on =
         |text: &str| ["1", "true", "on", "yes", "y"].contains(&text.to_ascii_lowercase().as_str());
     sets.iter().any(|keys| keys.iter().all(|&key| value(key).is_some()))

@@ -9,29 +9,29 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Scope};
 
-use super::part::{Part, Records};
+use super::part::{PartContent, PartParser};
 use super::unpack::{Packed, UnpackedChunk, Unpacker};
 
 /// Total size of decompressed waiting chunks, in bytes, above which no more are queued. Also the maximum
 /// for one of them.
-const MOST_BYTES: u64 = 24 << 20;
+const MAX_QUEUED_BYTES: u64 = 24 << 20;
 
 /// Maximum distance of the search for chunks beyond the current position, in bytes: a file may have none.
-pub(super) const MOST_DISTANCE: usize = 64 << 20;
+pub(super) const MAX_LOOKAHEAD_BYTES: usize = 64 << 20;
 
 /// Maximum number of decompressing threads. The thread that collects the results cannot keep up with more.
-const MOST_THREADS: usize = 6;
+const MAX_THREADS: usize = 6;
 
 /// Queued chunks per thread.
-const WAITING: usize = 3;
+const QUEUED_PER_THREAD: usize = 3;
 
 /// Chunks being decompressed, in file order.
-pub(super) struct Ahead<'scope, 'env> {
+pub(super) struct ChunkPool<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
     /// Set once the threads run.
     tasks: Option<SyncSender<Task<'env>>>,
     threads: usize,
-    waiting: VecDeque<Waiting<'env>>,
+    waiting: VecDeque<QueuedChunk<'env>>,
     /// Decompressed size of the waiting chunks, in bytes.
     bytes: u64,
     /// Reusable buffers.
@@ -39,31 +39,31 @@ pub(super) struct Ahead<'scope, 'env> {
 }
 
 /// Chunk being decompressed by a thread.
-struct Waiting<'env> {
+struct QueuedChunk<'env> {
     /// Offset of its record in the file.
     offset: usize,
     packed: Packed<'env>,
-    done: Receiver<Done>,
+    done: Receiver<ChunkResult>,
 }
 
 struct Task<'env> {
     offset: usize,
     packed: Packed<'env>,
     /// Parser for its records, if they may be parsed in advance.
-    records: Option<Arc<dyn Records>>,
+    records: Option<Arc<dyn PartParser>>,
     buffer: Vec<u8>,
-    reply: SyncSender<Done>,
+    reply: SyncSender<ChunkResult>,
 }
 
 /// Result of a chunk.
-pub(super) enum Done {
+pub(super) enum ChunkResult {
     /// Decompressed, or the error.
     Unpacked(UnpackedChunk),
     /// Decompressed and parsed.
-    Read(Part),
+    Read(PartContent),
 }
 
-impl Done {
+impl ChunkResult {
     /// Decompressed content, unless it was also parsed.
     pub(super) fn unpacked(self) -> Option<UnpackedChunk> {
         match self {
@@ -74,10 +74,12 @@ impl Done {
 }
 
 /// Runs `read` with decompressing threads.
-pub(super) fn with<'env, R>(read: impl for<'scope> FnOnce(&mut Ahead<'scope, 'env>) -> R) -> R {
-    let threads = rayon::current_num_threads().min(MOST_THREADS);
+pub(super) fn with_pool<'env, R>(
+    read: impl for<'scope> FnOnce(&mut ChunkPool<'scope, 'env>) -> R,
+) -> R {
+    let threads = rayon::current_num_threads().min(MAX_THREADS);
     thread::scope(|scope| {
-        read(&mut Ahead {
+        read(&mut ChunkPool {
             scope,
             tasks: None,
             threads,
@@ -88,10 +90,12 @@ pub(super) fn with<'env, R>(read: impl for<'scope> FnOnce(&mut Ahead<'scope, 'en
     })
 }
 
-impl<'env> Ahead<'_, 'env> {
+impl<'env> ChunkPool<'_, 'env> {
     /// Whether another chunk may be queued.
     pub(super) fn has_room(&self) -> bool {
-        self.threads > 1 && self.bytes < MOST_BYTES && self.waiting.len() < WAITING * self.threads
+        self.threads > 1
+            && self.bytes < MAX_QUEUED_BYTES
+            && self.waiting.len() < QUEUED_PER_THREAD * self.threads
     }
 
     /// Queues the chunk whose record is at `offset`, after all earlier ones. Chunks above the size limit
@@ -100,30 +104,30 @@ impl<'env> Ahead<'_, 'env> {
         &mut self,
         offset: usize,
         packed: Packed<'env>,
-        records: Option<Arc<dyn Records>>,
+        records: Option<Arc<dyn PartParser>>,
     ) {
-        if packed.size > MOST_BYTES {
+        if packed.size > MAX_QUEUED_BYTES {
             return;
         }
         let (reply, done) = sync_channel(1);
         let buffer = self.buffers.pop().unwrap_or_default();
         let tasks = self.tasks.get_or_insert_with(|| {
-            let (tasks, queue) = sync_channel::<Task<'env>>(WAITING * self.threads);
+            let (tasks, queue) = sync_channel::<Task<'env>>(QUEUED_PER_THREAD * self.threads);
             let queue = Arc::new(Mutex::new(queue));
             for _ in 0..self.threads {
                 let queue = Arc::clone(&queue);
-                self.scope.spawn(move || work(&queue));
+                self.scope.spawn(move || run_worker(&queue));
             }
             tasks
         });
         if tasks.send(Task { offset, packed, records, buffer, reply }).is_ok() {
             self.bytes += packed.size;
-            self.waiting.push_back(Waiting { offset, packed, done });
+            self.waiting.push_back(QueuedChunk { offset, packed, done });
         }
     }
 
     /// Result of the chunk whose record is at `offset`, if it was queued. Drops earlier ones.
-    pub(super) fn take(&mut self, offset: usize) -> Option<Done> {
+    pub(super) fn take_result(&mut self, offset: usize) -> Option<ChunkResult> {
         while self.waiting.front().is_some_and(|waiting| waiting.offset <= offset) {
             let waiting = self.waiting.pop_front()?;
             self.bytes -= waiting.packed.size;
@@ -135,13 +139,13 @@ impl<'env> Ahead<'_, 'env> {
     }
 
     /// Returns a buffer for reuse.
-    pub(super) fn give_back(&mut self, unpacked: UnpackedChunk) {
+    pub(super) fn recycle(&mut self, unpacked: UnpackedChunk) {
         self.buffers.push(unpacked.buffer);
     }
 }
 
 /// Processes the queue until it is closed.
-fn work(queue: &Mutex<Receiver<Task<'_>>>) {
+fn run_worker(queue: &Mutex<Receiver<Task<'_>>>) {
     let mut unpacker = Unpacker::default();
     // Buffer for chunks that are also parsed here.
     let mut own = Vec::new();
@@ -157,9 +161,9 @@ fn work(queue: &Mutex<Receiver<Task<'_>>>) {
         let done = match part {
             Some(part) => {
                 own = unpacked.buffer;
-                Done::Read(part)
+                ChunkResult::Read(part)
             }
-            None => Done::Unpacked(unpacked),
+            None => ChunkResult::Unpacked(unpacked),
         };
         // Nobody waits for a skipped chunk.
         let _passed_over = reply.send(done);

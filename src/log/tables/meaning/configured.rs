@@ -1,21 +1,25 @@
 //! Columns selected in the configuration.
 
-use super::{Cell, Group, Meaning};
+use super::{Cell, ColumnGroup, ColumnMeaning};
 use crate::tables::{ColumnSelector, ColumnSettings, Table};
 
 /// Groups of columns selected in the configuration, for a single arm or for each of several.
-pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, String> {
-    let mut groups = said_of_arm(table, settings)?;
+pub(super) fn configured_groups(
+    table: &Table,
+    settings: &ColumnSettings,
+) -> Result<Vec<ColumnGroup>, String> {
+    let mut groups = groups_of_arm(table, settings)?;
     for (arm, settings) in &settings.arms {
-        let own = said_of_arm(table, settings)
+        let own = groups_of_arm(table, settings)
             .map_err(|what| what.replacen("columns.", &format!("columns.arm.{arm}."), 1))?;
-        let named = |group: Group| Group { topic: format!("{arm}/{}", group.topic), ..group };
+        let named =
+            |group: ColumnGroup| ColumnGroup { topic: format!("{arm}/{}", group.topic), ..group };
         groups.extend(own.into_iter().map(named));
     }
     Ok(groups)
 }
 
-fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, String> {
+fn groups_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<ColumnGroup>, String> {
     let mut groups = Vec::new();
     let topics = [
         ("joints", &settings.joints),
@@ -27,21 +31,22 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, S
         let mut all = Vec::new();
         for selector in selectors {
             all.extend(
-                selected(table, selector).map_err(|what| format!("`columns.{key}`: {what}"))?,
+                selected_cells(table, selector)
+                    .map_err(|what| format!("`columns.{key}`: {what}"))?,
             );
         }
         if all.is_empty() {
             continue;
         }
         let meaning = match (key, all.len()) {
-            ("joints" | "joint_commands", count) => Meaning::Joints {
+            ("joints" | "joint_commands", count) => ColumnMeaning::Joints {
                 names: (1..=count).map(|number| format!("q{number}")).collect(),
                 unnamed: true,
-                lines: lines(settings, count)?,
+                lines: joint_conversions(settings, count)?,
                 velocities: Vec::new(),
             },
-            (_, 3) => Meaning::Position,
-            (_, 6 | 7 | 12 | 16) => Meaning::Pose,
+            (_, 3) => ColumnMeaning::Position,
+            (_, 6 | 7 | 12 | 16) => ColumnMeaning::Pose,
             (_, count) => {
                 return Err(format!(
                     "`columns.{key}` selects {count} numbers; a pose has 3, 6, 7, 12 or 16"
@@ -49,13 +54,13 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, S
             }
         };
         let why = format!("`columns.{key}` of the config");
-        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why, part: None });
+        groups.push(ColumnGroup { topic: key.to_owned(), cells: all, meaning, why, part: None });
     }
     Ok(groups)
 }
 
 /// Factor and offset of each joint; empty if none are declared.
-fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
+fn joint_conversions(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
     let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
     for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {
         if !said.is_empty() && said.len() != count {
@@ -69,7 +74,7 @@ fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, Strin
     Ok((0..count).map(|at| [of(factors, at, 1.0), of(offsets, at, 0.0)]).collect())
 }
 
-fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
+fn selected_cells(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
     let ColumnSelector { column: name, range } = selector;
     let column = table.column(name);
     let column = column.ok_or_else(|| format!("there is no column '{name}'"))?;

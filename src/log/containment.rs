@@ -6,22 +6,22 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Reason why such a link is not read; follows the file name.
-pub(super) const LEADS_OUT: &str = "is a link out of the log folder and is not followed; copy its target \
+pub(super) const LINK_LEADS_OUTSIDE: &str = "is a link out of the log folder and is not followed; copy its target \
     into the folder";
 
 /// Folder of a log.
 #[derive(Debug)]
-pub(super) struct Contained {
+pub(super) struct Containment {
     root: Option<PathBuf>,
     /// Cached results: whether a folder is inside.
     folders: HashMap<PathBuf, bool>,
 }
 
-impl Contained {
+impl Containment {
     /// Containment check for the log at `folder`.
-    pub(super) fn of(folder: &Path) -> Self {
+    pub(super) fn new(folder: &Path) -> Self {
         let root = fs::canonicalize(folder).ok();
-        let root = root.map(|root| hub(&root).unwrap_or(root));
+        let root = root.map(|root| hub_repository(&root).unwrap_or(root));
         Self { root, folders: HashMap::new() }
     }
 
@@ -51,7 +51,7 @@ impl Contained {
 
 /// Repository folder in the Hugging Face hub cache, whose snapshots are links into `blobs`
 /// (huggingface_hub, "Understand caching").
-fn hub(snapshot: &Path) -> Option<PathBuf> {
+fn hub_repository(snapshot: &Path) -> Option<PathBuf> {
     let snapshots = snapshot.parent().filter(|above| above.ends_with("snapshots"))?;
     let repository = snapshots.parent()?;
     repository.join("blobs").is_dir().then(|| repository.to_owned())
@@ -82,7 +82,7 @@ mod tests {
         ] {
             symlink(at(to), at(link)).expect("a link");
         }
-        let mut log = Contained::of(&at("log"));
+        let mut log = Containment::new(&at("log"));
         for (file, holds) in [
             ("log/inside/a", true),
             ("log/near", true),
@@ -92,7 +92,7 @@ mod tests {
         ] {
             assert_eq!(log.holds(&at(file)), holds, "{file}");
         }
-        let mut snapshot = Contained::of(&at("repo/snapshots/1"));
+        let mut snapshot = Containment::new(&at("repo/snapshots/1"));
         assert!(snapshot.holds(&at("repo/snapshots/1/data/c")));
         assert!(!snapshot.holds(&at("repo/snapshots/1/data/b")));
     }
