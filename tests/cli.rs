@@ -89,7 +89,7 @@ fn what_is_no_calibration_gets_one_line_with_its_place() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("arm.yaml").display().to_string();
     fs::write(&path, "kinematics:\n  shoulder: {x: 0}\n").expect("a file");
-    assert_refused(&["audit", CLEAN, "--calibration", &path], 2, "arm.yaml:2: no calibration");
+    assert_refused(&["audit", CLEAN, "--calibration", &path], 2, "arm.yaml:2: not a calibration");
 }
 
 #[test]

@@ -275,7 +275,7 @@ fn a_pose_that_the_config_names_is_one_where_the_motion_does_not_tell() {
     };
     let open = of("");
     assert_eq!(role(&open, "1"), "unassigned");
-    let note = &open.log.notes.iter().find(|row| row.note.contains("does not tell"));
+    let note = &open.log.notes.iter().find(|row| row.note.contains("does not confirm"));
     assert!(note.is_some_and(|row| row.note.contains("[stream.\"1\"]")), "{:?}", open.log.notes);
     for said in [
         "[columns]\npose = [\"x1\", \"y1\", \"z1\", \"phix1\", \"phiy1\", \"phiz1\"]",
@@ -285,6 +285,6 @@ fn a_pose_that_the_config_names_is_one_where_the_motion_does_not_tell() {
         assert_eq!(role(&told, if said.starts_with("[columns]") { "pose" } else { "1" }), "pose");
         let reading = told.findings.iter().find(|one| one.code == "ORD001").expect("a reading");
         assert!(reading.message.contains("euler:xyz"), "{}", reading.message);
-        assert!(!told.log.notes.iter().any(|row| row.note.contains("does not tell")));
+        assert!(!told.log.notes.iter().any(|row| row.note.contains("does not confirm")));
     }
 }

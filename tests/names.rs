@@ -143,5 +143,5 @@ fn a_map_of_joints_is_followed_with_and_without_a_model() {
     let unknown = ["shoulder_pn"; 1];
     let options = RunOptions { joint_map: map(&unknown), ..as_robot("ur5e") };
     let error = audited(&[run], options).expect_err("no such joint");
-    assert!(error.to_string().contains("is it 'shoulder_pan_joint'"), "{error}");
+    assert!(error.to_string().contains("did you mean 'shoulder_pan_joint'"), "{error}");
 }

@@ -584,7 +584,7 @@ fn a_temporary_folder_that_takes_no_file_is_named() {
             let output = poseaudit(folder.path(), &call).env("TMPDIR", place).output();
             let output = output.expect("the binary runs");
             assert_refused(&output, &format!(" in {place}: "), &call);
-            assert_refused(&output, "let TMPDIR name another folder", &call);
+            assert_refused(&output, "set TMPDIR to another folder", &call);
         }
     }
 }

@@ -131,7 +131,7 @@ impl From<LogError> for Trouble {
             LogError::Temporary { path, source } => {
                 let folder = std::env::temp_dir();
                 let what = format!("it cannot be unpacked in {}: {source}", folder.display());
-                (path, what, "make room, or let TMPDIR name another folder")
+                (path, what, "free some space, or set TMPDIR to another folder")
             }
             LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),
         };

@@ -98,10 +98,10 @@ impl Ranking {
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
-    /// Names of the arms with other links that this motion cannot distinguish from the best one.
+    /// Names of the arms with other links that fit, and that this motion cannot distinguish from the best one.
     fn indistinguishable(&self, names: &[&str]) -> Vec<String> {
         let Some(best) = self.standings.first() else { return Vec::new() };
-        let rivals = self.near_best().into_iter().filter(|other| !other.moves_as(best));
+        let rivals = self.same().into_iter().skip(1).filter(|other| !other.moves_as(best));
         rivals.map(|other| names[other.model].to_owned()).collect()
     }
 

@@ -72,7 +72,7 @@ cases! {
     LAT001 an_arm_at_rest: |log| log.run.motion = Motion::AtRest => Undecided("barely moves");
     LAT001 motion_that_repeats_itself: |log| {
         log.run.motion = Motion::Periodic { period_s: 0.8 };
-    } => Undecided("repeats itself");
+    } => Undecided("the motion is periodic");
 
     LAT002 a_clock_that_runs_slow: |log| log.run.pose.timing.skew = 400e-6
         => warning(Topic(POSE), Amount(400e-6, 10e-6));

@@ -59,7 +59,7 @@ cases! {
     TIM002 a_pose_that_ends_early_has_no_gap: |log| {
         log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
     } => BlamedOn("TIM006");
-    TIM002 no_stream_to_interrupt: |log| without_streams(&mut log.run) => Skipped("no stream");
+    TIM002 no_stream_to_interrupt: |log| without_streams(&mut log.run) => Skipped("no periodic stream");
 
     TIM004 a_pose_that_is_stamped_in_pairs: |log| {
         log.edit = Some(|messages| {

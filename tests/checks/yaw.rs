@@ -118,7 +118,7 @@ cases! {
     YAW003 a_gyros_bias_is_no_mount: |log| log.run.imu.gyro_bias_rad_s = bias()
         => BlamedOn("YAW004");
     YAW003 no_imu_to_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
-    YAW003 no_frame_of_the_imu: |log| log.run.tf.with_static = false => Skipped("frame");
+    YAW003 no_frame_of_the_imu: |log| log.run.tf.with_static = false => Skipped("no transform from the arm to the IMU");
 
     YAW004 a_gyro_that_turns_at_rest: |log| log.run.imu.gyro_bias_rad_s = bias()
         => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));

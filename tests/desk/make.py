@@ -109,7 +109,7 @@ riddle("Unreal, cm", ros, lambda m: (100 * p(basis(m, UNREAL)), q(basis(m, UNREA
        "Unreal")
 riddle("Unreal, m", ros, lambda m: ros(basis(m, UNREAL)), "quat:xyzw, m", "Unreal")
 riddle("y mirrored, roll pitch yaw", ros, lambda m: (p(basis(m, UNREAL)), euler(basis(m, UNREAL), "xyz")),
-       "euler:xyz, deg, m", "the other hand")
+       "euler:xyz, deg, m", "opposite handedness")
 riddle("glTF, three.js", ros, lambda m: ros(basis(m, Y_UP)), "quat:xyzw, m", "three.js")
 riddle("a world with y up", ros, lambda m: ros(transform([0, 0, 0], Rotation.from_matrix(Y_UP)) @ m),
        "quat:xyzw, m", "y up")
@@ -146,16 +146,16 @@ riddle("KUKA with a tool of 150 mm", ros,
        lambda m: (1000 * p(m @ turned(0, 0, 0, (0, 0, 0.15))), euler(m, "ZYX")), "euler:ZYX, deg, mm",
        "a constant tool", 2)
 riddle("a table of unknown place", ros, lambda m: ros(turned(0, 0, 30, (0.5, 0.2, 0)) @ m),
-       "quat:xyzw, m", "offset of the base", 2)
+       "quat:xyzw, m", "a constant base offset", 2)
 riddle("yaw, pitch, roll", ros, lambda m: (p(m), euler(m, "xyz", False)[::-1]), "euler:ZYX, rad, m")
 # Cases without a source on the web.
 riddle("a tracker's world and marker", ros,
        lambda m: ros(turned(20, -35, 100, (1.2, -0.4, 0.3)) @ m @ turned(10, 80, -30, (0.02, -0.05, 0.09))),
-       "quat:xyzw, m", "offset of the base", 6)
+       "quat:xyzw, m", "a constant base offset", 6)
 riddle("Unity with a tool", ros, lambda m: ros(basis(m @ turned(0, 90, 0, (0, 0, 0.12)), UNITY)),
        "quat:xyzw, m", "Unity", 6)
 riddle("base and base_link 400 mm apart", ros, lambda m: ros(turned(0, 0, 0, (0, 0, 0.4)) @ m),
-       "quat:xyzw, m", "offset of the base", 2)
+       "quat:xyzw, m", "a constant base offset", 2)
 
 
 def text(values):

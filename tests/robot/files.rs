@@ -187,7 +187,7 @@ fn a_bad_urdf_is_refused_with_its_line() {
         ),
         (
             joint("<mimic joint='k' multiplier='-1e7'/>"),
-            "x:3: joint 'j' of link 'b' has the number 1e7,",
+            "x:3: joint 'j' of link 'b' has the number 1e7;",
         ),
         (joint("<limit lower='-3,1'/>"), "x:4: joint 'j': lower=\"-3,1\" is not a number"),
         (
