@@ -1,7 +1,7 @@
 //! Scale and zero of one joint in closed form, given the others.
 //!
-//! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are `c + a·cos θ
-//! + b·sin θ`. The residual sum new squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
+//! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are
+//! `c + a·cos θ + b·sin θ`. The residual sum of squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
 //! with `zₖ` from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
 //! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines
 //! therefore covers every scale, sign and zero.
