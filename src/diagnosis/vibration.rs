@@ -148,7 +148,7 @@ pub struct VibrationPath {
     pub trace: Vec<[f64; 2]>,
 }
 
-/// Spectrum and trace of a path for one second around `at_s`, processed as in [`shake`]. `None` if its
+/// Spectrum and trace of a path for one second around `at_s`, processed as in [`estimate_vibration`]. `None` if its
 /// samples are uneven there.
 pub fn vibration_path(
     t_s: &[f64],
