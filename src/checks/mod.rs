@@ -138,8 +138,8 @@ pub struct Rule {
     pub grade: Grade,
     /// Further limits that the caller can set.
     pub limits: &'static [Limit],
-    /// Whether a run cannot pass if this rule decides on none of its subjects. A [proof](Rule::is_proof)
-    /// must decide on all of them.
+    /// Whether a run cannot pass if this rule decides on none of its subjects. The [residual
+    /// check](Rule::is_residual_check) must decide on all of them.
     pub headline: bool,
     /// Whether it needs a model of the robot.
     pub needs_model: bool,
