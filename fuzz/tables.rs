@@ -15,8 +15,7 @@ use self::containers::{framed_record, zipped};
 use self::hdf5_writer::{DataSet, hdf5};
 use super::{Draw, ODD, some};
 
-// The tests load this file beside `feed.rs`, which has the same module.
-#[allow(clippy::duplicate_mod)]
+#[allow(clippy::duplicate_mod, reason = "the tests also load it with feed.rs")]
 #[path = "containers.rs"]
 mod containers;
 #[path = "../src/log/tables/tests/hdf5_writer.rs"]
