@@ -197,7 +197,7 @@ pub struct Units {
     pub angle: Option<AngleUnit>,
 }
 
-/// Error of [`Units::take`].
+/// Error of [`Units::set_symbol`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnitError {
     /// Neither a unit of length nor of angle.

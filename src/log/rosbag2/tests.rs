@@ -295,7 +295,7 @@ fn a_database_that_computes_its_tables_is_none_of_rosbag2() {
         .unwrap();
     drop(database);
     let error = try_read(&path).unwrap_err().to_string();
-    assert!(error.contains("without the tables of a rosbag2 bag"), "{error}");
+    assert!(error.contains("SQLite database without rosbag2 tables"), "{error}");
 }
 
 #[test]

@@ -139,7 +139,7 @@ fn a_table_of_another_time_with_the_same_columns_goes_on() {
     let overlapping = second.replace("100.0000,", "100.0001,");
     let log = read_tables(&[first.as_bytes(), overlapping.as_bytes()]).unwrap();
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
-    assert!(note.what.starts_with("1.6 s of `actual_q` are in "), "{}", note.what);
+    assert!(note.what.starts_with("1.6 s of `actual_q` are also in "), "{}", note.what);
 }
 
 #[test]
