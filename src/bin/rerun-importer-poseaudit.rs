@@ -80,7 +80,7 @@ impl Call {
         (!call.log.as_os_str().is_empty()).then_some(call)
     }
 
-    /// Writes the recording of the log's audit to stdout. `false` if there is none.
+    /// Writes the recording of the log's audit to stdout. `false` if nothing was recorded.
     fn import(&self) -> io::Result<bool> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("audit.rrd");
