@@ -314,7 +314,7 @@ fn metadata_that_the_stamps_contradict_are_a_finding() {
     assert_eq!(status(&wrong), Status::Fail);
     let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
     let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
-    assert!(message.contains("declare 40 frames") && message.contains("25.0000"), "{message}");
+    assert!(message.contains("declares 40 frames") && message.contains("25.0000"), "{message}");
     // Even without metadata, numbers may contradict column names.
     assert_eq!(status(&audited(&CLEAN, None)), Status::Pass);
 }
