@@ -364,7 +364,9 @@ fn topics_that_cannot_be_decoded_do_not_stop_the_others() {
     let [cdr, other] = log.topics.as_slice() else { panic!("two topics") };
     let undecodable = cdr.undecodable.as_ref().unwrap();
     assert_eq!(undecodable.messages, 1);
-    assert!(undecodable.first.starts_with("field `pose.position.x`: byte 28 of the message: needs 8 "));
+    assert!(
+        undecodable.first.starts_with("field `pose.position.x`: byte 28 of the message: needs 8 ")
+    );
     assert!(matches!(&cdr.columns, Some(Columns::Poses(poses)) if poses[0].times.len() == 1));
     assert_eq!(other.columns, None);
     let undecodable = other.undecodable.as_ref().unwrap();

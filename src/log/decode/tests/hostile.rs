@@ -19,7 +19,9 @@ fn arrays_of_nothing_take_no_time() {
     assert_eq!(error, None);
     assert!(matches!(&parts[0].1, Some(Columns::Text(text)) if text.text == ["ok"]));
     let many = [0xff, 0xff, 0xff, 0xff, 2, 0, 0, 0, b'o', b'k'].to_vec();
-    assert!(self::error(format, many).contains("field `b`: byte 4 of the message: needs 4294967295"));
+    assert!(
+        self::error(format, many).contains("field `b`: byte 4 of the message: needs 4294967295")
+    );
 }
 
 #[test]
