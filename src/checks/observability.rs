@@ -1,5 +1,7 @@
 //! Describes which causes a log's motion does not observe, and which motion would.
 
+use std::collections::HashMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -142,17 +144,33 @@ fn join_with_and(items: &[&str]) -> String {
 /// they make inconclusive.
 pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
     let mut streams = Vec::new();
+    // By topic: a log may have thousands of streams, each with its checks.
+    let mut rows_of: HashMap<Option<String>, Vec<usize>> = HashMap::new();
+    let mut residuals: HashMap<Subject, bool> = HashMap::new();
+    for (index, row) in checks.iter().enumerate() {
+        rows_of.entry(row.subject.topic.clone()).or_default().push(index);
+        if row.code == "MDL001" {
+            *residuals.entry(row.subject.clone()).or_insert(true) &= row.status == Status::Pass;
+        }
+    }
+    let rows_without_topic = rows_of.remove(&None).unwrap_or_default();
     for arm in &case.evidence.robots {
+        let is_model_doubtful = residual_attribution::model_doubt(arm, 0.0).is_some();
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
-            let is_noise = is_noise(checks, &stream.subject);
+            // Whether the residual of the stream is consistent with noise.
+            let is_noise = residuals.get(&stream.subject).copied().unwrap_or(true);
             let found = seen
                 .weak_directions(|parameter| threshold(case, arm, parameter), MIN_EFFECT_SIGMAS);
             let directions: Vec<UnobservableDirection> =
                 found.iter().map(|one| unobservable_direction(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
-            let open = checks.iter_mut().filter(|row| is_resolvable_by_motion(row, arm, stream));
-            for row in open {
+            let of_topic = rows_of.get(&stream.subject.topic).into_iter().flatten();
+            for &row in rows_without_topic.iter().chain(of_topic) {
+                let row = &mut checks[row];
+                if !is_resolvable_by_motion(row, arm, stream, is_model_doubtful) {
+                    continue;
+                }
                 let concerned: Vec<usize> = (0..directions.len())
                     .filter(|&one| directions[one].concerns(row.code, &row.subject))
                     .collect();
@@ -188,15 +206,14 @@ fn is_resolvable_by_motion(
     row: &CheckRow,
     arm: &ArmEvidence,
     stream: &StreamEvidence<PoseEvidence>,
+    is_model_doubtful: bool,
 ) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
         && !row.is_indistinguishable
         && robot.as_ref() == Some(&arm.name)
         && topic.as_ref().is_none_or(|topic| topic == stream.topic())
-        && (row.code.starts_with("LAT")
-            || !stream.diagnosis.is_nominal
-                && residual_attribution::model_doubt(arm, 0.0).is_none())
+        && (row.code.starts_with("LAT") || !stream.diagnosis.is_nominal && !is_model_doubtful)
 }
 
 /// Merges directions that share a cause, because only combinations of their causes are observable.
@@ -310,12 +327,6 @@ fn direction_component(
         code,
         joint: None,
     }
-}
-
-/// Whether the residual of a stream is consistent with noise.
-fn is_noise(checks: &[CheckRow], stream: &Subject) -> bool {
-    let mut rows = checks.iter().filter(|row| row.code == "MDL001" && row.subject == *stream);
-    rows.all(|row| row.status == Status::Pass)
 }
 
 /// Motion that would observe a direction. `is_noise` if the residual of the poses is noise.

@@ -91,8 +91,9 @@ fn expected_timing(run: &Run, stream: &Stream) -> Option<ExpectedTiming> {
 
 /// Frame whose poses a stream contains, if its topic has several streams.
 pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
-    let of_topic = run.streams.iter().filter(|other| other.topic == stream.topic);
-    let is_one_of_several = of_topic.count() > 1 && !stream.child_frame_id.is_empty();
+    // Most poses have no child frame, and a log may have thousands of them.
+    let of_topic = || run.streams.iter().filter(|other| other.topic == stream.topic);
+    let is_one_of_several = !stream.child_frame_id.is_empty() && of_topic().nth(1).is_some();
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 

@@ -1,5 +1,7 @@
 //! Topics and frames that are missing, unreadable or not audited, with reasons.
 
+use std::collections::{HashMap, HashSet};
+
 use super::{StreamEvidence, stream_evidence};
 use crate::diagnosis::{ArmDiagnosis, NotObservable};
 use crate::finding::Subject;
@@ -108,36 +110,38 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudite
     unset.map(|(source, _)| NotAudited { stream: source.stream, why: why.clone() }).collect()
 }
 
-/// Pose streams with the same topic and child frame, in any reference frame, with their indices.
-fn same_pose_streams<'a>(
-    run: &'a Run,
-    own: &'a Stream,
-) -> impl Iterator<Item = (usize, &'a Stream)> {
-    run.streams.iter().enumerate().filter(|(_, other)| {
-        other.topic == own.topic
-            && other.child_frame_id == own.child_frame_id
-            && matches!(other.columns, Some(Columns::Poses(_)))
-    })
-}
-
 /// Topics with poses compared with the arm and further poses in frames not connected to it.
 pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     let sources = run.arms.iter().flat_map(|arm| &arm.poses);
     let tied: Vec<usize> =
         sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
+    let is_tied: HashSet<usize> = tied.iter().copied().collect();
+    // Pose streams by topic and child frame, in any reference frame.
+    let mut groups: HashMap<(&str, &str), Vec<usize>> = HashMap::new();
+    for (index, stream) in run.streams.iter().enumerate() {
+        if matches!(stream.columns, Some(Columns::Poses(_))) {
+            groups.entry((&stream.topic, &stream.child_frame_id)).or_default().push(index);
+        }
+    }
     let of = |index: usize| {
-        let all = || same_pose_streams(run, &run.streams[index]);
-        let others: Vec<&Stream> =
-            all().filter(|(index, _)| !tied.contains(index)).map(|(_, other)| other).collect();
-        let is_first =
-            all().find(|(index, _)| tied.contains(index)).is_some_and(|it| it.0 == index);
-        if others.is_empty() || !is_first {
+        let own = run.streams.get(index)?;
+        let all = groups.get(&(own.topic.as_str(), own.child_frame_id.as_str()))?;
+        let is_first = all.iter().find(|index| is_tied.contains(index)) == Some(&index);
+        if !is_first {
+            return None;
+        }
+        let others: Vec<&Stream> = all
+            .iter()
+            .filter(|index| !is_tied.contains(index))
+            .map(|&it| &run.streams[it])
+            .collect();
+        if others.is_empty() {
             return None;
         }
         let why = NotAuditedReason::OtherFrames {
             frames: others.iter().map(|other| other.frame_id.clone()).collect(),
             samples: others.iter().map(|other| other.count).sum(),
-            of: all().map(|(_, stream)| stream.count).sum(),
+            of: all.iter().map(|&index| run.streams[index].count).sum(),
         };
         Some(NotAudited { stream: index, why })
     };

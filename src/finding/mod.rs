@@ -44,7 +44,7 @@ impl Severity {
 
 /// Subject of a rule.
 #[derive(
-    Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+    Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Hash,
 )]
 pub struct Subject {
     /// Name of the robot.
