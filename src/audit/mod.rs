@@ -104,8 +104,8 @@ pub struct Audited {
 }
 
 impl Audited {
-    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is reported as lost; if
-    /// it is the longest, its error is returned.
+    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is reported (ING001);
+    /// if it is the longest, its error is returned.
     pub(crate) fn of(
         mut log: Log,
         options: &Options,
@@ -142,11 +142,11 @@ impl Audited {
                     ),
                     messages: Some(messages),
                     span: None,
-                    extent: Extent::Messages,
+                    extent: Extent::Unaudited,
                 }),
             }
         }
-        // What is of the files is reported with the first segment.
+        // Losses of the file are reported with the first segment.
         if let Some(first) = parts.first_mut().filter(|_| !unaudited.is_empty()) {
             first.evidence.losses.extend(unaudited);
             first.evaluation = evaluate(&first.evidence, &options.policy.rules);

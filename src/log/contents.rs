@@ -260,4 +260,6 @@ pub enum Extent {
     Messages,
     /// Content that is skipped by default but not damaged.
     Unread,
+    /// Messages that were read, but of a segment that cannot be audited.
+    Unaudited,
 }

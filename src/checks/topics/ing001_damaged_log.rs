@@ -27,8 +27,10 @@ rule! {
     ///
     /// ## When it misleads
     /// - It is a warning if only the index, the summary or a partial last chunk is missing, as after a
-    ///   killed recorder, or if a sound log exceeds the size limits. It is an error if messages within the
-    ///   file are lost.
+    ///   killed recorder, if a sound log exceeds the size limits, or if a segment of the log cannot be
+    ///   audited. It is an error if messages within the file are lost.
+    /// - Table rows without a single usable number are missing samples, which ING003 counts. A row with
+    ///   some usable numbers is damaged and counts here.
     /// - A missing Zarr or HDF5 chunk is not a loss if the values before and after it equal the fill value:
     ///   writers omit such chunks.
     /// - Bit errors in a file without checksums are not detected. `--verify` checks all existing checksums.
@@ -63,6 +65,11 @@ fn judge(loss: &Loss) -> SubjectResult {
             "part of the log was not read",
             "audit again with --max-unpacked GIB, or audit part of the log",
         ),
+        Extent::Unaudited => (
+            Severity::Warning,
+            "segment is not audited",
+            "audit the segment alone, or cut it off if it is not part of the run",
+        ),
         Extent::Messages => {
             (Severity::Error, "messages are lost", "record again, or audit only the undamaged part")
         }
@@ -85,7 +92,11 @@ fn judge(loss: &Loss) -> SubjectResult {
 fn message(loss: &Loss) -> String {
     let place = loss.offset.map_or_else(String::new, |offset| format!("at byte {offset}: "));
     let seconds = loss.span.map(|(start, end)| end.seconds_since(start));
-    let gone = if loss.extent == Extent::Unread { "not read" } else { "lost" };
+    let gone = match loss.extent {
+        Extent::Unread => "not read",
+        Extent::Unaudited => "not audited",
+        Extent::Index | Extent::Tail | Extent::Messages => "lost",
+    };
     let lost = match (loss.messages, seconds) {
         (None, None) => String::new(),
         (None, Some(seconds)) => format!("; {seconds:.3} s of data {gone}"),

@@ -242,9 +242,10 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
 /// Removes rows with damaged numbers. Returns their number and a description of the first one. `values`
 /// returns the `width` numbers of a row.
 ///
-/// A number is damaged if it is not [`is_usable`] although nearly all numbers of its column are. Rows before
-/// the first whole row and after the last are kept, because sensors send NaN until they are ready. Columns
-/// with many gaps are ignored, because they are sampled less often than the table.
+/// A number is damaged if it is not [`is_usable`] although nearly all numbers of its column are. Rows without
+/// a usable number are kept: a tracker that loses its target records them, and ING003 counts them. Rows
+/// before the first whole row and after the last are kept, because sensors send NaN until they are ready.
+/// Columns with many gaps are ignored, because they are sampled less often than the table.
 pub(super) fn remove_damaged_rows<T: Copy>(
     table: &Table,
     rows: &mut Vec<(usize, T)>,
@@ -253,15 +254,15 @@ pub(super) fn remove_damaged_rows<T: Copy>(
 ) -> Option<(u64, String)> {
     /// Minimum percentage of usable numbers in a column without gaps.
     const MIN_USABLE_PERCENT: usize = 90;
+    let unusable_in = |(row, _): &(usize, T)| -> Vec<usize> {
+        let own = values(*row);
+        let unusable = own.iter().enumerate().filter(|(_, value)| !is_usable(**value));
+        let cells: Vec<usize> = unusable.map(|(cell, _)| cell).collect();
+        if cells.len() == own.len() { Vec::new() } else { cells }
+    };
+    let unusable: Vec<Vec<usize>> = rows.iter().map(unusable_in).collect();
     let mut counts = vec![0; width];
-    let unusable: Vec<Vec<usize>> = rows
-        .iter()
-        .map(|(row, _)| {
-            let own = values(*row);
-            let unusable = own.iter().enumerate().filter(|(_, value)| !is_usable(**value));
-            unusable.map(|(cell, _)| cell).inspect(|cell| counts[*cell] += 1).collect()
-        })
-        .collect();
+    unusable.iter().flatten().for_each(|cell| counts[*cell] += 1);
     let is_dense =
         |cell: &usize| 100 * (rows.len() - counts[*cell]) >= MIN_USABLE_PERCENT * rows.len();
     let damaged: Vec<usize> =
@@ -312,6 +313,8 @@ mod tests {
         let two =
             "2: 2 rows, first row 5 of 40: 1 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
         assert_eq!(of(&[(5, 1), (30, 2)]), (Some(two.to_owned()), 38));
+        // A tracker that loses its target.
+        assert_eq!(of(&[(9, 0), (9, 1), (9, 2), (10, 0), (10, 1), (10, 2)]), (None, 40));
         // A sensor that starts late, and one that ends early.
         assert_eq!(of(&[(0, 0), (1, 0), (39, 1)]), (None, 40));
         // A column sampled in half of the rows, and one that is never filled.
