@@ -1,24 +1,21 @@
-//! Chunked arrays of Zarr and HDF5: assembles their numbers row by row and finds the rows whose chunks are
-//! missing or damaged.
+//! Assembles chunked arrays of Zarr and HDF5; finds the rows whose chunks are missing or damaged.
 
 use std::ops::Range;
 
 use super::TableError;
 use super::npy::ElementType;
 
-/// Maximum number of missing chunks before the search stops.
 const MAX_ABSENT_CHUNKS: usize = 1 << 16;
 
-/// Shape of an array and of its chunks.
 #[derive(Clone, Debug)]
 pub(super) struct ChunkGrid {
     pub shape: Vec<usize>,
-    /// Sides of a chunk, none of them 0.
+    /// None is 0.
     pub chunks: Vec<usize>,
     pub kind: ElementType,
     /// Value of elements without a chunk.
     pub fill: f64,
-    /// Whether the first index varies fastest within a chunk.
+    /// The first index varies fastest within a chunk.
     pub is_fortran: bool,
 }
 
@@ -29,11 +26,10 @@ enum ChunkState {
     Damaged,
 }
 
-/// Some rows of an array, assembled from its chunks.
 pub(super) struct ChunkAssembly<'a> {
     grid: &'a ChunkGrid,
     rows: Range<usize>,
-    /// Number of chunks along each dimension except the first.
+    /// Chunks along each dimension except the first.
     inner: Vec<usize>,
     width: usize,
     values: Vec<f64>,
@@ -42,7 +38,6 @@ pub(super) struct ChunkAssembly<'a> {
     why: Option<TableError>,
 }
 
-/// Numbers of an array, with its lost rows and the reason.
 #[derive(Debug)]
 pub(super) struct AssembledRows {
     pub values: Vec<f64>,
@@ -51,7 +46,7 @@ pub(super) struct AssembledRows {
 }
 
 impl ChunkGrid {
-    /// Size of a chunk in bytes; `None` on overflow.
+    /// `None` on overflow.
     pub fn chunk_bytes(&self) -> Option<usize> {
         let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.kind.size())
@@ -59,7 +54,7 @@ impl ChunkGrid {
 }
 
 impl<'a> ChunkAssembly<'a> {
-    /// Prepares to assemble `rows` of the array. The caller accounts for the memory.
+    /// The caller accounts for the memory.
     pub fn new(grid: &'a ChunkGrid, rows: Range<usize>) -> Self {
         let width: usize = grid.shape[1..].iter().product();
         let sides = grid.shape[1..].iter().zip(&grid.chunks[1..]);
@@ -70,7 +65,6 @@ impl<'a> ChunkAssembly<'a> {
         Self { grid, rows, inner, width, values, states, absent: 0, why: None }
     }
 
-    /// Indices of all chunks that contain any of the rows.
     pub fn chunk_indices(&self) -> impl Iterator<Item = Vec<usize>> + use<> {
         let (inner, first) = (self.inner.clone(), self.rows.start / self.grid.chunks[0]);
         let wide: usize = inner.iter().product();
@@ -81,7 +75,7 @@ impl<'a> ChunkAssembly<'a> {
         })
     }
 
-    /// Adds the numbers of a chunk. Returns false if too many chunks are missing to continue.
+    /// Returns false if too many chunks are missing to continue.
     pub fn add_chunk(
         &mut self,
         place: &[usize],
@@ -108,14 +102,13 @@ impl<'a> ChunkAssembly<'a> {
         self.absent < MAX_ABSENT_CHUNKS
     }
 
-    /// Marks missing chunks as damaged: some could not be read, and it is unknown which.
+    /// For unreadable chunks with unknown indices.
     pub fn mark_absent_damaged(&mut self, why: TableError) {
         let absent = self.states.iter_mut().filter(|state| **state == ChunkState::Absent);
         absent.for_each(|state| *state = ChunkState::Damaged);
         self.why.get_or_insert(why);
     }
 
-    /// Index of the state of a chunk; `None` if the chunk has none of the rows.
     fn state_of(&self, place: &[usize]) -> Option<usize> {
         let (first, rest) = place.split_first()?;
         let band = first.checked_sub(self.rows.start / self.grid.chunks[0])?;
@@ -127,7 +120,6 @@ impl<'a> ChunkAssembly<'a> {
         (is_there && number < self.states.len()).then_some(number)
     }
 
-    /// Rows of the array in a band of chunks.
     fn band(&self, first: usize) -> Range<usize> {
         let deep = self.grid.chunks[0];
         self.rows.start.max(first * deep)
@@ -167,9 +159,9 @@ impl<'a> ChunkAssembly<'a> {
         }
     }
 
-    /// Returns the numbers and the lost rows. Writers omit chunks that hold only the fill value. A missing
-    /// chunk is therefore a loss only if the number before or after it differs from the fill value. An
-    /// array without any chunk is a loss if it `must_vary`.
+    /// Writers omit chunks that hold only the fill value. A missing chunk is therefore a loss only if the
+    /// number before or after it differs from the fill value. An array without any chunk is a loss if it
+    /// `must_vary`.
     pub fn finish(mut self, must_vary: bool) -> AssembledRows {
         let wide: usize = self.inner.iter().product::<usize>().max(1);
         let bands = self.states.len() / wide;
@@ -219,7 +211,6 @@ impl<'a> ChunkAssembly<'a> {
         AssembledRows { values: self.values, lost, why }
     }
 
-    /// Columns of a row that are in the chunks of a cell.
     fn columns_of(&self, cell: usize) -> Vec<usize> {
         let (inner, own) = (&self.grid.shape[1..], &self.grid.chunks[1..]);
         let place = unravel_index(cell, &self.inner);
@@ -231,7 +222,7 @@ impl<'a> ChunkAssembly<'a> {
     }
 }
 
-/// Index of element `number` in a box with these sides; the last index varies fastest.
+/// The last index varies fastest.
 pub(super) fn unravel_index(number: usize, sides: &[usize]) -> Vec<usize> {
     let mut rest = number;
     let mut places: Vec<usize> = sides
@@ -251,7 +242,7 @@ pub(super) fn unravel_index(number: usize, sides: &[usize]) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// A 20 by 4 array in chunks of 5 by 2, some of them `changed`.
+    /// A 20 by 4 array in chunks of 5 by 2.
     fn assembled(
         number: impl Fn(usize) -> f64,
         must_vary: bool,
@@ -300,7 +291,6 @@ mod tests {
         let absent = [(1, 0, false), (2, 0, false)];
         let zeros = |at: usize| if at % 4 < 2 { 0.0 } else { at as f64 + 1.0 };
         assert!(assembled(zeros, true, &absent).lost.is_empty());
-        // One number before them differs from the fill value.
         let one = |at: usize| if at == 4 * 4 { 1.0 } else { zeros(at) };
         assert_eq!(assembled(one, true, &absent).lost, [5..10, 10..15]);
         let none: Vec<(usize, usize, bool)> = (0..8).map(|at| (at / 2, at % 2, false)).collect();

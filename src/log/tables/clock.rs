@@ -1,5 +1,4 @@
-//! Stamps of table rows: from a column of times, otherwise from the rate in the metadata or the
-//! configuration.
+//! Stamps of table rows: from a column of times, otherwise from a declared rate.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +9,7 @@ use ground::time::NANOS_PER_SECOND;
 /// Last words of the names of time columns.
 const TIME_WORDS: &[&str] =
     &["timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed"];
-/// Words for units, with the unit in seconds.
+/// Units in seconds.
 const UNIT_WORDS: &[(&str, f64)] = &[
     ("ns", 1e-9),
     ("nsec", 1e-9),
@@ -28,7 +27,7 @@ const UNIT_WORDS: &[(&str, f64)] = &[
     ("secs", 1.0),
     ("seconds", 1.0),
 ];
-/// Words for times that are not the stamp of a row.
+/// Words for times that are not row stamps.
 const EXCLUDED_WORDS: &[&str] = &[
     "delta",
     "dt",
@@ -42,29 +41,26 @@ const EXCLUDED_WORDS: &[&str] = &[
     "sleep",
 ];
 
-/// Maximum percentage of steps that go backwards.
+/// Of the steps.
 const MAX_BACKWARD_PERCENT: usize = 2;
 
-/// Latest time since the start of a table, ns.
 const MAX_NANOS: f64 = 9e18;
 
-/// Stamps of a table.
 pub(super) struct Clock {
-    /// Stamp of each row, ns; `None` if it has none.
+    /// ns.
     pub stamps: Vec<Option<i64>>,
-    /// Column and index within its rows that hold the stamps.
+    /// Column and index within its rows.
     pub cell: Option<(usize, usize)>,
-    /// Column and index of the nanoseconds, if `cell` holds whole seconds.
+    /// Set if `cell` holds whole seconds.
     pub nanos: Option<(usize, usize)>,
-    /// One-line description of the origin of the stamps.
+    /// Origin of the stamps.
     pub description: String,
-    /// Name of the column, if it was identified by its numbers rather than its name.
+    /// Set if identified by its numbers.
     pub unnamed_column: Option<String>,
-    /// Median step, s.
+    /// Median.
     step_s: f64,
 }
 
-/// Whether a name indicates a column of times.
 pub(super) fn is_time(name: &str) -> bool {
     let words = names::words(name);
     let is_unit = |word: &&String| UNIT_WORDS.iter().any(|(unit, _)| unit == word);
@@ -77,10 +73,8 @@ pub(super) fn is_time(name: &str) -> bool {
         && !words.iter().any(|word| EXCLUDED_WORDS.contains(&word.as_str()))
 }
 
-/// Determines the stamps of `table`.
-///
 /// # Errors
-/// If the row times are unknown or ambiguous, or if the configured column does not hold times.
+/// If the row times are unknown or ambiguous, or the configured column does not hold times.
 pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
     if let Some(name) = &settings.time {
         let cell = find_cell(table, name)
@@ -104,7 +98,7 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     }
 }
 
-/// Clocks of column groups that have their own, by the path of the group.
+/// By the path of the column group.
 pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
     for clock in clocks_by_name(table) {
@@ -117,12 +111,10 @@ pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     groups.into_iter().filter_map(best).collect()
 }
 
-/// Path of the group that contains a column.
 pub(super) fn group_of(name: &str) -> Option<&str> {
     name.rsplit_once('/').map(|(group, _)| group)
 }
 
-/// Clocks in columns whose names indicate times.
 fn clocks_by_name(table: &Table) -> Vec<Clock> {
     let columns = || table.columns.iter().enumerate();
     // Kawasaki's third angle is also named T.
@@ -150,17 +142,16 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
     clocks
 }
 
-/// Words of a name that ends in one of `units`, without the unit.
 fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
     let mut words = names::words(name);
     let unit = words.pop()?;
     units.contains(&unit.as_str()).then_some(words)
 }
 
-/// Selects the finest clock, because a stamp in whole seconds repeats. The stamp of a message header takes
-/// precedence over the receive time.
+/// Selects the finest clock, because a stamp in whole seconds repeats. Header stamps take precedence over
+/// receive times.
 fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
-    /// Maximum percentage of rows that repeat a stamp in a fine clock.
+    /// Rows that repeat a stamp.
     const MAX_REPEATED_PERCENT: usize = 5;
     let is_header = |clock: &Clock| {
         let name = clock.cell.map(|(at, _)| names::words(&table.columns[at].name));
@@ -173,7 +164,6 @@ fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     })
 }
 
-/// Stamps from two numbers per row: whole seconds and nanoseconds.
 fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock> {
     let [seconds, nanos] = cells.map(|(at, part)| {
         let column = &table.columns[at];
@@ -191,7 +181,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
     let back = steps().filter(|step| *step < 0.0).count();
     let step_s = median(&mut ahead)?;
-    // Fractions in another unit never come near a second.
+    // Fractions in another unit never approach a second.
     let is_nanos =
         cells[1].0 != cells[0].0 || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
     if 100 * back > MAX_BACKWARD_PERCENT * known.len().max(100)
@@ -220,10 +210,10 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     })
 }
 
-/// Stamps from the only column whose numbers increase evenly, although its name does not indicate times.
-/// Copies in another unit or with another zero count as the same column.
+/// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
+/// as the same column.
 fn clock_by_values(table: &Table) -> Result<Clock, String> {
-    /// Maximum number of such columns, copies included; more of them are ramps rather than clocks.
+    /// More of them, copies included, are ramps rather than clocks.
     const MAX_INCREASING_COLUMNS: usize = 2;
     let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
@@ -286,7 +276,6 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
     }
 }
 
-/// Why the numbers of a column are not times.
 fn why_not_times(column: &Column) -> String {
     let steps = || column.values.windows(2).map(|pair| pair[1] - pair[0]);
     let back = steps().filter(|step| *step < 0.0).count();
@@ -300,9 +289,8 @@ fn why_not_times(column: &Column) -> String {
     }
 }
 
-/// Whether numbers always increase, nearly always by a similar step.
 fn increases_evenly(values: &[f64]) -> bool {
-    /// Minimum percentage of steps of the usual size, and the range of that size relative to the median.
+    /// Relative to the median step.
     const MIN_REGULAR_PERCENT: usize = 90;
     const REGULAR_STEP: std::ops::RangeInclusive<f64> = 0.5..=2.0;
     let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -311,7 +299,7 @@ fn increases_evenly(values: &[f64]) -> bool {
     steps.iter().all(|own| *own > 0.0) && 100 * usual >= MIN_REGULAR_PERCENT * steps.len()
 }
 
-/// Whether one column is a linear function of another, as for two clocks without drift.
+/// As for two clocks without drift.
 fn is_linear_in(one: &[f64], other: &[f64]) -> bool {
     const MAX_RELATIVE_RESIDUAL: f64 = 1e-4;
     let (Some(first), Some(last)) = (one.first().zip(other.first()), one.last().zip(other.last()))
@@ -324,7 +312,7 @@ fn is_linear_in(one: &[f64], other: &[f64]) -> bool {
     pairs.all(|(a, b)| (first.1 + slope * (a - first.0) - b).abs() <= MAX_RELATIVE_RESIDUAL * span)
 }
 
-/// Column with a name, or one number of its rows in the notation `NAME[INDEX]`.
+/// Accepts `NAME` and `NAME[INDEX]`.
 fn find_cell(table: &Table, name: &str) -> Option<(usize, usize)> {
     let column = |name: &str| table.column(name);
     if let Some(at) = column(name) {
@@ -335,10 +323,9 @@ fn find_cell(table: &Table, name: &str) -> Option<(usize, usize)> {
     (part < table.columns[at].width).then_some((at, part))
 }
 
-/// Stamps generated from a rate.
 fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let step_ns = NANOS_PER_SECOND as f64 / rate_hz;
-    // A low rate may place rows beyond the range of stamps.
+    // A low rate may exceed the range of stamps.
     let stamp = |row: usize| {
         let nanos = (row as f64 * step_ns).round();
         (nanos < MAX_NANOS).then_some(NANOS_PER_SECOND + nanos as i64)
@@ -356,7 +343,7 @@ fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
     }
 }
 
-/// Stamps in a column, if it holds times.
+/// `None` if it does not hold times.
 fn from_column(at: usize, column: &Column) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
@@ -379,11 +366,11 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))
         .or_else(|| unit_of(first, step, rise, is_whole))?;
     let step_s = step * unit;
-    // A stamp of 0 means unset, so clocks that start there are shifted to 1 s.
+    // A stamp of 0 means unset: shift such clocks to 1 s.
     let from = if first * unit < 1.0 && first >= 0.0 { NANOS_PER_SECOND } else { 0 };
     let nanos = |value: f64| -> Option<i64> {
         let exact = value.is_finite() && (value * unit).abs() < 9e9;
-        // Integer stamps are converted without rounding.
+        // Converts integers without rounding.
         let whole = (unit * NANOS_PER_SECOND as f64).round() as i64;
         let nanos = match is_whole {
             true => (value as i64).checked_mul(whole)?,
@@ -416,7 +403,7 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
     })
 }
 
-/// Maximum rounding error of a step, in the column's unit.
+/// Of a step, in the column's unit.
 fn rounding_error(column: &Column) -> f64 {
     let largest = column.values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     let bits = if column.kind.contains("32") || column.kind.contains("f4") {
@@ -427,13 +414,11 @@ fn rounding_error(column: &Column) -> f64 {
     2.0 * largest * bits
 }
 
-/// Unit of times, in seconds, that start at `first`, with median increase `step` and mean increase `rise`
-/// per row. `None` if it is ambiguous.
+/// Unit in seconds; `None` if ambiguous. `rise` is the mean increase per row.
 fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
-    /// Maximum mean increase of integers in seconds. Integers that most rows repeat cannot be ms: that
-    /// would be 2000 rows per second or more.
+    /// Integers that most rows repeat are seconds: as ms they would be 2000 rows per second or more.
     const MAX_MEAN_INCREASE: f64 = 0.5;
-    // Since 1970, from 2001 to 2128.
+    // Since 1970: from 2001 to 2128.
     let epoch =
         [1.0, 1e-3, 1e-6, 1e-9].into_iter().find(|unit| (1e9..5e9).contains(&(first * unit)));
     epoch.or(match (step, is_whole) {
@@ -460,9 +445,7 @@ impl Clock {
         self.stamps.windows(2).filter(|pair| pair[0] == pair[1]).count()
     }
 
-    /// Contradiction between the stamps and the rate in the metadata.
     pub fn contradiction(&self, table: &Table) -> Option<String> {
-        /// Maximum relative deviation from the declared rate.
         const MAX_RATE_DEVIATION: f64 = 0.02;
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
         ((own_hz / rate_hz - 1.0).abs() > MAX_RATE_DEVIATION && self.cell.is_some()).then(|| {

@@ -1,7 +1,7 @@
-//! Tables as text: comments, column names, optionally a row of units, then one row per line.
+//! Text tables: comments, column names, optionally a row of units, then one row per line.
 //!
-//! The delimiter and the decimal mark are detected from the first row of numbers. A table without names
-//! becomes one column with many numbers per row, like a NumPy array.
+//! The first row of numbers determines the delimiter and the decimal mark. A table without names becomes
+//! one column, like a NumPy array.
 
 use jiff::civil::{DateTime, Time};
 
@@ -9,47 +9,41 @@ use super::{Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableE
 use crate::Extent;
 use crate::rtde;
 
-/// Minimum share of numeric cells in a column; other columns are text.
+/// Other columns are text.
 const MIN_NUMERIC_SHARE: f64 = 0.5;
-/// Maximum number of lines before the first row.
 const MAX_HEADER_LINES: usize = 200;
-/// Maximum length of a line, as for RTDE tables.
+/// As for RTDE tables.
 const MAX_LINE_BYTES: usize = 1 << 20;
-/// Comment markers.
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
-/// Minimum number of cells in a row of a robot log.
+/// In a row of a robot log.
 const MIN_CELLS: usize = 3;
-/// Units in a row below the names.
 const UNIT_NAMES: &[&str] = &[
     "-", "1", "s", "sec", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg", "°", "degree",
     "degrees", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "m/s2", "m/s^2", "n", "nm", "n.m", "a",
     "ma", "v", "hz", "rpm", "count", "counts", "bool", "int", "float", "%", "c", "°c",
 ];
 
-/// Position of the rows of a text table, with its column names.
 struct TextLayout {
     delimiter: u8,
-    /// Column names; `None` if no line has them.
     names: Option<Vec<String>>,
-    /// Cells per row.
     width: usize,
-    /// Offset of the first row, and its line from 1.
+    /// Byte offset; `line` counts from 1.
     rows_at: usize,
     line: usize,
 }
 
-/// Whether the text `bytes` is a table: rows of numbers, with or without column names above.
+/// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     detect_layout(bytes).is_some()
 }
 
-/// Whether a text table has a column of times. It is then a log rather than a calibration table.
+/// A text table with times is a log rather than a calibration table.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
     let names = detect_layout(bytes).and_then(|layout| layout.names);
     names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
 }
 
-/// Cells of a line; delimiters within quotation marks are text.
+/// Delimiters within quotation marks are text.
 fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
@@ -70,7 +64,7 @@ fn unquoted(cell: &[u8]) -> &[u8] {
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
 
-/// The delimiter that yields the most numbers in a line, and their count.
+/// Delimiter with the most numbers, and their count.
 fn detect_delimiter(row: &[u8]) -> (u8, usize) {
     let count = |delimiter: u8| {
         let cells = cells(row, delimiter);
@@ -86,7 +80,6 @@ fn is_number(cell: &[u8], delimiter: u8) -> bool {
     rtde::number(cell, delimiter != b',').is_some()
 }
 
-/// Text of a comment; `None` if the line is not one.
 fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii();
     COMMENT_MARKERS
@@ -95,8 +88,7 @@ fn comment(line: &[u8]) -> Option<&[u8]> {
         .map(<[u8]>::trim_ascii)
 }
 
-/// Lines with their offsets and numbers from 1, without blank ones. Tabs are kept because they may delimit
-/// empty cells.
+/// Offset, number from 1 and text of each nonblank line. Tabs stay: they may delimit empty cells.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let mut at = 0;
     let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
@@ -110,7 +102,6 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     all.filter(|(_, _, line)| !line.trim_ascii().is_empty())
 }
 
-/// Number of empty cells at the end of a row.
 fn trailing_empty_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
@@ -119,7 +110,6 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
     let mark = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
     let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
     let mut above: Vec<&[u8]> = Vec::new();
-    // Their offsets and numbers.
     let mut places: Vec<(usize, usize)> = Vec::new();
     let mut all = all.take(MAX_HEADER_LINES).peekable();
     while let Some((rows_at, line, text)) = all.next() {
@@ -134,7 +124,7 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
             continue;
         }
         let mut row = cells(text, delimiter);
-        // The next row has the same width. It may be shorter if only the head of the file is read.
+        // The next row is shorter if only the head of the file is read.
         let is_table = match all.peek() {
             Some((_, _, next)) if next.len() > MAX_LINE_BYTES => false,
             Some((_, _, next)) => {
@@ -146,7 +136,7 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
         if !is_table || row.len() > MAX_COLUMNS {
             return None;
         }
-        // Data frames write arrays with a header of column indices.
+        // pandas writes arrays with a header of column indices.
         let counts = |first: usize| {
             row.iter().enumerate().all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
         };
@@ -154,7 +144,7 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
             continue;
         }
         let names = names_above(&above, delimiter, &row);
-        // Delimiters at the end of each row are not cells, unless there are names above them.
+        // Delimiters at the end of each row are cells only below names.
         let open =
             all.peek().map_or(0, |(_, _, next)| trailing_empty_cells(&cells(next, delimiter)));
         row.truncate(row.len() - open.min(trailing_empty_cells(&row)));
@@ -162,7 +152,7 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
         if names.is_none() && width > MAX_WIDTH {
             return None;
         }
-        // The first rows may be mostly empty, until the sensors are ready.
+        // The first rows may be mostly empty until the sensors are ready.
         let sparse = above.iter().rev().take_while(|text| is_sparse_row(text, delimiter, width));
         let (rows_at, line) = match sparse.count() {
             0 => (rows_at, line),
@@ -173,7 +163,6 @@ fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
     None
 }
 
-/// Whether a line is a row of `width` cells with some numbers and without text.
 fn is_sparse_row(line: &[u8], delimiter: u8, width: usize) -> bool {
     if line.len() > MAX_LINE_BYTES || comment(line).is_some() {
         return false;
@@ -186,7 +175,6 @@ fn is_sparse_row(line: &[u8], delimiter: u8, width: usize) -> bool {
     fits && !has_text && numbers.iter().any(|own| own.is_finite())
 }
 
-/// Column names in the lines above `row`, with units from a line below them.
 fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<String>> {
     let texts = |line: &[u8]| -> Option<Vec<String>> {
         let own = comment(line).unwrap_or(line);
@@ -195,7 +183,7 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
         cells.truncate(
             cells.len() - trailing_empty_cells(&cells).min(cells.len().saturating_sub(row.len())),
         );
-        // Rows may end in delimiters, or begin with an index that has no name.
+        // Rows may end in delimiters or begin with an unnamed index.
         let fits = match cells.len() {
             count if count <= row.len() && count + open >= row.len() => true,
             count if count + 1 == row.len() && count >= MIN_CELLS => {
@@ -235,7 +223,6 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         return Err("it contains no rows of numbers".into());
     };
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
-    // First text of each column.
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
     let mut line_numbers = Vec::new();
     let ends_in_line = bytes.last() == Some(&b'\n');
@@ -293,24 +280,23 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// Whether a cell, read as `number`, is text: neither a number nor a marker for a missing one.
+/// Markers for missing numbers are not text.
 fn is_text(cell: &[u8], number: f64) -> bool {
     const MISSING_MARKERS: [&[u8]; 9] =
         [b"", b"-", b"nan", b"-nan", b"-nan(ind)", b"na", b"n/a", b"null", b"none"];
     number.is_nan() && !MISSING_MARKERS.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
 }
 
-/// Whether a row repeats the column names, as in concatenated files.
+/// As in concatenated files.
 fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
-        // Names include the units of the line below them.
+        // Names include the units below them.
         let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
         *cell == name.as_bytes()
     };
     row.iter().zip(names).all(is_name)
 }
 
-/// Table with one column per name, or with a single column of all numbers if there are no names.
 fn build_table(
     names: Option<Vec<String>>,
     values: Vec<Vec<f64>>,
@@ -350,8 +336,8 @@ fn build_table(
     made
 }
 
-/// Number in a cell. Dates with time convert to seconds since 1970, times of day to seconds since midnight;
-/// NaN for other text.
+/// Converts dates with time to seconds since 1970, times of day to seconds since midnight, and other text
+/// to NaN.
 fn number(cell: &[u8], delimiter: u8) -> f64 {
     let text = || std::str::from_utf8(unquoted(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)

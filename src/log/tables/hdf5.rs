@@ -1,4 +1,4 @@
-//! HDF5 as written by h5py: numeric data sets, named by path. Groups that contain one episode each
+//! HDF5 as h5py writes it: numeric data sets, named by path. Groups that contain one episode each
 //! (`data/demo_0` of robomimic and LIBERO) become separate tables.
 
 use std::collections::HashSet;
@@ -19,17 +19,14 @@ use super::{
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Maximum depth of nested groups, and maximum number of groups in an episode.
 const MAX_DEPTH: usize = 8;
 const MAX_GROUPS: usize = 10_000;
-/// Number of parts that an unchunked data set is read in if reading it whole fails.
+/// For unchunked data sets that cannot be read whole.
 const FALLBACK_PARTS: usize = 64;
-/// Maximum header size of a group or data set, bytes.
+/// Of a group or data set.
 const MAX_HEADER_BYTES: usize = 4 << 20;
-/// Prefixes of numbered episode groups.
 const EPISODE_PREFIXES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 
-/// Episodes of a file, or only the `wanted` one.
 pub(super) fn read(
     bytes: Bytes,
     wanted: Option<&str>,
@@ -71,13 +68,12 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, TableError> {
     open_file(bytes, MAX_METADATA_BYTES).map(|(_, episodes, _)| episodes)
 }
 
-/// Opens a file. Returns the group that contains the episodes, their names, and the declared rate. Data
-/// sets of more than `most` bytes are not read.
+/// Returns the group of the episodes, their names and the declared rate. Data sets of more than `most`
+/// bytes are not read.
 fn open_file(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), TableError> {
     let most = usize::try_from(most).unwrap_or(usize::MAX);
     let options = OpenOptions::default()
@@ -98,7 +94,7 @@ fn open_file(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>
     Ok((root, episodes, rate_hz))
 }
 
-/// Episode groups in a group, sorted by number.
+/// Sorted by number.
 fn episode_groups(group: &Group) -> Vec<String> {
     let Ok((groups, _)) = group.member_names() else { return Vec::new() };
     let numbered = groups.into_iter().filter_map(|name| {
@@ -112,14 +108,12 @@ fn episode_groups(group: &Group) -> Vec<String> {
     numbered.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Traversal of the groups of an episode.
 #[derive(Default)]
 struct GroupWalk {
-    /// Data sets with their paths.
+    /// Data sets by path.
     found: Vec<(String, Dataset)>,
-    /// Addresses of visited groups, because links may form cycles.
+    /// Addresses; links may form cycles.
     visited: HashSet<u64>,
-    /// Why groups cannot be read.
     losses: Vec<RowLoss>,
 }
 
@@ -156,7 +150,6 @@ impl GroupWalk {
         }
     }
 
-    /// Builds the table from the data sets.
     fn table(self, memory: &mut MemoryBudget) -> Table {
         let sides = |dataset: &Dataset| -> Vec<usize> {
             dataset
@@ -189,7 +182,7 @@ impl GroupWalk {
     }
 }
 
-/// Numeric data set with one row per instant, or one column per instant if it is transposed.
+/// One row per instant, or one column if transposed.
 struct DataSetColumn<'a> {
     dataset: &'a Dataset,
     column: Column,
@@ -250,7 +243,7 @@ impl<'a> DataSetColumn<'a> {
         }
     }
 
-    /// Its chunk layout, if it is chunked.
+    /// `None` if unchunked.
     fn grid(&self) -> Option<ChunkGrid> {
         let chunks = self.dataset.chunks()?;
         let chunks: Vec<usize> = chunks.iter().map(|side| *side as usize).collect();
@@ -263,7 +256,6 @@ impl<'a> DataSetColumn<'a> {
         is_sound.then_some(ChunkGrid { shape, chunks, kind, fill, is_fortran: false })
     }
 
-    /// Reads the numbers from the readable chunks.
     fn read_chunked(self, grid: &ChunkGrid) -> ReadColumn {
         let rows = self.rows;
         let chunks = match self.dataset.iter_chunks() {
@@ -292,7 +284,7 @@ impl<'a> DataSetColumn<'a> {
         ReadColumn { column, rows, lost: read.lost, why: read.why }
     }
 
-    /// Reads the numbers from the readable parts, after reading the whole failed because of `why`.
+    /// Called after reading the whole failed because of `why`.
     fn read_by_parts(self, why: TableError) -> ReadColumn {
         let (rows, width) = (self.rows, self.column.width);
         let mut values = vec![f64::NAN; rows * width];
@@ -316,14 +308,12 @@ impl<'a> DataSetColumn<'a> {
     }
 }
 
-/// All numbers of a data set as `f64`.
 fn values(dataset: &Dataset) -> Result<Vec<f64>, hdf5_reader::error::Error> {
     let all = dataset.shape().iter();
     let whole = |side: &u64| SliceInfoElem::Slice { start: 0, end: *side, step: 1 };
     slice(dataset, &SliceInfo { selections: all.map(whole).collect() })
 }
 
-/// Numbers of a part of a data set as `f64`.
 fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::error::Error> {
     macro_rules! read {
         ($kind:ty) => {
@@ -346,7 +336,7 @@ fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::e
     }
 }
 
-/// Element type of a chunk; `None` if it is not numeric.
+/// `None` if not numeric.
 fn element_type(datatype: &Datatype) -> Option<npy::ElementType> {
     let (letter, size, order) = match datatype {
         Datatype::FloatingPoint { size, byte_order, .. } => ('f', size, byte_order),
@@ -369,7 +359,7 @@ fn number_type(datatype: &Datatype) -> Option<String> {
     }
 }
 
-/// Rate in the attributes of a group, or in the `env_args` of robomimic.
+/// robomimic writes it in `env_args`.
 fn rate_of(group: &Group) -> Option<f64> {
     let attributes = group.attributes().ok()?;
     let plain = |attribute: &Attribute| {
@@ -393,7 +383,7 @@ fn rate_of(group: &Group) -> Option<f64> {
 fn read_error(error: &hdf5_reader::error::Error) -> TableError {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
-    // LZF of h5py, and filters from plugins.
+    // LZF of h5py, or filters from plugins.
     let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
     format!("the HDF5 file cannot be read: {line}{advice}").into()
 }

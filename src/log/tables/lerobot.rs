@@ -1,7 +1,6 @@
 //! LeRobot datasets, v2 and v3: a folder with `meta/info.json` and `data/*/*.parquet`.
 //!
-//! The metadata provides the rate, the names of the features' numbers and the robot type. All of `data` is
-//! read; videos are not.
+//! The metadata provides the rate, the names of the numbers and the robot type. Videos are not read.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,12 +15,11 @@ use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
 use crate::files::LogInput;
 
 const INFO_PATH: &str = "meta/info.json";
-/// Maximum number of parent folders searched, from `data/chunk-000/file-000.parquet` upwards.
+/// From `data/chunk-000/file-000.parquet` upwards.
 const MAX_PARENTS: usize = 4;
-/// Maximum number of data files in one audit.
+/// In one audit.
 const MAX_FILES: usize = 100;
 
-/// Metadata of a dataset.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Dataset {
     pub rate_hz: Option<f64>,
@@ -35,7 +33,7 @@ pub(super) struct Feature {
     /// Declared numbers per row.
     width: Option<usize>,
     names: Vec<String>,
-    /// Numbers per kind, as counted in a description.
+    /// From the description; one per kind.
     pub described_counts: Vec<usize>,
 }
 
@@ -69,10 +67,8 @@ pub fn enclosing_dataset(file: &Path) -> Option<PathBuf> {
     file.ancestors().skip(1).take(MAX_PARENTS).find(|folder| is_dataset(folder)).map(Path::to_owned)
 }
 
-/// Data files of the dataset in `folder`.
-///
 /// # Errors
-/// If it has none, or more than one audit can take.
+/// If the dataset has no data files, or more than one audit can take.
 pub(crate) fn dataset_files(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refused = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let mut files = Vec::new();
@@ -96,13 +92,13 @@ pub(crate) fn dataset_files(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     }
 }
 
-/// Metadata of the dataset in the nearest parent folder with `meta/info.json`, or why it cannot be read.
+/// From the nearest parent folder with `meta/info.json`, or why it cannot be read.
 pub(super) fn enclosing_metadata(path: &Path) -> Option<Result<Dataset, String>> {
     let folder = enclosing_dataset(path)?;
     Some(read_metadata(&folder, &folder.join(INFO_PATH)).and_then(|text| parse_info(&text)))
 }
 
-/// Text of a metadata file inside a folder.
+/// Refuses files that a link places outside the folder.
 pub(super) fn read_metadata(folder: &Path, path: &Path) -> Result<String, String> {
     let refused = |what: &dyn std::fmt::Display| Err(format!("{}: {what}", path.display()));
     if !Containment::new(folder).holds(path) {
@@ -144,26 +140,24 @@ fn flatten_names(value: &Value) -> Vec<String> {
 }
 
 impl Feature {
-    /// A feature with only a declared width.
     pub fn with_width(width: Option<usize>) -> Self {
         Self { width, ..Self::default() }
     }
 }
 
 impl Dataset {
-    /// Whether a column is declared as numeric rather than as images or text.
+    /// Rather than images or text.
     pub fn is_numeric(&self, column: &str) -> bool {
         let of =
             |feature: &Feature| !["image", "video", "string"].contains(&feature.dtype.as_str());
         self.features.get(column).is_none_or(of)
     }
 
-    /// Declared numbers per row of a column.
+    /// Numbers per row.
     pub fn width(&self, column: &str) -> Option<usize> {
         self.features.get(column)?.width
     }
 
-    /// Applies the declarations to a table.
     pub fn describe(&self, table: &mut Table) {
         table.rate_hz = self.rate_hz.or(table.rate_hz);
         for column in &mut table.columns {
@@ -174,7 +168,7 @@ impl Dataset {
         }
     }
 
-    /// Contradictions between the declarations and the numbers.
+    /// Between the declarations and the numbers.
     pub fn contradictions(&self, episodes: &[(String, Table)]) -> Vec<String> {
         let Some((_, table)) = episodes.first() else { return Vec::new() };
         let mut found = Vec::new();

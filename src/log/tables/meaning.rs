@@ -1,5 +1,5 @@
-//! Identifies what the columns of a table hold: as configured, otherwise by their names. Unidentified
-//! columns are passed on as bare numbers.
+//! Identifies what the columns of a table hold: as configured, otherwise by name. Unidentified columns are
+//! passed on as bare numbers.
 
 mod configured;
 
@@ -15,37 +15,33 @@ use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
-/// Number of joints of an arm, with its gripper.
+/// Joints of an arm, with its gripper.
 const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
-/// Minimum number of cells for joint positions, a pose or a part of a pose.
+/// For joint positions, a pose or its parts.
 const MIN_CELLS: usize = 3;
-/// LeRobot columns that are not measurements.
+/// Of LeRobot; no measurements.
 const COUNTER_COLUMNS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
-/// One number of a row.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 struct Cell {
     column: usize,
     part: usize,
 }
 
-/// What a group of cells holds.
 enum ColumnMeaning {
-    /// Joint positions; `unnamed` if the joint names are generated.
+    /// `unnamed` if the joint names are generated.
     Joints {
         names: Vec<String>,
         unnamed: bool,
         lines: Vec<[f64; 2]>,
-        /// Joint velocities in the same order; empty if there are none.
+        /// Same order; empty if none.
         velocities: Vec<Cell>,
     },
-    /// Position and rotation in any encoding.
+    /// The rotation in any encoding.
     Pose,
-    /// Position only.
     Position,
-    /// Unidentified numbers.
     Numbers,
-    /// Not used in an audit.
+    /// Not audited.
     Unused,
 }
 
@@ -54,7 +50,6 @@ struct ColumnGroup {
     cells: Vec<Cell>,
     meaning: ColumnMeaning,
     why: String,
-    /// Set if the group is one part of a pose.
     part: Option<PosePartKey>,
 }
 
@@ -62,8 +57,6 @@ struct ColumnGroup {
 /// part.
 type PosePartKey = (String, Vec<String>, PosePart);
 
-/// Identifies the topics in `table`.
-///
 /// # Errors
 /// If the configuration selects columns that do not exist.
 pub(super) fn identify_topics(
@@ -149,19 +142,16 @@ pub(super) fn identify_topics(
     Ok(found.chain(unread).collect())
 }
 
-/// Two turns: joint positions beyond them are not in rad.
+/// Joint positions beyond two turns are not in rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
-/// Words for rad in names.
 const RADIAN_WORDS: &[&str] = &["rad", "rads", "radian", "radians"];
 
-/// Words for degrees in names.
 const DEGREE_WORDS: &[&str] = &["deg", "degs", "degree", "degrees"];
 
-/// Why joint positions too large for rad are not degrees either; `None` if they may be.
+/// Called if they are too large for rad; `None` if they may be degrees.
 fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
-    /// Maximum plausible angle in degrees (two turns), the end of a percentage range, and the minimum
-    /// number of joints that reach this end.
+    /// Two turns in degrees; percentages end at exactly 100 in several joints.
     const MAX_DEGREES: f64 = 720.0;
     const RANGE_END_PERCENT: f64 = 100.0;
     const MIN_JOINTS_AT_END: usize = 2;
@@ -182,27 +172,26 @@ fn why_not_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
     is_share.then(|| "several end at exactly 100, like percentages of a range".to_owned())
 }
 
-/// Cells of a column whose numbers have names; a single number has the name of its column.
+/// Cells with names; a single number has the name of its column.
 fn cells(table: &Table, column: usize) -> Vec<Cell> {
     let of = &table.columns[column];
     let is_named = of.width == 1 || of.parts.len() == of.width;
     (0..of.width).filter(|_| is_named).map(|part| Cell { column, part }).collect()
 }
 
-/// Name of a cell.
 fn name(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     column.parts.get(cell.part).unwrap_or(&column.name)
 }
 
-/// The cell in the notation of the configuration, `NAME[INDEX]`.
+/// In the notation `NAME[INDEX]` of the configuration.
 fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
     let Column { name, width, .. } = &table.columns[column];
     let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
     TableCell { at: (column, part), name, labels: None, is_unidentified: false }
 }
 
-/// Whether the values of a cell look measured: they change and have fractions.
+/// Measured values change and have fractions.
 fn is_measured(table: &Table, cell: Cell) -> bool {
     let column = &table.columns[cell.column];
     let values = || column.values.iter().skip(cell.part).step_by(column.width).copied();
@@ -211,13 +200,12 @@ fn is_measured(table: &Table, cell: Cell) -> bool {
         && values().any(|value| value.is_finite() && Some(value) != first)
 }
 
-/// Column of a cell with named numbers; empty if each number is a column.
+/// Empty if each number is a column.
 fn home_column(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
 }
 
-/// Poses and joints among the named cells.
 fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut groups = Vec::new();
     let mut poses: BTreeMap<(&str, Vec<String>), BTreeMap<PoseComponent, Cell>> = BTreeMap::new();
@@ -244,8 +232,8 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             .or_else(with_w)
             .or_else(|| all_of(3, &PoseComponent::Rotation))
             .or_else(|| (0..names::label_count()).find_map(label));
-        // A rotation whose position is in numbered columns. Single-letter labels are too ambiguous without
-        // a position.
+        // Rotation whose position is in numbered columns. Single-letter labels are too ambiguous without a
+        // position.
         let turn_alone = || {
             let named = all_of(4, &PoseComponent::Quaternion)
                 .or_else(with_w)
@@ -288,7 +276,7 @@ fn group_by_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     groups
 }
 
-/// Matrices whose numbers are named by row and column.
+/// Numbers named by row and column.
 fn group_matrices(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     type Family<'a> = (&'a str, Vec<String>);
     let mut families: BTreeMap<Family<'_>, BTreeMap<(usize, usize), Cell>> = BTreeMap::new();
@@ -324,7 +312,6 @@ fn group_matrices(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     made.collect()
 }
 
-/// Topic name of numbers with a common stem.
 fn topic_of(home: &str, stem: &[String]) -> String {
     if home.is_empty() { stem.join("_") } else { format!("{home}/{}", stem.join("_")) }
 }
@@ -368,7 +355,7 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
             });
             continue;
         }
-        // ABB logs a quaternion as q1 to q4; the joints then have other names.
+        // ABB logs a quaternion as q1 to q4; its joints have other names.
         let is_quaternion = stem.last().is_some_and(|word| word == "q")
             && cells.len() == 4
             && has_other_joints(stem)
@@ -427,7 +414,7 @@ fn group_numbered(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     groups
 }
 
-/// Joint names that `rostopic echo -p` writes next to the positions.
+/// `rostopic echo -p` writes them next to the positions.
 fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> Option<Vec<String>> {
     if !stem.ends_with(&["field".to_owned(), "position".to_owned()]) {
         return None;
@@ -435,9 +422,8 @@ fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> O
     (first..first + count).map(|at| table.texts.get(&format!("field.name{at}")).cloned()).collect()
 }
 
-/// Whether the cells have unit norm in nearly every row.
 fn are_unit(table: &Table, cells: &[Cell]) -> bool {
-    /// Minimum percentage of such rows, and maximum deviation of the norm (rounding to two digits).
+    /// Of the rows; and rounding to two digits.
     const MIN_UNIT_PERCENT: usize = 95;
     const MAX_NORM_DEVIATION: f64 = 0.03;
     let value = |row: usize, cell: &Cell| {
@@ -449,7 +435,7 @@ fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     100 * unit >= MIN_UNIT_PERCENT * table.rows
 }
 
-/// Assigns velocity columns to the joints with matching names.
+/// Matches velocities to joints by name.
 fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>) {
     let words_of = |cell: &Cell| {
         let column = &table.columns[cell.column];
@@ -511,7 +497,6 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
     }
 }
 
-/// Topic name of velocity columns: the column, or the words that several share.
 fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     let first = cells.first().map_or("", |&cell| name(table, cell));
     let is_one = cells.iter().all(|cell| cell.column == cells[0].column);
@@ -525,8 +510,7 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     }
 }
 
-/// Whether numbers that may be velocities are desired positions: they must be much closer to the positions
-/// than to the rates of the positions.
+/// They must be much closer to the positions than to their rates.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const MAX_DISTANCE_RATIO: f64 = 0.5;
     let value = |row: usize, cell: &Cell| {
@@ -550,7 +534,7 @@ fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]
     to_positions < MAX_DISTANCE_RATIO * MAX_DISTANCE_RATIO * to_rates
 }
 
-/// Joints named after the parts of an arm, in one column or in single-number columns.
+/// Joints named after parts of an arm.
 fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
@@ -594,7 +578,6 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     groups
 }
 
-/// Identifies a column of unnamed numbers.
 fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let words = names::words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
@@ -649,7 +632,6 @@ fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     ColumnGroup { topic: column.name.clone(), cells, meaning, why, part }
 }
 
-/// Group for the unidentified numbers of a column.
 fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     let why = format!("its name does not show what these {} numbers are", cells.len());
     ColumnGroup {
@@ -661,7 +643,7 @@ fn unidentified_rest(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
     }
 }
 
-/// Joins a position with the rotation of the same name in other columns.
+/// Joins a position with the rotation of the same name.
 fn join_pose_parts(table: &Table, groups: &mut [ColumnGroup]) {
     for at in 0..groups.len() {
         let Some((home, key, PosePart::Position)) = groups[at].part.clone() else { continue };
@@ -671,7 +653,7 @@ fn join_pose_parts(table: &Table, groups: &mut [ColumnGroup]) {
             })
         };
         let turns = (0..groups.len()).filter(|&other| is_turn(&groups[other]));
-        // If the rotation is logged twice, prefer the quaternion.
+        // If it is logged twice, prefer the quaternion.
         let rank = |group: &ColumnGroup| match group.part {
             Some((_, _, PosePart::Quaternion)) => 2,
             Some((_, _, PosePart::Matrix)) => 1,
@@ -700,7 +682,6 @@ fn join_pose_parts(table: &Table, groups: &mut [ColumnGroup]) {
     }
 }
 
-/// Numbers topics of the same name.
 fn number_duplicates(groups: &mut [ColumnGroup]) {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for group in groups {
@@ -712,14 +693,13 @@ fn number_duplicates(groups: &mut [ColumnGroup]) {
     }
 }
 
-/// Names of the cells, and how they were identified.
 fn describe_origin(table: &Table, cells: &[Cell], by: &str) -> String {
     let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
     format!("columns {}, {by}", names.join(", "))
 }
 
 impl ColumnGroup {
-    /// Largest absolute position of a joint except the gripper, in the logged unit; 0 for other groups.
+    /// Absolute and in the logged unit, without the gripper; 0 if no joints.
     fn max_position(&self, table: &Table) -> f64 {
         let ColumnMeaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
         if !lines.is_empty() {
@@ -737,8 +717,8 @@ impl ColumnGroup {
         sizes.filter(|size| is_usable(*size)).fold(0.0, f64::max)
     }
 
-    /// Converts the group to a topic. `max_position` is the largest joint position of the table; beyond two turns
-    /// all joint positions are taken for degrees, states and commands alike.
+    /// `most` is the largest joint position of the table. Beyond two turns all joint positions are taken
+    /// for degrees, states and commands alike.
     fn into_topic(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> TableTopic {
         let Self { topic, cells, meaning, mut why, .. } = self;
         let mut contradiction = None;
@@ -752,7 +732,7 @@ impl ColumnGroup {
         let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
         let (mut rows, mut unstamped) = (Vec::new(), 0);
         for (row, (stamp, own)) in clock.stamps.iter().zip(&own.stamps).enumerate() {
-            // Lost rows are reported as losses, not as gaps or as NaN.
+            // Reported as losses, not as gaps or NaN.
             if columns.iter().any(|column| table.is_lost(*column, row)) {
                 continue;
             }
@@ -792,7 +772,7 @@ impl ColumnGroup {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
                     joint.velocity.iter_mut().for_each(|v| *v *= factor);
                 }
-                // Velocities without a declared unit have the unit of the positions.
+                // By default, velocities have the unit of the positions.
                 let in_words = |known: &[&str]| {
                     let mut words =
                         velocities.iter().flat_map(|&cell| names::words(name(table, cell)));

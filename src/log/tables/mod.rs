@@ -1,9 +1,8 @@
-//! Tables: arrays with one row per instant, without messages and without a robot schema. Formats: NPY, NPZ,
-//! Parquet, LeRobot datasets, HDF5, Zarr, TFRecord, CSV and KUKA RSI packets.
+//! Tables: arrays with one row per instant, without messages or robot schema, in NPY, NPZ, Parquet, LeRobot
+//! datasets, HDF5, Zarr, TFRecord, CSV and KUKA RSI packets.
 //!
 //! A reader makes one [`Table`] per episode; `clock` finds its stamps and `meaning` identifies its columns.
-//! Columns that it cannot identify are passed on as bare numbers; `run` compares them with the motion of
-//! the arm.
+//! `run` compares unidentified columns with the motion of the arm.
 
 mod chunks;
 mod clock;
@@ -55,46 +54,43 @@ pub(super) use self::tfrecord::has_record;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{is_store, store_files};
 
-/// Maximum number of episodes in one audit.
+/// In one audit.
 const MAX_EPISODES: usize = 100;
-/// Maximum number of columns that are read from a table.
+/// Per table.
 const MAX_COLUMNS: usize = 2000;
-/// Maximum numbers per row in one column; larger arrays are images.
+/// Numbers per row; larger arrays are images.
 const MAX_WIDTH: usize = 256;
-/// Maximum size of a metadata file, bytes. Real ones have up to about 100 kB, and parsed JSON takes up to
-/// 60 times as much memory.
+/// Real metadata files have up to 100 kB; parsed JSON takes up to 60 times as much memory.
 const MAX_METADATA_BYTES: u64 = 4 << 20;
-/// Attributes that hold a rate.
 const RATE_NAMES: &[&str] =
     &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
-/// Rows of one episode.
+/// One episode.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
     pub rows: usize,
     pub columns: Vec<Column>,
-    /// Rows per second according to the metadata.
+    /// According to the metadata.
     pub rate_hz: Option<f64>,
-    /// Names of the arrays that were not read, with the reason.
+    /// Arrays, with the reason.
     pub unread: Vec<(String, String)>,
-    /// First cell of each text column, by column name.
+    /// First cell of each text column.
     pub texts: BTreeMap<String, String>,
-    /// Unreadable rows by column index; their numbers are NaN.
+    /// By column index; their numbers are NaN.
     pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
-    /// Rows and columns in the file that are missing from the table.
+    /// Rows and columns missing from the table.
     pub losses: Vec<RowLoss>,
-    /// Line number of each row, from 1, if the file is text.
+    /// Line of each row, from 1, in text files.
     pub lines: Vec<usize>,
 }
 
-/// Where the readers report losses and account for memory.
 pub(super) struct ReadContext<'a> {
     pub losses: &'a mut Losses,
     pub memory: &'a mut MemoryBudget,
 }
 
 impl Table {
-    /// Names a row: its line if the file is text, otherwise its index from 0.
+    /// Line in a text file, otherwise the index from 0.
     fn place(&self, row: usize) -> String {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
@@ -102,7 +98,7 @@ impl Table {
         }
     }
 
-    /// Index of the column with that name, with or without its unit.
+    /// The unit in the name is optional.
     fn column(&self, name: &str) -> Option<usize> {
         let place = |is_it: &dyn Fn(&str) -> bool| {
             self.columns.iter().position(|column| is_it(&column.name))
@@ -112,24 +108,22 @@ impl Table {
     }
 }
 
-/// A column with `width` numbers per row.
+/// Has `width` numbers per row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Column {
     pub name: String,
-    /// Number type as written in the file.
+    /// As written in the file.
     pub kind: String,
     pub width: usize,
-    /// Names of the numbers in a row, if the file has them.
+    /// Names of the numbers in a row, if known.
     pub parts: Vec<String>,
     pub values: Vec<f64>,
 }
 
-/// Stamps of one row, ns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowStamps {
-    /// Stamp of the column's own clock, if it has one.
+    /// From the column's own clock, if any.
     column_ns: i64,
-    /// Stamp of the table row.
     row_ns: i64,
 }
 
@@ -141,7 +135,6 @@ impl From<i64> for RowStamps {
 
 type Episodes = Vec<(String, Table)>;
 
-/// Format of a file with tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum TableFormat {
     Npy,
@@ -169,62 +162,54 @@ impl TableFormat {
     }
 }
 
-/// Everything read from the tables of a run.
 #[derive(Default)]
 pub(super) struct Tables {
     streams: BTreeMap<String, TableStream>,
-    /// Episodes read, in order.
     episodes: Vec<Episode>,
-    /// Last receive time that was assigned, ns.
+    /// Last one assigned.
     last_receive_ns: Option<i64>,
     has_noted_clock: bool,
     repeats: repeats::RepeatCounts,
 }
 
-/// An episode that was read.
 struct Episode {
-    /// File or dataset that contains it; its episodes are expected to have the same columns.
+    /// File or dataset; its episodes should have the same columns.
     home: PathBuf,
     file: PathBuf,
     name: String,
     rows: usize,
 }
 
-/// A topic made of columns.
 struct TableStream {
     channel: ChannelId,
     columns: Columns,
-    /// Indices of the episodes that have it.
+    /// Indices of its episodes.
     episodes: BTreeSet<usize>,
 }
 
-/// Columns that form one topic, with the reason.
 pub(super) struct TableTopic {
     pub topic: String,
     pub kind: String,
     pub why: String,
     pub cells: Vec<TableCell>,
-    /// Contradiction between the column names and the numbers.
+    /// Between column names and numbers.
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
-    /// Rows with numbers that are omitted because their own clock has no valid stamp.
+    /// Rows omitted because their own clock has no valid stamp.
     pub unstamped: u64,
-    /// Number of rows omitted for damaged numbers, and a description of the first one.
+    /// Number of damaged rows, and the first one.
     pub damaged: Option<(u64, String)>,
 }
 
-/// Why an episode is rejected.
 enum EpisodeError {
-    /// Its columns or its stamps cannot be identified.
+    /// Its columns or its stamps.
     Unidentified(String),
-    /// Its rows are not usable.
     UnusableRows(String),
 }
 
 impl Tables {
-    /// Reads the tables in `bytes`, the content of the file at `path`. Damage and lost rows are added to
-    /// the losses.
+    /// `bytes` is the content of the file at `path`. Adds damage and lost rows to the losses.
     pub(super) fn read(
         &mut self,
         kind: TableFormat,
@@ -299,7 +284,7 @@ impl Tables {
             for loss in &table.losses {
                 loss.report(&label, context.losses);
             }
-            // The reported losses already explain why it is empty.
+            // The losses explain why it is empty.
             if table.columns.is_empty() && !table.losses.is_empty() {
                 continue;
             }
@@ -319,7 +304,6 @@ impl Tables {
         Ok(())
     }
 
-    /// Adds one episode.
     fn add_episode(
         &mut self,
         path: &Path,
@@ -400,8 +384,8 @@ impl Tables {
         Ok(())
     }
 
-    /// Offset from the stamps of an episode to its receive times, ns. Each episode restarts its clock, so
-    /// episodes are placed one after another.
+    /// Offset from stamps to receive times. Each episode restarts its clock, so episodes are placed one
+    /// after another.
     fn receive_offset_ns(&mut self, first: i64, last: i64) -> i64 {
         const EPISODE_GAP_NS: i64 = NANOS_PER_SECOND / 1000;
         let shift = match self.last_receive_ns {
@@ -414,8 +398,6 @@ impl Tables {
         shift
     }
 
-    /// Passes the columns of all tables to `intake`, and reports the episodes that lack a column of the
-    /// others.
     pub(super) fn finish(self, intake: &mut Intake) {
         for (topic, stream) in &self.streams {
             self.report_missing(topic, stream, intake);
@@ -428,7 +410,7 @@ impl Tables {
         }
     }
 
-    /// Reports the episodes without a topic that at least half of the episodes of their file have.
+    /// Reports a topic that at most half of the episodes of a file lack.
     fn report_missing(&self, topic: &str, stream: &TableStream, intake: &mut Intake) {
         let of_home = |home: &Path| {
             let all = self.episodes.iter().enumerate();
@@ -454,8 +436,7 @@ impl Tables {
     }
 }
 
-/// The bytes as an owned buffer: a memory map of the file at `place` if it has the same content, otherwise
-/// a copy.
+/// Maps the file at `place` if it has the same content; otherwise copies.
 fn owned_bytes(place: &Path, bytes: &[u8]) -> Bytes {
     const COMPARED_BYTES: usize = 64;
     let is_it = |mapped: &MappedFile| {
@@ -469,7 +450,7 @@ fn owned_bytes(place: &Path, bytes: &[u8]) -> Bytes {
     }
 }
 
-/// Appends the rows of another episode. Returns false if the shapes differ.
+/// Returns false if the shapes differ.
 fn append(to: &mut Columns, more: Columns) -> bool {
     match (to, more) {
         (Columns::Joints(to), Columns::Joints(more)) => {
@@ -513,7 +494,7 @@ fn extend(to: &mut Times, more: &Times) {
         .for_each(|(&stamp, &received)| to.push(stamp, received, received));
 }
 
-/// Bare numbers, `width` per row. Rows with an unusable number are counted and omitted.
+/// Counts and omits rows with an unusable number.
 pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
     let mut array = ArrayColumns { width, ..ArrayColumns::default() };
     for (stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
@@ -527,7 +508,7 @@ pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) 
     array
 }
 
-/// Positions without orientations.
+/// Without orientations.
 fn position_columns(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     let array = array_columns(stamps, 3, values);
     PoseColumns {
@@ -539,22 +520,19 @@ fn position_columns(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     }
 }
 
-/// Whether a declared rate is plausible: from one row per 1000 s to a million rows per second.
 fn is_rate(rate_hz: &f64) -> bool {
     (1e-3..=1e6).contains(rate_hz)
 }
 
-/// Rate in the attributes.
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
     let own = RATE_NAMES.iter().find_map(|name| all.get(*name)?.as_f64());
     own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
 }
 
-/// Number of rows that arrays of these shapes share. A `k` by `N` array is transposed if `N` is that
-/// number.
+/// Number of rows that most arrays share. A `k` by `N` array is transposed if `N` is that number.
 fn common_rows(shapes: &[Vec<usize>]) -> usize {
-    /// Minimum ratio of the second side to the first for an array to count as transposed.
+    /// Of a transposed array.
     const MIN_ASPECT: usize = 4;
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
     for shape in shapes {
@@ -572,20 +550,17 @@ fn common_rows(shapes: &[Vec<usize>]) -> usize {
     most.map_or(0, |(rows, _)| rows)
 }
 
-/// Whether an array of that shape is transposed in a table with so many rows.
 fn is_transposed(shape: &[usize], rows: usize) -> bool {
     matches!(shape, &[columns, own] if own == rows && columns < rows)
 }
 
-/// The most frequent number of rows.
 fn most_frequent(rows: impl Iterator<Item = usize>) -> usize {
     let rows: Vec<usize> = rows.collect();
     let count = |of: usize| rows.iter().filter(|own| **own == of).count();
     rows.iter().copied().max_by_key(|&of| (count(of), of)).unwrap_or(0)
 }
 
-/// Names of the episodes in the file or store at `path`. Empty if it has only one or is not a file of
-/// tables.
+/// Names of the episodes at `path`. Empty if there is only one or no table.
 pub fn episodes(path: &Path) -> Vec<String> {
     if is_store(path) {
         return if_several(zarr::episodes_in(zarr::StoreLocation::Folder(path)));
@@ -612,7 +587,7 @@ fn if_several(names: Result<Vec<String>, TableError>) -> Vec<String> {
     names.ok().filter(|names| names.len() > 1).unwrap_or_default()
 }
 
-/// Splits a path from an episode name after `#`, unless the whole path exists as a file.
+/// Splits `PATH#EPISODE`, unless the whole path exists as a file.
 pub fn split_episode(path: &Path) -> (PathBuf, Option<String>) {
     let split = || {
         let (file, episode) = path.to_str()?.rsplit_once('#')?;

@@ -1,9 +1,9 @@
-//! Identification of columns by their names.
+//! Identifies columns by name.
 
 use crate::RotationLabels;
 
-/// Whether a name belongs to a transition between two states, of which a run has one fewer than states:
-/// actions, rewards and episode ends, as Gymnasium environments return from `step`.
+/// Whether a name belongs to a transition (action, reward, episode end), as Gymnasium's `step` returns it.
+/// A run has one fewer of them than states.
 pub(super) fn is_transition(name: &str) -> bool {
     const TRANSITION_WORDS: &[&str] = &[
         "action",
@@ -20,14 +20,13 @@ pub(super) fn is_transition(name: &str) -> bool {
     words(name).iter().any(|word| TRANSITION_WORDS.contains(&word.as_str()))
 }
 
-/// Whether a name indicates joint positions or a pose.
 pub(super) fn is_joints_or_pose(name: &str) -> bool {
     let words = words(name);
     is_joint_positions(&words) || is_pose(&words)
 }
 
-/// Lower-case words of a name. Splits at characters other than letters and digits, before a capital that
-/// follows a small letter, and between letters and digits.
+/// Lower-case words. Splits at characters other than letters and digits, before a capital that follows a
+/// small letter, and between letters and digits.
 pub(super) fn words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';
@@ -45,7 +44,6 @@ pub(super) fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Words for velocities.
 const VELOCITY_WORDS: &[&str] = &[
     "vel",
     "vels",
@@ -60,7 +58,7 @@ const VELOCITY_WORDS: &[&str] = &[
     "jvel",
 ];
 
-/// Words for numbers that are neither joint positions nor poses.
+/// Neither joint positions nor poses.
 const OTHER_WORDS: &[&str] = &[
     "ddq",
     "qdd",
@@ -117,11 +115,9 @@ const OTHER_WORDS: &[&str] = &[
     "mode",
 ];
 
-/// Words for grippers.
 pub(super) const GRIPPER_WORDS: &[&str] =
     &["gripper", "grippers", "finger", "fingers", "jaw", "claw", "hand"];
 
-/// Words for joint positions.
 const JOINT_WORDS: &[&str] = &[
     "q",
     "qpos",
@@ -138,7 +134,7 @@ const JOINT_WORDS: &[&str] = &[
 /// Parts of arms in joint names.
 const LIMB_WORDS: &[&str] =
     &["shoulder", "elbow", "wrist", "waist", "forearm", "upperarm", "joint", "arm"];
-/// Words in the stem of a numbered joint name that do not name the joint.
+/// Words in numbered joint names that do not name the joint.
 const GENERIC_WORDS: &[&str] = &[
     "actual",
     "measured",
@@ -178,10 +174,10 @@ const GENERIC_WORDS: &[&str] = &[
     "d",
     "aipos",
 ];
-/// Words for the position of a tool.
+/// Of a tool.
 const POSITION_WORDS: &[&str] =
     &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
-/// Words for the rotation of a tool.
+/// Of a tool.
 const ROTATION_WORDS: &[&str] = &[
     "quat",
     "quats",
@@ -205,12 +201,9 @@ const ROTATION_WORDS: &[&str] = &[
     "angles",
     "angle",
 ];
-/// Rotation words that mean a quaternion.
 const QUATERNION_WORDS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
-/// Words for poses, also for columns of bare numbers.
 const POSE_WORDS: &[&str] =
     &["pose", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand"];
-/// Words for units.
 const UNIT_WORDS: &[&str] = &[
     "m",
     "mm",
@@ -230,8 +223,8 @@ const UNIT_WORDS: &[&str] = &[
     "millimeter",
     "millimeters",
 ];
-/// Names of three rotation angles by vendors and libraries, in order: FANUC's W P R, KUKA's A B C,
-/// Kawasaki's O A T, Epson's U V W and textbook notations.
+/// Three rotation angles, in order: FANUC's W P R, KUKA's A B C, Kawasaki's O A T, Epson's U V W and
+/// textbook notations.
 const ANGLE_LABELS: &[[&str; 3]] = &[
     ["rx", "ry", "rz"],
     ["roll", "pitch", "yaw"],
@@ -249,14 +242,13 @@ fn contains_any(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
 }
 
-/// Whether a name indicates velocities or other quantities that are not audited.
+/// Velocities or other quantities that are not audited.
 pub(super) fn is_other_quantity(words: &[String]) -> bool {
     contains_any(words, OTHER_WORDS)
         || contains_any(words, VELOCITY_WORDS)
         || is_motor_current(words)
 }
 
-/// Whether a name indicates joint velocities.
 pub(super) fn is_joint_velocities(words: &[String]) -> bool {
     let of_tool = |word: &String| POSE_WORDS.contains(&word.as_str()) || word.as_str() == "linear";
     contains_any(words, VELOCITY_WORDS)
@@ -266,7 +258,7 @@ pub(super) fn is_joint_velocities(words: &[String]) -> bool {
         && !is_motor_current(words)
 }
 
-/// Whether `current` means a motor current rather than a present position, as in `current_pos_x`.
+/// `current` also means present, as in `current_pos_x`.
 fn is_motor_current(words: &[String]) -> bool {
     let is_measured = |word: &String| {
         let word = word.as_str();
@@ -280,7 +272,7 @@ fn is_motor_current(words: &[String]) -> bool {
     at.is_some_and(|at| !words[at..].iter().any(is_measured))
 }
 
-/// Words that a joint's position and velocity columns share, such as its number, side or `target`.
+/// Words that a joint's position and velocity columns share: its number, its side, `target`.
 pub(super) fn shared_words(words: &[String]) -> Vec<String> {
     const NEUTRAL_WORDS: &[&str] = &[
         "state",
@@ -313,7 +305,7 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
     words.iter().filter(|word| !is_neutral(word)).cloned().collect()
 }
 
-/// Whether a name can mean desired positions as well as velocities: `qd`.
+/// `qd` can mean desired positions or velocities.
 pub(super) fn is_ambiguous_velocity(words: &[String]) -> bool {
     contains_any(words, &["qd"])
 }
@@ -322,7 +314,6 @@ pub(super) fn is_gripper(words: &[String]) -> bool {
     contains_any(words, GRIPPER_WORDS) && !contains_any(words, &["wrist"])
 }
 
-/// Whether the name of a column of bare numbers indicates joint positions.
 pub(super) fn is_joint_positions(words: &[String]) -> bool {
     contains_any(words, JOINT_WORDS)
         && !is_other_quantity(words)
@@ -330,7 +321,6 @@ pub(super) fn is_joint_positions(words: &[String]) -> bool {
         && !is_pose(words)
 }
 
-/// Whether the name of a column of bare numbers indicates poses.
 pub(super) fn is_pose(words: &[String]) -> bool {
     let is_both = contains_any(words, POSITION_WORDS) && contains_any(words, ROTATION_WORDS);
     (contains_any(words, POSE_WORDS) || is_both)
@@ -338,8 +328,7 @@ pub(super) fn is_pose(words: &[String]) -> bool {
         && !contains_any(words, &["joint", "joints", "gripper"])
 }
 
-/// Row and column of the matrix element at the end of a name, from 0, and the words before it: `T_03`,
-/// `R[1][2]`.
+/// Words before a matrix element, and its row and column: `T_03`, `R[1][2]`.
 pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
     let words = words(name);
     let digits = |word: &String| word.chars().all(|c| c.is_ascii_digit());
@@ -358,7 +347,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
         .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
 
-/// Joint name in a column name, as models write it.
+/// As models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
     let own = words(name);
     if is_other_quantity(&own) {
@@ -371,7 +360,7 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
 }
 
-/// Stem and number of a name that contains a number.
+/// Stem and number.
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     let words = words(name);
     let at = words.iter().rposition(|word| word.chars().all(|c| c.is_ascii_digit()))?;
@@ -385,7 +374,7 @@ pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     Some((stem, number))
 }
 
-/// Whether the stem of numbered names indicates joints. A single letter does only if it is a common one.
+/// A single letter indicates joints only if it is a common one.
 pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
     let letters = stem.last().is_some_and(|word| ["a", "j", "jt", "rax"].contains(&word.as_str()));
     // `rostopic echo -p` of a JointState.
@@ -397,7 +386,7 @@ pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
         && !contains_any(stem, GRIPPER_WORDS)
 }
 
-/// Prefix for the arm that a stem names, `left_` or `right_`; empty if it names neither.
+/// `left_`, `right_` or empty.
 pub(super) fn arm_prefix(stem: &[String]) -> String {
     let mut own = stem.iter().map(String::as_str);
     match own.find(|word| ["left", "right", "l", "r"].contains(word)) {
@@ -408,7 +397,7 @@ pub(super) fn arm_prefix(stem: &[String]) -> String {
     }
 }
 
-/// Whether a stem consists of generic words and a side.
+/// Only generic words and a side.
 pub(super) fn is_generic(stem: &[String]) -> bool {
     stem.iter().all(|word| {
         let word = word.as_str();
@@ -419,23 +408,21 @@ pub(super) fn is_generic(stem: &[String]) -> bool {
     })
 }
 
-/// One component of a position or of a rotation.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum PoseComponent {
-    /// x, y, z of a position or of a rotation.
+    /// Of a position or of a rotation.
     Xyz(usize),
-    /// x, y, z of a position only.
+    /// Of a position.
     Position(usize),
-    /// x, y, z of a rotation; of a quaternion if there is also a w.
+    /// Of a rotation; of a quaternion if there is also a w.
     Rotation(usize),
-    /// x, y, z, w of a quaternion.
+    /// x, y, z, w.
     Quaternion(usize),
     /// Index into [`ANGLE_LABELS`], and index within that triple.
     Label(usize, usize),
 }
 
-/// All pose components that a name may mean. Each comes with the remaining words, which the components of
-/// one pose share.
+/// All components that a name may mean, each with the words that the components of one pose share.
 pub(super) fn pose_components(name: &str) -> Vec<(Vec<String>, PoseComponent)> {
     let words = words(name);
     if is_other_quantity(&words) || is_gripper(&words) {
@@ -509,12 +496,12 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-/// Number of triples that [`PoseComponent::Label`] indexes.
+/// For [`PoseComponent::Label`].
 pub(super) fn label_count() -> usize {
     ANGLE_LABELS.len()
 }
 
-/// Words that name a pose, without those for its parts and units.
+/// Words that name a pose, without those for parts and units.
 fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     let is_of_part = |word: &str| {
         POSITION_WORDS.contains(&word)
@@ -526,12 +513,11 @@ fn pose_key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
 
-/// Words that name a pose in the stem of numbered names.
 pub(super) fn pose_key_of_stem(stem: &[String]) -> Vec<String> {
     pose_key(stem.iter())
 }
 
-/// The pose part that a column of bare numbers holds, and the words that name the pose.
+/// The part in a column of bare numbers, and the words that name the pose.
 pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePart)> {
     let words = words(name);
     if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper(&words)
@@ -549,13 +535,11 @@ pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePa
     Some((pose_key(words.iter()), part))
 }
 
-/// A part of a pose.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum PosePart {
     Position,
     Rotation,
     Quaternion,
-    /// Nine numbers of a rotation matrix.
     Matrix,
 }
 

@@ -1,4 +1,4 @@
-//! NumPy's `.read_npy` arrays and `.read_npz` archives of them.
+//! NumPy's `.npy` arrays and `.npz` archives of them.
 //!
 //! Format: NumPy Enhancement Proposal 1 (`numpy.lib.format`), versions 1 to 3.
 
@@ -12,10 +12,8 @@ use super::{
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
-/// Maximum header length, bytes.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Type of one element.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct ElementType {
     letter: u8,
@@ -24,7 +22,7 @@ pub(super) struct ElementType {
 }
 
 impl ElementType {
-    /// Parses a type such as `<f8`; `None` if it is not numeric.
+    /// Parses `<f8` and the like; `None` if not numeric.
     pub fn parse(text: &str) -> Option<Self> {
         let bare = text.trim_start_matches(['<', '>', '|', '=']);
         let (letter, size) = bare.split_at_checked(1)?;
@@ -86,8 +84,7 @@ fn half_to_f64(bits: u16) -> f64 {
     if bits >> 15 == 1 { -size } else { size }
 }
 
-/// Header content: fields (name, type, offset in a row, width), row size, shape, and whether the order is
-/// column-major.
+/// Each field has a name, a type, an offset in a row and a width.
 #[derive(Clone)]
 struct Header {
     fields: Vec<(String, ElementType, usize, usize)>,
@@ -96,7 +93,6 @@ struct Header {
     is_fortran: bool,
 }
 
-/// Reads a single array.
 pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let (header, data) = parse_header(bytes)?;
     let rows = common_rows(std::slice::from_ref(&header.shape));
@@ -105,8 +101,8 @@ pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     Ok(vec![("0".to_owned(), Table::of(candidates, None, context.memory))])
 }
 
-/// Reads an archive. Its arrays with the same number of rows form one table; a scalar called `fps` or
-/// similar is the rate. Members are unpacked one by one, only if their headers declare numbers.
+/// Arrays with the same number of rows form one table; a scalar called `fps` or similar is the rate.
+/// Unpacks only members whose headers declare numbers, one by one.
 pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
@@ -148,10 +144,10 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
             }
         };
         let rows = array.rows;
-        // The unpacked bytes and the numbers are in memory at the same time.
+        // Unpacked bytes and numbers are in memory at the same time.
         let most = needed.unwrap_or(usize::MAX) as u64;
         let read = context.memory.check_available(most).map_err(TableError::from);
-        // Read one extra byte to reach the end, which verifies the checksum.
+        // One extra byte reaches the end, which verifies the checksum.
         let read = read.and_then(|()| unpack_member(&mut archive, index, most.saturating_add(1)));
         let read = read.and_then(|content| {
             array.columns(content.get(begin..).unwrap_or_default(), context.memory)
@@ -170,12 +166,12 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// Names of scalar arrays that hold a rate.
+/// Of scalar arrays.
 const RATE_NAMES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 
-/// First `most` bytes of an archive member.
+/// First `most` bytes.
 fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, TableError> {
     let member = archive.by_index(index).map_err(|error| format!("it cannot be read: {error}"))?;
     let mut content = Vec::new();
@@ -187,13 +183,12 @@ fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u
 }
 
 impl Header {
-    /// Size of all elements in bytes.
+    /// Of all elements.
     fn bytes(&self) -> Option<usize> {
         let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.row_bytes)
     }
 
-    /// Whether it is a single number.
     fn is_scalar(&self) -> bool {
         matches!(self.fields.as_slice(), [(_, _, 0, 1)])
             && self.shape.len() < 2
@@ -201,14 +196,12 @@ impl Header {
     }
 }
 
-/// Number of a scalar array.
 fn scalar_value(bytes: &[u8]) -> Option<f64> {
     let (header, data) = parse_header(bytes).ok()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
     (header.is_scalar() && data.len() >= kind.size).then(|| kind.read(data))
 }
 
-/// An array that fits a table.
 struct NpyArray<'a> {
     name: &'a str,
     header: Header,
@@ -219,8 +212,7 @@ struct NpyArray<'a> {
 }
 
 impl<'a> NpyArray<'a> {
-    /// Checks the header of an array with `bytes` bytes of data. An array with `rows` columns is
-    /// transposed.
+    /// Checks the header against the `bytes` of data. An array with `rows` columns is transposed.
     fn new(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, TableError> {
         let mut header = header;
         if is_transposed(&header.shape, rows) {
@@ -243,7 +235,6 @@ impl<'a> NpyArray<'a> {
         Ok(Self { name, header, rows, inner, is_record })
     }
 
-    /// Columns from the bytes available.
     fn columns(
         &self,
         data: &[u8],
@@ -254,7 +245,7 @@ impl<'a> NpyArray<'a> {
         let (rows, inner) = (*rows, *inner);
         let elements = data.len() / (*row_bytes).max(1);
         let by_columns = *is_fortran && inner > 1;
-        // In column-major order a row is complete only with its last number.
+        // In column-major order the last number completes a row.
         let there = match by_columns {
             true => elements.saturating_sub(rows * (inner - 1)).min(rows),
             false => (elements / inner).min(rows),
@@ -273,7 +264,7 @@ impl<'a> NpyArray<'a> {
                     .map(|(row, part)| kind.read(&data[row * row_bytes + at + part * kind.size..]))
                     .collect(),
                 (false, false) => (0..there * inner).map(element).collect(),
-                // The first index varies fastest; the other dimensions are reordered to row-major.
+                // The first index varies fastest; reorder the others to row-major.
                 (false, true) => (0..there)
                     .flat_map(|row| (0..inner).map(move |part| (row, part)))
                     .map(|(row, part)| element(row + rows * column_major_index(part, &shape[1..])))
@@ -288,7 +279,7 @@ impl<'a> NpyArray<'a> {
     }
 }
 
-/// Column-major index of the element with row-major index `part`.
+/// `part` is the row-major index.
 fn column_major_index(part: usize, sides: &[usize]) -> usize {
     let mut step = 1;
     unravel_index(part, sides)
@@ -302,7 +293,7 @@ fn column_major_index(part: usize, sides: &[usize]) -> usize {
         .sum()
 }
 
-/// Parses the header. Returns it with the bytes after it.
+/// Returns the header and the bytes after it.
 fn parse_header(bytes: &[u8]) -> Result<(Header, &[u8]), TableError> {
     let cut = || TableError::from("truncated within its header");
     let rest = bytes.strip_prefix(MAGIC).ok_or("not an NPY array")?;

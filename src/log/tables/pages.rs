@@ -1,20 +1,18 @@
-//! Page headers of a Parquet column, read in advance: declared number of values and unpacked size of each
-//! page.
+//! Page headers of a Parquet column, read in advance.
 //!
 //! Format: `PageHeader` of parquet.thrift, in Thrift's compact protocol.
 
 use parquet::column::page::PageMetadata;
 
-/// Maximum depth of nested structures that are skipped.
+/// Of skipped structures.
 const MAX_DEPTH: usize = 16;
 
-/// Header of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PageHeader {
     pub is_dictionary: bool,
-    /// Number of values, including nulls.
+    /// Including nulls.
     pub values: usize,
-    /// Rows; version 2 pages only.
+    /// Version 2 pages only.
     rows: Option<usize>,
     pub unpacked_bytes: usize,
 }
@@ -26,7 +24,7 @@ impl PageHeader {
     }
 }
 
-/// Valid page headers in the bytes of a column, up to the first damaged one. Index pages are omitted.
+/// Valid headers up to the first damaged one, without index pages.
 pub(super) fn headers(mut column: &[u8]) -> Vec<PageHeader> {
     let mut found = Vec::new();
     while !column.is_empty() {
@@ -83,8 +81,7 @@ impl Reader<'_> {
         Some((raw >> 1).cast_signed() ^ -(raw & 1).cast_signed())
     }
 
-    /// Number and type of the next field of a structure, after field `last`. The inner `None` marks the
-    /// end.
+    /// Number and type of the next field after field `last`. The inner `None` marks the end.
     fn field(&mut self, last: &mut i64) -> Option<Option<(i64, u8)>> {
         let byte = self.byte()?;
         let kind = byte & 0x0f;
@@ -128,7 +125,7 @@ impl Reader<'_> {
         Some(())
     }
 
-    /// A page header (`None` for an index page) and the packed size of the page.
+    /// `None` for an index page; and the packed size of the page.
     fn page(&mut self) -> Option<(Option<PageHeader>, usize)> {
         let (mut kind, mut unpacked, mut packed, mut data, mut data_v2) =
             (None, None, None, None, None);
@@ -159,7 +156,7 @@ impl Reader<'_> {
         Some((header, packed_bytes))
     }
 
-    /// Fields 1 and 3 of a data page header: number of values and of rows.
+    /// Fields 1 and 3 of a data page header: values and rows.
     fn counts(&mut self) -> Option<(i64, Option<i64>)> {
         let (mut values, mut rows, mut last) = (None, None, 0);
         while let Some((number, kind)) = self.field(&mut last)? {
@@ -194,7 +191,7 @@ mod tests {
                 assert!(headers(&other).len() <= 2);
             }
         }
-        // Lists of booleans without content must not loop forever; nesting is limited.
+        // Lists of booleans without content must end.
         assert_eq!(headers(&[0x19, 0xf1, 0xff, 0xff, 0xff, 0xff, 0x0f]), []);
         assert_eq!(headers(&[0x1c; 1000]), []);
     }

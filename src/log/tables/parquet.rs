@@ -1,7 +1,7 @@
 //! Parquet: columns of numbers, and lists with the same length in every row.
 //!
-//! Values are read leaf by leaf with their levels, so the writer does not matter: the fixed-size lists of
-//! pyarrow and the sequences of Hugging Face are identical there.
+//! Reads values leaf by leaf with their levels, where the fixed-size lists of pyarrow and the sequences of
+//! Hugging Face are identical.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -25,20 +25,18 @@ use super::{
 };
 use crate::memory_budget::MemoryBudget;
 
-/// Column with the episode index of a dataset.
 const EPISODE_COLUMN: &str = "episode_index";
-/// Records decoded per call.
+/// Per call.
 const BATCH_ROWS: usize = 1 << 14;
 
-/// A file and its metadata.
 struct ParquetFile {
     bytes: Arc<Bytes>,
     metadata: Arc<ParquetMetaData>,
 }
 
 impl ParquetFile {
-    /// Parses the metadata, unless it equals that of the previous file. Parsing takes as long as reading
-    /// one episode of a dataset.
+    /// Reuses the metadata of the previous file if equal: parsing takes as long as reading one episode of a
+    /// dataset.
     fn open(bytes: Bytes) -> Result<Self, TableError> {
         static LAST_METADATA: Mutex<Option<(Vec<u8>, Arc<ParquetMetaData>)>> = Mutex::new(None);
         let mut last = LAST_METADATA.lock().unwrap_or_else(PoisonError::into_inner);
@@ -56,7 +54,7 @@ impl ParquetFile {
         Ok(Self { bytes: Arc::new(bytes), metadata })
     }
 
-    /// Reader of a column in a row group, with the list of its unreadable pages.
+    /// Also returns the list of its unreadable pages, filled while reading.
     fn column(
         &self,
         group: usize,
@@ -86,29 +84,28 @@ impl ParquetFile {
         Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
     }
 
-    /// Number of rows in each row group.
+    /// In each row group.
     fn groups(&self) -> impl Iterator<Item = usize> {
         self.metadata.row_groups().iter().map(|of| usize::try_from(of.num_rows()).unwrap_or(0))
     }
 }
 
-/// Values in the pages of a column in a row group, and the unreadable pages.
+/// Of a column in a row group.
 #[derive(Debug, Default)]
 struct PageCounts {
-    /// Values in all pages so far.
+    /// In all pages so far.
     values: usize,
-    /// Damaged pages: number of values before the page and in it, and the reason.
+    /// Number of values before the page and in it, and the reason.
     damaged: Vec<(usize, usize, String)>,
-    /// Number of values declared for the column.
     declared: usize,
 }
 
 type SharedPageCounts = Arc<Mutex<PageCounts>>;
 
-/// Page reader that skips and records damaged pages.
+/// Skips and records damaged pages.
 struct IntactPages {
     pages: SerializedPageReader<Bytes>,
-    /// Headers of the pages not yet read.
+    /// Of the pages not yet read.
     headers: VecDeque<PageHeader>,
     found: SharedPageCounts,
     /// Whether the dictionary page was read.
@@ -116,7 +113,7 @@ struct IntactPages {
 }
 
 impl IntactPages {
-    /// Counts the next page. Returns the number of values before it.
+    /// Returns the number of values before the next page.
     fn count_page(&mut self) -> (usize, Option<PageHeader>) {
         let header = self.headers.pop_front();
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -128,7 +125,7 @@ impl IntactPages {
 }
 
 impl IntactPages {
-    /// Rejects a page that needs a missing dictionary, because the decoder of the crate panics on it.
+    /// Rejects a page that needs a missing dictionary: the decoder of the crate panics on it.
     fn check_decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
         let is_coded = |page: &Page| {
             matches!(page.encoding(), Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY)
@@ -185,7 +182,7 @@ impl PageReader for IntactPages {
     }
 }
 
-/// Raw bytes of the metadata at the end of a file.
+/// Metadata at the end of a file.
 fn footer(bytes: &[u8]) -> Option<&[u8]> {
     let (rest, end) = bytes.split_last_chunk::<8>()?;
     let [a, b, c, d, ..] = *end;
@@ -193,8 +190,7 @@ fn footer(bytes: &[u8]) -> Option<&[u8]> {
     rest.get(rest.len().checked_sub(length)?..)
 }
 
-/// Episodes of a file, split by `episode_index` if it has that column. If one is `wanted`, only its rows
-/// are decoded.
+/// Splits by `episode_index` if the file has it. Decodes only the rows of the `wanted` episode.
 pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
@@ -233,7 +229,7 @@ pub(super) fn read(
             Type::DOUBLE => "float64",
             _ => continue,
         };
-        // Omit the levels that the format adds to the path of a list.
+        // Omit the levels that the format adds to a list.
         let path = column.path();
         let parts = path.parts();
         let is_list = column.max_rep_level() == 1;
@@ -268,7 +264,6 @@ pub(super) fn read(
     split_episodes(whole, wanted)
 }
 
-/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, TableError> {
     let mut memory = MemoryBudget::new(None);
     memory.add_file(bytes.len() as u64);
@@ -277,7 +272,7 @@ pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, TableError> {
     Ok(index.iter().map(f64::to_string).collect())
 }
 
-/// Episode of each row; empty if there is no such column.
+/// One per row; empty if there is no such column.
 fn read_episode_index(
     reader: &ParquetFile,
     memory: &mut MemoryBudget,
@@ -293,7 +288,7 @@ fn index_column(reader: &ParquetFile) -> Option<usize> {
     (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE_COLUMN)
 }
 
-/// Rows of one episode. Skips row groups whose statistics exclude it.
+/// Skips row groups whose statistics exclude the episode.
 fn rows_of_episode(
     reader: &ParquetFile,
     wanted: &str,
@@ -333,7 +328,7 @@ fn rows_of_episode(
     Ok(found)
 }
 
-/// Splits the table by episode. Returns it whole if it has no episode column.
+/// Returns the table whole if it has no episode column.
 fn split_episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, TableError> {
     let index =
         whole.columns.iter().position(|column| column.name == EPISODE_COLUMN && column.width == 1);
@@ -373,23 +368,23 @@ fn split_episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, TableE
         };
         (number.to_string(), table)
     };
-    // Losses of the file are reported once, with the first episode.
+    // Report losses of the file once, with the first episode.
     let mut losses = Some(whole.losses.clone());
     Ok(spans.into_iter().map(|span| of(span, losses.take().unwrap_or_default())).collect())
 }
 
-/// Numbers of a leaf in some rows; NaN if missing.
+/// NaN if missing.
 struct LeafValues {
     is_list: bool,
-    /// Definition levels of a number and of an element of a list.
+    /// Of a number and of an element of a list.
     defined: i16,
     element: i16,
-    /// Rows of the file to read.
+    /// Of the file.
     rows: Range<usize>,
     values: Vec<f64>,
-    /// For lists: number of values per row.
+    /// For lists: values per row.
     lengths: Vec<u32>,
-    /// Unreadable rows, relative to the start of `rows`.
+    /// Relative to the start of `rows`.
     lost: Vec<Range<usize>>,
     why: Option<TableError>,
 }
@@ -404,12 +399,12 @@ impl LeafValues {
         Self { is_list, defined, element, rows, values, lengths, lost, why: None }
     }
 
-    /// Number of rows read or given up.
+    /// Rows read or given up.
     fn count(&self) -> usize {
         if self.is_list { self.lengths.len() } else { self.values.len() }
     }
 
-    /// Reads column `at` of all row groups that overlap the rows.
+    /// Reads all row groups that overlap the rows.
     fn read(
         &mut self,
         reader: &ParquetFile,
@@ -427,7 +422,7 @@ impl LeafValues {
                     self.column(column, rows.clone(), &damaged, memory)
                 });
                 match read {
-                    // After exceeding the memory limit, no further group is read.
+                    // The memory limit ends the reading.
                     Err(refusal @ TableError::Memory(_)) => return Err(refusal),
                     read => self.complete_row_group(begin, rows.len(), read.err(), memory)?,
                 }
@@ -437,7 +432,6 @@ impl LeafValues {
         Ok(())
     }
 
-    /// Marks the missing rows of a row group as lost.
     fn complete_row_group(
         &mut self,
         begin: usize,
@@ -551,8 +545,8 @@ impl LeafValues {
         let PageCounts { values, declared, damaged } = found;
         let Some((_, _, what)) = damaged.first() else { return Ok(()) };
         self.why.get_or_insert_with(|| what.clone().into());
-        // The position of the lost rows is unknown if rows were skipped, if pages do not contain whole
-        // rows, or if the number of values differs from the declared one.
+        // Lost rows cannot be located if rows were skipped, pages split rows, or the number of values is
+        // not the declared one.
         let width = match self.is_list {
             true => most_frequent(self.lengths[begin.0..].iter().map(|length| *length as usize)),
             false => 1,
@@ -581,7 +575,7 @@ impl LeafValues {
         Ok(())
     }
 
-    /// Returns the column, or its name if its lists differ in length.
+    /// Returns the column's name if its lists differ in length.
     fn into_column(self, column: Column) -> Result<ReadColumn, String> {
         let Self { is_list, rows, values, lengths, mut lost, mut why, .. } = self;
         if !is_list {
@@ -591,14 +585,14 @@ impl LeafValues {
         let there = lengths.iter().filter(|length| **length > 0).map(|length| *length as usize);
         let width = most_frequent(there);
         let others = |length: &&u32| **length as usize != width && **length > 0;
-        // Lists of varying length, such as point clouds.
+        // Such as point clouds.
         if width == 0
             || width > MAX_WIDTH
             || 2 * lengths.iter().filter(others).count() >= lengths.len()
         {
             return Err(column.name);
         }
-        // If at least half of the lists are empty, the stream is slower than the table; nothing is lost.
+        // With half of the lists empty, the stream is slower than the table; nothing is lost.
         let empty = lengths.iter().filter(|length| **length == 0).count();
         let is_sparse = 2 * empty >= lengths.len();
         let mut whole = Vec::with_capacity(width * lengths.len());

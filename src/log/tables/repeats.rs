@@ -6,13 +6,13 @@ use super::{TableTopic, names};
 use crate::Repeat;
 use ground::stream::{Columns, JointColumns};
 
-/// Minimum rows of an episode for this check, and minimum rows in which a repeated column must change.
+/// Rows of an episode, and rows in which a repeated column must change.
 const MIN_ROWS: usize = 20;
 const MIN_CHANGES: usize = 10;
-/// Maximum number of topics of an episode that are compared with each other.
+/// Compared with each other.
 const MAX_TOPICS: usize = 100;
 
-/// Repetitions, each with the number of episodes that have it.
+/// With the number of episodes that have each.
 #[derive(Default)]
 pub(super) struct RepeatCounts {
     episodes: usize,
@@ -20,7 +20,6 @@ pub(super) struct RepeatCounts {
 }
 
 impl RepeatCounts {
-    /// Counts the repetitions in an episode.
     pub fn count(&mut self, episode: &[TableTopic]) {
         let told: Vec<(&str, &Columns)> = episode
             .iter()
@@ -63,14 +62,13 @@ impl RepeatCounts {
         }
     }
 
-    /// Repetitions that occur in all episodes.
     pub fn in_all(self) -> Vec<Repeat> {
         let all = self.found.into_iter().filter(|(_, count)| *count == self.episodes);
         all.map(|(repeat, _)| repeat).collect()
     }
 }
 
-/// Numbers of each row, or of each joint; empty for other columns.
+/// Rows, or the values of each joint; empty for other columns.
 fn rows(columns: &Columns) -> Vec<&[f64]> {
     match columns {
         Columns::Array(array) => array.values.chunks_exact(array.width.max(1)).collect(),
@@ -85,7 +83,6 @@ fn rows(columns: &Columns) -> Vec<&[f64]> {
     }
 }
 
-/// Number of rows that differ from the previous one.
 fn count_changes(rows: &[&[f64]]) -> usize {
     rows.windows(2).filter(|pair| !are_bitwise_equal(pair[0], pair[1])).count()
 }
@@ -94,12 +91,12 @@ fn are_rows_equal(a: &[&[f64]], b: &[&[f64]]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| are_bitwise_equal(a, b))
 }
 
-/// Bitwise equality: two measurements differ at least by noise.
+/// Two measurements differ at least by noise.
 fn are_bitwise_equal(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// Joints that repeat an earlier joint, or never move. Fingers are excluded because they move together.
+/// Joints that repeat an earlier one or never move. Fingers move together and are excluded.
 fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let is_finger = |name: &str| names::is_gripper(&names::words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();

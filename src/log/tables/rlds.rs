@@ -1,4 +1,4 @@
-//! Features of an RLDS dataset as declared in `features.json` next to its TFRecord files.
+//! Features of an RLDS dataset, from `features.json` next to its TFRecord files.
 
 use std::path::{Path, PathBuf};
 
@@ -10,16 +10,13 @@ use super::tfrecord::STEP_PREFIX;
 
 const FEATURES: &str = "features.json";
 const INFO: &str = "dataset_info.json";
-/// Maximum depth of nested features.
 const MAX_DEPTH: usize = 8;
 
-/// Metadata files next to a file of records.
 pub(crate) fn metadata_files(path: &Path) -> Vec<PathBuf> {
     [FEATURES, INFO].map(|name| path.with_file_name(name)).into()
 }
 
-/// Features of the steps that the dataset of this file declares, or why they cannot be read. `None` if
-/// there is no `features.json`.
+/// `None` if there is no `features.json`.
 pub(super) fn declared_dataset(path: &Path) -> Option<Result<Dataset, String>> {
     let json = |name: &str| -> Option<Result<Value, String>> {
         let file = path.with_file_name(name);
@@ -39,7 +36,7 @@ pub(super) fn declared_dataset(path: &Path) -> Option<Result<Dataset, String>> {
     }))
 }
 
-/// Counts in a description such as `[7x joint angles, 2x gripper position]`; empty if it has none.
+/// Of a description such as `[7x joint angles, 2x gripper position]`.
 fn counts(description: &str) -> Vec<usize> {
     let inside = description.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
     let parts = inside.map_or("", |(inside, _)| inside).split(',');
@@ -48,7 +45,6 @@ fn counts(description: &str) -> Vec<usize> {
     counts.unwrap_or_default()
 }
 
-/// Adds the tensors of a feature and of its nested features.
 fn add_features(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
     if let Some(shape) = feature.get("tensor").map(|tensor| tensor.get("shape")) {
         let sides = shape.and_then(|shape| shape.get("dimensions")).and_then(Value::as_array);
@@ -63,7 +59,7 @@ fn add_features(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset)
             dataset.features.insert(name.to_owned(), own);
         }
     }
-    // The steps of an episode are a sequence of features.
+    // The steps of an episode are a sequence.
     let own =
         feature.get("sequence").and_then(|sequence| sequence.get("feature")).unwrap_or(feature);
     let inside = own.get("featuresDict").and_then(|all| all.get("features"));

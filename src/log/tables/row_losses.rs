@@ -1,7 +1,6 @@
 //! Rows and columns that are in a file but not in the audit.
 //!
-//! Every reader passes its columns to [`Table::of`], with the expected rows and the unreadable ones.
-//! Whatever does not reach the table is a [`RowLoss`]: which column, how many rows, and why.
+//! Readers pass their columns to [`Table::of`]. Each loss on the way becomes a [`RowLoss`].
 
 use std::ops::Range;
 
@@ -10,19 +9,18 @@ use super::{Column, Extent, Losses, Table, most_frequent, names};
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
 use ground::stream::is_usable;
 
-/// Why a table file, or part of it, cannot be read.
+/// Of a table file or part of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum TableError {
     /// Damaged or unsupported.
     Damage(String),
     /// Exceeds the memory limit.
     Memory(OutOfMemory),
-    /// Too many episodes for one audit.
+    /// Too many for one audit.
     Episodes,
 }
 
 impl TableError {
-    /// Adds it to `losses` as the cause of the loss of `rows`.
     pub fn report(&self, rows: Option<u64>, losses: &mut Losses) {
         losses.add_unplaced(self.extent(), rows, self.to_string());
     }
@@ -34,7 +32,7 @@ impl TableError {
         }
     }
 
-    /// Prefixes the message with the part called `name`.
+    /// Prefixes the message with the part's name.
     pub fn in_part(self, name: &str) -> Self {
         match self {
             Self::Damage(what) => Self::Damage(format!("'{name}': {what}")),
@@ -71,7 +69,7 @@ impl From<OutOfMemory> for TableError {
     }
 }
 
-/// Rows of a column, or a whole column, that are in the file but not in the table.
+/// Rows of a column, or a whole column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RowLoss {
     pub rows: usize,
@@ -79,34 +77,31 @@ pub(crate) struct RowLoss {
 }
 
 impl RowLoss {
-    /// Adds it to `losses`; `label` names the episode.
+    /// `label` names the episode.
     pub fn report(&self, label: &str, losses: &mut Losses) {
         let what = format!("{label}{}", self.what);
         losses.add_unplaced(self.what.extent(), Some(self.rows as u64), what);
     }
 }
 
-/// A column as read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ReadColumn {
-    /// Numbers read; rows after the last one read may be absent.
+    /// The last rows may be absent.
     pub column: Column,
-    /// Rows declared by the file.
+    /// Declared.
     pub rows: usize,
-    /// Rows that could not be read.
+    /// Unreadable.
     pub lost: Vec<Range<usize>>,
-    /// Why the first of these could not be read.
+    /// Reason of the first loss.
     pub why: Option<TableError>,
 }
 
 impl ReadColumn {
-    /// A column with all rows read.
     pub fn complete(column: Column) -> Self {
         let rows = column.values.len() / column.width.max(1);
         Self { column, rows, ..Self::default() }
     }
 
-    /// A column without readable rows.
     pub fn unreadable(name: &str, rows: usize, why: TableError) -> Self {
         let column = Column { name: name.to_owned(), width: 1, ..Column::default() };
         Self { column, rows, lost: std::iter::once(0..rows).collect(), why: Some(why) }
@@ -114,7 +109,7 @@ impl ReadColumn {
 }
 
 impl Table {
-    /// Builds the table from columns. It has `rows` rows, or the most frequent declared number.
+    /// `rows` defaults to the most frequent declared number.
     pub fn of(candidates: Vec<ReadColumn>, rows: Option<usize>, memory: &mut MemoryBudget) -> Self {
         let rows =
             rows.unwrap_or_else(|| most_frequent(candidates.iter().map(|column| column.rows)));
@@ -157,7 +152,7 @@ impl Table {
                 },
             );
         }
-        // Missing rows use memory as well.
+        // Missing rows use memory too.
         let missing = rows.saturating_sub(read).saturating_mul(width);
         if count == rows {
             self.unread.push((name, "none of its rows can be read".to_owned()));
@@ -176,7 +171,6 @@ impl Table {
         }
     }
 
-    /// Whether a row of a column was lost.
     pub fn is_lost(&self, column: usize, row: usize) -> bool {
         let Some(lost) = self.lost_rows.get(&column) else { return false };
         let after = lost.partition_point(|range| range.end <= row);
@@ -184,13 +178,13 @@ impl Table {
     }
 }
 
-/// Whether columns with these row counts cover the same instants, so that rows are missing. A slower stream
-/// of the same run has at most half as many.
+/// Columns of the same instants with different row counts lack rows. A slower stream of the same run has at
+/// most half as many.
 fn covers_same_rows(own: usize, rows: usize) -> bool {
     own > rows / 2 && own < rows.saturating_mul(2)
 }
 
-/// Ranges sorted, merged and limited to the rows.
+/// Sorted, merged and limited to the rows.
 fn merged_ranges(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
     ranges.sort_by_key(|range| range.start);
     let mut all: Vec<Range<usize>> = Vec::new();
@@ -205,7 +199,6 @@ fn merged_ranges(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>
     all
 }
 
-/// Describes the lost rows.
 fn describe_rows(lost: &[Range<usize>], rows: usize) -> String {
     let count: usize = lost.iter().map(Range::len).sum();
     match lost {
@@ -217,7 +210,7 @@ fn describe_rows(lost: &[Range<usize>], rows: usize) -> String {
     }
 }
 
-/// Reports rows that have numbers but no stamp.
+/// Rows with numbers but without a stamp.
 pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses: &mut Losses) {
     let clocks: Vec<usize> =
         [clock.cell, clock.nanos].into_iter().flatten().map(|(at, _)| at).collect();
@@ -239,20 +232,20 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
     }
 }
 
-/// Removes rows with damaged numbers. Returns their number and a description of the first one. `values`
-/// returns the `width` numbers of a row.
+/// Removes rows with damaged numbers. Returns their number and describes the first. `values` returns the
+/// `width` numbers of a row.
 ///
-/// A number is damaged if it is not [`is_usable`] although nearly all numbers of its column are. Rows without
-/// a usable number are kept: a tracker that loses its target records them, and ING003 counts them. Rows
-/// before the first whole row and after the last are kept, because sensors send NaN until they are ready.
-/// Columns with many gaps are ignored, because they are sampled less often than the table.
+/// A number is damaged if it is not [`is_usable`] although nearly all others of its column are. Kept are
+/// rows without any usable number (a tracker without its target; ING003 counts them), rows before the first
+/// and after the last whole row (sensors not yet ready) and rows that are incomplete only in columns with
+/// many gaps (sampled less often than the table).
 pub(super) fn remove_damaged_rows<T: Copy>(
     table: &Table,
     rows: &mut Vec<(usize, T)>,
     width: usize,
     values: &dyn Fn(usize) -> Vec<f64>,
 ) -> Option<(u64, String)> {
-    /// Minimum percentage of usable numbers in a column without gaps.
+    /// Of a column without gaps.
     const MIN_USABLE_PERCENT: usize = 90;
     let unusable_in = |(row, _): &(usize, T)| -> Vec<usize> {
         let own = values(*row);
@@ -313,11 +306,11 @@ mod tests {
         let two =
             "2: 2 rows, first row 5 of 40: 1 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
         assert_eq!(of(&[(5, 1), (30, 2)]), (Some(two.to_owned()), 38));
-        // A tracker that loses its target.
+        // A tracker loses its target.
         assert_eq!(of(&[(9, 0), (9, 1), (9, 2), (10, 0), (10, 1), (10, 2)]), (None, 40));
-        // A sensor that starts late, and one that ends early.
+        // A sensor starts late, another ends early.
         assert_eq!(of(&[(0, 0), (1, 0), (39, 1)]), (None, 40));
-        // A column sampled in half of the rows, and one that is never filled.
+        // Sampled in half of the rows; never filled.
         let half: Vec<(usize, usize)> = (0..20).map(|row| (2 * row, 1)).collect();
         assert_eq!(of(&half), (None, 40));
         let never: Vec<(usize, usize)> = (0..40).map(|row| (row, 1)).collect();

@@ -1,7 +1,7 @@
-//! KUKA Robot Sensor Interface: dumps of the text packets that the controller sends.
+//! KUKA Robot Sensor Interface: dumps of the controller's text packets.
 //!
 //! A `<Rob>` packet is a row: measured and commanded poses (`RIst`, `RSol`), axes (`AIPos`, `ASPos`) and
-//! the controller's clock (`IPOC`, ms). Replies (`<Sen>`) and any text between packets are skipped.
+//! the controller's clock (`IPOC`, ms). Replies (`<Sen>`) and other text are skipped.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use roxmltree::Node;
 use super::{Column, Episodes, ReadColumn, ReadContext, Table, TableError};
 use crate::Extent;
 
-/// Elements of a packet that are read, with the attributes of their numbers.
+/// Elements and their attributes.
 const ELEMENTS: &[(&str, &[&str])] = &[
     ("RIst", &["X", "Y", "Z", "A", "B", "C"]),
     ("RSol", &["X", "Y", "Z", "A", "B", "C"]),
@@ -21,10 +21,9 @@ const ELEMENTS: &[(&str, &[&str])] = &[
 const CLOCK: &str = "IPOC";
 const PACKET_START: &[u8] = b"<Rob";
 const PACKET_END: &[u8] = b"</Rob>";
-/// Maximum length of a packet, that of a datagram.
+/// That of a datagram.
 const MAX_PACKET_BYTES: usize = 1 << 16;
 
-/// Whether the text `bytes` contains packets.
 pub(crate) fn has_packet(bytes: &[u8]) -> bool {
     let Some(at) = find_packet(bytes, 0) else { return false };
     let rest = &bytes[at..];
@@ -96,7 +95,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     Ok(vec![("0".to_owned(), Table::of(columns.collect(), Some(rows), context.memory))])
 }
 
-/// Byte range of the first packet from `at` on, up to its end or the start of the next one.
+/// Up to its end or the start of the next packet.
 fn next_packet(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     let start = find_packet(bytes, at)?;
     let reach = bytes.len().min(start + MAX_PACKET_BYTES);
@@ -105,7 +104,6 @@ fn next_packet(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     Some(start..close.map_or(reach, |close| close + PACKET_END.len()))
 }
 
-/// Start of the next packet.
 fn find_packet(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
         let start = find(bytes, PACKET_START, at)?;
@@ -120,7 +118,7 @@ fn find(bytes: &[u8], what: &[u8], at: usize) -> Option<usize> {
     memchr::memmem::find(bytes.get(at..)?, what).map(|found| at + found)
 }
 
-/// Writes the numbers of a packet to `row`; missing ones are NaN.
+/// Missing numbers are NaN.
 fn parse_packet(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
     let text = std::str::from_utf8(packet).map_err(|error| error.to_string())?;
     let packet = xml_document(text).map_err(|(_, problem)| problem.to_string())?;

@@ -1,30 +1,30 @@
-//! Column mapping of tables in the configuration.
+//! Configured columns of tables.
 
-/// Column mapping given by the caller. Columns not listed are identified by name.
+/// Configured columns. Others are identified by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ColumnSettings {
-    /// Column with the stamps.
+    /// Stamps.
     pub time: Option<String>,
-    /// Rows per second, if no column holds times.
+    /// Used if no column holds times.
     pub rate_hz: Option<f64>,
-    /// Joint positions, in the order of the model's joints.
+    /// In the order of the model's joints.
     pub joints: Vec<ColumnSelector>,
-    /// Commanded joint positions, in the same order.
+    /// In the same order.
     pub joint_commands: Vec<ColumnSelector>,
-    /// Factors of the joints if their numbers are not in rad: rad = factor · number + offset.
+    /// rad = factor · number + offset.
     pub joint_factors: Vec<f64>,
-    /// Offsets of the joints, rad; see `joint_factors`.
+    /// rad.
     pub joint_offsets: Vec<f64>,
-    /// Measured pose of the tool: position, then rotation.
+    /// Measured tool pose: position, then rotation.
     pub pose: Vec<ColumnSelector>,
-    /// Commanded pose of the tool.
+    /// Commanded tool pose.
     pub pose_commands: Vec<ColumnSelector>,
-    /// Settings of each arm by name, if there are several. Time and rate apply to the whole table.
+    /// By name, if there are several. Time and rate apply to the whole table.
     pub arms: Vec<(String, ColumnSettings)>,
 }
 
 impl ColumnSettings {
-    /// Whether joints and poses are both declared, so no other columns are searched.
+    /// If so, no other columns are searched.
     pub(super) fn declares_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();
         says(self) || (!self.arms.is_empty() && self.arms.iter().all(|(_, arm)| says(arm)))

@@ -1,4 +1,4 @@
-//! Tables as bytes, made by the writers of their formats: valid, truncated, and with wrong declarations.
+//! Tables as their writers make them: valid, truncated, and with wrong declarations.
 
 mod hdf5_writer;
 mod limits;
@@ -23,7 +23,7 @@ use ground::time::NANOS_PER_SECOND;
 pub(crate) const CHUNKED: &[u8] = include_bytes!("fixtures/chunked_latest.h5");
 const EPISODES: &[u8] = include_bytes!("fixtures/episodes_earliest.h5");
 
-/// Reads `bytes` from a file with a neutral name.
+/// The file has a neutral name.
 fn read(bytes: &[u8], columns: ColumnSettings) -> Result<Log, LogError> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("table");
@@ -49,7 +49,7 @@ fn topic<'a>(log: &'a Log, name: &str) -> &'a Topic {
         .unwrap_or_else(|| panic!("{name} of {names:?}"))
 }
 
-/// Joint names and the positions of each row.
+/// Names, and positions by row.
 fn joints(log: &Log, name: &str) -> (Vec<String>, Vec<Vec<f64>>) {
     let Some(Columns::Joints(joints)) = &topic(log, name).columns else {
         panic!("no joints: {name}")
@@ -70,7 +70,6 @@ fn stamps(log: &Log, name: &str) -> Vec<i64> {
     topic(log, name).columns.as_ref().expect("columns").times()[0].header.clone()
 }
 
-/// An NPY array with this header and data.
 pub(crate) fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
@@ -79,7 +78,7 @@ pub(crate) fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// NumPy records with a time and six joints.
+/// A time and six joints per row.
 pub(crate) fn records(rows: usize) -> Vec<u8> {
     let header = format!(
         "{{'descr': [('t', '<f8'), ('q', '>f4', (6,))], 'fortran_order': False, 'shape': ({rows},), }}\n"
@@ -138,8 +137,7 @@ fn what_a_header_declares_and_is_not_there_is_one_line() {
     refusal(&npy(empty, &[]));
 }
 
-/// A Parquet file with a list of numbers, a time and an episode per row; `widths` are the lengths of the
-/// lists.
+/// Per row: a list of `widths` numbers, a time and an episode.
 pub(crate) fn parquet(
     rows: usize,
     episodes: usize,
@@ -195,7 +193,7 @@ pub(crate) fn parquet(
     bytes
 }
 
-/// A Parquet file with a time and a list `joint_positions` per row, null if the row is lost.
+/// Per row: a time and a list `joint_positions`, null if lost.
 fn lists_of_parquet(
     rows: usize,
     numbers: impl Fn(usize) -> Vec<f64>,
@@ -256,7 +254,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
     {
         let bytes = parquet(50, 1, compression, |_| 7);
         let (width, values) = array(&plain(&bytes), "observation.state");
-        // The row with a missing number is omitted.
+        // Without the row of the missing number.
         assert_eq!((width, values.len()), (7, 49 * 7));
         assert_eq!(values[7..9], [10.0, 11.0]);
         assert_eq!(values[3 * 7], 40.0);
@@ -305,10 +303,11 @@ fn damaged_parquet_is_one_line() {
 #[test]
 fn a_column_without_its_dictionary_is_lost() {
     let mut bytes = parquet(50, 1, Compression::UNCOMPRESSED, |_| 7);
-    // The first page is the dictionary of the state (type 2, zigzag); an index page is skipped.
+    // The first page becomes the dictionary of the state (type 2, zigzag) or an index page, which is
+    // skipped.
     assert_eq!(bytes[4..6], [0x15, 4]);
     bytes[5] = 2;
-    // The state was the only column besides the times. The decoder of the crate panics on such a page.
+    // Only the times remain. The decoder of the crate panics on such a page.
     let line = refusal(&bytes);
     assert!(line.contains("no numbers besides its times"), "{line}");
 }
@@ -356,7 +355,7 @@ fn damaged_hdf5_is_one_line() {
     }
 }
 
-/// A text table with a time and six joints, with one line changed.
+/// A time and six joints, with one line changed.
 fn text_with(delimiter: &str, line: usize, change: impl Fn(&str) -> String) -> Log {
     let names = ["t", "q1", "q2", "q3", "q4", "q5", "q6"].join(delimiter);
     let mut lines = vec![names];
@@ -526,7 +525,6 @@ fn metadata_of_lerobot_name_the_numbers_and_are_held_to_them() {
     );
 }
 
-/// CSV with `rows` rows; `cell` computes each number.
 fn csv(names: &[&str], rows: usize, cell: impl Fn(usize, usize) -> f64) -> String {
     let line = |row: usize| {
         let cells: Vec<String> = (0..names.len()).map(|at| cell(row, at).to_string()).collect();

@@ -1,8 +1,8 @@
-//! TFRecord files of `tf.train.Example` and `SequenceExample`, as RLDS stores episodes: one record per
-//! episode. Each feature contains its steps in sequence; `features.json` next to the file declares the
-//! numbers per step.
+//! TFRecord files of `tf.train.Example` and `SequenceExample`, as RLDS stores them: one record per episode.
+//! Each feature contains its steps in sequence; `features.json` declares the numbers per step. A record
+//! without `steps/…` is a single step.
 //!
-//! Framing: `tensorflow/core/lib/io/record_writer.h`. A record without `steps/…` is a single step.
+//! Framing: `tensorflow/core/lib/io/record_writer.h`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,31 +14,30 @@ use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
 use crate::memory_budget::MemoryBudget;
 
-/// Prefix of the names of step features.
+/// Of step features.
 pub(super) const STEP_PREFIX: &str = "steps/";
-/// Features with one number per step.
+/// One number per step.
 const SCALAR_FEATURES: &[&str] = &["is_first", "is_last", "is_terminal", "reward", "discount"];
-/// Bytes before a record (length and its checksum) and after it (checksum of the record).
+/// Before a record: length and its checksum; after it: its checksum.
 const HEADER_BYTES: usize = 12;
 const FOOTER_BYTES: usize = 4;
 
-/// Whether `bytes` begin with a record: a length with a valid checksum.
+/// Whether a length with a valid checksum comes first.
 pub(crate) fn has_record(bytes: &[u8]) -> bool {
     record_length(bytes).is_some()
 }
 
-/// Length of the record at the start of `bytes`; `None` if its checksum is wrong.
+/// `None` if its checksum is wrong.
 fn record_length(bytes: &[u8]) -> Option<u64> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     (masked_checksum(length) == *rest.first_chunk()?).then_some(u64::from_le_bytes(*length))
 }
 
-/// Masked checksum as stored in the file.
 fn masked_checksum(bytes: &[u8]) -> [u8; 4] {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
-/// Records of a file with their offsets, up to the first truncated one.
+/// With offsets, up to the first truncated record.
 struct Records<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -58,7 +57,6 @@ impl<'a> Iterator for Records<'a> {
     }
 }
 
-/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, TableError> {
     let mut records = Records { bytes, at: 0 };
     let is_episode = records.next().is_some_and(|(_, first)| {
@@ -69,7 +67,7 @@ pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, TableError> {
     Ok((0..count).map(|number| number.to_string()).collect())
 }
 
-/// Episodes of a file, or only the `wanted` one. `width` returns the declared width of a feature.
+/// `width` returns the declared width of a feature.
 pub(super) fn read(
     bytes: &[u8],
     wanted: Option<&str>,
@@ -94,7 +92,7 @@ pub(super) fn read(
         let mut lost = |what: &dyn std::fmt::Display| {
             losses.add(start, Extent::Messages, Some(1), format!("record {number}: {what}"));
         };
-        // Numbers take 4 bytes in the file (1 if they are small) and 8 in memory.
+        // Numbers take 4 bytes in the file (1 if small), 8 in memory.
         if !is_other || number == 0 {
             memory.reserve(record.len())?;
         }
@@ -122,7 +120,7 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// Numbers of an example by feature; those of sequences row by row.
+/// By feature; sequences row by row.
 #[derive(Default)]
 struct Example {
     features: BTreeMap<String, Vec<f64>>,
@@ -148,14 +146,12 @@ impl Example {
         !self.sequences.is_empty() || self.features.keys().any(|name| name.starts_with(STEP_PREFIX))
     }
 
-    /// Rate in a feature of the episode.
     fn rate_hz(&self) -> Option<f64> {
         let is_rate = |name: &str| RATE_NAMES.contains(&name.rsplit('/').next().unwrap_or(name));
         let rate = self.features.iter().find(|(name, own)| is_rate(name) && own.len() == 1);
         rate.map(|(_, own)| own[0]).filter(super::is_rate)
     }
 
-    /// Table of the steps of an episode.
     fn table(
         self,
         width: &impl Fn(&str) -> Option<usize>,
@@ -220,8 +216,7 @@ impl Example {
     }
 }
 
-/// Column of a feature with its numbers per step. `None` for images and for lists of varying length. Steps
-/// with a different number of values are lost.
+/// `None` for images and lists of varying length. Steps with a different number of values are lost.
 fn step_column<'a>(
     name: &str,
     steps: impl ExactSizeIterator<Item = Option<&'a [f64]>> + Clone,
@@ -249,7 +244,6 @@ fn step_column<'a>(
     Some(ReadColumn { column: column(name.to_owned(), width, values), rows, lost, why })
 }
 
-/// Table of records with one step each.
 fn table_of_single_steps(
     steps: &[Example],
     memory: &mut MemoryBudget,
@@ -277,7 +271,7 @@ fn column(name: String, width: usize, values: Vec<f64>) -> Column {
     Column { name, kind: "number".to_owned(), width, parts: Vec::new(), values }
 }
 
-/// Names and values of a feature map; `read` parses a value. Features without numbers are omitted.
+/// Omits features without numbers.
 fn parse_entries<T>(
     bytes: &[u8],
     read: impl Fn(&[u8]) -> Result<Option<T>, WireError>,
@@ -298,7 +292,7 @@ fn parse_entries<T>(
     Ok(found)
 }
 
-/// Numbers of a feature; `None` if it holds bytes.
+/// `None` if it holds bytes.
 fn parse_numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
     let mut reader = Reader::new(feature);
     while let Some((kind, list)) = reader.field()? {
@@ -327,7 +321,6 @@ fn parse_numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
     Ok(None)
 }
 
-/// Rows of a feature list.
 fn parse_rows(list: &[u8]) -> Result<Option<Vec<Vec<f64>>>, WireError> {
     let (mut reader, mut rows) = (Reader::new(list), Vec::new());
     while let Some((_, feature)) = reader.field()? {

@@ -24,30 +24,24 @@ pub(crate) use self::blosc::unpack as unpacked_blosc;
 pub use self::store::is_store;
 pub(crate) use self::store::is_zip_store;
 
-/// Array with the end row of each episode.
 const EPISODE_ENDS: &str = "episode_ends";
-/// Group prefix that is omitted from array names.
+/// Omitted from array names.
 const DATA_PREFIX: &str = "data/";
 
-/// Location of a store: a folder, or the bytes of an archive.
 #[derive(Clone, Copy)]
 pub(super) enum StoreLocation<'a> {
     Folder(&'a Path),
     Bytes(&'a [u8]),
 }
 
-/// Readable arrays of a store, and its episodes.
 struct StoreContents<'a> {
     store: ZarrStore<'a>,
     arrays: Vec<ZarrArray>,
-    /// Why some arrays cannot be read.
     refused: Vec<TableError>,
-    /// Whether the store declares episode ends.
     has_ends: bool,
     episodes: Vec<Range<usize>>,
 }
 
-/// Episodes of a store, or only the `wanted` one.
 pub(super) fn read(
     at: StoreLocation,
     wanted: Option<&str>,
@@ -80,7 +74,7 @@ pub(super) fn read(
                 width: array.width().unwrap_or(1),
                 ..Column::default()
             };
-            // If the store has several episodes, a short array lacks the last rows.
+            // With several episodes, a short array lacks the last rows.
             let declared = if has_ends { span.len() } else { array.rows() };
             if declared != span.len() {
                 candidates.push(ReadColumn { column, rows: declared, ..ReadColumn::default() });
@@ -103,7 +97,7 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// Files in a folder store that belong to its table.
+/// Files that belong to the table.
 pub fn store_files(folder: &Path) -> Vec<PathBuf> {
     let arrays = open_store(StoreLocation::Folder(folder))
         .map(|contents| contents.arrays)
@@ -122,7 +116,6 @@ pub fn store_files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Names of the episodes of a store.
 pub(super) fn episodes_in(at: StoreLocation) -> Result<Vec<String>, TableError> {
     Ok((0..open_store(at)?.episodes.len()).map(|number| number.to_string()).collect())
 }
@@ -153,7 +146,7 @@ fn open_store(at: StoreLocation) -> Result<StoreContents, TableError> {
         Some(last) => *last as usize,
         None => most_frequent(arrays.iter().map(ZarrArray::rows)),
     };
-    // With episodes, the rows of shorter arrays cannot be aligned.
+    // With episodes, shorter arrays cannot be aligned.
     arrays.retain(|array| ends.is_none() || array.rows() > rows / 2);
     if arrays.is_empty() || rows == 0 {
         let none = || "it contains no arrays of numbers with a common number of rows".into();
@@ -163,7 +156,6 @@ fn open_store(at: StoreLocation) -> Result<StoreContents, TableError> {
     Ok(StoreContents { store, arrays, refused, has_ends: ends.is_some(), episodes })
 }
 
-/// Row range of each episode.
 fn episode_spans(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, TableError> {
     let whole = [rows as f64];
     let mut first = 0;

@@ -3,7 +3,6 @@
 use super::{Cell, ColumnGroup, ColumnMeaning};
 use crate::tables::{ColumnSelector, ColumnSettings, Table};
 
-/// Groups of columns selected in the configuration, for a single arm or for each of several.
 pub(super) fn configured_groups(
     table: &Table,
     settings: &ColumnSettings,
@@ -59,7 +58,7 @@ fn groups_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<ColumnG
     Ok(groups)
 }
 
-/// Factor and offset of each joint; empty if none are declared.
+/// Factor and offset of each joint; empty if not declared.
 fn joint_conversions(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
     let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
     for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {

@@ -1,23 +1,22 @@
-//! A writer of small HDF5 files for tests: data sets of doubles in the root group, contiguous or in chunks of a row.
+//! Writes small HDF5 files for tests: data sets of doubles in the root group.
 //!
 //! Format: HDF5 File Format Specification 3.0, superblock 0 and object headers of version 1.
 
-/// Undefined address.
 const UNDEFINED: [u8; 8] = [0xff; 8];
 
-/// A data set of doubles, row-major.
+/// Row-major.
 pub(crate) struct DataSet<'a> {
     pub name: &'a str,
     pub width: usize,
     pub values: Vec<f64>,
-    /// Whether each row is a chunk; the chunks of the rows in `missing` are not written.
+    /// Each row is a chunk; those in `missing` are not written.
     pub is_chunked: bool,
     pub missing: &'a [bool],
 }
 
-/// An HDF5 file with these data sets in its root group. Each name in `loops` is a link to the root group.
+/// Each name in `loops` links to the root group.
 pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
-    // The superblock is written last because it contains the address of the root group and the file length.
+    // Written last: it contains the address of the root group and the file length.
     const SUPERBLOCK: usize = 96;
     let mut file = vec![0; SUPERBLOCK];
     let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
@@ -48,7 +47,7 @@ pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
     file
 }
 
-/// Appends `bytes` at a multiple of eight and returns their address.
+/// Aligns to eight bytes; returns the address.
 fn add(file: &mut Vec<u8>, bytes: &[u8]) -> u64 {
     file.resize(file.len().next_multiple_of(8), 0);
     let address = file.len() as u64;

@@ -1,4 +1,4 @@
-//! Limits of tables as listed in SECURITY.md.
+//! Limits listed in SECURITY.md.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,6 @@ use super::stores::{array_of_numpy, example, framed, joints_of, packet, store, z
 use super::{plain, read, refusal, topic};
 use crate::{ColumnSettings, Log, LogError};
 
-/// Losses of a log, one per line.
 fn lost(log: &Log) -> String {
     log.losses.iter().map(|loss| format!("{}\n", loss.what)).collect()
 }
@@ -142,7 +141,7 @@ fn groups_of_hdf5_that_contain_themselves_are_visited_once() {
     let log = plain(&hdf5(&sets, &names));
     assert_eq!(topic(&log, "joint_positions").messages, 20);
     assert_eq!(log.topics.len(), 1);
-    // Without a set of visited groups this takes 30⁸ visits.
+    // Without a set of visited groups: 30⁸ visits.
     assert!(begin.elapsed() < Duration::from_secs(10));
 }
 

@@ -1,5 +1,4 @@
-//! Array stores, records and packets: files of third-party writers, valid, truncated, and with wrong
-//! declarations.
+//! Array stores, records and packets of third-party writers: valid, truncated, and with wrong declarations.
 
 use std::fs;
 use std::io::{Cursor, Write};
@@ -43,7 +42,7 @@ fn every_packing_of_a_store_holds_the_same_numbers() {
     assert_eq!((stamps[1] - stamps[0], stamps[80]), (20_000_000, stamps[0]));
     let third = plain(THIRD);
     assert_same_rows(&third, 5);
-    // No chunk was written for the all-zero array.
+    // No chunk of zeros was written.
     assert_eq!(array(&third, "zeros"), (6, vec![0.0; 1200]));
 }
 
@@ -67,7 +66,7 @@ fn a_folder_is_read_as_its_archive() {
     }
 }
 
-/// A store with one array `q` of 6 numbers per row; `change` edits its metadata.
+/// One array `q` of 6 numbers per row.
 pub(super) fn store(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
     let mut metadata = json!({"zarr_format": 2, "shape": [20, 6], "chunks": [20, 6], "dtype": "<f8",
         "compressor": null, "filters": null, "fill_value": 0.0, "order": "C"});
@@ -112,7 +111,7 @@ fn what_a_store_declares_and_does_not_hold_is_one_line() {
     }
 }
 
-/// A folder store: `q` with 6 numbers and `pose` with 7, 50 rows in chunks of 10.
+/// `q` with 6 numbers and `pose` with 7, 50 rows in chunks of 10.
 fn folder_store() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, content: &[u8]| {
@@ -202,7 +201,7 @@ fn damaged_stores_and_records_are_one_line() {
 
 #[test]
 fn blosc_that_is_damaged_is_refused() {
-    // A version 2 header with one block, and lengths that exceed the chunk.
+    // Version 2 header with one block, and lengths that exceed the chunk.
     let mut chunk = vec![2, 1, 0x21, 8, 0, 4, 0, 0, 0, 4, 0, 0, 30, 0, 0, 0, 20, 0, 0, 0];
     chunk.extend([0xff; 10]);
     for at in 0..chunk.len() {
@@ -222,7 +221,6 @@ fn records_are_episodes_of_steps() {
     assert_eq!((rows.len(), rows[20][0]), (50, f64::from(0.01_f32)));
     let (width, poses) = array(&log, "observation/tcp_pose");
     assert_eq!((width, poses[7 * 20]), (7, 100.0));
-    // The rate is in the metadata of the episode.
     let stamps = stamps(&log, "observation/tcp_pose");
     assert_eq!(stamps[1] - stamps[0], 100_000_000);
     assert!(log.topics.iter().all(|topic| !topic.name.contains("image")));
@@ -255,7 +253,6 @@ fn what_features_declare_is_held_against_the_records() {
     );
     let named = Path::new(&format!("{}#1", path.display())).to_owned();
     assert_eq!(of_folder(&named).expect("an episode").messages % 30, 0);
-    // An empty description declares no width.
     assert_eq!(declared("0", "").len(), 1);
 }
 
@@ -271,7 +268,7 @@ fn a_record_that_is_damaged_does_not_take_the_others_with_it() {
     assert!(cut.losses[0].what.contains("ends within a record"));
 }
 
-/// A KUKA packet with pose and axes computed from its number.
+/// Pose and axes follow from the number.
 pub(crate) fn packet(number: u32) -> String {
     let cells = |names: &[&str]| -> String {
         let of = |(at, name): (usize, &&str)| format!(" {name}=\"{}.5\"", number as usize + at);
@@ -318,7 +315,7 @@ fn packets_that_are_damaged_are_counted() {
     let _ = read(hostile.as_bytes(), ColumnSettings::default());
 }
 
-/// A record with TensorFlow's framing.
+/// TensorFlow's framing.
 pub(super) fn framed(record: &[u8]) -> Vec<u8> {
     let masked = |bytes: &[u8]| {
         crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
@@ -327,7 +324,7 @@ pub(super) fn framed(record: &[u8]) -> Vec<u8> {
     [&length, masked(&length).as_slice(), record, &masked(record)].concat()
 }
 
-/// A bytes field in Protobuf wire format.
+/// Bytes in Protobuf wire format.
 fn field(number: u8, content: &[u8]) -> Vec<u8> {
     let mut all = vec![number << 3 | 2];
     let mut length = content.len();
@@ -340,7 +337,6 @@ fn field(number: u8, content: &[u8]) -> Vec<u8> {
     all
 }
 
-/// An example with these float features.
 pub(crate) fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
     let of = |(name, numbers): &(&str, Vec<f32>)| {
         let packed: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
@@ -364,12 +360,11 @@ fn a_declared_rate_that_is_none_is_no_rate() {
     }
 }
 
-/// Positions of six moving joints in row `row`.
+/// Six moving joints.
 pub(super) fn joints_of(row: usize) -> Vec<f64> {
     (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
 }
 
-/// A zip archive of these files.
 pub(super) fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, content) in files {
@@ -379,7 +374,7 @@ pub(super) fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     archive.finish().expect("an archive").into_inner()
 }
 
-/// A NumPy array declared with `rows` rows of `width` numbers, containing `values`.
+/// `rows` and `width` are only declared.
 pub(super) fn array_of_numpy(
     rows: usize,
     width: usize,
@@ -390,11 +385,11 @@ pub(super) fn array_of_numpy(
     super::npy(&header, &values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// Container, name of the joints in it, and the file.
+/// Container, name of the joints, and file.
 type Made = (&'static str, &'static str, Vec<u8>);
 
-/// A table of `rows` rows in each container. The rows with `is_lost` are missing or damaged in the way
-/// typical of the container. `numbers` are the joint positions of a row.
+/// A table in each container. Rows with `is_lost` are missing or damaged in the way typical of the
+/// container. `numbers` are the joint positions of a row.
 fn with_lost_rows(
     rows: usize,
     is_lost: &[bool],
@@ -440,7 +435,7 @@ fn with_lost_rows(
         let bytes: Vec<u8> = numbers(row).into_iter().flat_map(f64::to_le_bytes).collect();
         (format!("joint_positions/{row}.0"), bytes)
     }));
-    // A NumPy array has no chunks, so its last rows are missing.
+    // Without chunks, an array lacks its last rows.
     let kept = rows - (0..rows).filter(|row| lost(*row)).count();
     let archive = zipped(&[
         ("timestamp.npy".to_owned(), array_of_numpy(rows, 1, (0..rows).map(time))),
@@ -484,7 +479,7 @@ proptest::proptest! {
         rows in 40_usize..90,
         lost in proptest::collection::vec(proptest::bool::weighted(0.1), 90),
     ) {
-        // The first and last rows determine the start of the times and the value before a missing chunk.
+        // The first and last rows set the start of the times and the value before a missing chunk.
         let lost: Vec<bool> = lost.into_iter().enumerate().map(|(row, lost)| lost && row > 1 && row + 2 < rows).collect();
         let count = lost.iter().filter(|lost| **lost).count() as u64;
         for (container, name, bytes) in with_lost_rows(rows, &lost, joints_of) {
@@ -502,7 +497,7 @@ proptest::proptest! {
     ) {
         let is_damaged = |row: usize| row > 1 && row + 2 < rows && damaged[row];
         let count = (0..rows).filter(|row| is_damaged(*row)).count() as u64;
-        // A column with many gaps is treated as sampled less often.
+        // Many gaps would mean a lower rate.
         proptest::prop_assume!(10 * count < rows as u64);
         let numbers = |row: usize| {
             let mut own = joints_of(row);

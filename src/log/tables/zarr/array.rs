@@ -1,4 +1,4 @@
-//! One array of a store, Zarr versions 2 and 3: its metadata and its rows.
+//! One array of a store: metadata and rows.
 
 use std::ops::Range;
 
@@ -11,26 +11,25 @@ use crate::tables::chunks::{AssembledRows, ChunkAssembly, ChunkGrid};
 use crate::tables::npy::ElementType;
 use crate::tables::{MAX_WIDTH, TableError, names};
 
-/// Maximum side of an array; larger values are not credible.
+/// Larger sides are not credible.
 const MAX_SIDE: usize = 1 << 30;
-/// Maximum number of codecs. Writers use up to four: filters, a shuffle, a compressor and a checksum.
+/// Writers use up to four: filters, a shuffle, a compressor and a checksum.
 const MAX_CODECS: usize = 16;
 
-/// Layout of an array, with the names and codecs of its chunks.
 #[derive(Clone, Debug)]
 pub(super) struct ZarrArray {
-    /// Path within the store.
+    /// Within the store.
     pub path: String,
     grid: ChunkGrid,
     /// In encoding order.
     codecs: Vec<Codec>,
-    /// Prefix and separator of the indices in the name of a chunk.
+    /// Of the indices in a chunk's name.
     prefix: &'static str,
     separator: &'static str,
 }
 
 impl ZarrArray {
-    /// Parses the metadata of the array at `path`; `None` if it is not numeric.
+    /// `None` if not numeric.
     pub fn from_metadata(path: &str, metadata: &Value) -> Option<Result<Self, TableError>> {
         let is_third = metadata.get("zarr_format")?.as_u64()? == 3;
         let read = if is_third { parse_v3(metadata) } else { parse_v2(metadata) };
@@ -66,7 +65,6 @@ impl ZarrArray {
         self.grid.kind.name()
     }
 
-    /// Reads some rows; also returns which of them are lost.
     pub fn read(
         &self,
         store: &mut ZarrStore,
@@ -96,7 +94,6 @@ impl ZarrArray {
         Ok(all.finish(names::is_joints_or_pose(&self.path)))
     }
 
-    /// Decodes a chunk of `whole` bytes.
     fn decode_chunk(&self, mut bytes: Vec<u8>, whole: usize) -> Result<Vec<u8>, TableError> {
         for codec in self.codecs.iter().rev() {
             // A checksum adds 4 bytes.
@@ -114,7 +111,7 @@ fn parse_sides(value: Option<&Value>) -> Option<Vec<usize>> {
     value?.as_array()?.iter().map(side).collect()
 }
 
-/// Fill value for missing chunks: a number, or a name of one.
+/// A number or its name.
 fn parse_fill_value(value: Option<&Value>) -> f64 {
     match value {
         Some(Value::Number(number)) => number.as_f64().unwrap_or(f64::NAN),

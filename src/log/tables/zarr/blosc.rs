@@ -6,26 +6,25 @@ use super::codec::{codec_error, decode_lz4, read_all};
 use crate::tables::TableError;
 
 const HEADER_BYTES: usize = 16;
-/// Last version of the format; Blosc 2 uses higher ones.
+/// Blosc 2 uses higher ones.
 const MAX_VERSION: u8 = 2;
-/// Blocks are split by byte of the element if elements have at most `MAX_SPLIT_BYTES` bytes and each part at
-/// least `MIN_PART_BYTES`.
+/// Blocks are split by byte of the element within these limits.
 const MAX_SPLIT_BYTES: usize = 16;
 const MIN_PART_BYTES: usize = 128;
 
-/// Names of the compressors by their code.
+/// By code.
 const COMPRESSORS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
 
 struct Header {
     flags: u8,
-    /// Bytes per element.
+    /// Of an element.
     size: usize,
-    /// Size in bytes of the whole, and of each block.
+    /// Of the whole, and of each block.
     bytes: usize,
     block: usize,
 }
 
-/// Unpacks a chunk to at most `most` bytes.
+/// To at most `most` bytes.
 pub(crate) fn unpack(chunk: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
     let cut = || TableError::from("a chunk is truncated");
     let (header, rest) = chunk.split_first_chunk::<HEADER_BYTES>().ok_or_else(cut)?;
@@ -61,8 +60,7 @@ fn read_u32(bytes: &[u8], at: usize) -> Option<usize> {
 }
 
 impl Header {
-    /// Decompresses the block of `length` bytes at the start of `packed`, without unshuffling. `None` if it
-    /// is truncated.
+    /// Does not unshuffle. `None` if truncated.
     fn block(&self, packed: &[u8], length: usize) -> Option<Result<Vec<u8>, TableError>> {
         let is_split = self.flags & 0x10 == 0
             && self.size <= MAX_SPLIT_BYTES
@@ -107,7 +105,7 @@ impl Header {
     }
 }
 
-/// Undoes a byte shuffle of elements of `size` bytes: all first bytes, then all second bytes, and so on.
+/// Shuffled: all first bytes of the elements, then all second bytes, and so on.
 pub(super) fn unshuffle_bytes(bytes: &[u8], size: usize) -> Vec<u8> {
     let count = bytes.len() / size;
     let mut whole = bytes.to_vec();
@@ -117,7 +115,7 @@ pub(super) fn unshuffle_bytes(bytes: &[u8], size: usize) -> Vec<u8> {
     whole
 }
 
-/// Undoes a bit shuffle, lowest bit first.
+/// Lowest bit first.
 fn unshuffle_bits(bytes: &[u8], size: usize) -> Vec<u8> {
     let row = bytes.len() / size / 8;
     let mut whole = bytes.to_vec();

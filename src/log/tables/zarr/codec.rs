@@ -1,4 +1,4 @@
-//! Codecs of chunks: their names in Zarr and how each is undone.
+//! Codecs of chunks.
 
 use std::io::Read;
 
@@ -7,27 +7,25 @@ use serde_json::Value;
 use super::blosc;
 use crate::tables::TableError;
 
-/// One encoding step.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Codec {
     Zlib,
     Gzip,
     Zstd,
     Bzip2,
-    /// Format of numcodecs: the length, then a block.
+    /// As in numcodecs: the length, then a block.
     Lz4,
     Blosc,
-    /// Checksum after the bytes; not verified.
+    /// Not verified.
     Crc32c,
-    /// Byte shuffle with elements of this size.
+    /// Element size in bytes.
     Shuffle(usize),
 }
 
 impl Codec {
-    /// Codec with this name in the metadata.
     pub fn from_name(name: &str, settings: &Value) -> Result<Self, TableError> {
         let size = || settings.get("elementsize").and_then(Value::as_u64).unwrap_or(4);
-        // Zarr 3 adds this prefix to the codecs of numcodecs.
+        // Zarr 3 prefixes the codecs of numcodecs.
         Ok(match name.strip_prefix("numcodecs.").unwrap_or(name) {
             "zlib" => Self::Zlib,
             "gzip" => Self::Gzip,
@@ -46,7 +44,7 @@ impl Codec {
         })
     }
 
-    /// Decodes `packed` to at most `most` bytes.
+    /// To at most `most` bytes.
     pub fn decode(self, packed: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
         match self {
             Self::Zlib => read_all(flate2::read::ZlibDecoder::new(packed), most),
@@ -68,14 +66,14 @@ impl Codec {
     }
 }
 
-/// Output of a decoder, at most `most` bytes.
+/// At most `most` bytes.
 pub(super) fn read_all(decoder: impl Read, most: usize) -> Result<Vec<u8>, TableError> {
     let mut bytes = Vec::new();
     decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(codec_error)?;
     if bytes.len() > most { Err(too_long(bytes.len(), most)) } else { Ok(bytes) }
 }
 
-/// Unpacks an LZ4 block to `length` bytes. The caller has limited `length`.
+/// The caller has limited `length`.
 pub(super) fn decode_lz4(block: &[u8], length: usize) -> Result<Vec<u8>, TableError> {
     let length = i32::try_from(length).map_err(|_| "a chunk is too long")?;
     lz4::block::decompress(block, Some(length)).map_err(codec_error)

@@ -1,4 +1,4 @@
-//! Access to the metadata and chunks of a store in a folder or zip archive.
+//! Metadata and chunks of a store in a folder or zip archive.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs;
@@ -12,17 +12,16 @@ use zip::result::ZipError;
 use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
 use crate::tables::{MAX_COLUMNS, MAX_METADATA_BYTES, TableError};
 
-/// Metadata files of an array or a group, in Zarr 2 and 3.
+/// Of arrays and groups in Zarr 2 and 3.
 const METADATA_FILES: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
 const ATTRIBUTES_FILE: &str = ".zattrs";
-/// Maximum depth of nested groups.
 const MAX_DEPTH: usize = 8;
-/// Maximum overhead of packing, bytes: headers and incompressible blocks.
+/// Headers and incompressible blocks.
 const MAX_PACKING_BYTES: u64 = 1 << 16;
 
 pub(super) enum ZarrStore<'a> {
     Folder(PathBuf, Containment),
-    /// An archive, and the folder in it that is the store.
+    /// The archive, and the store's folder in it.
     Zip(ZipArchive<Cursor<&'a [u8]>>, String),
 }
 
@@ -36,9 +35,9 @@ pub fn is_store(folder: &Path) -> bool {
         && METADATA_FILES.iter().any(is_metadata)
 }
 
-/// Whether a zip archive is a Zarr store, according to the names at its start and end.
+/// By the names at its start and end.
 pub(crate) fn is_zip_store(bytes: &[u8]) -> bool {
-    /// Number of bytes searched for names at each end.
+    /// At each end.
     const SEARCHED_BYTES: usize = 1 << 16;
     let (head, tail) = (
         &bytes[..bytes.len().min(SEARCHED_BYTES)],
@@ -74,7 +73,7 @@ impl<'a> ZarrStore<'a> {
         Self::Folder(path.to_owned(), Containment::new(path))
     }
 
-    /// Bytes at a key, limited to `most` plus packing overhead; `None` if the key does not exist.
+    /// Limited to `most` plus packing overhead; `None` if the key does not exist.
     pub fn get(&mut self, key: &str, most: u64) -> Result<Option<Vec<u8>>, TableError> {
         let most = most.saturating_add(most / 8).saturating_add(MAX_PACKING_BYTES);
         let mut bytes = Vec::new();
@@ -103,15 +102,14 @@ impl<'a> ZarrStore<'a> {
         Ok(Some(bytes))
     }
 
-    /// JSON at a key; `None` if the key does not exist.
+    /// `None` if the key does not exist.
     pub fn json(&mut self, key: &str) -> Result<Option<Value>, TableError> {
         let Some(bytes) = self.get(key, MAX_METADATA_BYTES)? else { return Ok(None) };
         let read = serde_json::from_slice(&bytes);
         read.map(Some).map_err(|error| format!("'{key}' cannot be read: {error}").into())
     }
 
-    /// Metadata of all arrays, sorted by path, or why it cannot be read. Chunks without metadata are listed
-    /// as an unreadable array.
+    /// Sorted by path. Chunks without metadata are listed as an unreadable array.
     pub fn arrays(&mut self) -> Vec<(String, Result<Value, TableError>)> {
         let (mut paths, chunks) = match self {
             Self::Folder(folder, contained) => scan_folder(folder, contained),
@@ -159,7 +157,6 @@ impl<'a> ZarrStore<'a> {
         found.into_iter().take(MAX_COLUMNS).chain(others).collect()
     }
 
-    /// Attributes of the group at `path`.
     pub fn attributes(&mut self, path: &str) -> Option<Value> {
         let third = self.json(&join_key(path, "zarr.json")).ok().flatten();
         let third = third.and_then(|value| value.get("attributes").cloned());
@@ -167,8 +164,7 @@ impl<'a> ZarrStore<'a> {
     }
 }
 
-/// Path of the array that contains a chunk. Chunk names are numbers separated by dots, or nested folders of
-/// numbers.
+/// Chunk names are numbers separated by dots, or nested folders of numbers.
 fn array_of_chunk(key: &str) -> Option<&str> {
     let is_chunk = |name: &str| {
         let name = name.strip_prefix("c.").unwrap_or(name);
@@ -190,14 +186,14 @@ fn array_of_chunk(key: &str) -> Option<&str> {
     (!is_chunk(path) && !path.split('/').any(|part| part == "..")).then_some(path)
 }
 
-/// Arrays with chunks in an archive, below `home`.
+/// Below `home`.
 fn arrays_with_chunks(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> BTreeSet<String> {
     let names = archive.file_names().filter_map(Result::ok);
     let of = |name: &str| array_of_chunk(name.strip_prefix(home)?).map(str::to_owned);
     names.filter_map(|name| of(&name)).collect()
 }
 
-/// Folders with metadata in an archive, below `home`.
+/// Below `home`.
 fn folders_with_metadata(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> Vec<String> {
     let of = |name: &str| {
         let name = name.strip_prefix(home)?;
@@ -211,8 +207,7 @@ fn join_key(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
 }
 
-/// Paths in a folder that may have metadata, and arrays with chunks but possibly no metadata. Folders of
-/// arrays are not searched.
+/// Paths that may have metadata, and arrays with chunks. Does not search folders of arrays.
 fn scan_folder(folder: &Path, contained: &mut Containment) -> (Vec<String>, BTreeSet<String>) {
     let (mut found, mut chunks, mut seen) = (Vec::new(), BTreeSet::new(), HashSet::new());
     let mut open = vec![(String::new(), 0)];
