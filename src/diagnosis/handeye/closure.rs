@@ -7,10 +7,10 @@ use ground::geometry::Vec3;
 use ground::stats::Measured;
 use ground::stats::median;
 
-/// Number of blocks for the standard error of the excess.
+/// For the standard error of the excess.
 const BLOCKS: usize = 12;
 
-/// Closure errors of all poses of `setting`. `None` for fewer than [`MIN_POSES`] poses.
+/// `None` for fewer than [`MIN_POSES`] poses.
 pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
     let left: Vec<(f64, [Vec3; 2])> = setting
         .targets
@@ -48,8 +48,8 @@ fn rms(vectors: &[Vec3]) -> f64 {
     (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
 }
 
-/// Root mean square in excess of the sample-to-sample noise (half the mean squared successive difference,
-/// von Neumann 1941), with a standard error from the spread over blocks.
+/// Rms in excess of the sample-to-sample noise (half the mean squared successive difference, von Neumann
+/// 1941). The standard error comes from the spread over blocks.
 fn excess(vectors: &[Vec3]) -> Measured {
     let size = (vectors.len() / BLOCKS).max(3);
     let beyond: Vec<f64> = vectors

@@ -1,17 +1,16 @@
-//! Rotation of the hand and the diversity of its rotation axes.
+//! Diversity of the hand's rotation axes.
 
 use super::RotationDiversity;
 use super::series::HandEyeSetting;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
-/// Number of orientations compared in pairs.
+/// Compared in pairs.
 const MAX_POSES: usize = 120;
-/// Minimum rotation whose axis is counted, rad.
+/// For a rotation's axis to count.
 const MIN_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// Diversity of the hand's rotations while the target is visible. Expects a `setting` with the camera in
-/// the hand.
+/// While the target is visible; `setting` has the camera in the hand.
 pub(super) fn rotation_diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
     let pairs = setting.pairs_at(lag_s, MAX_POSES);
     let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();

@@ -1,7 +1,6 @@
-//! Joint estimate of camera pose, constant and time offset by Gauss–Newton with robust weights.
-//!
-//! The residual is in the camera frame: `camera_from_target = (carrier · X)⁻¹ · Y`. Its noise is the
-//! detector's own, so position and rotation are weighted by their residuals.
+//! Joint estimate of camera pose, constant and time offset by Gauss–Newton with robust weights. The
+//! residual is in the camera frame, where the noise is the detector's own: `camera_from_target = (carrier ·
+//! X)⁻¹ · Y`.
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
@@ -13,44 +12,42 @@ use ground::stats::Measured;
 use ground::stats::median;
 use nalgebra::DMatrix;
 
-/// Parameters: translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the
-/// time offset.
+/// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
 pub(in super::super) const WIDTH: usize = 13;
 const OFFSET_COLUMN: usize = 12;
 const NOISE_FLOOR_M_RAD: [f64; 2] = [1e-6, 1e-6];
 const MAX_ROUNDS: usize = 25;
-/// Outlier threshold in standard deviations of the remaining poses.
+/// Of the remaining poses.
 const OUTLIER_SIGMAS: f64 = 6.0;
-/// Maximum share of outliers. Beyond it, outliers cannot be separated from valid data.
+/// Beyond it, outliers cannot be separated from data.
 const MAX_OUTLIER_SHARE: f64 = 0.35;
 
-/// Result of the fit.
 pub(super) struct HandEyeFit {
     pub camera: Pose,
     pub constant: Pose,
     pub offset_s: Measured,
-    /// Standard deviation of position and rotation per component, m and rad.
+    /// Of position and rotation per component, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
-    /// Poses used by the fit, without outliers.
+    /// Without outliers.
     keep: Vec<bool>,
 }
 
-/// Scale factors of the target's positions, each estimated jointly with camera pose, constant and offset.
+/// Scale factors of the target's positions.
 #[derive(Clone, Copy, Debug)]
 pub struct TargetScale {
-    /// Factor of all coordinates; deviates from 1 if the configured target size is wrong.
+    /// Of all coordinates; not 1 if the configured target size is wrong.
     pub size: Measured,
-    /// Factor of the depth; deviates from 1 if the focal length is wrong.
+    /// Of the depth; not 1 if the focal length is wrong.
     pub depth: Measured,
-    /// Index of the depth coordinate: 0 to 2.
+    /// Depth coordinate: 0 to 2.
     pub along: usize,
-    /// Mean distance to the target, m.
+    /// Mean distance to the target.
     pub distance_m: f64,
 }
 
 impl HandEyeFit {
-    /// Scale of the target's positions in `setting`, to first order, with depth along the axis `along`.
+    /// Scale of the target's positions to first order; `along` is the depth axis.
     pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
         let Self { camera, constant, offset_s, .. } = *self;
         let state = HandEyeState { camera, constant, offset_s: offset_s.value };
@@ -75,7 +72,7 @@ impl HandEyeFit {
             )
     }
 
-    /// Scale of the component of the positions selected by `stretched`.
+    /// Scale of the component selected by `stretched`.
     fn scale_of(
         linear: &Linear,
         foretold: &[Vec3],
@@ -108,18 +105,18 @@ impl HandEyeFit {
         Some(Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof })
     }
 
-    /// Combined residual of position and rotation, rad.
+    /// Combined residual, rad.
     pub fn misfit(&self) -> f64 {
         combined_rad(self.sigma[0], self.sigma[1])
     }
 
-    /// Camera pose with its standard errors.
+    /// With standard errors.
     pub fn camera(&self) -> CameraPose {
         let dof = self.offset_s.dof;
         let error = |first: usize| {
             [0, 1, 2].map(|axis| self.covariance[(first + axis, first + axis)].max(0.0).sqrt())
         };
-        // Standard error of the length: along the vector, or the largest component if the vector is zero.
+        // Along the vector, or the largest component of a zero vector.
         let along = |vector: Vec3, first: usize| {
             let value = vector.norm();
             let direction = vector.try_normalize(1e-9);
@@ -142,12 +139,12 @@ impl HandEyeFit {
         }
     }
 
-    /// Deviation of a target pose from the prediction, m and rad in camera axes.
+    /// Deviation from the prediction, m and rad in camera axes.
     pub fn residual(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
         difference(target, &((carrier * self.camera).inverse() * self.constant))
     }
 
-    /// Whether a pose with these residuals is an outlier.
+    /// Whether these residuals are an outlier's.
     pub fn is_outlier(&self, left: &[Vec3; 2]) -> bool {
         (0..2).any(|kind| {
             left[kind].norm() > OUTLIER_SIGMAS * self.sigma[kind].max(NOISE_FLOOR_M_RAD[kind])
@@ -161,7 +158,7 @@ impl TargetScale {
         Self { size: nothing, depth: nothing, along, distance_m }
     }
 
-    /// Depth error at the mean distance, m, from the more significant of the two factors.
+    /// Depth error at the mean distance by the more significant factor.
     pub fn effect_m(&self) -> Measured {
         let off = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
         let surely = |of: &Measured| (of.value / of.std_error).abs();
@@ -171,7 +168,7 @@ impl TargetScale {
     }
 }
 
-/// Difference of `seen` from `predict`, m and rad.
+/// M and rad.
 fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     [
         seen.translation.vector - foretold.translation.vector,
@@ -179,7 +176,6 @@ fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     ]
 }
 
-/// Parameters of the fit.
 #[derive(Clone, Copy)]
 struct HandEyeState {
     camera: Pose,
@@ -203,9 +199,9 @@ impl HandEyeState {
         }
     }
 
-    /// Residuals and derivatives at the poses of `setting` selected by `keep`.
+    /// At the poses selected by `keep`.
     fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
-        /// Half-width of the finite difference for the hand's velocity, s.
+        /// For the hand's velocity.
         const STEP_S: f64 = 0.01;
         let mut linear = Linear::new(WIDTH, &NOISE_FLOOR_M_RAD);
         for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
@@ -233,26 +229,25 @@ impl HandEyeState {
     }
 }
 
-/// Derivatives of the observed target pose for a camera in the hand, with the hand at `hands` at the times
-/// `t_s`. The target is at `ahead` in the camera, m, at the first of them.
+/// Derivatives of the observed target pose for a camera in the hand, with the hand at `hands` at times
+/// `t_s`. The target is first at `ahead` in the camera, m.
 pub(in super::super) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -> Linear {
     let target = pose(ahead.into(), Default::default());
     let constant = hands.first().copied().unwrap_or_default() * camera * target;
     let series = PoseSeries { t_s: t_s.to_vec(), poses: hands };
-    // The observed poses affect only the residuals, not the derivatives.
+    // Observed poses affect only the residuals.
     let targets = t_s.iter().map(|&t_s| (t_s, target));
     let setting = HandEyeSetting::new(&series, targets, CameraMount::InHand);
     let state = HandEyeState { camera, constant, offset_s: 0.0 };
     state.linear(&setting, &vec![true; t_s.len()])
 }
 
-/// Refines `start`. `None` if fewer than [`MIN_POSES`] poses remain.
+/// `None` if fewer than [`MIN_POSES`] poses remain.
 pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> Option<HandEyeFit> {
     let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
     let all = vec![true; setting.targets.len()];
     let state = iterate(state, setting, &all)?;
     let found = with_covariance(state, setting, &all)?;
-    // Refit without outliers.
     let near: Vec<bool> = setting
         .targets
         .iter()
@@ -269,7 +264,7 @@ pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> 
     with_covariance(state, setting, &near)
 }
 
-/// Gauss–Newton from `state`; halves each step until the cost decreases under the previous weights.
+/// Halves each step until the cost decreases under the previous weights.
 fn iterate(
     mut state: HandEyeState,
     setting: &HandEyeSetting,
@@ -289,7 +284,7 @@ fn iterate(
         for _ in 0..MAX_HALVINGS {
             let moved = state.stepped(step.as_slice());
             let there = moved.linear(setting, keep);
-            // A change of the offset may add or remove poses at the ends.
+            // The offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
             if !same || normal_of(&there, &weights).cost <= normal.cost {
                 next = Some((moved, there));
@@ -317,7 +312,6 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
     normal
 }
 
-/// Fit at `state`, with its covariance.
 fn with_covariance(
     state: HandEyeState,
     setting: &HandEyeSetting,
@@ -337,7 +331,7 @@ fn with_covariance(
         weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
-        /// Median length of three normal components, in standard deviations.
+        /// Of three normal components, in standard deviations.
         const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();

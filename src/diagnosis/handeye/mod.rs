@@ -1,14 +1,11 @@
 //! Hand-eye calibration: whether a hand moved by an arm and a target seen by a camera fit one rigid setup.
 //!
 //! With the camera in the hand, `base_from_hand · X · camera_from_target` is the constant
-//! `base_from_target`. With the camera fixed in the base and the target in the hand, `base_from_hand⁻¹ · X
-//! · camera_from_target` is the constant `hand_from_target`. `X`, the pose of the camera on its mount, and
-//! the constant `Y` are unknown. Both hypotheses have the form `mount_from_camera = X`, `carrier · X ·
-//! camera_from_target = Y`, with the hand's pose or its inverse as carrier, so one solver handles both.
-//!
-//! The steps:
+//! `base_from_target`. With the camera in the base, `base_from_hand⁻¹ · X · camera_from_target` is
+//! `hand_from_target`. Both have the form `carrier · X · camera_from_target = Y` with `X =
+//! mount_from_camera` and `Y` unknown, so one solver handles both:
 //! 1. The lag at which hand and target rotate alike.
-//! 2. An initial solution in closed form from relative motions (`A X = X B`: Park and Martin, "Robot sensor
+//! 2. A closed-form solution from relative motions (`A X = X B`: Park and Martin, "Robot sensor
 //!    calibration: solving AX = XB on the Euclidean group", IEEE Trans. Robotics and Automation 10(5),
 //!    1994), from pairs with equal rotation angles (Chen, "A screw motion approach to uniqueness analysis
 //!    of head-eye geometry", CVPR 1991).
@@ -38,17 +35,16 @@ pub use target_encoding::TargetEncoding;
 use target_encoding::{DecodedTarget, better_encoding};
 pub use target_scale::TargetScaleError;
 
-/// Maximum number of poses in the fit; longer streams are thinned evenly.
+/// Longer streams are thinned evenly.
 pub(super) const MAX_FIT_POSES: usize = 500;
-/// Minimum number of simultaneous poses for a fit.
 const MIN_POSES: usize = 12;
 
 /// Mounting of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraMount {
-    /// Camera in the hand, target fixed in the base (eye-in-hand).
+    /// Target fixed in the base (eye-in-hand).
     InHand,
-    /// Camera fixed in the base, target in the hand (eye-to-hand).
+    /// Target in the hand (eye-to-hand).
     InBase,
 }
 
@@ -57,67 +53,67 @@ impl CameraMount {
     pub const ALL: [CameraMount; 2] = [CameraMount::InHand, CameraMount::InBase];
 }
 
-/// Input streams of the hand-eye calibration.
+/// Input streams.
 #[derive(Clone, Copy, Debug)]
 pub struct HandEyeStreams<'a> {
     /// `base_from_hand` over time.
     pub hand: &'a PoseSeries,
     /// `camera_from_target` over time.
     pub target: &'a PoseSeries,
-    /// Standard error of the clock alignment between the two, s; 0 on a shared clock.
+    /// Standard error of the clock alignment; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// Logged mounting, with `hand_from_camera` or `base_from_camera`, if any.
+    /// Logged `hand_from_camera` or `base_from_camera`, if any.
     pub logged: Option<(CameraMount, Pose)>,
 }
 
-/// Rotation of the hand and the diversity of its axes.
+/// Diversity of the hand's rotations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationDiversity {
-    /// Largest angle between two orientations, rad.
+    /// Largest angle between orientations.
     pub span_rad: f64,
-    /// Rms angle between the orientations and their mean, rad.
+    /// Rms angle to the mean orientation.
     pub turning_rad: f64,
-    /// 95th percentile of the angle between the rotation axes and the principal axis, rad; 0 to π/2.
+    /// 95th percentile of the angle between rotation axes and principal axis; 0 to π/2.
     pub spread_rad: f64,
-    /// Principal rotation axis, in the hand.
+    /// Principal axis, in the hand.
     pub axis_in_hand: [f64; 3],
 }
 
-/// Closure error of the hand-eye chain.
+/// Closure error of the hand-eye chain. Rms values exclude outliers, medians do not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClosureError {
-    /// Number of target poses compared with the chain, including outliers.
+    /// Poses compared, including outliers.
     pub poses: usize,
-    /// Number of outliers: errors beyond six standard deviations of the rest.
+    /// Beyond six standard deviations.
     pub outliers: usize,
-    /// Position error, rms m, without outliers.
+    /// Position error.
     pub rms_m: f64,
-    /// Rotation error, rms rad, without outliers.
+    /// Rotation error.
     pub rms_rad: f64,
-    /// Median position error of all poses, m.
+    /// Position error.
     pub median_m: f64,
-    /// Median rotation error of all poses, rad.
+    /// Rotation error.
     pub median_rad: f64,
-    /// Position error in excess of the pose-to-pose noise, rms m.
+    /// Rms beyond the pose-to-pose noise.
     pub excess_m: Measured,
-    /// Rotation error in excess of the pose-to-pose noise, rms rad.
+    /// Rms beyond the pose-to-pose noise.
     pub excess_rad: Measured,
-    /// Stamp (s from the run's origin), position error (m) and rotation error (rad) of each pose.
+    /// Stamp (s from the run's origin), position error (m) and rotation error (rad) per pose.
     pub each: Vec<(f64, f64, f64)>,
 }
 
-/// Estimated camera pose `X`.
+/// Estimated camera pose `X`. Standard errors are infinite if not observable.
 #[derive(Clone, Debug)]
 pub struct CameraPose {
-    /// `hand_from_camera` or `base_from_camera`, depending on the mounting.
+    /// `hand_from_camera` or `base_from_camera`.
     pub pose: Pose,
-    /// Standard errors of the translation along the camera axes, m; infinite if not observable.
+    /// Along the camera axes.
     pub translation_error_m: [f64; 3],
-    /// Standard errors of the rotation about the camera axes, rad; infinite if not observable.
+    /// About the camera axes.
     pub rotation_error_rad: [f64; 3],
-    /// Length of the translation, m.
+    /// Translation's length.
     pub distance_m: Measured,
-    /// Angle of the rotation, rad.
+    /// Rotation angle.
     pub angle_rad: Measured,
 }
 
@@ -126,16 +122,15 @@ pub struct CameraPose {
 pub struct HandEyeSolution {
     /// Mounting of the camera.
     pub mount: CameraMount,
-    /// Residual of the other mounting relative to this one; infinite if that has no solution.
+    /// Residual of the other mounting over this one's; infinite if it has no solution.
     pub ratio: f64,
-    /// Delay of the target's stamps relative to the hand's, s: a sample stamped *t* was measured at *t −
-    /// offset*.
+    /// Target's delay relative to the hand: a sample stamped *t* was measured at *t − offset*.
     pub offset_s: Measured,
-    /// Pose of the camera on its mount.
+    /// On its mount.
     pub camera: CameraPose,
-    /// The constant: `base_from_target` or `hand_from_target`.
+    /// `base_from_target` or `hand_from_target`.
     pub target: Pose,
-    /// Combined residual of position and rotation in the fit, rad.
+    /// Combined residual of the fit.
     pub misfit_rad: f64,
     /// Closure error.
     pub closure: ClosureError,
@@ -146,21 +141,19 @@ pub struct HandEyeSolution {
 /// Results of the hand-eye calibration.
 #[derive(Clone, Debug)]
 pub struct HandEyeDiagnosis {
-    /// Best correlation between the angular speeds of target and hand.
+    /// Best correlation of angular speeds.
     pub follows: Option<LagPeak>,
-    /// Rotation of the hand while the target is visible.
+    /// While the target is visible.
     pub diversity: EstimateResult<RotationDiversity>,
-    /// Solution for the poses as logged.
+    /// For the poses as logged.
     pub solution: EstimateResult<HandEyeSolution>,
-    /// Alternative encoding of the target's poses with a much smaller closure error, if any, and its
-    /// solution.
+    /// Encoding with a much smaller closure error, if any, and its solution.
     pub alternative: Option<(TargetEncoding, HandEyeSolution)>,
-    /// Delay of the target's stamps relative to the hand's, s, by the best solution, or why it is not
-    /// observable.
+    /// Target's delay relative to the hand by the best solution.
     pub latency_s: EstimateResult<Measured>,
-    /// Deviation of the estimated camera pose from the logged one, `logged_from_solved`.
+    /// Deviation from the logged camera pose, `logged_from_solved`.
     pub mount_error: Option<FrameEstimate>,
-    /// Mean direction from the camera to the target, in camera axes.
+    /// Mean direction camera to target, in camera axes.
     pub view: [f64; 3],
 }
 
@@ -177,14 +170,14 @@ impl HandEyeDiagnosis {
         }
     }
 
-    /// Solution with the alternative encoding if there is one, otherwise as logged.
+    /// With the alternative encoding if there is one.
     pub fn best(&self) -> Option<&HandEyeSolution> {
         let read = self.alternative.as_ref().map(|(_, solution)| solution);
         read.or(self.solution.as_ref().ok())
     }
 }
 
-/// Correlation peaks between the angular speeds of hand and target, with the target's lag, best first.
+/// Correlation of the angular speeds over the target's lag, best first.
 pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
     let window_s = (2.5 * latency::median_period_s(&target.t_s)).clamp(0.25, 0.6);
     let speed = |series: &PoseSeries| -> SpeedSeries {
@@ -233,16 +226,19 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
     diagnosis
 }
 
-/// Delay of the target by the best solution. An error if the target does not follow the hand, if nothing
-/// moves while it is visible, or if several of `lags` fit equally well.
+/// Delay of the target by the best solution.
+///
+/// # Errors
+/// If the target does not follow the hand, nothing moves while it is visible, or several of `lags` fit
+/// equally well.
 fn latency(
     streams: &HandEyeStreams,
     found: &HandEyeDiagnosis,
     lags: &[f64],
 ) -> EstimateResult<Measured> {
-    /// Maximum rotation residual as a share of the hand's rotation, for a target that follows the hand.
+    /// Of the hand's rotation, for a target that follows it.
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
-    /// Another lag fits equally well if its residual is below this multiple of the best.
+    /// Another lag with a smaller ratio to the best fits equally well.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
     let best = match (found.best(), &found.solution) {
         (Some(best), _) => best,
@@ -280,12 +276,12 @@ fn latency(
     Err(NotObservable::Periodic(fitting))
 }
 
-/// Lags of the best correlation peak and of those close to it.
+/// Best correlation peak and those close to it.
 fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
-    /// Maximum deficit of a peak relative to the best.
+    /// Of correlation, relative to the best peak.
     const MAX_PEAK_DEFICIT: f64 = 0.1;
     const MAX_LAGS: usize = 3;
-    /// Minimum correlation. Below it, only zero lag is tried.
+    /// Below it, only zero lag is tried.
     const MIN_CORRELATION: f64 = 0.4;
     let Some(best) = peaks.first().filter(|peak| peak.correlation > MIN_CORRELATION) else {
         return vec![0.0];
@@ -295,7 +291,7 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
     near.take(MAX_LAGS).map(|peak| peak.lag_s).collect()
 }
 
-/// Lag with the smallest closure error of the closed-form solution.
+/// By the closure error of the closed form.
 fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
         let misfits = CameraMount::ALL.map(|mount| {
@@ -315,7 +311,7 @@ fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
     }
 }
 
-/// Solves for both mountings and returns the solution with the smaller residual.
+/// Solves for both mountings; the smaller residual wins.
 fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option<HandEyeSolution> {
     let fits = CameraMount::ALL.map(|mount| {
         let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
@@ -346,7 +342,7 @@ fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option
     })
 }
 
-/// Deviation of the estimated from the logged camera pose, if both have the same mounting.
+/// `None` if the mountings differ.
 fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<FrameEstimate> {
     let (mount, logged) = streams.logged?;
     if mount != solution.mount {
@@ -369,15 +365,14 @@ fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<F
             .all(|error| error.is_finite())
             .then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
     };
-    // The errors are given in the axes of the estimated camera. The difference from the logged axes is
-    // small for any deviation of interest.
+    // In the axes of the estimated camera; nearly the logged ones for any deviation of interest.
     let length = of(pose.translation.vector.into(), camera.translation_error_m)?;
     let angle = of(turned.into(), camera.rotation_error_rad)?;
     Some(FrameEstimate {
         pose,
         translation_m: length.norm,
         rotation_rad: angle.norm,
-        // Bonferroni correction for two tests.
+        // Bonferroni, two tests.
         p_value: (2.0 * length.p_value.min(angle.p_value)).min(1.0),
         is_chosen: true,
     })

@@ -1,4 +1,4 @@
-//! Pose series, and the two streams of a hand-eye calibration in parallel.
+//! Pose series of hand and target.
 
 use super::super::latency::median_period_s;
 use super::CameraMount;
@@ -6,17 +6,17 @@ use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotat
 use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Poses over time. Times are seconds from the run's origin, strictly increasing.
+/// Poses over time. Times are from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
 pub struct PoseSeries {
-    /// Sample times, s.
+    /// Sample times.
     pub t_s: Vec<f64>,
-    /// Poses with translations in m.
+    /// Translations in m.
     pub poses: Vec<Pose>,
 }
 
 impl PoseSeries {
-    /// Poses of a track. `None` if its orientations are undecoded.
+    /// `None` if the orientations are undecoded.
     pub fn from_track(track: &PoseTrack) -> Option<Self> {
         let Orientations::Rotations(rotations) = &track.orientation else { return None };
         let poses = track.xyz.iter().zip(rotations);
@@ -24,9 +24,9 @@ impl PoseSeries {
         Some(Self { t_s: track.t_s.clone(), poses })
     }
 
-    /// Tip poses by FK of the joint states, thinned to 100–200 Hz.
+    /// Tip poses by FK, thinned to 100–200 Hz.
     pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
-        /// Sampling period of the hand. Between samples its motion is nearly linear.
+        /// Between samples the hand's motion is nearly linear.
         const PERIOD_S: f64 = 0.01;
         let period_s = median_period_s(&joints.t_s).max(1e-6);
         let step = ((PERIOD_S / period_s) as usize).max(1);
@@ -42,7 +42,7 @@ impl PoseSeries {
         series
     }
 
-    /// Length of the common time span, s; not positive if there is none.
+    /// Common time span, s; not positive if none.
     pub fn overlap_s(&self, other: &PoseSeries) -> f64 {
         let span = |series: &PoseSeries| Some((*series.t_s.first()?, *series.t_s.last()?));
         match (span(self), span(other)) {
@@ -51,8 +51,8 @@ impl PoseSeries {
         }
     }
 
-    /// Interpolates the pose at `t_s`: position linearly, rotation along the shortest path. `None` outside
-    /// the samples and in gaps longer than both 0.2 s and ten periods.
+    /// Interpolates position linearly, rotation along the shortest path. `None` outside the samples and in
+    /// gaps longer than both 0.2 s and ten periods.
     pub(crate) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
@@ -74,7 +74,7 @@ impl PoseSeries {
     }
 }
 
-/// Mean direction to the poses of a series, in its own frame. Its length is below 1 if the directions vary.
+/// In the series' own frame. Shorter than 1 if the directions vary.
 pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     let directions = series.poses.iter().filter_map(|pose| {
         let xyz = pose.translation.vector;
@@ -85,16 +85,16 @@ pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     (sum / series.poses.len().max(1) as f64).into()
 }
 
-/// One target pose with the simultaneous carrier pose.
+/// Simultaneous poses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PosePair {
-    /// `base_from_hand` for a camera in the hand, `hand_from_base` for one in the base.
+    /// `base_from_hand` or, for a camera in the base, `hand_from_base`.
     pub carrier: Pose,
     /// `camera_from_target`.
     pub target: Pose,
 }
 
-/// Streams of hand and target for one mounting of the camera.
+/// Both streams for one mounting.
 pub(super) struct HandEyeSetting<'a> {
     hand: &'a PoseSeries,
     period_s: f64,
@@ -122,12 +122,12 @@ impl<'a> HandEyeSetting<'a> {
         })
     }
 
-    /// Number of target poses with a simultaneous hand pose, for a target delay of `lag_s`.
+    /// Simultaneous poses for a target delay of `lag_s`.
     pub fn count_at(&self, lag_s: f64) -> usize {
         self.pairs_at(lag_s, usize::MAX).len()
     }
 
-    /// At most `most` pairs, evenly spaced, for a target delay of `lag_s`.
+    /// At most `most` pairs, evenly spaced, at delay `lag_s`.
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {

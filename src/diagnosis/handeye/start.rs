@@ -8,36 +8,31 @@ use ground::geometry::{
 use ground::stats::median;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
-/// Maximum number of poses in the closed form.
 pub(super) const MAX_CLOSED_FORM_POSES: usize = 150;
-/// Ratio that makes lengths and angles comparable, from the thresholds of a hand-eye chain.
+/// From the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
-/// Camera pose on its mount, and the constant of the chain.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HandEyeStart {
     pub camera: Pose,
     pub constant: Pose,
-    /// Median closure error, position and rotation combined, rad.
+    /// Median closure error, rad.
     pub misfit: f64,
 }
 
-/// Combines a length and an angle, rad.
 pub(super) fn combined_rad(length_m: f64, angle_rad: f64) -> f64 {
     (length_m / M_PER_RAD).hypot(angle_rad)
 }
 
-/// Closed-form solution by Park and Martin. `None` if the orientations do not vary.
-///
-/// Rotations about a single axis do not determine the camera's rotation about it. Several candidates are
-/// then compared by their positions.
+/// Park and Martin's solution. `None` if the orientations do not vary. Rotations about a single axis leave
+/// several camera rotations; their positions then decide.
 pub(super) fn solve_closed_form(pairs: &[PosePair]) -> Option<HandEyeStart> {
     let rotations = camera_rotations(pairs)?;
     let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
-/// As [`solve_closed_form`], but with a single candidate if there is only one axis.
+/// Uses a single candidate if there is only one axis.
 pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<HandEyeStart> {
     with_rotation(pairs, camera_rotations(pairs)?.first()?)
 }
@@ -54,14 +49,13 @@ fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart
     Some(HandEyeStart { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
 }
 
-/// Closure error of one pair.
 fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
     let closed = pair.carrier * camera * pair.target;
     let off_m = (closed.translation.vector - constant.translation.vector).norm();
     combined_rad(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
 
-/// Relative rotations of carrier and camera between poses at several time distances.
+/// Of carrier and camera, at several time distances.
 fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
@@ -76,22 +70,21 @@ fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     all.collect()
 }
 
-/// Median difference between the rotation angles of carrier and camera, rad. It does not depend on the
-/// mount.
+/// Median difference of the rotation angles of carrier and camera, rad, independent of the mount.
 pub(super) fn angle_difference(pairs: &[PosePair]) -> f64 {
     let mut gaps: Vec<f64> =
         relative_rotations(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
     median(&mut gaps).unwrap_or(0.0)
 }
 
-/// Rotation that maps camera rotations to carrier rotations. Several candidates if there is only one axis.
+/// Maps camera to carrier rotations. Several candidates if there is only one axis.
 fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
-    /// There is only one axis if the second eigenvalue is below this share of the first.
+    /// Of the first eigenvalue; below it there is only one axis.
     const MAX_SECOND_EIGENVALUE_SHARE: f64 = 0.01;
     const AXIS_CANDIDATES: usize = 12;
-    /// Minimum rotation as a share of the largest; smaller ones are uninformative.
+    /// Of the largest rotation.
     const MIN_ROTATION_SHARE: f64 = 0.3;
-    /// Maximum rotation, rad; near half a turn the axis is ambiguous.
+    /// Near half a turn the axis is ambiguous.
     const MAX_ROTATION_RAD: f64 = 2.9;
     let turns = relative_rotations(pairs);
     let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < MAX_ROTATION_RAD);
@@ -110,7 +103,6 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
         return None;
     }
     let guess = rotation_by_wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
-    // Repeat without outliers of the first estimate.
     let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
     let limit = 3.0 * median(&mut off).unwrap_or(0.0) + 1e-9;
     let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
@@ -129,7 +121,7 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     Some((0..AXIS_CANDIDATES).map(|k| turn(k) * rotation).collect())
 }
 
-/// Rotation with the smallest median distance to all others, among a few candidates.
+/// Smallest median distance to all others, among a few candidates.
 fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     const MAX_CANDIDATES: usize = 15;
     let step = rotations.len().div_ceil(MAX_CANDIDATES).max(1);
@@ -141,8 +133,7 @@ fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
 
-/// Translations of camera and constant: linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`, with Cauchy
-/// weights.
+/// Linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`, with Cauchy weights.
 fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
     const ROUNDS: usize = 4;
     let rows: Vec<(Matrix3<f64>, Vec3)> = pairs

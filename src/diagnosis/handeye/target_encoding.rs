@@ -1,7 +1,5 @@
-//! Alternative encodings of a target's poses.
-//!
-//! A common rotation of all axes is absorbed by the camera's mount and is not observable. Observable are
-//! positions in other axes than rotations, transposed rotations, rotations in another convention, and
+//! Alternative encodings of a target's poses. The camera's mount absorbs a common rotation of all axes.
+//! Observable are positions in other axes than rotations, transposed or misinterpreted rotations, and
 //! scaled positions.
 
 use super::series::{HandEyeSetting, PoseSeries};
@@ -13,25 +11,24 @@ use ground::geometry::{
     rotation_from_xyzw, xyzw_from_rotation,
 };
 
-/// Encoding of a target's poses with which the chain closes.
+/// Encoding of a target's poses.
 #[derive(Clone, Copy, Debug)]
 pub enum TargetEncoding {
     /// As logged.
     AsLogged,
-    /// Positions and rotations use different axes. For each rotation axis: index and sign of the position
-    /// coordinate.
+    /// Positions and rotations use different axes: index and sign of the position coordinate per rotation
+    /// axis.
     Axes([(usize, f64); 3]),
-    /// Rotations are transposed, positions are not.
+    /// Only the rotations are transposed.
     Transposed,
-    /// Quaternion components are in another order.
+    /// Quaternion components are permuted.
     QuaternionOrder(QuaternionOrderError),
-    /// Rotation numbers of one convention were interpreted in another.
+    /// Rotations misinterpreted in another convention.
     Misinterpreted(&'static MisinterpretationClass),
     /// Positions are scaled.
     Scaled(TargetScaleError),
 }
 
-/// Target series with an encoding.
 #[derive(Clone, Copy)]
 pub(super) struct DecodedTarget<'a> {
     pub series: &'a PoseSeries,
@@ -40,13 +37,13 @@ pub(super) struct DecodedTarget<'a> {
 }
 
 impl<'a> DecodedTarget<'a> {
-    /// Target as logged, thinned to about `most` poses.
+    /// Thinned to about `most` poses.
     pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
         let stride = series.t_s.len().div_ceil(most).max(1);
         Self { series, encoding: TargetEncoding::AsLogged, stride }
     }
 
-    /// Decoded poses with their stamps.
+    /// With stamps.
     pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
         let mut truths = Vec::new();
         let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
@@ -55,7 +52,7 @@ impl<'a> DecodedTarget<'a> {
 }
 
 impl TargetEncoding {
-    /// Decodes `logged`; `truths` is a scratch buffer.
+    /// `truths` is a scratch buffer.
     fn decode(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
         let (xyz, rotation) = (logged.translation.vector, logged.rotation);
         match self {
@@ -77,15 +74,13 @@ impl TargetEncoding {
     }
 }
 
-/// Maximum residual of a better encoding, relative to the logged one.
+/// Relative to the logged encoding.
 const MAX_RESIDUAL_RATIO: f64 = 1.0 / 3.0;
-/// Number of poses used to compare encodings.
 const MAX_POSES: usize = 80;
-/// Closure errors below this, m and rad, need no other encoding: noise of the best detectors.
+/// Noise of the best detectors; smaller closure errors need no other encoding.
 const MAX_CLOSURE_M_RAD: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
 
-/// Encoding with a much smaller closure error than `as_logged`, with its solution. `None` if the chain
-/// closes as logged.
+/// `None` if the chain closes as logged or no encoding is much better.
 pub(super) fn better_encoding(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
@@ -103,13 +98,12 @@ pub(super) fn better_encoding(
     found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
 }
 
-/// Scale of the positions with a much smaller closure error than `as_logged`.
 fn much_better_scale(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
-    /// Maximum excess error, relative to the one as logged and to the total error after correction.
+    /// Of the excess error, relative to the logged one and to the corrected total.
     const MAX_EXCESS_RATIO: f64 = 0.5;
     let with = |stretch: TargetScaleError| {
         let reading = TargetEncoding::Scaled(stretch);
@@ -120,7 +114,7 @@ fn much_better_scale(
         Some((reading, solve(streams, &read, lag_s)?))
     };
     let at = |one: &HandEyeSolution| estimate_scale_error(streams, one.mount, one.offset_s.value);
-    // The time offset estimated with a large scale error is unreliable, so repeat at the corrected one.
+    // A large scale error biases the time offset, so repeat at the corrected one.
     let (_, first) = with(at(as_logged)?)?;
     let (reading, solution) = with(at(&first)?)?;
     let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
@@ -129,7 +123,6 @@ fn much_better_scale(
     closes.then_some((reading, solution))
 }
 
-/// Alternative encoding other than a scale.
 fn alternative_encoding(
     streams: &HandEyeStreams,
     as_logged: &HandEyeSolution,
@@ -158,7 +151,7 @@ fn alternative_encoding(
     closes(&solution, as_logged).then_some((reading, solution))
 }
 
-/// Closure error with an encoding, for the better mounting.
+/// For the better mounting.
 fn closure_error_with(
     streams: &HandEyeStreams,
     reading: TargetEncoding,
@@ -181,12 +174,12 @@ fn decoded_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetEncoding) -> De
     DecodedTarget { series: streams.target, encoding: reading, stride }
 }
 
-/// Candidate encodings. If the rotation angles already match the hand's, only encodings that preserve
-/// angles; otherwise only those that make them match.
+/// If the rotation angles match the hand's, only angle-preserving encodings; otherwise only those that make
+/// them match.
 fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
-    /// Maximum median difference of matching angles, rad.
+    /// Median of matching angles.
     const MAX_ANGLE_DIFFERENCE_RAD: f64 = 0.03;
-    /// Maximum number of encodings that improve the angles to be tried.
+    /// That improve the angles.
     const MAX_ENCODINGS: usize = 6;
     let gap = |reading| {
         let read = decoded_with(streams, reading);
@@ -216,7 +209,7 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     gaps.into_iter().map(|(_, reading)| reading).collect()
 }
 
-/// All 47 other signed permutations of the axes, including left-handed ones.
+/// All 47 others, including left-handed ones.
 fn signed_permutations() -> impl Iterator<Item = [(usize, f64); 3]> {
     const ORDERS: [[usize; 3]; 6] =
         [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];

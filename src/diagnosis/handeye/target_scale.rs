@@ -1,8 +1,7 @@
-//! Scale errors of a target's positions. A wrong tag size scales all coordinates; a wrong focal length
-//! scales only depth.
+//! Scale errors of a target's positions: a wrong tag size scales all coordinates, a wrong focal length only
+//! depth.
 //!
-//! For a known camera rotation the model is linear in camera, constant and both factors: `R_c·t_x − t_y +
-//! a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
+//! For a known camera rotation the model is linear: `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
 use super::series::{HandEyeSetting, PosePair, mean_direction};
 use super::start::solve_closed_form_quick;
@@ -12,16 +11,16 @@ use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Scale errors of a target's positions.
+/// Scale errors of a target's positions, as factors by which they are too long.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetScaleError {
-    /// Factor by which all positions are too long; 1 if the target size is right.
+    /// Common factor; 1 if the size is right.
     pub size: Option<Measured>,
-    /// Additional factor by which the depth is too long; 1 if the focal length is right.
+    /// Additional depth factor; 1 if the focal length is right.
     pub depth: Option<Measured>,
-    /// Index of the depth coordinate: 0 to 2.
+    /// Depth coordinate: 0 to 2.
     pub along: usize,
-    /// Whether either factor alone explains this motion almost equally well.
+    /// Whether either factor alone explains the motion almost equally well.
     pub is_either: bool,
 }
 
@@ -40,30 +39,27 @@ const WIDTH: usize = 8;
 const SIZE_COLUMN: usize = 6;
 const DEPTH_COLUMN: usize = 7;
 
-/// Fit with some factors free.
 struct ScaleFit {
-    /// Common factor, and additional depth factor.
+    /// Common, and additional for depth.
     factors: [f64; 2],
-    /// Standard errors of the factors.
     errors: [f64; 2],
-    /// Median residual, m.
+    /// Median.
     residual_m: f64,
     dof: f64,
 }
 
-/// Scale of the positions of a target with delay `offset_s`. Prefers one factor if it fits as well as two.
-/// `None` if no factor reduces the closure error substantially.
+/// Prefers one factor if it fits as well as two. `None` if no factor reduces the closure error
+/// substantially.
 pub(super) fn estimate_scale_error(
     streams: &HandEyeStreams,
     mount: CameraMount,
     offset_s: f64,
 ) -> Option<TargetScaleError> {
-    /// Minimum residual without a factor, relative to the selected model.
+    /// Without a factor, relative to the selected model.
     const MIN_RESIDUAL_RATIO: f64 = 1.4;
-    /// Maximum residual with one factor, relative to that with two.
+    /// With one factor, relative to two.
     const MAX_RESIDUAL_RATIO_ONE_FACTOR: f64 = 1.12;
-    /// Minimum deviation of a factor from 1, in standard errors and as a value. Lens distortion reaches the
-    /// latter.
+    /// In standard errors and as a value, which lens distortion reaches.
     const MIN_STD_ERRORS: f64 = 5.0;
     const MIN_DEVIATION: f64 = 2e-3;
     let target = DecodedTarget::as_logged(streams.target, MAX_FIT_POSES);
@@ -106,7 +102,7 @@ pub(super) fn estimate_scale_error(
     (found.size.is_some() || found.depth.is_some()).then_some(found)
 }
 
-/// Least squares of the chain's positions with the factors in `free`, with Cauchy weights.
+/// Factors in `free`; Cauchy weights.
 fn solve_with_factors(
     pairs: &[PosePair],
     rotation: &Rotation,

@@ -5,7 +5,7 @@ use ground::geometry::{Vec3, pose, rotation_from_rotvec};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Hand pose at a time: rotations and translations with different frequencies.
+/// Rotations and translations of different frequencies.
 fn hand_at(t_s: f64, axes: usize) -> Pose {
     let wave = |rate: f64, phase: f64| (rate * t_s + phase).sin();
     let turn = Vec3::new(
@@ -17,7 +17,6 @@ fn hand_at(t_s: f64, axes: usize) -> Pose {
     pose(shift, rotation_from_rotvec(Vec3::new(0.0, 3.0, 0.2)) * rotation_from_rotvec(turn))
 }
 
-/// True parameters of a synthetic setup.
 #[derive(Clone, Copy)]
 struct Planted {
     mount: CameraMount,
@@ -113,7 +112,7 @@ fn camera_target_mount_and_offset_are_recovered() {
 fn without_noise_nothing_is_left() {
     let planted = Planted { sigma: [0.0; 2], ..Planted::new(CameraMount::InHand) };
     let solution = diagnosis(&planted).solution.expect("it can be solved");
-    // The remaining error is the hand's interpolation between samples.
+    // The hand is interpolated between samples.
     assert!(solution.closure.rms_m < 3e-5 && solution.closure.rms_rad < 3e-5);
     assert_near(&solution.camera.pose, &planted.camera, 2e-5, 2e-5);
 }
@@ -167,7 +166,6 @@ fn one_axis_leaves_the_camera_open_along_it() {
     assert!(diversity.axis_in_hand[0].abs() > 0.99);
     let solution = found.solution.expect("it can be solved");
     assert!(solution.closure.excess_m.value < 1e-3, "{:?}", solution.closure.excess_m);
-    // Hand's x axis in the camera.
     let along = planted.camera.rotation.inverse() * Vec3::x();
     let most = (0..3).max_by(|&a, &b| along[a].abs().total_cmp(&along[b].abs())).expect("three");
     assert!(solution.camera.translation_error_m[most] > 0.05);
@@ -260,7 +258,6 @@ fn a_mount_that_is_off_is_measured() {
 fn a_wrong_focal_length_is_in_the_scale_of_depth() {
     for factor in [1.0, 1.03, 0.97] {
         let (hand, mut target) = Planted::new(CameraMount::InHand).streams();
-        // Depth is the axis with the largest mean component.
         let along = Vec3::from(series::mean_direction(&target)).iamax();
         target.poses.iter_mut().for_each(|seen| seen.translation.vector[along] *= factor);
         let scale = diagnosed(&hand, &target).solution.expect("it can be solved").scale;

@@ -12,43 +12,43 @@ use ground::stream::ImuTrack;
 pub struct ImuStream<'a> {
     /// Measurements.
     pub track: &'a ImuTrack,
-    /// Chain from the robot's base to the link with the IMU.
+    /// From the robot's base to the IMU's link.
     pub chain: &'a Chain,
-    /// Column in the joint track of each joint of `chain`.
+    /// Column in the joint track per joint of `chain`.
     pub columns: &'a [usize],
-    /// Standard error of the clock alignment, s; 0 on a shared clock.
+    /// Standard error of the clock alignment; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// `link_from_imu` in the log's frames, if present.
+    /// As logged, if present.
     pub link_from_imu: Option<Pose>,
-    /// Latency already compensated in the stamps, to be reported together with the rest.
+    /// Latency already compensated in the stamps, to be reported with the rest.
     pub removed_ramp: Option<&'a LatencyRamp>,
 }
 
 /// Constant part of (gyro − FK rate).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroBias {
-    /// In the sensor's frame, rad/s.
+    /// In the sensor's frame.
     pub vector_rad_s: Vec3,
-    /// Its length, rad/s.
+    /// Its length.
     pub length_rad_s: MeasuredLength,
-    /// Drift of yaw integrated from this gyro, about the base's z, rad/s.
+    /// Drift of yaw integrated from this gyro, about the base's z.
     pub yaw_rate_rad_s: f64,
-    /// Scale and misalignment, if significant. They are not included in the bias.
+    /// Scale and misalignment, if significant; not included in the bias.
     pub shape: Option<GyroScaleError>,
-    /// Change within the run, if significant. `vector_rad_s` is then the larger of the two values.
+    /// Change within the run, if significant. `vector_rad_s` is then the larger value.
     pub change: Option<GyroBiasChange>,
 }
 
-/// Gyro bias that varies within the run.
+/// Gyro bias that varies within the run. Vectors in the sensor's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroBiasChange {
-    /// Time profile of the change.
+    /// Time profile.
     pub profile: GyroBiasProfile,
-    /// Bias at the start, in the sensor's frame, rad/s.
+    /// Initial bias.
     pub before_rad_s: Vec3,
-    /// Final bias, in the sensor's frame, rad/s.
+    /// Final bias.
     pub after_rad_s: Vec3,
-    /// Length of their difference, rad/s.
+    /// Length of the difference.
     pub size_rad_s: MeasuredLength,
 }
 
@@ -57,14 +57,14 @@ pub struct GyroBiasChange {
 pub enum GyroBiasProfile {
     /// Step.
     Step {
-        /// Time of the step, s from the run's origin.
+        /// Time, s from the run's origin.
         at_s: f64,
-        /// 95 % interval of the time, s.
+        /// 95 % interval.
         interval_s: [f64; 2],
     },
     /// Exponential decay from the first sample.
     WarmUp {
-        /// Time constant, s.
+        /// Time constant.
         time_constant_s: f64,
     },
 }
@@ -72,11 +72,11 @@ pub enum GyroBiasProfile {
 /// Gyro whose axes are rotated against those of the orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroAxesRotation {
-    /// Rotation from the gyro's axes to those of the orientation.
+    /// From the gyro's axes to the orientation's.
     pub imu_from_gyro: Rotation,
-    /// Its angle, rad.
+    /// Its angle.
     pub size_rad: MeasuredLength,
-    /// Whether the accelerometer shares the gyro's axes and not the orientation's.
+    /// Whether the accelerometer shares the gyro's axes.
     pub with_accel: bool,
 }
 
@@ -92,51 +92,51 @@ pub struct UpDirections {
 /// Rotation of an IMU in its mount within the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuMountChange {
-    /// Time of the change, s from the run's origin.
+    /// Time, s from the run's origin.
     pub at_s: f64,
-    /// 95 % interval of the time, s.
+    /// 95 % interval.
     pub interval_s: [f64; 2],
     /// `link_from_imu` after the change.
     pub link_from_imu: Rotation,
-    /// Angle of the change, rad.
+    /// Angle of the change.
     pub size_rad: MeasuredLength,
 }
 
-/// Yaw error that depends on the heading: hard and soft iron.
+/// Yaw error that depends on the heading (hard and soft iron).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeadingError {
-    /// Half the peak-to-peak error over the headings of the run, rad.
+    /// Half the peak-to-peak error over the run's headings.
     pub amplitude_rad: Measured,
-    /// IMU axis that defines the heading: 0 is x.
+    /// IMU axis of the heading: 0 is x.
     pub axis: usize,
 }
 
 /// Yaw drift that decays exponentially.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawWarmUp {
-    /// Time constant, s.
+    /// Time constant.
     pub time_constant_s: f64,
-    /// Total rotation of the yaw, rad; positive to the left.
+    /// Total rotation; positive to the left.
     pub turned_rad: Measured,
-    /// Initial drift in excess of the constant drift, rad/s.
+    /// Initial drift in excess of the constant one.
     pub at_first_rad_s: Measured,
 }
 
 /// Scale and misalignment of a gyro: `gyro = (1 + S)·ω + bias` with S symmetric.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroScaleError {
-    /// Scale errors along x, y and z; positive if the gyro measures too much.
+    /// Along x, y and z; positive if the gyro measures too much.
     pub scale: [Measured; 3],
-    /// Misalignment of y and z, x and z, x and y towards each other, rad per axis.
+    /// Of y and z, x and z, x and y towards each other, per axis.
     pub misalignment_rad: [Measured; 3],
 }
 
 /// Yaw error of an IMU apart from constant drift.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct YawProfile {
-    /// Jumps in time order.
+    /// In time order.
     pub jumps: Vec<YawJump>,
-    /// Density of the random walk, rad/√s, if there is one.
+    /// Density of the random walk, if any.
     pub walk_rad_per_sqrt_s: Option<f64>,
     /// Heading-dependent part.
     pub heading: Option<HeadingError>,
@@ -147,9 +147,9 @@ pub struct YawProfile {
 /// Permanent jump of the yaw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawJump {
-    /// Time of the jump, s from the run's origin.
+    /// Time, s from the run's origin.
     pub at_s: f64,
-    /// Size, rad; positive to the left.
+    /// Positive to the left.
     pub size_rad: Measured,
 }
 
@@ -158,47 +158,46 @@ pub struct YawJump {
 pub struct ImuDiagnosis {
     /// Convention and direction of the orientation.
     pub encoding: EstimateResult<EncodingEstimate>,
-    /// Latency against the joint states, s; at mid-run if the clock has a significant skew.
+    /// Latency against the joint states; at mid-run if there is a skew.
     pub latency_s: EstimateResult<Measured>,
     /// Latency profile over the run.
     pub latency_profile: EstimateResult<LatencyProfile>,
     /// Clock skew, s/s.
     pub skew: EstimateResult<Measured>,
-    /// Drift of the IMU's yaw about gravity against FK, rad/s.
+    /// Drift of the yaw about gravity against FK.
     pub yaw_drift_rad_s: EstimateResult<Measured>,
     /// Yaw error apart from the drift.
     pub yaw_profile: YawProfile,
-    /// Rotation error of the logged `link_from_imu`, rad.
+    /// Rotation error of the logged `link_from_imu`.
     pub mount_rad: EstimateResult<MeasuredLength>,
     /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
-    /// Rotation between the axes of the gyro and of the orientation, if both follow the arm and it is
-    /// significant.
+    /// If significant and both follow the arm.
     pub axes_rotation: Option<GyroAxesRotation>,
-    /// Change of the mount within the run, if significant.
+    /// Change of the mount, if significant.
     pub mount_change: Option<ImuMountChange>,
-    /// Units, saturation and handedness. All other estimates use the corrected measurements.
+    /// Detected conventions. All other estimates use the converted measurements.
     pub conventions: ImuConventions,
-    /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
+    /// Gravity by the accelerometer against the vertical of the orientation.
     pub tilt_rad: EstimateResult<MeasuredLength>,
-    /// Direction opposite to gravity while the arm rests.
+    /// While the arm rests.
     pub up: Option<UpDirections>,
     /// Constant part of (gyro − FK rate).
     pub gyro_bias: EstimateResult<GyroBias>,
     /// Stamp (s from the origin) and yaw error against FK (rad), for plots.
     pub yaw_error: Vec<(f64, f64)>,
-    /// The two headings whose difference is `yaw_error`, for plots.
+    /// The headings whose difference is `yaw_error`.
     pub headings: Vec<HeadingPair>,
 }
 
 /// Direction of one IMU axis about gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeadingPair {
-    /// Stamp, s from the run's origin.
+    /// Time, s from the run's origin.
     pub t_s: f64,
-    /// By the IMU's orientation, rad, unwrapped.
+    /// By the IMU, unwrapped.
     pub imu_rad: f64,
-    /// By FK in the IMU's world frame, rad, unwrapped.
+    /// By FK in the IMU's world frame, unwrapped.
     pub fk_rad: f64,
 }
 

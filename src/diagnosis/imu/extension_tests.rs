@@ -1,50 +1,43 @@
 //! Tests whether IMU parameters vary over time: a step (sup-F over the change point: Andrews 1993), an
-//! exponential decay, or a dependence on another quantity.
-//!
-//! Each test extends one linearised model by columns of the parameters in question, weighted sample by
-//! sample, and evaluates the reduction of the residual.
+//! exponential decay, or a dependence on another quantity. Each test extends one linearised model by
+//! weighted columns and evaluates the reduction of the residual.
 
 use super::super::linear::{Linear, Normal, Triangle};
 use super::super::noise::Noise;
 use super::super::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 
-/// Number of pieces that approximate a weight function in the coarse search.
+/// Pieces that approximate a weight function in the coarse search.
 const COARSE_PIECES: usize = 240;
-/// Number of candidate change points in the coarse and in the fine search.
 const CHANGE_POINT_CANDIDATES: usize = 60;
-/// Minimum distance of a change point from either end, as a share of the run.
+/// As a share of the run.
 const MIN_SIDE_SHARE: f64 = 0.06;
-/// Minimum reduction of the sum of squares, in variances of independent noise. Autocorrelated noise does
-/// not reach it at any candidate.
+/// In variances of independent noise. Autocorrelated noise does not reach it at any candidate.
 const MIN_GAIN: f64 = 45.0;
-/// Residuals beyond this many standard deviations are outliers.
 const OUTLIER_SIGMAS: f64 = 8.0;
 
 /// Tests on a linearised model.
 pub(super) struct ExtensionTests<'a> {
     linear: &'a Linear,
-    /// Time of each sample, s.
     t_s: Vec<f64>,
     /// Free parameters of the base model.
     base: Vec<usize>,
-    /// Robust weight of each sample.
     robust_weights: Vec<f64>,
     floor: f64,
     /// Residual sum of squares of the base model.
     pub squares: f64,
 }
 
-/// Extension that explains more of the residual.
+/// Extension and its residual.
 #[derive(Clone, Debug)]
 pub(super) struct ModelExtension {
     /// Change point or time constant, s; 0 if neither applies.
     pub at_s: f64,
-    /// 95 % interval, s.
+    /// 95 % interval.
     pub interval_s: [f64; 2],
     /// Residual sum of squares.
     pub squares: f64,
-    /// Reduction of the sum of squares, in variances of independent noise.
+    /// In variances of independent noise.
     gain: f64,
 }
 
@@ -56,8 +49,8 @@ impl ModelExtension {
 }
 
 impl<'a> ExtensionTests<'a> {
-    /// Prepares the tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below
-    /// `floor` are treated as noise.
+    /// Tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below `floor` count as
+    /// noise.
     pub fn new(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
         let residual = &linear.residual[0];
         let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
@@ -78,7 +71,7 @@ impl<'a> ExtensionTests<'a> {
         (last > first).then_some((first, last))
     }
 
-    /// Tests for a step of the parameters `columns`, and estimates the change point.
+    /// Tests for a step of `columns` and estimates its time.
     pub fn step(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let side_s = MIN_SIDE_SHARE * (last - first);
@@ -98,14 +91,13 @@ impl<'a> ExtensionTests<'a> {
             best_s = best_candidate(near, at)?;
             around_s *= 4.0 / CHANGE_POINT_CANDIDATES as f64;
         }
-        // All change points between two samples are equivalent; use the midpoint.
         let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
         if let Some(before) = next.checked_sub(1).filter(|_| next < self.len()) {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
         let mut better = self.best_extension(columns, &[weight])?;
-        // Change points within the 95 % likelihood region.
+        // 95 % likelihood region.
         let as_good = better.squares + 3.84 * self.variance(&better);
         let end = |sign: f64| {
             let mut step_s = 1.5 * (last - first) / self.len() as f64;
@@ -120,8 +112,7 @@ impl<'a> ExtensionTests<'a> {
         Some(better)
     }
 
-    /// Tests for an exponential decay of the parameters `columns` from the start of the run. `at_s` is the
-    /// time constant.
+    /// Tests for an exponential decay of `columns` from the start; `at_s` is the time constant.
     pub fn decay(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let span_s = last - first;
@@ -139,8 +130,7 @@ impl<'a> ExtensionTests<'a> {
         Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..better })
     }
 
-    /// Tests the model extended by the parameters `columns`, once for each of `weights` (one weight per
-    /// sample).
+    /// Best extension by `columns`, each scaled by one of `weights` (one value per sample).
     pub fn best_extension(
         &self,
         columns: &[usize],
@@ -157,12 +147,12 @@ impl<'a> ExtensionTests<'a> {
         better.gain.is_finite().then_some(better)
     }
 
-    /// Variance of independent noise, the unit of the gain.
+    /// Variance of independent noise.
     fn variance(&self, better: &ModelExtension) -> f64 {
         (self.squares - better.squares) / better.gain.max(f64::MIN_POSITIVE)
     }
 
-    /// Residual sum of squares, and the parameters: the base, then `columns` for each set of weights.
+    /// Also returns the parameters: the base, then `columns` for each set of weights.
     fn residual_squares(&self, columns: &[usize], weights: &[Vec<f64>]) -> (f64, DVector<f64>) {
         let width = self.base.len() + columns.len() * weights.len();
         let mut sums = Triangle::zeros(width + 1);
@@ -176,7 +166,7 @@ impl<'a> ExtensionTests<'a> {
         solve_sums(width, |i, j| sums.at(i, j))
     }
 
-    /// Fills `row` with the derivatives of one residual component, followed by the residual.
+    /// Derivatives of one residual component, followed by the residual.
     fn fill(
         &self,
         row: &mut [f64],
@@ -212,11 +202,10 @@ impl<'a> ExtensionTests<'a> {
     }
 }
 
-/// Prefix sums over the samples of all products of two derivatives, or of a derivative and the residual.
-/// They give the residual for any weight function without another pass over the data.
+/// Prefix sums of all products of derivatives and residual. They give the residual for any weight function
+/// without another pass over the data.
 struct PrefixSums<'a> {
     tests: &'a ExtensionTests<'a>,
-    /// Number of parameters beyond the base.
     others: usize,
     before: Vec<Triangle>,
 }
@@ -238,15 +227,13 @@ impl<'a> PrefixSums<'a> {
         Self { tests: asked, others: columns.len(), before }
     }
 
-    /// Residual sum of squares if the additional parameters apply from sample `from` on.
     fn residual_with_step(&self, from: usize) -> f64 {
         let mut after = self.before[self.tests.len()].clone();
         after.add_scaled(&self.before[from], -1.0);
         self.residual_squares(&after, &after)
     }
 
-    /// Residual sum of squares if the additional parameters are scaled by `course(t)`, approximated as
-    /// constant over each of `pieces` pieces.
+    /// `course(t)` is approximated as constant over each piece.
     fn residual_with_weight(&self, pieces: usize, course: impl Fn(f64) -> f64) -> f64 {
         let samples = self.tests.len();
         let mut once = Triangle::zeros(self.tests.base.len() + self.others + 1);
@@ -263,8 +250,7 @@ impl<'a> PrefixSums<'a> {
         self.residual_squares(&once, &twice)
     }
 
-    /// Residual sum of squares from the products weighted once (base with additional) and twice (two
-    /// additional).
+    /// `once` holds products of base and additional parameters, `twice` those of two additional ones.
     fn residual_squares(&self, once: &Triangle, twice: &Triangle) -> f64 {
         let base = self.tests.base.len();
         let width = base + self.others;
@@ -278,7 +264,6 @@ impl<'a> PrefixSums<'a> {
     }
 }
 
-/// Residual sum of squares and least-squares parameters from the products of derivatives and residual.
 fn solve_sums(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
     let normal = Normal {
         matrix: DMatrix::from_fn(width, width, &sums),
@@ -290,7 +275,6 @@ fn solve_sums(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector
     ((sums(width, width) - normal.right.dot(&parameters)).max(0.0), parameters)
 }
 
-/// Candidate with the smallest residual.
 fn best_candidate(candidates: impl Iterator<Item = f64>, left: impl Fn(f64) -> f64) -> Option<f64> {
     let all = candidates.map(|candidate| (candidate, left(candidate)));
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(candidate, _)| candidate)

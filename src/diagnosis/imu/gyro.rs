@@ -1,10 +1,9 @@
 //! Fits the gyro to the rate of the link: `gyro = (1 + scale_error) · link_from_imu⁻¹ · ω(s − τ) + bias`.
 //!
-//! Rates differentiated from noisy joint positions amplify the noise. Instead the gyro is integrated over
-//! windows and compared with the rotation by FK between their ends (preintegration: Forster et al.,
-//! "On-manifold preintegration", IEEE T-RO 2017, with its first-order derivatives). Windows are as short as
-//! the joints' noise allows, because short windows determine latency and mount better. Bias steps, bias
-//! warm-up and a slip in the mount are detected by [`super::extension_tests`].
+//! Differentiated joint positions amplify noise, so the gyro is integrated over windows and compared with
+//! FK between their ends (preintegration: Forster et al., "On-manifold preintegration", IEEE T-RO 2017,
+//! with its first-order derivatives). Short windows determine latency and mount better; the joints' noise
+//! limits them.
 
 mod changes;
 
@@ -26,24 +25,18 @@ use ground::stream::sample_noise;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::ops::RangeInclusive;
 
-/// Noise floor of the gyro, rad/s.
 const FLOOR_RAD_S: f64 = 1e-6;
-/// Minimum window length, s, and in sample periods.
 const MIN_WINDOW_S: f64 = 0.1;
 const MIN_WINDOW_PERIODS: f64 = 4.0;
-/// Maximum number of changes within a run: one of the bias and one of the mount.
+/// One of the bias and one of the mount.
 const MAX_CHANGES: usize = 2;
-/// Maximum number of windows in a fit.
 const MAX_WINDOWS: usize = 2500;
-/// Neighbouring windows share the FK error at their common end with opposite signs. Below this correlation
-/// of their residuals, that error dominates.
+/// Neighbouring windows share the FK error at their common end with opposite signs. It dominates below this
+/// correlation of their residuals.
 const MAX_SHARED_END_CORRELATION: f64 = -0.2;
-/// Significance level of a gyro's shape (scale and misalignment) …
 const SCALE_ERROR_SIGNIFICANCE: f64 = 1e-4;
-/// … and its minimum size, as a share.
 const MIN_SCALE_ERROR: f64 = 1e-3;
 
-/// Results of a gyro fit.
 pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
@@ -56,8 +49,7 @@ pub(super) struct GyroFit {
 }
 
 impl GyroFit {
-    /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`. `None` if it is not
-    /// observable.
+    /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`.
     pub fn rotation_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
@@ -159,8 +151,7 @@ impl Link<'_> {
         })
     }
 
-    /// Mount that best maps the rates of the link to the gyro's, as close to the logged one as the data
-    /// allow.
+    /// Mount that maps the link's rates to the gyro's, as close to the logged one as the data allow.
     fn initial_mount(&self, lag_s: f64, moves: bool) -> Rotation {
         let logged = self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
         if !moves {
@@ -180,9 +171,8 @@ impl Link<'_> {
         mount_of(&correlation, &logged)
     }
 
-    /// Windows of at least `window_s` without gaps, with FK available at both ends.
+    /// At least `window_s` long, without gaps, with FK at both ends.
     fn windows(&self, window_s: f64, delay: &Delay) -> Vec<RangeInclusive<usize>> {
-        /// Minimum length of a gap in sample periods.
         const MIN_GAP_PERIODS: f64 = 5.0;
         let t_s = &self.stream.track.t_s;
         let gap_s = MIN_GAP_PERIODS * median_period_s(t_s);
@@ -206,38 +196,31 @@ impl Link<'_> {
     }
 }
 
-/// Model of the rotations over all windows.
 #[derive(Clone)]
 struct GyroModel<'a> {
     link: &'a Link<'a>,
-    /// First and last sample of each window.
     windows: Vec<RangeInclusive<usize>>,
     delay: Delay,
     link_from_imu: Rotation,
     bias_rad_s: Vec3,
-    /// Symmetric matrix: scale errors on the diagonal, axis misalignment off it. An antisymmetric part
-    /// would be a rotation and belongs to the mount.
+    /// Symmetric; an antisymmetric part would be a rotation and belongs to the mount.
     scale_error: Matrix3<f64>,
-    /// Whether the shape is, or was, fitted.
     has_scale_error: bool,
-    /// Time profile of the bias change, if any.
     bias_profile: Option<GyroBiasProfile>,
-    /// Bias change, rad/s: after a step, or at the start of a decay.
+    /// After a step, or at the start of a decay.
     changed_rad_s: Vec3,
-    /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
-    /// slip`.
+    /// Time, 95 % interval, and rotation: `link_from_imu after = link_from_imu · slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
 }
 
 /// Gyro integrated over one window.
 struct IntegratedRotation {
-    /// Rotation from the frame at the last sample to the frame at the first.
     first_from_last: Rotation,
-    /// Derivative of the rotation, about axes at the last sample, with respect to a constant rate change.
+    /// Derivative, about axes at the last sample, by a constant rate change.
     by_rate: Matrix3<f64>,
-    /// Derivative with respect to each entry of the shape, with the sign of the rate's error.
+    /// Derivative by each entry of the shape, with the sign of the rate's error.
     by_shape: [Vec3; 6],
-    /// Angular rate at the first and last sample, rad/s.
+    /// At the first and last sample, rad/s.
     rates: [Vec3; 2],
     duration_s: f64,
 }
@@ -251,13 +234,11 @@ impl<'a> GyroModel<'a> {
     const CHANGE: std::ops::Range<usize> = 14..17;
     const SLIP: std::ops::Range<usize> = 17..20;
     const WIDTH: usize = 20;
-    /// Row and column of each entry of the shape.
     const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
-    /// Residual of each rate in the link frame, and the angular acceleration by FK.
+    /// Residual rates in the link frame and angular acceleration by FK.
     fn latency_samples(&self) -> Vec<LatencySample> {
-        /// Half-width of the finite difference, s: long enough to average joint velocity noise, short
-        /// relative to the motion.
+        /// Long enough to average joint velocity noise, short relative to the motion.
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
@@ -287,7 +268,7 @@ impl<'a> GyroModel<'a> {
         .collect()
     }
 
-    /// Integrates the gyro over a window by the midpoint rule.
+    /// By the midpoint rule.
     fn integrate(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
@@ -305,7 +286,7 @@ impl<'a> GyroModel<'a> {
             let omega = 0.5 * (rate(k) + rate(k + 1));
             let step = rotation_from_rotvec(omega * dt);
             let back = step.inverse().to_rotation_matrix();
-            // Rotate the contribution at the middle of the step to its end.
+            // From the middle of the step to its end.
             let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
             turn.first_from_last *= step;
             turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
@@ -320,7 +301,7 @@ impl<'a> GyroModel<'a> {
         turn
     }
 
-    /// Fits the delay jointly with the parameters `others`. Includes a skew if it is significant.
+    /// Fits the delay jointly with `others`. Includes a skew if it is significant.
     fn fit_delay(&mut self, others: &[usize]) -> Clock {
         let mut free = others.to_vec();
         free.extend([Self::LATENCY, Self::SKEW]);
@@ -334,7 +315,7 @@ impl<'a> GyroModel<'a> {
         Clock { latency_s: solved.measure(Self::LATENCY, self.delay.latency_s), skew }
     }
 
-    /// Mean rate of the link over the windows by FK, rms rad/s.
+    /// Rms over the windows, by FK.
     fn mean_rate_rad_s(&self) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -347,7 +328,6 @@ impl<'a> GyroModel<'a> {
         rms(self.windows.iter().filter_map(rate))
     }
 
-    /// Whether the FK error at common ends dominates the residuals of neighbouring windows.
     fn is_made_of_shared_ends(&self) -> bool {
         let linear = self.linearize();
         let residual = &linear.residual[0];
@@ -391,7 +371,7 @@ impl<'a> GyroModel<'a> {
             Ok(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s })
         });
         let change = change.transpose()?;
-        // Report the larger of the two biases.
+        // The larger of the two biases.
         let constant = solved.length(&bias, self.bias_rad_s.as_slice())?;
         let both = self.bias_rad_s + self.changed_rad_s;
         let (vector_rad_s, length_rad_s) = match change {
@@ -413,7 +393,7 @@ impl<'a> GyroModel<'a> {
         solved.mount_error(&mount, error.as_slice())
     }
 
-    /// Mean rate about the base's z that the bias simulates, rad/s.
+    /// Mean rate about the base's z that the bias simulates.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -496,8 +476,7 @@ impl Model for GyroModel<'_> {
 }
 
 impl GyroModel<'_> {
-    /// Residuals with their times. Each is the residual of the mean rate over a window, in the sensor's
-    /// frame at its end.
+    /// Residuals with their times: mean rates over the windows, in the sensor's frame at their ends.
     fn linearized(&self) -> (Linear, Vec<f64>) {
         let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
         let mut stamps = Vec::new();
@@ -523,7 +502,7 @@ impl GyroModel<'_> {
             let too_far = rotvec_from_rotation(&(last_from_first * turn.first_from_last));
             let mut rows = linear.push(&[(too_far * per_s).into()]);
             if first.moving || last.moving {
-                // Uses the gyro's rates: FK rates share the joints' noise with the residual.
+                // FK rates share the joints' noise with the residual.
                 let faster = turn.rates[1] - last_from_first * turn.rates[0];
                 let later = -faster * per_s;
                 let since_s = t_s[*window.end()] - self.delay.middle_s;

@@ -1,11 +1,10 @@
 //! IMU on the arm: latency, mount, yaw drift and gyro bias.
 //!
 //! With orientation: `world_from_imu(s) = Rz(drift·(s − middle)) · world_from_base · FK(q(s − τ)) ·
-//! link_from_imu`. The constant world yaw and tilt are free. The mount is free if the log does not contain
-//! it or the logged one does not fit. Without: `gyro(s) = link_from_imu⁻¹ · ω_FK(s − τ) + bias`, with ω the
-//! body rate of the link. `τ = latency + skew·(s − middle)`, because an IMU often has its own clock. FK
-//! includes the estimated joint offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and
-//! 0.9° of mount error.
+//! link_from_imu`. World yaw and tilt are free; so is the mount if it is not logged or does not fit.
+//! Without: `gyro(s) = link_from_imu⁻¹ · ω_FK(s − τ) + bias`, with ω the body rate of the link. `τ =
+//! latency + skew·(s − middle)`, because an IMU often has its own clock. FK includes the estimated joint
+//! offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and 0.9° of mount error.
 
 mod estimates;
 mod extension_tests;
@@ -38,32 +37,27 @@ use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::{DMatrix, Matrix3};
 
-/// Maximum number of IMU samples in a fit.
 pub(super) const MAX_IMU_FIT_SAMPLES: usize = 5000;
-/// Minimum correlation of speeds for an IMU that follows the arm.
+/// Of speeds, for an IMU that follows the arm.
 const MIN_CORRELATION: f64 = 0.6;
-/// Minimum number of samples for a fit.
 const MIN_FIT_SAMPLES: usize = 20;
-/// Significance level of a mount that differs from the logged one.
 const MOUNT_SIGNIFICANCE: f64 = 1e-4;
-/// Significance level of a skew. It is high because an omitted skew biases the latency.
+/// High because an omitted skew biases the latency.
 const SKEW_SIGNIFICANCE: f64 = 1e-3;
-/// Minimum rotation of the link, rms rad, for the check below.
+/// Rms over the run, for [`explains`].
 const MIN_ROTATION_RAD: f64 = 0.02;
-/// Minimum correlation between the fitted and the measured rotation.
 const MIN_EXPLAINED_SHARE: f64 = 0.95;
-/// Number of samples used to measure the rotation of a link.
 const ROTATION_LATENCY_SAMPLES: usize = 300;
 
-/// Diagnoses one IMU against the joint states, which should be corrected by
-/// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
+/// Diagnoses one IMU against the joint states (ideally
+/// [`corrected_joints`](super::JointDiagnosis::corrected_joints)).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
     let numbers = ImuConventions::detect(joints, stream, most_lag_s);
     let track = numbers.convert(stream.track);
     diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
 }
 
-/// Diagnoses a stream already converted according to `conventions`.
+/// For a stream already converted.
 pub(super) fn diagnose_mended(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -78,11 +72,11 @@ pub(super) fn diagnose_mended(
     let orientation = if stream.track.orientation.is_empty() {
         Err(NotObservable::NoOrientation)
     } else {
-        // The gyro's delay does not depend on a convention and is more precise than the speed correlation.
+        // The gyro's delay is independent of the convention and more precise than the speed correlation.
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
         link.fit_orientation(start, moves)
     };
-    // If the orientation of the same IMU does not follow the arm, a match of the gyro is coincidence.
+    // If the orientation does not follow the arm, a match of the gyro is coincidence.
     let clock = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
             Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
@@ -112,7 +106,6 @@ pub(super) fn diagnose_mended(
         _ => None,
     };
     let gyro_bias = gyro.and_then(|fit| fit.bias);
-    // Gravity is measured in the accelerometer's axes.
     let turned_accel = axes_turn.filter(|turn| turn.with_accel).map(|turn| {
         let accel = stream.track.accel.iter().map(|accel| turn.imu_from_gyro * accel).collect();
         ImuTrack { accel, ..stream.track.clone() }
@@ -163,14 +156,13 @@ pub(super) fn diagnose_mended(
     }
 }
 
-/// Rotation between the axes of the gyro and of the orientation, if significant.
 fn axes_turn(
     link: &Link,
     lag_s: f64,
     link_from_imu: &Rotation,
     gyro: &gyro::GyroFit,
 ) -> Option<GyroAxesRotation> {
-    /// Minimum gain in constancy of the specific force for the accelerometer to share the gyro's axes.
+    /// Gain in constancy of the specific force if the accelerometer shares the gyro's axes.
     const MIN_CONSTANCY_GAIN: f64 = 0.05;
     let turn = gyro.rotation_against(link_from_imu)?;
     let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
@@ -179,8 +171,8 @@ fn axes_turn(
     Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..turn })
 }
 
-/// Correlation of the IMU's angular speed with that of its link for each lag within ±`most_lag_s`, for
-/// plots. Uses the gyro or the orientation, whichever correlates better.
+/// Correlation of the IMU's angular speed with its link's per lag within ±`most_lag_s`, for plots. Uses the
+/// gyro or the orientation, whichever correlates better.
 pub fn turning_by_latency(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -202,9 +194,8 @@ pub fn turning_by_latency(
     if best(&oriented) > best(&gyro) { oriented } else { gyro }
 }
 
-/// Decodes the orientations of an IMU with the encoding `encoding`. If several rotations are possible for a
-/// sample, selects the one closest to FK with the fitted constant frames. `None` if the IMU does not follow
-/// the arm with this encoding.
+/// Decodes the orientations with `encoding`; of several possible rotations, selects the one closest to FK.
+/// `None` if the IMU then does not follow the arm.
 pub fn reread_imu(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -235,13 +226,12 @@ struct Delay {
 }
 
 impl Delay {
-    /// Time of measurement of a sample stamped `stamp_s`.
+    /// Time of measurement.
     fn truth_s(&self, stamp_s: f64) -> f64 {
         stamp_s - self.latency_s - self.skew * (stamp_s - self.middle_s)
     }
 }
 
-/// Delay estimated by a fit.
 #[derive(Clone, Debug)]
 struct Clock {
     latency_s: EstimateResult<Measured>,
@@ -253,7 +243,7 @@ impl Clock {
         Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
     }
 
-    /// Adds the standard error of the clock alignment.
+    /// Adds the error of the clock alignment.
     fn aligned_to(self, stream: &ImuStream) -> Self {
         let span_s = match stream.track.t_s.as_slice() {
             [first, .., last] => last - first,
@@ -262,7 +252,7 @@ impl Clock {
         let widened = |seen: EstimateResult<Measured>, by: f64| {
             seen.map(|one| Measured { std_error: one.std_error.hypot(by), ..one })
         };
-        // Stamp errors of this size at both ends simulate a skew.
+        // Stamp errors at both ends simulate a skew.
         let feigned = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
         Self {
             latency_s: widened(self.latency_s, stream.stamp_error_s),
@@ -271,7 +261,7 @@ impl Clock {
     }
 }
 
-/// Lags with nearly equal correlations, caused by repetitive motion.
+/// Lags with nearly equal correlations, as in repetitive motion.
 fn repeats(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     let best = peaks.first()?;
     let equal: Vec<f64> = peaks
@@ -282,18 +272,17 @@ fn repeats(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     (equal.len() > 1).then_some(equal)
 }
 
-/// Motion of the link with the IMU.
+/// Motion of the IMU's link.
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
     numbers: &'a ImuConventions,
     still: Vec<f64>,
-    /// Noise variances of position and velocity for each joint of the chain.
+    /// Variances of position and velocity per joint of the chain.
     joint_noise: Vec<[f64; 2]>,
     middle_s: f64,
 }
 
-/// Noise variances of a joint's position and velocity.
 fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
     if let Some(noise) = joints.noise.get(column) {
         return noise.map(|sigma| sigma * sigma);
@@ -307,16 +296,14 @@ fn turned_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal_element(covariance.trace()) - covariance
 }
 
-/// Adds a 3×3 block to a matrix, starting at `(at, at)`.
 fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
     let mut target = matrix.fixed_view_mut::<3, 3>(at, at);
     target += block;
 }
 
-/// Mount that best maps link vectors to IMU vectors, from `Σ link·imuᵀ`. If their directions vary too
-/// little, selects the solution closest to `expected`.
+/// From `Σ link·imuᵀ`. If the directions vary too little, selects the solution closest to `expected`.
 fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
-    /// Weight of `expected` as a share of the best-observed directions.
+    /// As a share of the best-observed directions.
     const EXPECTED_MOUNT_WEIGHT: f64 = 1e-2;
     let expected = expected.to_rotation_matrix();
     rotation_by_wahba(
@@ -328,20 +315,19 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
 struct Moment {
     /// `base_from_link`.
     rotation: Rotation,
-    /// Angular velocity of the link in base, rad/s.
+    /// In base, rad/s.
     rate: Vec3,
-    /// Covariance of the noise of `rotation`, in base, rad².
+    /// Covariance in base, rad².
     rotation_noise: Matrix3<f64>,
-    /// Trace of the covariance of the noise of `rate`, rad²/s².
+    /// Trace of the covariance, rad²/s².
     rate_noise: f64,
-    /// Whether any joint moves.
     moving: bool,
 }
 
-/// Checks that the fitted model explains the IMU's rotation, given the rms rotation and the rms residual.
+/// Checks that the model explains the IMU's rotation, given its rms and the rms residual.
 ///
 /// # Errors
-/// If the correlation is too low for the fit to be meaningful.
+/// If the correlation is too low.
 fn explains(turning: f64, left: f64) -> EstimateResult<()> {
     let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
     if correlation < MIN_EXPLAINED_SHARE {
@@ -356,7 +342,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
-/// Buffers for successive evaluations.
+/// Reused buffers.
 struct Sweep {
     cursor: usize,
     track: [Vec<f64>; 2],
@@ -377,7 +363,6 @@ impl<'a> Link<'a> {
         Self { joints, stream, numbers, still, joint_noise, middle_s }
     }
 
-    /// Constant delay.
     fn delay(&self, latency_s: f64) -> Delay {
         Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
@@ -419,7 +404,7 @@ impl<'a> Link<'a> {
         Some(moment)
     }
 
-    /// Lags at which the speed of the IMU correlates with that of the link.
+    /// Lags at which the IMU's speed correlates with the link's.
     fn peaks(&self, most_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
@@ -434,7 +419,7 @@ impl<'a> Link<'a> {
         if best(&oriented) > best(&gyro) { oriented } else { gyro }
     }
 
-    /// Rms rotation of the link about its mean by FK, rad.
+    /// Rms rotation of the link about its mean by FK.
     fn turning_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
         let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
@@ -448,7 +433,6 @@ impl<'a> Link<'a> {
         rms(turned.iter().map(|rotation| angle_between(&mean, rotation)))
     }
 
-    /// Stride that selects about [`MAX_IMU_FIT_SAMPLES`] samples.
     fn stride(&self) -> usize {
         self.stream.track.t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1)
     }

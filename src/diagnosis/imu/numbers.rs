@@ -1,7 +1,5 @@
-//! Units, saturation and handedness of an IMU's measurements.
-//!
-//! The gyro is compared with FK's angular rate by the median ratio of their norms. Mount, axis order and
-//! signs do not affect that ratio; bias and lag affect it little.
+//! Units, saturation and handedness of an IMU's measurements. The gyro is compared with FK by the median
+//! ratio of their norms, which mount, axis order and signs do not affect.
 
 use super::super::UnitResiduals;
 use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
@@ -12,22 +10,19 @@ use ground::stream::{ImuTrack, JointTrack};
 use nalgebra::Matrix3;
 use std::borrow::Cow;
 
-/// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.80665;
-/// Tolerance of a scale factor to identify a unit, as a share.
 const UNIT_TOLERANCE: f64 = 0.2;
 
 /// Deviations of an IMU's measurements from REP 145.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImuConventions {
-    /// Gyro residual in rad/s and in °/s, rms rad/s, if the gyro is in °/s.
+    /// Rms residual per unit, rad/s, if the gyro is in °/s.
     pub degrees: Option<UnitResiduals>,
-    /// Unit of the accelerometer, if it is not m/s².
+    /// Accelerometer unit, if not m/s².
     pub accel: Option<AccelUnitError>,
-    /// Saturation of the gyro.
+    /// Gyro saturation.
     pub saturation: Option<GyroSaturation>,
-    /// Gyro axis (0 is x) with reversed sign, which makes the axes left-handed. Only a known mount
-    /// identifies which axis it is.
+    /// Gyro axis (0 is x) with reversed sign: left-handed axes. Only a known mount identifies which.
     pub mirrored_axis: Option<usize>,
 }
 
@@ -36,7 +31,7 @@ pub struct ImuConventions {
 pub struct AccelUnitError {
     /// The unit.
     pub unit: AccelUnit,
-    /// Median norm of the specific force as logged, at rest if the arm rests.
+    /// Median as logged, at rest if the arm rests.
     pub norm: f64,
 }
 
@@ -54,7 +49,7 @@ pub enum AccelUnit {
 impl AccelUnit {
     const ALL: [Self; 3] = [Self::G, Self::MilliG, Self::Gal];
 
-    /// Size of the unit in m/s².
+    /// In m/s².
     pub const fn in_m_s2(self) -> f64 {
         match self {
             Self::G => GRAVITY_M_S2,
@@ -63,7 +58,7 @@ impl AccelUnit {
         }
     }
 
-    /// Symbol of the unit.
+    /// Symbol.
     pub const fn symbol(self) -> &'static str {
         match self {
             Self::G => "g",
@@ -76,18 +71,18 @@ impl AccelUnit {
 /// Gyro limited to a range that the arm's rate exceeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GyroSaturation {
-    /// Largest value measured, rad/s.
+    /// Largest measured value.
     pub limit_rad_s: f64,
-    /// Axes that reach the limit: 0 is x.
+    /// Saturated axes: 0 is x.
     pub axes: Vec<usize>,
-    /// Share of the samples at the limit, 0 to 1.
+    /// Of the samples, 0 to 1.
     pub share: f64,
-    /// Largest rate by FK about a saturated axis, rad/s.
+    /// Largest FK rate about them.
     pub by_fk_rad_s: f64,
 }
 
 impl ImuConventions {
-    /// Determines the units, saturation and handedness of `stream` by comparison with FK.
+    /// Detects the conventions by comparison with FK.
     pub fn detect(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
@@ -98,7 +93,7 @@ impl ImuConventions {
         let plateaus = SaturationLevel::detect_all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
-        // A value read all the time is not a range limit.
+        // A value read all the time is no range limit.
         let free = if free.len() < MIN_FIT_SAMPLES { pairs.clone() } else { free };
         let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
@@ -130,7 +125,6 @@ impl ImuConventions {
         })
     }
 
-    /// Whether a rate in rad/s is at the saturation limit.
     pub(super) fn saturates(&self, gyro: &Vec3) -> bool {
         self.saturation.as_ref().is_some_and(|clipped| {
             let limit = clipped.limit_rad_s * (1.0 - EQUALITY_TOLERANCE);
@@ -139,14 +133,13 @@ impl ImuConventions {
     }
 }
 
-/// Relative tolerance for equal values.
 const EQUALITY_TOLERANCE: f64 = 1e-5;
 
-/// Row of the track, gyro as logged, and body rate of the link by FK, rad/s.
+/// Row, gyro as logged, and FK body rate of the link, rad/s.
 type RatePair = (usize, Vec3, Vec3);
 
 impl Link<'_> {
-    /// Gyro samples and FK rates while the arm moves.
+    /// While the arm moves.
     fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -159,7 +152,6 @@ impl Link<'_> {
         .collect()
     }
 
-    /// Rows at which the arm rests.
     fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -171,11 +163,11 @@ impl Link<'_> {
     }
 }
 
-/// Gyro residual in both units, if its rate matches the arm's only in °/s.
+/// If the gyro matches the arm only in °/s.
 fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
-    /// Minimum rate for the ratio, as a share of the rms.
+    /// Of the rms.
     const MIN_RATE_SHARE: f64 = 0.5;
-    /// Maximum residual in °/s, as a share of the arm's rate, for the stream to be a gyro at all.
+    /// Of the arm's rate, in °/s; larger residuals are not a gyro's.
     const MAX_RESIDUAL_SHARE: f64 = 0.7;
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
     let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
@@ -195,7 +187,6 @@ fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     (slip.corrected < MAX_RESIDUAL_SHARE * by_fk).then_some(slip)
 }
 
-/// Mount and bias that map the arm's rates to the gyro's.
 struct Alignment {
     link_from_imu: Rotation,
     bias: Vec3,
@@ -214,7 +205,6 @@ impl Alignment {
         Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate }
     }
 
-    /// Expected gyro measurement, rad/s.
     fn expected(&self, rate: &Vec3) -> Vec3 {
         self.link_from_imu.inverse() * rate + self.bias
     }
@@ -224,10 +214,10 @@ impl Alignment {
     }
 }
 
-/// Gyro axis with reversed sign, if only left-handed axes match the arm's rates. Selects the axis whose
-/// mount is closest to the logged one.
+/// Reversed gyro axis, if only left-handed axes match. Selects the axis whose mount is closest to the
+/// logged one.
 fn mirrored_axis(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
-    /// Maximum residual, as a share of the right-handed residual and of the arm's rate.
+    /// Of the right-handed residual and of the arm's rate.
     const MAX_RESIDUAL_SHARE: f64 = 0.3;
     if pairs.len() < MIN_FIT_SAMPLES {
         return None;
@@ -260,15 +250,12 @@ fn mirrored_axis(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>)
 /// Gyro axis that repeatedly measures its extreme value.
 struct SaturationLevel {
     axis: usize,
-    /// Extreme value, as logged.
     extreme: f64,
-    /// Whether each row is at the extreme.
     at: Vec<bool>,
 }
 
 impl SaturationLevel {
     fn detect_all(gyro: &[Vec3]) -> Vec<Self> {
-        /// Minimum number of samples at the extreme, in total and consecutively.
         const MIN_SATURATED_SAMPLES: usize = 8;
         const MIN_CONSECUTIVE_SAMPLES: usize = 3;
         let of = |axis: usize| {
@@ -286,8 +273,8 @@ impl SaturationLevel {
     }
 }
 
-/// Detects saturation: the gyro stays at an extreme while the arm turns faster. The mount is estimated from
-/// the pairs `free` of extremes; `factor` converts to rad/s.
+/// The gyro stays at an extreme while the arm turns faster. `free` pairs determine the mount; `factor`
+/// converts to rad/s.
 fn detect_saturation(
     plateaus: &[SaturationLevel],
     pairs: &[RatePair],
@@ -295,7 +282,7 @@ fn detect_saturation(
     factor: f64,
     rows: usize,
 ) -> Option<GyroSaturation> {
-    /// Minimum ratio of the expected rate to the extreme, by the median over those samples.
+    /// Median ratio of the expected rate to the extreme.
     const MIN_EXPECTED_RATIO: f64 = 1.03;
     if plateaus.is_empty() || free.len() < MIN_FIT_SAMPLES {
         return None;
@@ -327,10 +314,9 @@ fn detect_saturation(
     })
 }
 
-/// Unit of the accelerometer, if it is not m/s². Uses the samples at rest if there are enough, else the
-/// whole run if the norm is nearly constant.
+/// Uses the samples at rest, or the whole run if the norm is nearly constant.
 fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
-    /// Maximum interquartile range as a share of the median. A larger spread is motion, not gravity.
+    /// Of the median. A larger spread is motion, not gravity.
     const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
     let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
         rows.map(|row| track.accel[row].norm()).collect()
@@ -354,7 +340,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Gyro measurements and true rates about changing axes, with a rotated mount.
+    /// Rates about changing axes, with a rotated mount.
     fn pairs(gyro: impl Fn(Vec3) -> Vec3) -> Vec<RatePair> {
         let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
         let rate = |k: usize| {

@@ -1,6 +1,6 @@
 //! Fits the orientation to FK: `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) ·
-//! link_from_imu`, with `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`. Heading-dependent and
-//! exponentially decaying yaw errors are added by [`terms`]. The mount may change once within the run.
+//! link_from_imu`, with `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`, the [`forms`], and at
+//! most one change of the mount.
 
 mod forms;
 
@@ -30,17 +30,14 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// The whole run, s.
 const WHOLE_RUN_S: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
-/// Samples used to test encodings.
+/// To test encodings.
 const READING_SAMPLES: usize = 72;
-/// Maximum number of refits with an updated yaw model.
+/// Refits with an updated yaw model.
 const MAX_PASSES: usize = 4;
-/// Number of first passes without a random walk. Until the mount is corrected, an unmodelled jump looks
-/// like a walk.
+/// Until the mount is corrected, an unmodelled jump looks like a walk.
 const PASSES_WITHOUT_WALK: usize = 2;
 
-/// Results of an orientation fit.
 pub(super) struct OrientationFit {
     pub encoding: EncodingEstimate,
     pub clock: Clock,
@@ -64,7 +61,7 @@ impl Link<'_> {
         let mut settled = model.fit(moves);
         if let Some(slipped) = settled.model.with_mount_slip(moves) {
             let (from_s, to_s) = slipped.longer_side();
-            // A slip makes every encoding fit badly, so the encoding is determined again on one side.
+            // A slip makes every encoding fit badly: determine it again on one side.
             reading = self
                 .read_encoding(&slipped.delay, self.known_mount(), from_s..to_s)
                 .map_or(reading, |read| read.0);
@@ -135,7 +132,7 @@ impl Link<'_> {
         })
     }
 
-    /// Initial model, with the branch chosen for every sample.
+    /// With the branch chosen for every sample.
     fn orientation_model(
         &self,
         start: Delay,
@@ -143,7 +140,7 @@ impl Link<'_> {
         let track = self.stream.track;
         let known_mount = self.known_mount();
         let (estimate, fit) = match self.read_encoding(&start, known_mount, WHOLE_RUN_S) {
-            // With a large slip there are two mounts; try each half of the run.
+            // A large slip makes two mounts: try each half.
             Err(why) => [f64::NEG_INFINITY..self.middle_s, self.middle_s..f64::INFINITY]
                 .into_iter()
                 .filter_map(|half| self.read_encoding(&start, known_mount, half).ok())
@@ -193,12 +190,10 @@ impl Link<'_> {
         Ok((estimate, model))
     }
 
-    /// Logged rotation of the IMU in its link, if any.
     fn known_mount(&self) -> Option<Rotation> {
         self.stream.link_from_imu.map(|pose| pose.rotation)
     }
 
-    /// Determines the encoding of the orientation within `when_s`, relative to the known mount.
     fn read_encoding(
         &self,
         start: &Delay,
@@ -230,24 +225,21 @@ impl Link<'_> {
     }
 }
 
-/// Rotation axis times the sine of the angle, which is continuous at half a turn.
+/// Rotation axis times the sine of the angle: continuous at half a turn.
 fn axis_by_sine(rotation: &Rotation) -> Vec3 {
     2.0 * rotation.w * rotation.vector()
 }
 
-/// Model of the orientations.
 #[derive(Clone)]
 struct OrientationModel<'a> {
     link: &'a Link<'a>,
     rows: Vec<usize>,
     truth: Vec<Rotation>,
     jumps: Vec<Jump>,
-    /// Random walk of the yaw, one value per row; empty if there is none.
+    /// Yaw per row; empty if there is no walk.
     path_rad: Vec<f64>,
-    /// Further parts of the yaw error.
     terms: Vec<YawTerm>,
-    /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
-    /// slip`.
+    /// Time, 95 % interval, and rotation: `link_from_imu after = link_from_imu · slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
     delay: Delay,
     drift_rad_s: f64,
@@ -255,14 +247,12 @@ struct OrientationModel<'a> {
     link_from_imu: Rotation,
 }
 
-/// Jump of the yaw.
 #[derive(Clone, Copy)]
 struct Jump {
     at_s: f64,
     size_rad: f64,
 }
 
-/// Fitted model, with the mount's error relative to the log's frames.
 struct Settled<'a> {
     model: OrientationModel<'a>,
     solved: Solved,
@@ -277,17 +267,16 @@ impl<'a> OrientationModel<'a> {
     const MOUNT: Range<usize> = 5..8;
     const SKEW: usize = 8;
     const SLIP: Range<usize> = 9..12;
-    /// Columns of the forms start here, followed by those of the jumps.
+    /// Columns of the terms, then of the jumps.
     const TERM_COLUMNS_START: usize = 12;
 
-    /// Fits the model with mount and skew free. Refits with the logged mount and without skew if the free
-    /// values do not differ significantly.
+    /// Refits with the logged mount and without skew if the free values do not differ significantly.
     fn fit(&self, moves: bool) -> Settled<'a> {
         let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
         if moves {
             free.push(Self::LATENCY);
         }
-        // A walk simulates a skew. The gyro's skew is then used, and the bins estimate the jumps.
+        // A walk simulates a skew: use the gyro's skew, and let the bins estimate the jumps.
         let walks = !self.path_rad.is_empty();
         if moves && !walks {
             free.push(Self::SKEW);
@@ -322,7 +311,6 @@ impl<'a> OrientationModel<'a> {
         Settled { model, solved, mount_rad, skew }
     }
 
-    /// Error of the logged mount.
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.stream.link_from_imu.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
@@ -330,7 +318,6 @@ impl<'a> OrientationModel<'a> {
         solved.mount_error(&mount, error.as_slice())
     }
 
-    /// Adds the jumps and the random walk of `yaw_profile` to the model.
     fn add_profile(&mut self, course: &YawDecomposition) {
         let t_s = &self.link.stream.track.t_s;
         let jumps = course.parts.jumps.iter();
@@ -342,12 +329,10 @@ impl<'a> OrientationModel<'a> {
         };
     }
 
-    /// Column of each jump.
     fn jumps(&self) -> impl Iterator<Item = (usize, &Jump)> {
         (self.first_jump()..).zip(&self.jumps)
     }
 
-    /// Yaw error at a row without the drift, rad.
     fn error_without_drift(&self, row: usize) -> f64 {
         let stamp = self.link.stream.track.t_s[self.rows[row]];
         let formed: f64 = self.terms.iter().map(|form| form.at(row)).sum();
@@ -356,8 +341,7 @@ impl<'a> OrientationModel<'a> {
         formed + wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
     }
 
-    /// Initial mount: maps rotation axes of the link to those of the IMU, as close to `expected` as the
-    /// data allow.
+    /// Maps rotation axes of the link to the IMU's, as close to `expected` as the data allow.
     fn init_mount(&mut self, expected: Rotation) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -376,7 +360,7 @@ impl<'a> OrientationModel<'a> {
         self.init_world();
     }
 
-    /// Sets the world rotation to the average for the current mount.
+    /// Average world rotation for the current mount.
     fn init_world(&mut self) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -395,7 +379,7 @@ impl<'a> OrientationModel<'a> {
         self.world_from_base = mean_rotation(&worlds);
     }
 
-    /// Residual of each rotation, and the angular velocity by FK.
+    /// Residual rotations and angular velocity by FK.
     fn latency_samples(&self) -> Vec<LatencySample> {
         let linear = self.linearize();
         let mut sweep = self.link.sweep();
@@ -416,7 +400,7 @@ impl<'a> OrientationModel<'a> {
         moments.zip(left).map(lagging).collect()
     }
 
-    /// Stamp and total yaw error relative to FK, drift included.
+    /// Stamp and total yaw error relative to FK.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
         Self { terms: Vec::new(), ..self.clone() }.yaw_without_terms()
     }
@@ -436,10 +420,9 @@ impl<'a> OrientationModel<'a> {
         stamps.into_iter().zip(linear.residual[0].iter().map(|residual| residual[2])).collect()
     }
 
-    /// Heading of the IMU axis that stays furthest from the vertical, by the IMU and by FK, with the total
-    /// yaw error. Empty if every axis comes too close to the vertical.
+    /// Heading of the IMU axis furthest from the vertical, by the IMU and by FK. Empty if every axis comes
+    /// too close.
     fn headings(&self) -> Vec<HeadingPair> {
-        /// Cosine of the smallest angle to the vertical for a usable heading.
         const MAX_VERTICAL_COSINE: f64 = 0.97;
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -488,7 +471,7 @@ impl Model for OrientationModel<'_> {
         self.linearized().0
     }
 
-    /// FK noise in the columns of the mount and of the delay.
+    /// FK noise in the columns of mount and delay.
     fn design_noise(&self) -> DesignNoise {
         let width = self.first_jump() + self.jumps.len();
         let mut squares = DMatrix::zeros(width, width);
@@ -542,7 +525,6 @@ impl Model for OrientationModel<'_> {
 }
 
 impl OrientationModel<'_> {
-    /// Residuals with their rows.
     fn linearized(&self) -> (Linear, Vec<usize>) {
         let mut linear = Linear::new(self.first_jump() + self.jumps.len(), &[FLOOR_RAD]);
         let mut kept = Vec::new();

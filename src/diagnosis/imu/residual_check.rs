@@ -8,36 +8,34 @@ use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_r
 use ground::stream::{JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
-/// Minimum number of samples.
 const MIN_SAMPLES: usize = 50;
 
 /// Residual of an IMU that rotates with the arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImuResidualCheck {
-    /// Residual of its orientation, rad, after correcting latency, mount, world frame and yaw error.
-    /// `length` is zero.
+    /// Orientation residual after correcting latency, mount, world frame and yaw error. `length` is zero.
     pub orientation: Option<FkError>,
-    /// Residual of its gyro.
+    /// Gyro residual.
     pub gyro: Option<GyroResidual>,
-    /// Median norm of its specific force, m/s². `None` if it is zero.
+    /// Median specific force. `None` if it is zero.
     pub gravity_m_s2: Option<f64>,
 }
 
-/// Residual of a gyro against the arm's angular rate, after correcting the mount and the mean.
+/// Residual of a gyro against FK after correcting mount and mean, rms rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroResidual {
-    /// Ratio of the gyro's rate to the arm's.
+    /// Gyro rate over the arm's.
     pub scale: f64,
-    /// Residual, rms rad/s.
+    /// Residual.
     pub residual: f64,
-    /// Angular rate of the link by FK, rms rad/s.
+    /// Angular rate of the link by FK.
     pub by_fk: f64,
-    /// Sample-to-sample noise of the gyro, rms rad/s.
+    /// Sample-to-sample noise.
     pub noise: f64,
 }
 
-/// Computes the residual of an IMU against FK of `joints`, which should be corrected already. `None` if the
-/// IMU does not rotate with the arm and so cannot be compared.
+/// Computes the residual against FK of the corrected `joints`. `None` if the IMU does not rotate with the
+/// arm.
 pub fn check_imu_residual(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -72,7 +70,7 @@ pub fn check_imu_residual(
     })
 }
 
-/// Residual of the orientation. `None` if there is none or its encoding is misinterpreted.
+/// `None` if there is no orientation or its encoding is misinterpreted.
 fn orientation_residual(
     stream: &ImuStream,
     found: &ImuDiagnosis,
@@ -113,7 +111,7 @@ fn orientation_residual(
     Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
 }
 
-/// Residual of the gyro with its best-fitting mount. `None` if the gyro is always zero.
+/// With the best-fitting mount. `None` if the gyro is always zero.
 fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
     let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);

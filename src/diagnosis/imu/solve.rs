@@ -8,26 +8,22 @@ use ground::geometry::Vec3;
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
-/// Parametric model.
 pub(super) trait Model {
-    /// Residuals and derivatives at the current parameters.
+    /// At the current parameters.
     fn linearize(&self) -> Linear;
 
-    /// Noise in the derivatives.
     fn design_noise(&self) -> DesignNoise;
 
-    /// Adds `delta` to the parameters, one entry per column of the design.
+    /// One entry per column of the design.
     fn apply(&mut self, delta: &DVector<f64>);
 }
 
-/// Measurement noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*,
-/// 1987, §2.2). It inflates `AᵀA` and so simulates information about parameters that a weak motion does not
-/// excite.
+/// Noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*, 1987, §2.2).
+/// It inflates `AᵀA` and simulates information about parameters that a weak motion does not excite.
 pub(super) struct DesignNoise {
-    /// Expected contribution of the noise to `AᵀA`, over all columns.
+    /// Expected contribution to `AᵀA`.
     pub squares: DMatrix<f64>,
-    /// Columns with equal units whose combinations are tested together, in the order in which they are
-    /// fixed.
+    /// Columns of equal unit whose combinations are tested together, in the order of fixing.
     pub groups: Vec<Vec<usize>>,
 }
 
@@ -35,17 +31,15 @@ pub(super) struct DesignNoise {
 pub(super) struct Solved {
     free: Vec<usize>,
     covariance: DMatrix<f64>,
-    /// Unobservable directions over all columns, which the fit did not change.
+    /// Unobservable directions over all columns; the fit did not change them.
     held: Vec<DVector<f64>>,
     dof: f64,
 }
 
-/// Fits the parameters `free` of `model`. Directions that the motion does not excite above the design noise
-/// stay fixed.
+/// Fits `free`. Directions that the motion does not excite above the design noise stay fixed.
 pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
-    /// Maximum number of steps.
     const MAX_STEPS: usize = 8;
-    /// Convergence threshold of a step, in the parameters' units.
+    /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
     let noise = model.design_noise();
     let mut left = MAX_STEPS;
@@ -62,20 +56,19 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     }
 }
 
-/// Linear combinations of the free parameters that a motion excites.
+/// Linear combinations of the free parameters.
 struct Excited {
     free: Vec<usize>,
-    /// Each combination, as a column over all parameters.
+    /// Excited ones, as columns over all parameters.
     basis: DMatrix<f64>,
-    /// Combinations that are not excited.
+    /// Not excited.
     held: Vec<DVector<f64>>,
-    /// Noise in `AᵀA` between the combinations.
     noise: DMatrix<f64>,
 }
 
 impl Excited {
-    /// Maximum share of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a
-    /// factor of two in variance; this adds another factor of two.
+    /// Of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a factor of two
+    /// in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
 
     fn new(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
@@ -95,7 +88,7 @@ impl Excited {
             basis.retain(|direction| own.iter().all(|&column| direction[column] == 0.0));
             let own = columns(width, &own.iter().map(|&column| unit(column)).collect::<Vec<_>>());
             let others = columns(width, &basis);
-            // Effects of the group that the other parameters do not explain.
+            // Effects that the other parameters do not explain.
             let across = others.tr_mul(&squares) * &own;
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
             let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
@@ -116,16 +109,13 @@ fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
     DMatrix::from_fn(width, directions.len(), |i, j| directions[j][i])
 }
 
-/// One Gauss–Newton step on a linearised model.
 struct Step {
     delta: DVector<f64>,
-    /// Weights for the residuals after the step.
     weights: Vec<Weight>,
     independent: f64,
 }
 
 impl Step {
-    /// Computes the step along the excited combinations.
     fn new(linear: &Linear, excited: &Excited) -> Self {
         let columns: Vec<usize> = (0..linear.width).collect();
         let delta = DVector::zeros(linear.width);
@@ -142,13 +132,12 @@ impl Step {
         step
     }
 
-    /// Weighted noise in the normal matrix.
     fn noise(&self, excited: &Excited) -> DMatrix<f64> {
         let level = self.weights.first().map_or(0.0, Weight::base_weight);
         &excited.noise * level
     }
 
-    /// Covariance at the point of linearisation.
+    /// At the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let noise = self.noise(&excited);
         let Excited { free, basis, mut held, .. } = excited;
@@ -173,22 +162,22 @@ impl Step {
     }
 }
 
-/// A parameter with a larger share in fixed directions is not observable.
+/// In fixed directions; beyond it a parameter is not observable.
 const MAX_FIXED_SHARE: f64 = 1e-3;
 
-/// Norm of the residual of each sample.
+/// Residual norm per sample.
 pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
     linear.residual[0].iter().map(|&residual| Vec3::from(residual).norm())
 }
 
 impl Solved {
-    /// Estimate of one parameter with fitted `value`.
+    /// Estimate with fitted `value`.
     pub fn measure(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
         let variance = self.block(&[parameter])?[(0, 0)];
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
-    /// Estimate of a linear combination of parameters with coefficients `measure_combination` and fitted `value`.
+    /// Estimate of a linear combination with fitted `value`.
     pub fn measure_combination(
         &self,
         parameters: &[usize],
@@ -205,7 +194,7 @@ impl Solved {
         Ok(MeasuredLength::estimate(vector, &self.block(parameters)?, self.dof))
     }
 
-    /// Length of the sum of two vectors of parameters, `sum`.
+    /// Length of the sum of two vectors of parameters.
     pub fn length_of_sum(
         &self,
         one: &[usize],
@@ -220,14 +209,14 @@ impl Solved {
         Ok(MeasuredLength::estimate(sum, &covariance, self.dof))
     }
 
-    /// Tests whether the parameters `vector` differ from zero at the significance level `chance`.
+    /// Whether `vector` differs from zero at the level `chance`.
     pub fn is_significant(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
         let vector = DVector::from_column_slice(vector);
         let p_value = |covariance| joint_p_value(&vector, &covariance, self.dof);
         self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
     }
 
-    /// Length of the observable component of a vector of parameters: a lower bound on the vector's length.
+    /// Length of the observable component: a lower bound.
     pub fn least_length(
         &self,
         parameters: &[usize],
@@ -251,8 +240,8 @@ impl Solved {
         Ok(MeasuredLength::estimate(part.as_slice(), &covariance, self.dof))
     }
 
-    /// Length of a mount's error. If the motion shows only a part of it, that part is returned if it is
-    /// significant; to pass, the whole error must be observable.
+    /// Length of a mount's error, or of its observable part if that is significant; a pass requires the
+    /// whole error.
     pub fn mount_error(
         &self,
         parameters: &[usize],

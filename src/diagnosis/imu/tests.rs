@@ -1,5 +1,3 @@
-//! IMUs during motions with little excitation.
-
 use super::*;
 use crate::test_motion;
 use ground::geometry::{Pose, rotation_from_rotvec};
@@ -12,7 +10,7 @@ const JOINT_NOISE_RAD: f64 = 2e-5;
 const GYRO_NOISE_RAD_S: f64 = 2e-3;
 const ORIENTATION_NOISE_RAD: f64 = 7e-4;
 
-/// A 20 s joint track at 100 Hz in which only one joint moves, with noise on each joint, and its chain.
+/// 20 s at 100 Hz in which only one joint moves, with noise on each, and the chain.
 fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
     let (_, chain) = test_motion::arm();
     let mut joints = JointTrack { dof: 6, ..Default::default() };
@@ -33,7 +31,7 @@ fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
     (joints, chain)
 }
 
-/// Measurements of an IMU with rotation `mount` on the link, during the motion of [`one_joint`].
+/// IMU with rotation `mount` on the link, during [`one_joint`].
 fn imu(moving: usize, mount: Rotation, rng: &mut Pcg64) -> ImuTrack {
     let (_, chain) = test_motion::arm();
     let rotation = |t_s: f64| {
@@ -54,7 +52,7 @@ fn imu(moving: usize, mount: Rotation, rng: &mut Pcg64) -> ImuTrack {
     track
 }
 
-/// Diagnosis of an IMU with true rotation `mount` and logged rotation `logged`, while joint `moving` moves.
+/// True rotation `mount`, logged rotation `logged`.
 fn diagnosed(
     moving: usize,
     mount: Rotation,

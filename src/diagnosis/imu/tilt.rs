@@ -7,17 +7,14 @@ use ground::geometry::{Rotation, Vec3};
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
-/// Margin before and after a sample at rest, s.
+/// Around a sample at rest.
 const REST_MARGIN_S: f64 = 0.05;
-/// Number of blocks whose means are treated as independent. Few blocks outlast the noise's correlation
-/// time.
+/// Their means count as independent: few outlast the noise's correlation time.
 const BLOCKS: usize = 10;
-/// Minimum number of samples at rest for an estimate of the spread.
 const MIN_SAMPLES: usize = 4 * BLOCKS;
 
 impl Link<'_> {
-    /// Constancy of the specific force's direction in the base, 0 to 1, for an accelerometer with mount
-    /// `link_from_accel`.
+    /// Constancy of the specific force's direction in the base, 0 to 1.
     pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -31,7 +28,7 @@ impl Link<'_> {
         sum.norm() / sizes
     }
 
-    /// Direction opposite to gravity while the arm rests, for the mount `link_from_imu`.
+    /// While the arm rests.
     pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -51,7 +48,7 @@ impl Link<'_> {
         (count >= MIN_SAMPLES).then_some(UpDirections { in_world, in_base })
     }
 
-    /// Tilt of the IMU against gravity, from samples at rest.
+    /// From samples at rest.
     pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<MeasuredLength> {
         let track = self.stream.track;
         if track.orientation.is_empty() {
@@ -68,8 +65,8 @@ impl Link<'_> {
     }
 }
 
-/// Angle between the vertical and the mean specific force at rest, rotated to the world by the logged
-/// orientation. The standard error comes from the spread over blocks.
+/// Angle between the vertical and the mean force at rest, in the orientation's world. The standard error
+/// comes from the spread over blocks.
 fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
     if n < MIN_SAMPLES {

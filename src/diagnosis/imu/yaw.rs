@@ -1,43 +1,41 @@
 //! Decomposes the yaw error over time into constant drift, jumps and a random walk.
 //!
-//! The error is averaged over bins long enough to be independent, and modelled as `a + b·t + Σ sizeⱼ·[t >
-//! atⱼ] + walk + white noise`, with only as many parts as the penalised likelihood supports. Bin averages
-//! of a Wiener process of density q have the covariance `q²Δ(i + 1/2)` for bins i < j of length Δ, and
-//! `q²Δ(i + 1/3)` for i = j.
+//! Averages over bins long enough to be independent are modelled as `a + b·t + Σ sizeⱼ·[t > atⱼ] + walk +
+//! white noise`, with as many parts as the penalised likelihood supports. Bin averages of a Wiener process
+//! of density q have the covariance `q²Δ(i + 1/2)` for bins i < j of length Δ, and `q²Δ(i + 1/3)` for i =
+//! j.
 
 use super::super::noise::Noise;
 use super::super::{Measured, YawJump, YawProfile};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::f64::consts::{PI, TAU};
 
-/// Number of bins and its minimum.
 const MAX_BINS: f64 = 100.0;
 const MIN_BINS: usize = 10;
-/// Bin length in correlation times of the noise.
+/// In correlation times of the noise.
 const BIN_CORRELATION_TIMES: f64 = 3.0;
-/// Upper bound on the bin length, s. A longer correlation is attributed to a random walk.
+/// A longer correlation is attributed to a random walk.
 const MAX_BIN_S: f64 = 0.4;
-/// Minimum gain in log likelihood for each part. A jump is searched over all bins; a walk's density is
-/// tested on the boundary of its range.
+/// In log likelihood. A jump is searched over all bins; a walk's density is tested on the boundary of its
+/// range.
 const MIN_JUMP_GAIN: f64 = 12.0;
 const MIN_WALK_GAIN: f64 = 7.0;
-/// More jumps than this are modelled as a walk.
+/// More are modelled as a walk.
 const MAX_JUMPS: usize = 3;
-/// Noise floor of the yaw error, rad.
 const FLOOR_RAD: f64 = 1e-6;
 
 /// Decomposition of a yaw error.
 #[derive(Clone, Debug, Default)]
 pub(super) struct YawDecomposition {
-    /// Drift, if jumps or a walk change its estimate, rad/s.
+    /// If jumps or a walk change its estimate.
     pub drift_rad_s: Option<Measured>,
     pub parts: YawProfile,
-    /// Random walk, rad, at the bin times; constant beyond them.
+    /// Random walk, rad, at the bin times; constant beyond.
     path: Vec<(f64, f64)>,
 }
 
 impl YawDecomposition {
-    /// Whether the error contains neither jumps nor a walk.
+    /// Neither jumps nor walk.
     pub fn is_steady(&self) -> bool {
         self.path.is_empty() && self.parts.jumps.is_empty()
     }
@@ -48,7 +46,7 @@ impl YawDecomposition {
         Self { parts, drift_rad_s: None, path: Vec::new() }
     }
 
-    /// Value of the random walk at time `t_s`, rad.
+    /// Random walk at `t_s`.
     pub fn walk_rad(&self, t_s: f64) -> f64 {
         let right = self.path.partition_point(|&(at, _)| at < t_s);
         match (right.checked_sub(1).map(|left| self.path[left]), self.path.get(right)) {
@@ -61,7 +59,7 @@ impl YawDecomposition {
     }
 }
 
-/// Decomposes the yaw error `series` of ascending times, s, and angles, rad.
+/// Decomposes `series` of ascending times, s, and angles, rad.
 pub(super) fn decompose_yaw(series: &[(f64, f64)]) -> YawDecomposition {
     let Some(bins) = Bins::from_samples(&unwrapped(series)) else {
         return YawDecomposition::default();
@@ -75,7 +73,7 @@ pub(super) fn decompose_yaw(series: &[(f64, f64)]) -> YawDecomposition {
     best.map(|fit| bins.decomposition(&fit)).unwrap_or_default()
 }
 
-/// Removes jumps by whole turns.
+/// Removes whole turns.
 pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let (mut turns, mut last) = (0.0, None);
     let unwrap = |&(t_s, angle): &(f64, f64)| {
@@ -90,27 +88,25 @@ pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     series.iter().map(unwrap).collect()
 }
 
-/// Bin averages of a series.
 struct Bins {
     samples: Vec<(f64, f64)>,
-    /// Sample range of each non-empty bin.
+    /// Per non-empty bin.
     ranges: Vec<std::ops::Range<usize>>,
     t_s: Vec<f64>,
     mean: DVector<f64>,
-    /// Covariance of a random walk of density 1 rad/√s.
+    /// Covariance for 1 rad/√s.
     walk: DMatrix<f64>,
     middle_s: f64,
 }
 
-/// One fitted decomposition.
 #[derive(Clone)]
 struct BinFit {
     jumps_s: Vec<f64>,
-    /// Variance of the walk per second, relative to the variance of a bin.
+    /// Per second, relative to the variance of a bin.
     walk_ratio: f64,
     parameters: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// Variance of a bin, rad².
+    /// Of a bin, rad².
     variance: f64,
     log_likelihood: f64,
     dof: f64,
@@ -148,7 +144,7 @@ impl Bins {
                 _ => ranges.push(k..k + 1),
             }
         }
-        // The last bin may be incomplete; its mean is then noisier.
+        // An incomplete last bin is noisier.
         let fullest = ranges.iter().map(ExactSizeIterator::len).max()?;
         ranges.retain(|range| 2 * range.len() >= fullest);
         let n = ranges.len();
@@ -171,7 +167,6 @@ impl Bins {
         Some(Self { samples: samples.to_vec(), ranges, t_s, mean, walk, middle_s })
     }
 
-    /// Share of each bin after `at_s`.
     fn share_after(&self, at_s: f64) -> Vec<f64> {
         let share = |range: &std::ops::Range<usize>| {
             let samples = &self.samples[range.clone()];
@@ -181,13 +176,13 @@ impl Bins {
         self.ranges.iter().map(share).collect()
     }
 
-    /// Generalised least squares. The likelihood is concentrated in the parameters and the variance.
+    /// Generalised least squares; likelihood concentrated in parameters and variance.
     fn fit(&self, jumps_s: &[f64], walk_ratio: f64) -> BinFit {
         let root = self.root(walk_ratio);
         self.fit_whitened(jumps_s, walk_ratio, root.as_ref())
     }
 
-    /// Cholesky factor of the covariance. `None` if it is the identity.
+    /// Cholesky factor of the covariance. `None` for the identity.
     fn root(&self, walk_ratio: f64) -> Option<Cholesky<f64, Dyn>> {
         let n = self.mean.len();
         let covariance = || DMatrix::identity(n, n) + &self.walk * walk_ratio;
@@ -226,7 +221,6 @@ impl Bins {
         let dof = (n - width) as f64;
         let variance = square / dof;
         let log_likelihood = -0.5 * n as f64 * (square / n as f64).ln() - log_root;
-        // Reject singular models.
         let log_likelihood = match is_solved && log_likelihood.is_finite() {
             true => log_likelihood,
             false => f64::NEG_INFINITY,
@@ -242,7 +236,6 @@ impl Bins {
         }
     }
 
-    /// Adds jumps while they improve the score.
     fn with_jumps(&self, mut fit: BinFit) -> BinFit {
         while fit.jumps_s.len() < MAX_JUMPS {
             let more = self.with_jump(&fit);
@@ -254,7 +247,7 @@ impl Bins {
         fit
     }
 
-    /// Adds the jump with the largest gain: searched between bins first, then between samples.
+    /// Searches between bins first, then between samples.
     fn with_jump(&self, fit: &BinFit) -> BinFit {
         let root = self.root(fit.walk_ratio);
         let try_at = |at_s: f64| {
@@ -281,10 +274,8 @@ impl Bins {
         near.step_by(stride).map(|k| try_at(self.samples[k].0)).fold(coarse, better)
     }
 
-    /// Adds a random walk if that improves the score.
     fn with_walk(&self, fit: BinFit) -> BinFit {
-        // From a walk well below the noise of a bin to one well above it, in factors of 2 of its variance,
-        // then refined.
+        // From well below a bin's noise to well above it, in factors of 2 of its variance, then refined.
         let scale = 1.0 / (self.t_s[1] - self.t_s[0]).max(f64::MIN_POSITIVE);
         let coarse = (-14..=14).map(|power| scale * 2f64.powi(power));
         let jumps_s = fit.jumps_s.clone();
@@ -334,7 +325,7 @@ impl Bins {
     }
 }
 
-/// Correlation time of the noise, s, after removing components slower than some seconds.
+/// Of the noise, after removing components slower than some seconds.
 fn memory_s(samples: &[(f64, f64)]) -> f64 {
     const MAX_BLOCKS: f64 = 8.0;
     const MIN_BLOCK_S: f64 = 2.0;
@@ -347,7 +338,6 @@ fn memory_s(samples: &[(f64, f64)]) -> f64 {
     noise.inflation() * span_s / n as f64
 }
 
-/// Residuals of a straight-line fit.
 fn detrended(samples: &[(f64, f64)]) -> impl Iterator<Item = [f64; 3]> {
     let n = samples.len() as f64;
     let (t, y) =
@@ -370,7 +360,7 @@ mod tests {
 
     const RATE_HZ: f64 = 100.0;
 
-    /// A yaw error over 20 s: `error`, noise of 3e-4 rad and a random walk of this density.
+    /// 20 s with `error`, noise of 3e-4 rad and a random walk of density `walk`.
     fn series(seed: u64, rho: f64, walk: f64, error: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };

@@ -1,5 +1,3 @@
-//! Joint states decoded with one encoding.
-
 use super::super::sampling::rest_speeds;
 use super::encoding::{JointCoupling, JointEncoding, JointUnit, is_coded};
 use super::{correct_joints, with_zeros};
@@ -7,20 +5,19 @@ use ground::stream::JointTrack;
 
 /// Decoded joint states.
 pub(in super::super) struct CorrectedJoints {
-    /// Joint track with corrected names and units.
+    /// With corrected names and units.
     pub track: JointTrack,
-    /// The same track with large zeros added, if there are any.
+    /// With large zeros added, if any.
     approximate_track: Option<JointTrack>,
-    /// Zeros added to `approximate_track`, per joint of the track, followed by a zero for each of `gains`.
+    /// Added to `approximate_track`, per joint, followed by a zero per gain.
     pub offsets: Vec<f64>,
-    /// Gains to estimate: scaled joints (paired with themselves) and coupled joints (paired with the
-    /// driving joint).
+    /// Gains to estimate: joint and driving joint (itself if scaled).
     pub gains: Vec<(usize, usize)>,
-    /// Couplings with approximate factors, already applied to `track`.
+    /// Approximate, already applied to `track`.
     pub couplings: Vec<JointCoupling>,
-    /// Approximate scale of each joint of the track.
+    /// Approximate scale per joint.
     pub factors: Vec<f64>,
-    /// Maximum speed at rest of each joint of the track.
+    /// Maximum speed at rest per joint.
     pub rest_speeds: Vec<f64>,
 }
 
@@ -50,20 +47,20 @@ impl CorrectedJoints {
         }
     }
 
-    /// For a stream computed from the joint states: corrects names and units only.
+    /// For a stream computed from the joint states.
     pub fn for_derived(self) -> Self {
         let offsets = vec![0.0; self.track.dof];
         Self { approximate_track: None, offsets, gains: Vec::new(), ..self }
     }
 
-    /// Whether a joint's values are not angles or lengths and their encoding has a zero.
+    /// Whether the values are neither angles nor lengths, with a zero in their encoding.
     pub fn has_encoded_zero(&self, joint: usize) -> bool {
         self.gains.contains(&(joint, joint))
             && is_coded(self.factors[joint])
             && self.offsets[joint] != 0.0
     }
 
-    /// Joint states with approximate zeros corrected.
+    /// With approximate zeros corrected.
     pub fn approximate_track(&self) -> &JointTrack {
         self.approximate_track.as_ref().unwrap_or(&self.track)
     }

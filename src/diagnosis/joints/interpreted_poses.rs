@@ -6,27 +6,25 @@ use super::map::JointMap;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 
-/// Iterations of the frame search for a thinned and for a full view.
+/// For a thinned and for a full view.
 const THINNED_FRAME_ITERATIONS: usize = 5;
 pub(super) const FRAME_ITERATIONS: usize = 30;
 
-/// Constant frames that are free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FreeFrames {
-    /// Tool frame only: an active TCP.
+    /// An active TCP.
     Tool,
-    /// Tool and reference frame.
     Both,
 }
 
-/// Constant frames: `logged = reference · FK · tool`.
+/// In `logged = reference · FK · tool`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ConstantFrames {
     pub reference: Pose,
     pub tool: Pose,
 }
 
-/// Residual, rms m and rad; no angle if only positions are compared.
+/// Rms; no angle if only positions are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in super::super) struct ResidualSize {
     pub m: f64,
@@ -34,26 +32,25 @@ pub(in super::super) struct ResidualSize {
 }
 
 impl ResidualSize {
-    /// Combines both into one length, with the angle at `lever_m`.
+    /// With the angle at `lever_m`.
     pub fn combined_m(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
 }
 
-/// Interpreted poses of a stream, with the simultaneous joint values.
 #[derive(Clone)]
 pub(super) struct InterpretedPoses<'a> {
     pub chain: &'a Chain,
     pub xyz: Vec<Vec3>,
-    /// Rotations, if they are used.
+    /// If used.
     pub rotation: Option<Vec<Rotation>>,
-    /// Row-major, in the chain's order.
+    /// Row-major, in chain order.
     pub q: Vec<f64>,
-    /// Minimum and maximum of each joint's logged value over the run.
+    /// Minimum and maximum logged value per joint.
     pub spans: Vec<[f64; 2]>,
-    /// Lever arm that converts angles to lengths, m.
+    /// Converts angles to lengths.
     pub lever_m: f64,
-    /// Iterations of the frame search by positions.
+    /// Iterations of the frame search.
     pub turns: usize,
 }
 
@@ -62,7 +59,7 @@ impl InterpretedPoses<'_> {
         self.xyz.len()
     }
 
-    /// Selects at most `most` samples, evenly spaced.
+    /// At most `most` samples, evenly spaced.
     pub fn thinned(&self, most: usize) -> Self {
         let step = self.len().div_ceil(most).max(1);
         let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
@@ -77,13 +74,13 @@ impl InterpretedPoses<'_> {
         }
     }
 
-    /// Mirrors the positions and drops the rotations.
+    /// Without rotations.
     pub fn mirrored(&self) -> Self {
         let mirror = |xyz: &Vec3| Vec3::new(-xyz.x, xyz.y, xyz.z);
         Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
     }
 
-    /// FK of all samples under `map`.
+    /// FK under `map`.
     pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
         let dof = self.chain.dof();
         let mut q = vec![0.0; self.q.len()];
@@ -99,7 +96,7 @@ impl InterpretedPoses<'_> {
         Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
     }
 
-    /// Constant frames with the smallest residual.
+    /// With the smallest residual.
     pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
         let expected = FkColumns::from_poses(fk);
         let by_positions = |turns: usize| {
@@ -123,7 +120,7 @@ impl InterpretedPoses<'_> {
         both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
     }
 
-    /// Residual of the poses against `fk` in `fit_frames`.
+    /// Residual in given frames.
     pub fn residual_against(&self, fk: &[Pose], frames: &ConstantFrames) -> ResidualSize {
         let (mut metres, mut radians) = (0.0, 0.0);
         for (k, fk) in fk.iter().enumerate() {
@@ -136,7 +133,7 @@ impl InterpretedPoses<'_> {
         ResidualSize { m: (metres / n).sqrt(), rad }
     }
 
-    /// Logged minus predicted at sample `k`, m and rad.
+    /// Logged minus predicted, m and rad.
     pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
         let turn =
             |all: &Vec<Rotation>| rotvec_from_rotation(&(all[k] * predicted.rotation.inverse()));
@@ -144,8 +141,8 @@ impl InterpretedPoses<'_> {
         [self.xyz[k] - predicted.translation.vector, rotation]
     }
 
-    /// Frame-independent residual of a map: distances and angles between samples, rms m. A tool offset
-    /// changes the distances slightly.
+    /// Frame-independent residual: distances and angles between samples, rms m. A tool offset changes them
+    /// slightly.
     pub fn strain(&self, map: &JointMap) -> f64 {
         let fk = self.fk(map);
         let n = fk.len();
@@ -164,7 +161,7 @@ impl InterpretedPoses<'_> {
         (sum / f64::from(count.max(1))).sqrt()
     }
 
-    /// Residual of a map with the best frames, as one length.
+    /// With the best frames, as one length.
     pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         let fk = self.fk(map);
         self.residual_against(&fk, &self.fit_frames(&fk, freedom)).combined_m(self.lever_m)

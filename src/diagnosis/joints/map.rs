@@ -3,14 +3,14 @@
 use ground::robot::{Chain, JointKind};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// Joint whose position includes a multiple of another joint's.
+/// Motion of a joint per unit of another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coupling {
-    /// Driven joint.
+    /// Driven.
     pub joint: usize,
-    /// Driving joint.
+    /// Driving.
     pub by: usize,
-    /// Motion of `joint` per unit of `by`.
+    /// Of `joint` per unit of `by`.
     pub factor: f64,
 }
 
@@ -18,24 +18,24 @@ pub(super) struct Coupling {
 /// `q[coupling.joint] += coupling.factor · q[coupling.by]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointMap {
-    /// Index of each joint's value in the row.
+    /// Index in the row.
     pub from: Vec<usize>,
-    /// Scale factor of each joint.
+    /// Scale.
     pub factor: Vec<f64>,
-    /// Zero offset of each joint, rad or m.
+    /// Offset.
     pub zero: Vec<f64>,
-    /// Coupled pair of joints.
+    /// Coupled pair.
     pub coupling: Option<Coupling>,
 }
 
 impl JointMap {
-    /// Identity mapping.
+    /// Identity.
     pub fn as_logged(dof: usize) -> Self {
         let (from, zero) = ((0..dof).collect(), vec![0.0; dof]);
         Self { from, factor: vec![1.0; dof], zero, coupling: None }
     }
 
-    /// Computes joint positions from a logged row.
+    /// Joint positions of a logged row.
     pub fn apply(&self, row: &[f64], q: &mut [f64]) {
         for (j, q) in q.iter_mut().enumerate() {
             *q = self.factor[j] * row[self.from[j]] + self.zero[j];
@@ -45,27 +45,26 @@ impl JointMap {
         }
     }
 
-    /// Replaces factor and zero of one joint.
+    /// Replaces one joint's factor and zero.
     pub fn with(&self, joint: usize, factor: f64, zero: f64) -> Self {
         let mut map = self.clone();
         (map.factor[joint], map.zero[joint]) = (factor, zero);
         map
     }
 
-    /// Removes a zero of the first joint that is a multiple of 90°. It is attributed to the base frame,
-    /// which differs by such angles between makers.
+    /// Removes a zero of the first joint that is a multiple of 90°: base frames differ so between makers.
     pub fn with_base_turned(&self) -> Self {
         let zero = if is_quarter_turn(self.zero[0]) { 0.0 } else { self.zero[0] };
         self.with(0, self.factor[0], zero)
     }
 
-    /// Changes the order; the units stay with the logged values.
+    /// The units stay with the logged values.
     pub fn in_order(&self, from: &[usize]) -> Self {
         Self { from: from.to_vec(), ..self.clone() }
     }
 
-    /// Removes whole turns from the zeros of revolute joints. Values in radians are unwrapped to within
-    /// half a turn, others to the centre of the joint's range.
+    /// From the zeros of revolute joints. Radians are unwrapped to within half a turn, others to the centre
+    /// of the joint's range.
     pub fn remove_whole_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
         for (j, kind) in chain.joint_kinds().iter().enumerate() {
             if *kind == JointKind::Prismatic {
@@ -83,7 +82,7 @@ impl JointMap {
         }
     }
 
-    /// Whether a revolute joint is far beyond its limits or, without limits, beyond several turns.
+    /// Whether a revolute joint is far beyond its limits or, without limits, several turns.
     pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
         const MAX_LIMIT_RATIO: f64 = 2.0;
         const MAX_TURNS: f64 = 3.0;
@@ -97,7 +96,7 @@ impl JointMap {
         })
     }
 
-    /// Number of joints that exceed the model's limits by more than a twentieth of their range.
+    /// Joints beyond the model's limits by over a twentieth of the range.
     pub fn beyond_limits(&self, chain: &Chain, spans: &[[f64; 2]]) -> usize {
         let is_beyond = |j: &usize| {
             let limits = chain.limits()[*j];
@@ -110,28 +109,26 @@ impl JointMap {
     }
 }
 
-/// Whether an angle is a multiple of 90°, including zero.
+/// Including zero.
 pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
-    /// Tolerance, rad. Estimates of round angles are within it; a tuned zero rarely is.
+    /// Estimates of round angles are within it; a tuned zero rarely is.
     const ROUND_TOLERANCE_RAD: f64 = 5e-3;
     let quarters = angle / FRAC_PI_2;
     (quarters - quarters.round()).abs() * FRAC_PI_2 < ROUND_TOLERANCE_RAD
 }
 
-/// Number of whole turns by which an angle is outside (−π, π].
+/// Whole turns outside (−π, π].
 pub(in super::super) fn half_turns(angle: f64) -> f64 {
     ((angle - PI) / TAU).ceil()
 }
 
-/// Interpretation of all joints of an arm.
 pub(super) struct ArmInterpretation {
     pub map: JointMap,
-    /// Whether it only changes revolute joints to degrees and prismatic ones to millimetres.
+    /// Only revolute joints to degrees, prismatic to millimetres.
     pub is_unit: bool,
 }
 
-/// Common interpretations of all joints: degrees, millimetres, other angle units, encoder ticks, all
-/// reversed, and shares of the range.
+/// Degrees, millimetres, other angle units, encoder ticks, all reversed, and shares of the range.
 pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     let kinds = chain.joint_kinds();
     let none = JointMap::as_logged(kinds.len());
@@ -192,11 +189,11 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     distinct
 }
 
-/// Maximum number of joints for an exhaustive search over orders (7! = 5040).
+/// Exhaustive search (7! = 5040).
 pub(super) const MAX_PERMUTED_JOINTS: usize = 7;
 
-/// Possible orders of the joint values: all permutations of up to `most` joints; otherwise all swaps, the
-/// reversed order, and the order sorted by `names`.
+/// All permutations of up to `most` joints; otherwise all swaps, the reversed order, and the order by
+/// `names`.
 pub(super) fn candidate_orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();

@@ -1,8 +1,5 @@
-//! Checks the names and units of the joint states.
-//!
-//! Positions of a pose stream do not depend on a rotation convention, so they check the joint states first.
-//! Each unit and joint order is compared with them, with a constant tool offset or a rotated reference
-//! frame free.
+//! Checks names and units of the joint states against pose positions, which no rotation convention affects.
+//! A constant tool offset or a rotated reference frame is free.
 
 mod corrected_joints;
 mod encoding;
@@ -38,26 +35,24 @@ pub(super) use corrected_joints::CorrectedJoints;
 pub(super) use interpreted_poses::ResidualSize;
 pub(super) use map::{half_turns, is_quarter_turn};
 
-/// Minimum reduction of the residual for an interpretation other than the logged one.
+/// For an interpretation other than the logged one.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;
-/// Residual below which the joint states are accepted as logged, as a share of the motion's extent.
+/// Of the motion's extent, for joint states accepted as logged.
 const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.05;
-/// Stricter threshold with a rotated reference frame: joints in reversed order move an arm much like the
-/// inverse of an arm with rotated frames.
+/// Stricter: reversed joint order moves an arm much like the inverse of an arm with rotated frames.
 const MAX_LOGGED_RESIDUAL_SHARE_ROTATED: f64 = 0.005;
-/// Maximum residual of another interpretation at slow samples, before correcting latency and small causes:
-/// a share of the motion's extent, and an angle in rad.
+/// Of another interpretation at slow samples, before correcting latency and small causes.
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_RAD: f64 = 0.03;
-/// Residual below which positions follow the arm, as a share of their extent.
+/// Of the extent.
 pub(super) const MAX_FOLLOWING_RESIDUAL_SHARE: f64 = 0.3;
 
-/// Maximum spread of the positions of a tip at rest, m.
+/// Of a tip at rest.
 const MAX_REST_SPREAD_M: f64 = 2e-3;
-/// Maximum distance between a resting tip and FK, as a share of the arm's reach.
+/// Between a resting tip and FK, of the arm's reach.
 const MAX_REST_DISTANCE_SHARE: f64 = 0.03;
 
-/// Determines the encoding of the joint states from the stream with the most joints and samples.
+/// Uses the stream with the most joints and samples.
 ///
 /// # Errors
 /// If no stream overlaps the joint states, or the motion does not determine the encoding.
@@ -85,7 +80,7 @@ pub(super) fn estimate_joint_encoding(
             return encoding_at_rest(chain, &moments, stream.reference_known);
         }
         if spread(&moments.xyz) < MAX_REST_SPREAD_M {
-            // The joints move but the stream does not, so it cannot check their names and units.
+            // The joints move, the stream does not.
             return Err(NotObservable::NotExcited);
         }
         extent = spread(&moments.xyz).max(0.01).min(extent);
@@ -108,16 +103,14 @@ pub(super) fn estimate_joint_encoding(
         return Ok(to_encoding(joints.dof, stream, &found, as_logged));
     }
     if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent {
-        // The logged encoding does not fit, and no other is clearly best.
+        // No encoding is clearly best.
         return Err(NotObservable::NotExcited);
     }
     Ok(JointEncoding::default())
 }
 
-/// Encoding of the joint states whose residual against `stream` at latency `lag_s` is far below
-/// `as_logged`. `None` if none is clearly best.
-///
-/// Tries only the simplest encodings if the stream is close to FK as logged.
+/// Encoding with a residual against `stream` far below `as_logged`. `None` if none is clearly best. Tries
+/// only the simplest if the stream is close to FK as logged.
 pub(super) fn other_encoding(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -125,15 +118,13 @@ pub(super) fn other_encoding(
     lag_s: f64,
     as_logged: ResidualSize,
 ) -> Option<JointEncoding> {
-    /// Minimum angle of a large rotation residual, rad.
     const MIN_LARGE_ROTATION_RESIDUAL_RAD: f64 = 0.05;
-    /// Maximum length of a small position residual, m.
     const MAX_SMALL_POSITION_RESIDUAL_M: f64 = 5e-3;
     let moments = slow_simultaneous_samples(joints, stream, scale, lag_s);
     if moments.xyz.len() < 6 || is_at_rest(stream.chain, &moments) {
         return None;
     }
-    // If only the rotations are wrong, the position residual must not grow.
+    // If only rotations are wrong, positions must not get worse.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD)
         && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
     let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &moments) } else { 0.0 };
@@ -155,15 +146,14 @@ pub(super) fn other_encoding(
     Some(to_encoding(joints.dof, stream, &found, as_logged.m))
 }
 
-/// The simplest interpretation with a residual of at most `most`, if one is clearly best. Tries the views
-/// of each lag in turn.
+/// Simplest interpretation with a residual of at most `most`, if one is clearly best. Views are per lag.
 fn search_views(
     stream: &PoseStream,
     views: &[Vec<InterpretedPoses>],
     most: ResidualSize,
     kinds: &[InterpretationKind],
 ) -> Option<JointInterpretation> {
-    /// Number of lags for all kinds; the other lags are tried only for the simplest kind.
+    /// Other lags are tried only for the simplest kind.
     const LAGS_FOR_ALL_KINDS: usize = 2;
     let both: &[FreeFrames] = match stream.reference_known {
         true => &[FreeFrames::Tool, FreeFrames::Both],
@@ -194,15 +184,15 @@ fn search_views(
     None
 }
 
-/// Likely encoding of the joint states with a large remaining residual.
+/// May have a large remaining residual.
 pub(super) struct LikelyEncoding {
     pub encoding: JointEncoding,
-    /// Whether the values exceed the joint limits as radians and respect them as degrees.
+    /// The values exceed the joint limits as radians, not as degrees.
     pub by_range: bool,
 }
 
-/// Encodings that may be part of the fault, most likely first: degrees if the values exceed the joint
-/// ranges as radians, then the unit and order with the smallest position residual.
+/// Most likely first: degrees if the values exceed the joint ranges as radians, then the unit and order
+/// with the smallest position residual.
 pub(super) fn likely_encodings(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -236,15 +226,14 @@ pub(super) fn likely_encodings(
     likely
 }
 
-/// Joints whose zero offset alone would greatly reduce the residual of `witness` at latency `lag_s`,
-/// relative to `offsets`. Returns the best two with their offsets.
+/// Best two joints whose zero alone would greatly reduce the residual, with their offsets. `offsets` is the
+/// reference.
 pub(super) fn single_zeros(
     witness: &PoseObservations,
     lag_s: f64,
     offsets: &[f64],
 ) -> Vec<(usize, f64)> {
-    /// Minimum change of the zero, rad (Gauss–Newton finds smaller ones), and maximum share of the
-    /// residual.
+    /// Gauss–Newton finds smaller ones.
     const MIN_ZERO_CHANGE_RAD: f64 = 0.1;
     const MAX_ZERO_RESIDUAL_RATIO: f64 = 0.3;
     let chain = witness.chain;
@@ -286,7 +275,7 @@ pub(super) fn single_zeros(
     zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
 }
 
-/// Interpretations of the poses: as logged, inverted, and positions only.
+/// As logged, inverted, and positions only.
 fn views<'a>(
     joints: &JointTrack,
     stream: &PoseStream<'a>,
@@ -321,7 +310,7 @@ fn views<'a>(
     views
 }
 
-/// Converts a map to columns of the joint track.
+/// In columns of the joint track.
 fn to_encoding(
     dof: usize,
     stream: &PoseStream,
@@ -332,7 +321,7 @@ fn to_encoding(
     let slip = UnitResiduals { as_logged, corrected: found.residual.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
-    /// Relative precision of an estimated scale.
+    /// Relative.
     const SCALE_PRECISION: f64 = 1e-3;
     let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < SCALE_PRECISION;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
@@ -374,7 +363,7 @@ fn to_encoding(
     }
 }
 
-/// Whether neither the stream nor FK moves the tip, in radians or degrees.
+/// Neither stream nor FK move the tip, in radians or degrees.
 fn is_at_rest(chain: &Chain, moments: &SimultaneousSamples) -> bool {
     let radians = converted_to_radians(chain, moments);
     let fk = |moments: &SimultaneousSamples| -> Vec<Vec3> {
@@ -386,8 +375,8 @@ fn is_at_rest(chain: &Chain, moments: &SimultaneousSamples) -> bool {
         .all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
 }
 
-/// Determines the unit at rest. A tip at the position given by FK confirms names and unit without any free
-/// frame; a tip elsewhere is inconclusive.
+/// A tip at the position given by FK confirms names and unit without any free frame; elsewhere it is
+/// inconclusive.
 fn encoding_at_rest(
     chain: &Chain,
     moments: &SimultaneousSamples,
@@ -411,7 +400,7 @@ fn encoding_at_rest(
     Ok(JointEncoding { degrees, ..JointEncoding::default() })
 }
 
-/// Corrects names, units and couplings of the joint track, but not the zeros.
+/// Names, units and couplings, but not the zeros.
 pub(super) fn correct_joints(
     joints: &JointTrack,
     reading: &JointEncoding,
@@ -447,7 +436,6 @@ pub(super) fn correct_joints(
     track
 }
 
-/// Adds `zeros` to the positions of `track`.
 fn with_zeros(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     let mut moved = track.clone();
     for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
@@ -456,8 +444,7 @@ fn with_zeros(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     moved
 }
 
-/// Whether a stream's positions follow the arm at latency `lag_s`, up to a tool offset or a rotated
-/// reference frame.
+/// Up to a tool offset or a rotated reference frame.
 pub(super) fn follows_arm(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -469,13 +456,13 @@ pub(super) fn follows_arm(
         && misfit(stream.chain, &moments) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&moments.xyz)
 }
 
-/// Candidate latencies from speed correlation, and zero. A remaining error of the latency has little effect
-/// at slow samples, but a wrong candidate does.
+/// From speed correlation, and zero. At slow samples a remaining error has little effect, a wrong candidate
+/// has.
 fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
     let mut lags = vec![0.0];
-    // With speeds as logged, and normalised per joint.
+    // Speeds as logged, and normalised per joint.
     for joints in [Cow::Borrowed(joints), Cow::Owned(normalize_velocities(joints))] {
         let peaks = lag_peaks(&joint_activity(&joints), &speed, most_lag_s);
         for peak in peaks.iter().filter(|peak| peak.correlation > 0.4).take(2) {
@@ -487,7 +474,7 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64)
     lags
 }
 
-/// Position residual with a constant tool offset, rms m.
+/// Rms m with a constant tool offset.
 fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);
@@ -495,12 +482,11 @@ fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
-/// Position residual with constant frames, rms m.
+/// Rms m with constant frames.
 fn misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);
     let plain = expected.misfit(&moments.xyz);
-    // Inverted streams fit after inversion.
     moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
 }
 

@@ -5,22 +5,20 @@ use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stream::{JointTrack, Orientations};
 
-/// Number of samples used to test encodings.
 pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
 
-/// Positions of a stream and simultaneous joint positions.
 #[derive(Clone)]
 pub(super) struct SimultaneousSamples {
     pub xyz: Vec<Vec3>,
-    /// Rotations, if the stream has them decoded.
+    /// If decoded.
     pub rotation: Option<Vec<Rotation>>,
-    /// Positions of the inverse poses, if the stream has rotations.
+    /// Of the inverse poses, if there are rotations.
     pub inverse_xyz: Option<Vec<Vec3>>,
-    /// Row-major, in the chain's order.
+    /// Row-major, in chain order.
     pub q: Vec<f64>,
 }
 
-/// Normalises the velocity of each joint by its rms.
+/// By each joint's rms.
 pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
     let mut evened = joints.clone();
     let rms = rms_speeds(joints);
@@ -30,7 +28,7 @@ pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
     evened
 }
 
-/// Rms speed of each joint, with a lower bound to allow division.
+/// Bounded below to allow division.
 pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     let square = |joint: usize| {
         joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
@@ -39,7 +37,7 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(rms).collect()
 }
 
-/// Slow samples at a given latency, spread over the run.
+/// Spread over the run.
 pub(super) fn slow_simultaneous_samples(
     joints: &JointTrack,
     stream: &PoseStream,

@@ -6,35 +6,33 @@ use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::JointKind;
 use nalgebra::{DMatrix, DVector};
 
-/// Interpretation of the joint states to refine.
 #[derive(Clone, Debug)]
 pub(super) struct JointProposal {
     pub map: JointMap,
-    /// Joints with a free zero.
+    /// Joints with free zero.
     pub zeros: Vec<usize>,
-    /// Joints with a free factor.
+    /// Joints with free factor.
     pub factors: Vec<usize>,
-    /// Whether the factor of the map's coupling is free.
+    /// Whether the coupling's factor is free.
     pub fits_coupling: bool,
-    /// Penalty: number of causes.
+    /// Number of causes.
     pub price: f64,
 }
 
-/// Refined proposal.
 #[derive(Clone, Debug)]
 pub(super) struct RefinedProposal {
     pub map: JointMap,
     pub residual: ResidualSize,
-    /// Penalty: number of causes, including a rotated tool.
+    /// Number of causes, including a rotated tool.
     pub price: f64,
 }
 
-/// Minimum rotation of the tool that counts as a cause, rad, and its penalty.
+/// For a tool rotation that counts as a cause.
 const MIN_TOOL_ROTATION_RAD: f64 = 0.1;
 const TOOL_ROTATION_PRICE: f64 = 1.0;
 
 impl JointProposal {
-    /// Minimises the residual in at most `steps` steps.
+    /// At most `steps` steps.
     pub fn refine(
         &self,
         view: &InterpretedPoses,
@@ -82,7 +80,7 @@ impl JointProposal {
         RefinedProposal { map, residual: left, price }
     }
 
-    /// Number of parameters: zeros, relative factors, coupling factor, tool, reference.
+    /// Zeros, relative factors, coupling factor, tool, reference.
     fn width(&self, freedom: FreeFrames, view: &InterpretedPoses) -> usize {
         let tool = if view.rotation.is_some() { 6 } else { 3 };
         let reference = if freedom == FreeFrames::Both { 6 } else { 0 };
@@ -175,7 +173,7 @@ impl JointProposal {
         frames: &ConstantFrames,
         step: &DVector<f64>,
     ) -> (JointMap, ConstantFrames) {
-        /// Maximum rotation in one step, rad; the linearisation is not valid beyond it.
+        /// The linearisation is not valid beyond it.
         const MAX_STEP_RAD: f64 = 0.5;
         let (mut map, mut frames, mut at) = (map.clone(), *frames, 0);
         let kinds = view.chain.joint_kinds();

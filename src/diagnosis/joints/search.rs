@@ -1,9 +1,6 @@
-//! Searches for the simplest interpretation of the joint states with a small residual against a pose
-//! stream.
-//!
-//! Interpretations are proposed by kind, the simplest first: another unit for all joints, reversed joints,
-//! or one joint misinterpreted; then another order; then combinations of two. The best proposals of a kind
-//! are refined. If one fits, the search stops.
+//! Searches for the simplest interpretation of the joint states that fits a pose stream. Kinds are tried
+//! the simplest first: another unit, reversed joints or one joint misinterpreted; another order;
+//! combinations of two. The best proposals of a kind are refined.
 
 use super::super::position_fit::spread;
 use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
@@ -14,68 +11,63 @@ use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Number of proposals per kind refined on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES`
-/// samples.
+/// Per kind on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES` samples.
 const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
 const ROUGH_SAMPLES: usize = 20;
-/// Maximum number of steps of the full refinement.
+/// Of the full refinement.
 const MAX_STEPS: usize = 25;
-/// If there are more proposals than this, a frame-free score on `SCREENING_SAMPLES` samples preselects them.
+/// More are preselected by a frame-free score on `SCREENING_SAMPLES` samples.
 const MAX_UNSCREENED_PROPOSALS: usize = 150;
 const SCREENING_SAMPLES: usize = 12;
-/// Minimum motion of a joint to determine its sign and scale: revolute, rad, and prismatic, m.
+/// To determine a joint's sign and scale.
 const MIN_MOTION_RAD: f64 = 0.05;
 const MIN_MOTION_M: f64 = 5e-3;
-/// Minimum residual of another interpretation, relative to the best, to exclude it.
+/// Of another interpretation over the best, to exclude it.
 const MIN_RESIDUAL_RATIO: f64 = 2.0;
-/// A costlier interpretation is selected only if the cheaper one's residual exceeds this multiple of the
-/// least …
+/// A costlier interpretation is selected only if the cheaper one exceeds this multiple of the least
+/// residual …
 const MAX_COMPETITOR_RATIO: f64 = 4.0;
-/// … and this value, m.
+/// … and this value.
 const RESIDUAL_FLOOR_M: f64 = 3e-4;
-/// Penalty for another order.
 const ORDER_PRICE: f64 = 1.5;
-/// Reversed joints with a penalty above this cost more than one mirrored axis.
+/// Costlier sets of reversed joints are one mirrored axis instead.
 const MIRROR_PRICE: f64 = 1.2;
-/// Maximum residual of mirrored positions, as a share of their extent.
+/// Of their extent.
 const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
-/// Penalties for a scale that is not a round number, and per joint beyond the model's limits.
+/// For a scale that is not round, and per joint beyond the model's limits.
 const ODD_SCALE_PRICE: f64 = 0.5;
 const BEYOND_LIMIT_PRICE: f64 = 0.25;
 
-/// Interpretation of the joint states that fits.
 pub(super) struct JointInterpretation {
     pub map: JointMap,
     pub residual: ResidualSize,
-    /// Residual of the next best interpretation at no higher price, m.
+    /// At no higher price.
     pub runner_up_m: Option<f64>,
 }
 
-/// Outcome of a search.
 pub(super) enum SearchOutcome {
-    /// One interpretation is clearly best.
+    /// Clearly best.
     Found(JointInterpretation),
-    /// Several interpretations fit equally well.
+    /// Several fit equally well.
     Ambiguous,
-    /// No interpretation fits.
+    /// None fits.
     Nothing,
 }
 
-/// Kinds of interpretations, the simplest first.
+/// The simplest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum InterpretationKind {
-    /// All joints in another unit, some joints reversed, or one joint misinterpreted.
+    /// One cause: a unit, reversed joints, or one joint.
     One,
-    /// Positions in another order.
     Order,
     /// One joint coupled to another.
     Coupled,
-    /// All joints in another unit, and one joint misinterpreted.
+    /// Unit, and one joint.
     UnitAndOne,
-    /// Two joints misinterpreted.
+    /// Two joints.
     Two,
-    /// Positions in another order, and one joint misinterpreted.
+    /// Order, and one joint.
     OrderAndOne,
 }
 
@@ -89,12 +81,12 @@ impl InterpretationKind {
         InterpretationKind::Two,
         InterpretationKind::OrderAndOne,
     ];
-    /// Kinds that may explain a stream already close to FK as logged.
+    /// For a stream already close to FK.
     pub const FOR_SMALL_RESIDUALS: [InterpretationKind; 2] =
         [InterpretationKind::One, InterpretationKind::Coupled];
 }
 
-/// Searches for an interpretation of one kind with a residual of at most `most`.
+/// With a residual of at most `most`.
 pub(super) fn search_kind(
     view: &InterpretedPoses,
     kind: InterpretationKind,
@@ -104,7 +96,7 @@ pub(super) fn search_kind(
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
     if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), most) {
-        // The poses already fit the joint states as logged.
+        // As logged, the poses fit.
         return SearchOutcome::Nothing;
     }
     if let (InterpretationKind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
@@ -179,9 +171,8 @@ fn refine_and_select(
     })
 }
 
-/// Whether two maps give the same joint positions at all samples.
 fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
-    /// Tolerance, rad or m.
+    /// Rad or m.
     const POSITION_TOLERANCE: f64 = 0.02;
     let dof = view.chain.dof();
     let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
@@ -197,7 +188,7 @@ fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> 
     })
 }
 
-/// The proposals with the smallest residual before refinement.
+/// Before refinement.
 fn best_proposals(
     view: &InterpretedPoses,
     proposals: Vec<JointProposal>,
@@ -219,7 +210,7 @@ fn best_proposals(
     by(few, most, &|map| view.misfit(map, freedom))
 }
 
-/// Maps likely to be part of the fault, and whether the joint ranges support them.
+/// Likely part of the fault; whether the joint ranges support them.
 pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
     let units: Vec<JointMap> = arm_interpretations(view.chain)
@@ -241,21 +232,18 @@ fn unrefined(map: JointMap, price: f64) -> JointProposal {
     JointProposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
 }
 
-/// Whether a joint moves enough under `map` with this factor.
 fn moves_enough(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
     let [low, high] = view.spans[map.from[joint]];
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     factor.abs() * (high - low) > if slides { MIN_MOTION_M } else { MIN_MOTION_RAD }
 }
 
-/// Joints that move under `map`.
 fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
     (0..view.chain.dof())
         .filter(|&joint| moves_enough(view, map, joint, map.factor[joint]))
         .collect()
 }
 
-/// All joints in another unit, some of them reversed, or one joint misinterpreted.
 fn one_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let whole = arm_interpretations(view.chain)
@@ -265,7 +253,7 @@ fn one_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
     let mut proposals = best_proposals(view, whole, freedom, REFINED_PROPOSALS / 2);
     let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
-        // Several reversed joints can be equivalent to one mirrored axis, which is a single cause.
+        // They can be equivalent to one mirrored axis, which is a single cause.
         reversed.retain(|proposal| proposal.price < MIRROR_PRICE);
     }
     proposals.extend(best_proposals(view, reversed, freedom, REFINED_PROPOSALS / 2));
@@ -276,13 +264,11 @@ fn one_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
     proposals
 }
 
-/// Whether the mirrored positions fit FK under `map`.
 fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
     view.mirrored().misfit(map, FreeFrames::Both) < MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz)
 }
 
-/// Unit in which the mirrored positions fit FK. Reversing all joints in that unit would also fit, but with
-/// rotated frames.
+/// Reversing all joints in that unit would also fit, but with rotated frames.
 fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
     let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
     let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
@@ -290,9 +276,9 @@ fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
     Some(JointInterpretation { map, residual: left, runner_up_m: None })
 }
 
-/// Reversed subsets of the joints. Reversing all of them is one cause.
+/// Reversing all joints is one cause.
 fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
-    /// Maximum number of joints for an exhaustive search over signs.
+    /// Exhaustive search over signs.
     const MAX_SIGNED_JOINTS: usize = 10;
     let moving = moving_joints(view, base);
     if moving.len() > MAX_SIGNED_JOINTS {
@@ -311,13 +297,13 @@ fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointPropos
     (1..1u32 << moving.len()).map(flipped).collect()
 }
 
-/// One common factor for all revolute joints that is not a round number.
+/// Common factor of all revolute joints that is not round.
 fn common_gear(
     view: &InterpretedPoses,
     base: &JointMap,
     freedom: FreeFrames,
 ) -> Option<JointProposal> {
-    /// Maximum range of any joint, rad, the minimum as a share of it, and the ratio of successive factors.
+    /// Of any joint, the minimum as a share of it, and the ratio of successive factors.
     const MAX_RANGE_RAD: f64 = 2.0 * TAU;
     const MIN_RANGE_SHARE: f64 = 0.01;
     const FACTOR_STEP: f64 = 1.04;
@@ -350,7 +336,6 @@ fn common_gear(
     Some(JointProposal { factors: turning, ..best })
 }
 
-/// Positions in another order.
 fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
@@ -370,8 +355,8 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     best_proposals(&thin, all, freedom, REFINED_PROPOSALS / 2)
 }
 
-/// Pairs of coupled revolute joints. The factor is ±1 (a controller that reports one joint's angle from the
-/// horizon, as FANUC's J3) or is estimated (wrists with concentric gear trains).
+/// Pairs of coupled revolute joints with a factor of ±1 (angle from the horizon, as FANUC's J3) or an
+/// estimated one (wrists with concentric gear trains).
 fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let kinds = view.chain.joint_kinds();
@@ -395,7 +380,6 @@ fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
         .collect()
 }
 
-/// All joints in another unit, and one joint misinterpreted.
 fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
     let joints = 0..view.chain.dof();
@@ -407,7 +391,7 @@ fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointPropos
         .collect()
 }
 
-/// One joint interpreted differently from `base`: its zero, direction, unit or scale.
+/// Its zero, direction, unit or scale.
 fn single_joint(
     view: &InterpretedPoses,
     base: &JointMap,
@@ -457,7 +441,7 @@ fn single_joint(
     proposals
 }
 
-/// Factor and zero of one joint from `pick`, alternating with the constant frames.
+/// Factor and zero from `pick`, alternating with the constant frames.
 fn alternate_fit(
     view: &InterpretedPoses,
     base: &JointMap,
@@ -465,7 +449,6 @@ fn alternate_fit(
     joint: usize,
     pick: impl Fn(&SingleJoint) -> (f64, f64),
 ) -> (f64, f64) {
-    /// Number of alternations.
     const ALTERNATIONS: usize = 3;
     let mut frames = match freedom {
         FreeFrames::Tool => ConstantFrames::default(),
@@ -479,9 +462,8 @@ fn alternate_fit(
     found
 }
 
-/// Two joints, the first with a zero on a grid, forward or reversed.
+/// The first has its zero on a grid, forward or reversed.
 fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
-    /// Number of grid points for the zero of the first joint.
     const ZERO_GRID_POINTS: u32 = 24;
     let thin = view.thinned(16);
     let dof = view.chain.dof();
@@ -541,12 +523,11 @@ fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
     best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)
 }
 
-/// Positions in another order, and one joint misinterpreted.
 fn order_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(10);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
-    // Exhaustive for one joint fewer than above, because each order is combined with each joint.
+    // One joint fewer than above, because each order is combined with each joint.
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS - 1);
     let proposals = orders
         .into_par_iter()

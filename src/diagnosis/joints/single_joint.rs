@@ -1,10 +1,9 @@
 //! Scale and zero of one joint in closed form, given the others.
 //!
-//! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are
-//! `c + a·cos θ + b·sin θ`. The residual sum of squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
-//! with `zₖ` from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
-//! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines
-//! therefore covers every scale, sign and zero.
+//! A revolute joint moves the tip on circles, so the twelve numbers of a pose are `c + a·cos θ + b·sin θ`.
+//! The residual sum of squares is a constant minus `2·Re Σ zₖ·exp(−iθₖ)`, with `zₖ` from the logged poses.
+//! With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of `Σ zₖ·exp(−i·s·vₖ)`, and the best
+//! `s` maximises its magnitude. A spectrum of a few hundred lines covers every scale, sign and zero.
 
 use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
@@ -12,18 +11,16 @@ use ground::geometry::Pose;
 use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
-/// Logged values and required positions of one joint.
 pub(super) struct SingleJoint {
-    /// Logged values of the joint.
     values: Vec<f64>,
-    /// Real and imaginary part of `zₖ` for a revolute joint; required position, m, for a prismatic one.
+    /// Real and imaginary part of `zₖ`; required position, m, if prismatic.
     required: Vec<[f64; 2]>,
     is_prismatic: bool,
-    /// Minimum and maximum of the logged values.
+    /// Minimum and maximum value.
     span: [f64; 2],
 }
 
-/// Pose as numbers, with rotations scaled by the lever: twelve, or three without a lever.
+/// Rotations scaled by the lever; three numbers without one.
 fn pose_numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
     let mut numbers = [0.0; 12];
     numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
@@ -43,7 +40,7 @@ fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
 }
 
 impl SingleJoint {
-    /// Requirements on `joint`, with the other joints read by `map`, in `frames`.
+    /// The other joints are read by `map`, in `frames`.
     pub fn new(
         view: &InterpretedPoses,
         map: &JointMap,
@@ -86,7 +83,7 @@ impl SingleJoint {
         Self { values, required: wanted, is_prismatic: slides, span: view.spans[map.from[joint]] }
     }
 
-    /// Best zero for a factor, and its score (higher is better).
+    /// And its score (higher is better).
     pub fn best_zero(&self, factor: f64) -> (f64, f64) {
         if self.is_prismatic {
             let n = self.values.len().max(1) as f64;
@@ -104,7 +101,7 @@ impl SingleJoint {
         (imaginary.atan2(real), real.hypot(imaginary))
     }
 
-    /// Score of a factor with zero offset 0.
+    /// Zero offset 0.
     pub fn score_without_zero(&self, factor: f64) -> f64 {
         let samples = self.values.iter().zip(&self.required);
         if self.is_prismatic {
@@ -117,11 +114,10 @@ impl SingleJoint {
         samples.map(part).sum()
     }
 
-    /// Factors with the best score: with a free zero, and without one.
+    /// Best with a free zero, and without one.
     pub fn factors(&self) -> Vec<(f64, f64)> {
-        /// Maximum range of a joint, rad.
         const MAX_RANGE_RAD: f64 = 2.5 * TAU;
-        /// Spacing of the spectral lines, rad. Joints with a smaller range do not determine their scale.
+        /// Joints with a smaller range do not determine their scale.
         const SPECTRAL_LINE_RAD: f64 = PI / 16.0;
         let width = self.span[1] - self.span[0];
         let largest = self.span[0].abs().max(self.span[1].abs());
@@ -142,7 +138,7 @@ impl SingleJoint {
         vec![(with_zero, self.best_zero(with_zero).0), (without, 0.0)]
     }
 
-    /// Linear regression for a prismatic joint, with and without a zero.
+    /// For a prismatic joint, with and without a zero.
     fn line(&self) -> Vec<(f64, f64)> {
         let n = self.values.len().max(1) as f64;
         let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;

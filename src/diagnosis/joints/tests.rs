@@ -6,7 +6,6 @@ use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use std::f64::consts::{PI, TAU};
 
-/// Maximum residual of a search.
 const MOST: ResidualSize = ResidualSize { m: 5e-3, rad: Some(0.03) };
 
 fn ur5e() -> Chain {
@@ -15,7 +14,7 @@ fn ur5e() -> Chain {
     robot.chain(base, tip).expect("a chain")
 }
 
-/// Poses of an arm over its range, with a tool, paired with joint values transformed by `logged`.
+/// Poses over the arm's range, with joint values transformed by `logged`.
 fn view<'a>(
     chain: &'a Chain,
     tool: Pose,

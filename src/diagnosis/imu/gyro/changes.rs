@@ -7,7 +7,7 @@ use super::{FLOOR_RAD_S, GyroModel};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
 impl GyroModel<'_> {
-    /// Fraction of the bias change in effect at a time, 0 to 1.
+    /// Fraction of the bias change in effect, 0 to 1.
     pub(super) fn change_at(&self, t_s: f64) -> f64 {
         match self.bias_profile {
             Some(GyroBiasProfile::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
@@ -23,7 +23,6 @@ impl GyroModel<'_> {
         self.bias_rad_s + self.changed_rad_s * self.change_at(t_s)
     }
 
-    /// `link_from_imu` at a time.
     pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
         match &self.slip {
             Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
@@ -33,9 +32,9 @@ impl GyroModel<'_> {
 
     /// Adds the change that explains most of the residual. `None` if none is significant.
     pub(super) fn with_best_change(&self, moves: bool) -> Option<Self> {
-        /// Maximum residual squares with a slip, relative to those without a change, …
+        /// Relative to the residual squares without a change.
         const MAX_RESIDUAL_RATIO: f64 = 0.5;
-        /// … and relative to those with any other change.
+        /// Relative to those with any other change.
         const MAX_RESIDUAL_RATIO_TO_OTHERS: f64 = 0.8;
         let shaped = Self { has_scale_error: true, ..self.clone() };
         let (linear, t_s) = shaped.linearized();
@@ -73,7 +72,6 @@ impl GyroModel<'_> {
         }
     }
 
-    /// Parameters added by changes.
     pub(super) fn change_parameters(&self) -> impl Iterator<Item = usize> + use<> {
         let of_bias = self.bias_profile.is_some().then_some(Self::CHANGE);
         let of_mount = self.slip.is_some().then_some(Self::SLIP);

@@ -1,8 +1,6 @@
 //! Orientation errors beyond drift, jumps and random walk: a slip in the mount, a heading-dependent yaw
-//! error, or an exponential decay during warm-up.
-//!
-//! Hard and soft iron cause yaw errors at the first and second harmonic of the heading (the semicircular
-//! and quadrantal deviations of a ship's compass).
+//! error, or an exponential warm-up. Hard and soft iron act at the first and second harmonic of the
+//! heading, as in a ship's compass.
 
 use super::super::super::Measured;
 use super::super::super::model::FLOOR_RAD;
@@ -13,20 +11,20 @@ use super::super::yaw;
 use super::{OrientationModel, Settled};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
-/// Part of the yaw error: a linear combination of given functions.
+/// Linear combination of given functions.
 #[derive(Clone)]
 pub(super) struct YawTerm {
     kind: YawTermKind,
-    /// Values of each function, one per row.
+    /// Per function, one value per row.
     pub weights: Vec<Vec<f64>>,
     pub sizes_rad: Vec<f64>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
 enum YawTermKind {
-    /// Harmonics of the heading of this axis of the IMU.
+    /// Harmonics of this IMU axis' heading.
     Heading(usize),
-    /// Exponential with this time constant, s.
+    /// Time constant, s.
     WarmUp(f64),
 }
 
@@ -46,7 +44,6 @@ impl<'a> OrientationModel<'a> {
         Self::TERM_COLUMNS_START + self.terms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
     }
 
-    /// `link_from_imu` at a time.
     pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
         match &self.slip {
             Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
@@ -54,7 +51,7 @@ impl<'a> OrientationModel<'a> {
         }
     }
 
-    /// Free parameters of the model without changes.
+    /// Without changes.
     fn constant_parameters(moves: bool) -> Vec<usize> {
         let moving = [Self::LATENCY, Self::SKEW].into_iter().filter(move |_| moves);
         Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).chain(moving).collect()
@@ -64,12 +61,11 @@ impl<'a> OrientationModel<'a> {
         rows.iter().map(|&row| self.link.stream.track.t_s[self.rows[row]]).collect()
     }
 
-    /// Adds a slip of the mount. `None` unless it is significant and clearly better than a jump of the
-    /// world frame.
+    /// `None` unless the slip is significant and clearly better than a jump of the world frame.
     pub(super) fn with_mount_slip(&self, moves: bool) -> Option<Self> {
-        /// Maximum residual squares with a slip, relative to those without a change, …
+        /// Relative to the residual squares without a change.
         const MAX_RESIDUAL_RATIO: f64 = 0.3;
-        /// … and relative to those with a jump of the world frame.
+        /// Relative to those with a jump of the world frame.
         const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         let (linear, rows) = self.linearized();
         let asked = ExtensionTests::new(
@@ -95,7 +91,6 @@ impl<'a> OrientationModel<'a> {
             .then(|| Self { slip: slipped, ..self.clone() })
     }
 
-    /// Longer side of the slip, s.
     pub(super) fn longer_side(&self) -> (f64, f64) {
         match self.slip {
             Some((at_s, ..)) if at_s > self.link.middle_s => (f64::NEG_INFINITY, at_s),
@@ -112,17 +107,16 @@ impl<'a> OrientationModel<'a> {
         Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
     }
 
-    /// Column of a world rotation about the vertical.
+    /// World rotation about the vertical.
     const YAW: [usize; 1] = [Self::WORLD.start + 2];
 
-    /// Adds a heading-dependent or decaying yaw error. `None` unless it is significant and removes most of
-    /// the walk without adding jumps.
+    /// `None` unless the term is significant and removes most of the walk without adding jumps.
     pub(super) fn with_yaw_term(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
-        /// Maximum residual squares, relative to those of the base model, …
+        /// Relative to the residual squares of the base model.
         const MAX_RESIDUAL_RATIO: f64 = 0.5;
-        /// … to those with a jump, …
+        /// Relative to those with a jump.
         const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
-        /// … and maximum share of the remaining walk.
+        /// Of the walk that remains.
         const MAX_WALK_SHARE: f64 = 0.3;
         let (linear, rows) = self.linearized();
         let asked = ExtensionTests::new(
@@ -149,7 +143,6 @@ impl<'a> OrientationModel<'a> {
         let mut model = self.with_term(kind);
         let mut settled = model.fit(moves);
         if matches!(kind, YawTermKind::Heading(_)) {
-            // Recompute the headings with the error corrected.
             model = Self { terms: Vec::new(), ..settled.model }.with_term(kind);
             settled = model.fit(moves);
         }
@@ -178,7 +171,7 @@ impl<'a> OrientationModel<'a> {
         Self { terms: forms, ..self.clone() }
     }
 
-    /// Harmonics of the heading of each axis of the IMU at the given rows.
+    /// Harmonics per IMU axis.
     fn headings_by_axis(&self, rows: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
         let t_s = self.stamps(rows);
         let mut sweep = self.link.sweep();
@@ -207,7 +200,6 @@ impl<'a> OrientationModel<'a> {
         (0..3).map(|axis| (axis, harmonics(axis))).collect()
     }
 
-    /// Estimates of the heading-dependent and the decaying part.
     pub(super) fn term_estimates(
         &self,
         solved: &Solved,
