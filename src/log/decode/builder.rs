@@ -1,4 +1,4 @@
-//! Appends rows to columns and finalizes them.
+//! Appends rows to columns.
 
 mod joints;
 mod poses;
@@ -21,14 +21,12 @@ pub(crate) use self::poses::MAX_FRAMES;
 pub(crate) struct Builder {
     kinds: &'static [NamedPart],
     parts: Vec<(&'static str, Part)>,
-    /// Whether the type has a stamp.
     stamped: bool,
 }
 
 /// Suffix of the topic's name, and the columns to fill.
 pub(super) type NamedPart = (&'static str, fn() -> Part);
 
-/// Columns of one kind of content.
 #[derive(Clone, Debug)]
 pub(super) enum Part {
     Joints(Joints),
@@ -41,17 +39,15 @@ pub(super) enum Part {
 }
 
 impl Part {
-    /// Joint names and positions.
     pub(super) fn joints() -> Self {
         Self::Joints(Joints::new(row::VALUES, row::VELOCITIES))
     }
 
-    /// Joint names and commanded positions.
     pub(super) fn reference() -> Self {
         Self::Joints(Joints::new(row::REFERENCE, row::REFERENCE_VELOCITIES))
     }
 
-    /// Joint positions of a Franka arm. Messages have no names, so the drivers' default names are used.
+    /// Messages of a Franka arm have no names, so the drivers' default names are used.
     pub(super) fn franka_joints() -> Self {
         let mut joints = Joints::new(row::VALUES, row::VELOCITIES);
         joints.columns.unnamed = true;
@@ -59,52 +55,45 @@ impl Part {
         Self::Joints(joints)
     }
 
-    /// Poses by their frames.
+    /// By frames.
     pub(super) fn poses() -> Self {
         Self::Poses(Poses::default())
     }
 
-    /// Poses by their index in the message.
+    /// By index in the message.
     pub(super) fn numbered_poses() -> Self {
         Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
     }
 
-    /// Poses by the name at their index in the message.
+    /// By the name at their index in the message.
     pub(super) fn named_poses() -> Self {
         Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Names, most: 0 })
     }
 
-    /// Transforms by their frames.
     pub(super) fn transforms() -> Self {
         Self::Transforms(Poses::default())
     }
 
-    /// Inertial readings.
     pub(super) fn imu() -> Self {
         Self::Imu(ImuColumns::default())
     }
 
-    /// Bare numbers from a list.
     pub(super) fn array() -> Self {
         Self::Array(Array::of(Numbers::List(row::VALUES)))
     }
 
-    /// The numbers of a matrix.
     pub(super) fn matrix() -> Self {
         Self::Array(Array::of(Numbers::List(row::MATRIX)))
     }
 
-    /// Components of a quaternion alone.
     pub(super) fn quaternion() -> Self {
         Self::Array(Array::of(Numbers::Fields(row::QUATERNION..row::QUATERNION + 4)))
     }
 
-    /// Components of a vector alone.
     pub(super) fn vector() -> Self {
         Self::Array(Array::of(Numbers::Fields(row::POSITION..row::POSITION + 3)))
     }
 
-    /// Texts.
     pub(super) fn text() -> Self {
         Self::Text(TextColumns::default())
     }
@@ -142,7 +131,7 @@ impl Part {
             (Part::Imu(own), Part::Imu(later)) => join_imu(own, later),
             (Part::Array(own), Part::Array(later)) => own.join(later),
             (Part::Text(own), Part::Text(later)) => join_texts(own, later),
-            // Builders of one recipe have the same parts; `can_join` checks this.
+            // `can_join` checks that the parts are the same.
             _ => {}
         }
     }
@@ -161,37 +150,36 @@ impl Part {
 }
 
 impl Builder {
-    /// Empty columns for the parts of a type.
     pub(super) fn new(kinds: &'static [NamedPart], stamped: bool) -> Self {
         let parts = kinds.iter().map(|(name, part)| (*name, part())).collect();
         Self { kinds, parts, stamped }
     }
 
-    /// The same columns without rows.
+    /// Without rows.
     pub(crate) fn empty_copy(&self) -> Self {
         Self::new(self.kinds, self.stamped)
     }
 
-    /// Whether [`Builder::join`] with `later`, which has the same parts, is equivalent to appending its
-    /// rows one by one.
+    /// Whether [`Builder::join`] equals appending the rows of `later`, which has the same parts, one by
+    /// one.
     pub(crate) fn can_join(&self, later: &Self) -> bool {
         let parts = self.parts.iter().zip(&later.parts);
         parts.into_iter().all(|((_, own), (_, later))| own.fits(later))
     }
 
-    /// Appends all rows of `later`, which must [fit](Builder::fits).
+    /// `later` must pass [`Builder::can_join`].
     pub(crate) fn join(&mut self, later: Self) {
         for ((_, own), (_, later)) in self.parts.iter_mut().zip(later.parts) {
             own.join(later);
         }
     }
 
-    /// Appends one row, or counts the reason why it is dropped.
+    /// Appends one row, or counts why it is dropped.
     pub(crate) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
         self.parts.iter_mut().try_for_each(|(_, part)| part.append(row, times))
     }
 
-    /// Number of rows rejected because the topic has more pairs of frames than [`MAX_FRAMES`].
+    /// Rows beyond [`MAX_FRAMES`] pairs of frames.
     pub(crate) fn rejected_rows(&self) -> u64 {
         let refused = |part: &Part| match part {
             Part::Poses(poses) | Part::Transforms(poses) => poses.refused,
@@ -201,7 +189,6 @@ impl Builder {
         self.parts.iter().map(|(_, part)| refused(part)).sum()
     }
 
-    /// Reason why the appended content is unusable, if so.
     pub(crate) fn unusable_reason(&self) -> Option<String> {
         self.parts.iter().find_map(|(_, part)| match part {
             Part::Crowd(crowd) if crowd.is_too_large() => Some(format!(
@@ -213,7 +200,7 @@ impl Builder {
         })
     }
 
-    /// Columns of each part with the suffix of its topic name. `None` for an unusable part.
+    /// With topic name suffixes; `None` for an unusable part.
     pub(crate) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
         let unstamped = !self.stamped;
         let finalized = |(name, part): (&'static str, Part)| {

@@ -3,7 +3,6 @@
 use super::row::MAX_LIST;
 use super::schema::Primitive;
 
-/// Unsupported message representation.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum EncapsulationError {
     #[error("the message has {len} bytes, expected at least the 4 of the CDR header")]
@@ -19,19 +18,16 @@ pub(crate) enum EncapsulationError {
     Unknown { id: u16 },
 }
 
-/// Value that extends beyond the end of the message.
+/// Value beyond the end of the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("byte {offset} of the message: needs {wanted} bytes, {left} remain")]
 pub(crate) struct Short {
-    /// Offset of the value from the start of the message.
+    /// From the start of the message.
     offset: usize,
-    /// Bytes needed.
     wanted: u64,
-    /// Bytes remaining.
     left: usize,
 }
 
-/// Alignment of the values in a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Layout {
     /// ROS 1: no padding.
@@ -41,7 +37,7 @@ pub(super) enum Layout {
     /// CDR version 2: aligned to their size, at most to 4; collections of anything but numbers have a
     /// length prefix.
     Cdr2 {
-        /// Whether messages also have a length prefix unless their type is final.
+        /// Messages of types that are not final also have one.
         delimited: bool,
     },
 }
@@ -54,23 +50,22 @@ pub(super) enum Layout {
 pub(super) struct Cursor<'a> {
     body: &'a [u8],
     at: usize,
-    /// Bytes of the message before the body.
+    /// Bytes before the body.
     before: usize,
     big_endian: bool,
     max_align: usize,
     layout: Layout,
 }
 
-/// Body that surrounds a delimited message.
+/// Body around a delimited message.
 pub(super) struct Outside<'a>(&'a [u8]);
 
-/// Length of the encapsulation header in bytes.
+/// Encapsulation header, bytes.
 const HEADER: usize = 4;
 
 impl<'a> Cursor<'a> {
-    /// Cursor at the first value of a CDR message.
     pub(super) fn cdr(message: &'a [u8]) -> Result<Self, EncapsulationError> {
-        // The other two bytes are options. They count the padding at the end, which is never read.
+        // The other two bytes are options: they count the padding at the end, which is never read.
         let Some((&[high, low, _, _], body)) = message.split_first_chunk::<HEADER>() else {
             return Err(EncapsulationError::Short { len: message.len() });
         };
@@ -87,7 +82,6 @@ impl<'a> Cursor<'a> {
         Ok(Self { body, at: 0, before: HEADER, big_endian: id & 1 == 0, max_align, layout })
     }
 
-    /// Cursor at the first value of a ROS 1 message.
     pub(super) fn ros1(message: &'a [u8]) -> Self {
         Self {
             body: message,
@@ -99,7 +93,6 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// How the values follow each other.
     pub(super) fn layout(&self) -> Layout {
         self.layout
     }
@@ -112,28 +105,26 @@ impl<'a> Cursor<'a> {
         Ok(outside)
     }
 
-    /// Leaves a message, skipping fields that a newer version of its type appended.
+    /// Skips fields that a newer version of the type appended.
     pub(super) fn leave(&mut self, outside: Outside<'a>) {
         self.at = self.body.len();
         self.body = outside.0;
     }
 
-    /// Bytes of the message before the body.
     pub(super) fn before(&self) -> usize {
         self.before
     }
 
-    /// Position in the body. The next value may start later because of padding.
+    /// In the body. Padding may precede the next value.
     pub(super) fn at(&self) -> usize {
         self.at
     }
 
-    /// Moves to a position returned by [`Cursor::at`].
+    /// To a position from [`Cursor::at`].
     pub(super) fn seek(&mut self, at: usize) {
         self.at = at;
     }
 
-    /// Whether numbers are little-endian.
     pub(super) fn is_little_endian(&self) -> bool {
         !self.big_endian
     }
@@ -145,7 +136,6 @@ impl<'a> Cursor<'a> {
         self.at + (self.at.wrapping_neg() & (align - 1))
     }
 
-    /// Bytes of `count` values of `size` bytes each, after padding.
     #[inline]
     fn take(&mut self, size: usize, count: u64) -> Result<&'a [u8], Short> {
         if count == 0 || size == 0 {
@@ -161,7 +151,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.body[start..self.at])
     }
 
-    /// Bytes of one value, in little-endian order.
+    /// Little-endian.
     #[inline]
     fn value<const N: usize>(&mut self) -> Result<[u8; N], Short> {
         let start = self.aligned(N);
@@ -176,13 +166,12 @@ impl<'a> Cursor<'a> {
         Ok(value)
     }
 
-    /// Skips `count` values of `size` bytes each.
     #[inline]
     pub(super) fn skip(&mut self, size: usize, count: u64) -> Result<(), Short> {
         self.take(size, count).map(|_| ())
     }
 
-    /// Length prefix of a sequence whose elements take at least one byte each.
+    /// Of a sequence whose elements take at least one byte each.
     #[inline]
     pub(super) fn length(&mut self) -> Result<u32, Short> {
         let length = u32::from_le_bytes(self.value()?);
@@ -193,7 +182,7 @@ impl<'a> Cursor<'a> {
         Ok(length)
     }
 
-    /// String without the terminating zero of CDR.
+    /// Without the terminating zero of CDR.
     #[inline]
     pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
         let length = self.length()?;
@@ -204,7 +193,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Integer; fractions are truncated.
+    /// Truncates fractions.
     #[inline]
     pub(super) fn integer(&mut self, primitive: Primitive) -> Result<i64, Short> {
         Ok(match primitive {
@@ -214,7 +203,6 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// Number of any type.
     #[inline]
     pub(super) fn number(&mut self, primitive: Primitive) -> Result<f64, Short> {
         Ok(match primitive {
@@ -231,7 +219,6 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// Reads consecutive doubles.
     #[inline]
     pub(super) fn doubles(&mut self, values: &mut [f64]) -> Result<(), Short> {
         if self.big_endian {
@@ -254,7 +241,7 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// Replaces `list` with `count` numbers of one type, or clears it if there are more than [`MAX_LIST`].
+    /// Clears `list` if there are more numbers than [`MAX_LIST`].
     pub(super) fn numbers(
         &mut self,
         primitive: Primitive,

@@ -6,27 +6,25 @@ use super::protobuf::WireError;
 use super::row::Row;
 use super::schema::excerpt;
 
-/// Reason why a message could not be decoded.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DecodeError<'p> {
-    /// Unsupported message representation.
+    /// Unsupported representation.
     #[error(transparent)]
     Encapsulation(#[from] EncapsulationError),
-    /// A field extends beyond the end of the message.
+    /// A field beyond the end.
     #[error("field `{}`: {short}", excerpt(field))]
     Short { field: &'p str, short: Short },
-    /// Invalid JSON, or JSON without the type's fields.
+    /// Invalid, or without the type's fields.
     #[error(transparent)]
     Json(#[from] JsonError),
-    /// Invalid protocol buffer, or one without the type's fields.
+    /// Invalid, or without the type's fields.
     #[error(transparent)]
     Protobuf(#[from] WireError),
-    /// The columns rejected the row.
+    /// By the columns.
     #[error(transparent)]
     Refused(#[from] TooManyJoints),
 }
 
-/// Reason why a JSON message could not be decoded.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum JsonError {
     #[error("not JSON of this type: {what}")]
@@ -35,5 +33,5 @@ pub(crate) enum JsonError {
     Missing { path: String },
 }
 
-/// Callback for each row.
+/// Called with each row.
 pub(super) type Append<'f> = dyn FnMut(&Row) -> Result<(), TooManyJoints> + 'f;

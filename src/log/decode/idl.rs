@@ -1,5 +1,5 @@
-//! Message definitions in OMG IDL 4.2 as stored by rosbag2: one or more files, each after a line of `=` and
-//! a line `IDL: package/msg/Type`.
+//! Message definitions in OMG IDL 4.2 as stored by rosbag2: files, each after a line of `=` and a line
+//! `IDL: package/msg/Type`.
 //!
 //! Keeps only what determines the byte layout: structures, aliases, enumerations, constants for lengths,
 //! and the annotations for extensibility and optional members.
@@ -14,7 +14,6 @@ use super::schema::{
     Primitive, Schema, SchemaError, canonical,
 };
 
-/// Parses the files that define `type_name`.
 pub(super) fn parse(type_name: &str, schema: &[u8]) -> Result<Schema, SchemaError> {
     let text = schema::text(schema)?;
     let mut parser = Parser { tokens: Tokens::new(&text), ..Parser::default() };
@@ -24,14 +23,14 @@ pub(super) fn parse(type_name: &str, schema: &[u8]) -> Result<Schema, SchemaErro
     Schema::new(type_name, parser.resolve()?)
 }
 
-/// Type of a member.
+/// Of a member.
 #[derive(Clone, Debug)]
 struct Type {
     base: Base,
     arity: Arity,
 }
 
-/// Structure before its names are resolved.
+/// With unresolved names.
 struct Struct {
     /// Enclosing modules, each followed by `/`.
     scope: String,
@@ -40,30 +39,29 @@ struct Struct {
     extensibility: Extensibility,
 }
 
-/// State while reading files. Names are fully qualified, with `/` between modules.
+/// Names are fully qualified, with `/` between modules.
 #[derive(Default)]
 struct Parser<'a> {
     tokens: Tokens<'a>,
     scope: String,
     structs: Vec<Struct>,
     struct_names: HashSet<String>,
-    /// Aliases with the scope of their type.
+    /// With the scope of their type.
     aliases: HashMap<String, (String, Type)>,
     constants: HashMap<String, u64>,
     fields: usize,
 }
 
-/// Relevant annotations.
 #[derive(Clone, Copy)]
 struct Annotations {
     extensibility: Extensibility,
     is_optional: bool,
-    /// Bits of an enumeration.
+    /// Of an enumeration.
     bit_bound: u64,
 }
 
 impl Parser<'_> {
-    /// Reads one definition of a file or module.
+    /// In a file or module.
     fn definition(&mut self, depth: usize) -> Result<(), SchemaError> {
         if depth > MAX_DEPTH {
             return Err(SchemaError::TooDeep { field: self.scope.clone() });
@@ -124,7 +122,6 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// Reads the members of one declaration.
     fn member(&mut self, fields: &mut Vec<Field>) -> Result<(), SchemaError> {
         let annotations = self.annotations()?;
         let before = self.tokens.here();
@@ -132,7 +129,7 @@ impl Parser<'_> {
         let spelled = self.tokens.since(before);
         loop {
             let name = self.tokens.name("the name of a member")?;
-            // An underscore escapes member names that are keywords.
+            // An underscore escapes keywords.
             let name = name.strip_prefix('_').unwrap_or(name).to_owned();
             let dimensions = self.dimensions()?;
             let mut of = self.array(of.clone(), dimensions);
@@ -167,7 +164,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Reads a constant. Only integers can be lengths.
+    /// Only integers can be lengths.
     fn constant(&mut self) -> Result<(), SchemaError> {
         self.type_of(0)?;
         let name = self.tokens.name("the name of a constant")?;
@@ -183,8 +180,7 @@ impl Parser<'_> {
         self.tokens.skip_to(';')
     }
 
-    /// Reads an enumeration. The size of its values depends on the bit bound (DDS XTypes 1.3, §7.3.1.2.1.5:
-    /// 32 bits by default).
+    /// The bit bound determines the size of its values (DDS XTypes 1.3, §7.3.1.2.1.5: 32 bits by default).
     fn enumeration(&mut self, bit_bound: u64) -> Result<(), SchemaError> {
         let name = self.tokens.name("the name of an enumeration")?;
         let primitive = match bit_bound {
@@ -197,7 +193,7 @@ impl Parser<'_> {
         self.tokens.skip_block()
     }
 
-    /// Skips a type that cannot be decoded, and records it.
+    /// Skips and records a type that cannot be decoded.
     fn opaque(&mut self, why: &'static str) -> Result<(), SchemaError> {
         let name = self.tokens.name("the name of a type")?;
         let of = Type { base: Base::Unreadable(why), arity: Arity::One };
@@ -229,7 +225,7 @@ impl Parser<'_> {
         Ok(found)
     }
 
-    /// Reads a type without the dimensions that may follow the member's name.
+    /// Dimensions may follow after the member's name.
     fn type_of(&mut self, depth: usize) -> Result<Type, SchemaError> {
         if depth > MAX_DEPTH {
             return Err(SchemaError::TooDeep { field: self.scope.clone() });
@@ -269,7 +265,7 @@ impl Parser<'_> {
         Ok(Type { base, arity: Arity::One })
     }
 
-    /// Reads the rest of a C-style integer name.
+    /// Rest of a C-style integer name.
     fn old_integer(&mut self, first: &str) -> Result<Type, SchemaError> {
         let mut words = vec![first.to_owned()];
         while let Some(Token::Name(word @ ("long" | "short" | "double"))) = self.tokens.peek() {
@@ -289,7 +285,7 @@ impl Parser<'_> {
         Ok(Type { base, arity: Arity::One })
     }
 
-    /// Reads the dimensions after a name and returns their product.
+    /// Product of the dimensions after a name.
     fn dimensions(&mut self) -> Result<Option<u32>, SchemaError> {
         let mut length: Option<u32> = None;
         while self.tokens.accept('[') {
@@ -314,7 +310,6 @@ impl Parser<'_> {
         Ok(length)
     }
 
-    /// Wraps `of` in an array if there are dimensions.
     fn array(&mut self, of: Type, dimensions: Option<u32>) -> Type {
         match dimensions {
             None => of,
@@ -322,8 +317,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Element type of an array or sequence of `of`. A nested array becomes a structure with one unnamed
-    /// field.
+    /// Of an array or sequence of `of`. A nested array becomes a structure with one unnamed field.
     fn element(&mut self, of: Type) -> Base {
         let Type { base, arity: arity @ (Arity::Array(_) | Arity::Sequence) } = of else {
             return of.base;
@@ -343,9 +337,9 @@ impl Parser<'_> {
         self.structs.push(of);
     }
 
-    /// Resolves names and aliases in all structures.
+    /// Resolves names and aliases.
     fn resolve(mut self) -> Result<Vec<Definition>, SchemaError> {
-        // Resolving aliases of arrays may add structures.
+        // Aliases of arrays may add structures.
         let mut index = 0;
         let mut definitions = Vec::new();
         while index < self.structs.len() {
@@ -392,7 +386,7 @@ impl Parser<'_> {
     }
 }
 
-/// Looks up `name` with `find` in the modules of `scope`, innermost first.
+/// Searches the modules of `scope`, innermost first.
 fn innermost<T>(scope: &str, name: &str, find: impl Fn(&str) -> Option<T>) -> Option<T> {
     if let Some(whole) = name.strip_prefix('/') {
         return find(whole).or_else(|| find(name));
@@ -417,7 +411,7 @@ fn primitive(word: &str) -> Option<Primitive> {
     })
 }
 
-/// Parses an integer in any base of the language.
+/// In any base.
 fn whole(text: &str) -> Option<u64> {
     match text.as_bytes() {
         [b'0', b'x' | b'X', ..] => u64::from_str_radix(&text[2..], 16).ok(),

@@ -1,8 +1,8 @@
 //! Reads JSON messages field by field, without building a tree.
 //!
-//! Field names are those of the type. ROS types are as rosbridge writes them; Foxglove types as in its
-//! schemas, or in the JSON mapping of protocol buffers. A stamp is an object with seconds and nanoseconds,
-//! or a string. A number may be `null` or a string, and a missing field has its default.
+//! ROS types are as rosbridge writes them; Foxglove types as in its schemas, or in the JSON mapping of
+//! protocol buffers. A stamp is an object with seconds and nanoseconds, or a string. A number may be `null`
+//! or a string. A missing field has its default.
 
 mod values;
 
@@ -20,11 +20,11 @@ use super::schema::excerpt;
 #[derive(Debug)]
 pub(crate) struct Plan {
     root: Branch,
-    /// All slots, reset before a message, and the slots of a row, reset before each row.
+    /// Reset before a message; `row_slots` before each row.
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
     has_rows: bool,
-    /// Required objects of a message and of a row.
+    /// Objects of a message and of a row.
     required: Marks,
     row_required: Marks,
 }
@@ -32,14 +32,13 @@ pub(crate) struct Plan {
 /// Set of [`Branch::mark`]s.
 type Marks = u64;
 
-/// Object with wanted fields.
 #[derive(Debug)]
 struct Branch {
-    /// Path from the message's root; empty for the message itself.
+    /// From the message's root, where it is empty.
     path: String,
     /// Unique bit.
     mark: Marks,
-    /// Whether this is the array whose elements are rows.
+    /// Its elements are rows.
     is_rows: bool,
     children: Vec<(&'static str, Child)>,
 }
@@ -51,7 +50,7 @@ enum Child {
 }
 
 impl Plan {
-    /// Collects the fields of all layouts of `recipe`; a message has one layout.
+    /// Collects the fields of all layouts; a message has one.
     pub(super) fn new(recipe: &Recipe) -> Self {
         let mut marks = 0;
         let mut root = Branch::new(String::new(), false, &mut marks);
@@ -85,7 +84,6 @@ impl Plan {
         Self { root, slots, row_slots, has_rows: recipe.each.is_some(), required, row_required }
     }
 
-    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -93,7 +91,7 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
-        // The array of rows may precede the fields shared by all rows.
+        // The rows may precede the fields they share.
         let found = self.walk(message, Pass::Shared, row, append)?;
         self.require(self.required, found)?;
         if self.has_rows {
@@ -120,7 +118,7 @@ impl Plan {
         Ok(walk.found)
     }
 
-    /// Fails if an object is missing, because its numbers would all be zero.
+    /// If an object is missing, its numbers would all be zero.
     fn require(&self, required: Marks, found: Marks) -> Result<(), JsonError> {
         let missing = required & !found;
         if missing == 0 {
@@ -143,7 +141,7 @@ impl Branch {
         Self { path, mark, is_rows, children: Vec::new() }
     }
 
-    /// Adds the leaf at `path` and the branches leading to it.
+    /// Also adds the branches leading to it.
     fn insert(
         &mut self,
         path: &'static str,
@@ -171,7 +169,7 @@ impl Branch {
         }
     }
 
-    /// Calls `see` for this branch and all below it.
+    /// Includes all branches below.
     fn visit(&self, see: &mut dyn FnMut(&Branch)) {
         see(self);
         for (_, child) in &self.children {
@@ -188,18 +186,15 @@ impl Branch {
     }
 }
 
-/// Fields read in one pass over a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Pass {
-    /// Fields outside rows.
+    /// Outside rows.
     Shared,
-    /// The rows only.
     Rows,
-    /// All fields within one row.
+    /// Within one row.
     Row,
 }
 
-/// One pass over a message.
 struct Walk<'w, 'f> {
     plan: &'w Plan,
     pass: Pass,
@@ -208,7 +203,6 @@ struct Walk<'w, 'f> {
     found: Marks,
 }
 
-/// Reads an object.
 struct BranchVisitor<'v, 'w, 'f> {
     branch: &'v Branch,
     walk: &'v mut Walk<'w, 'f>,
@@ -276,7 +270,6 @@ impl<'de> DeserializeSeed<'de> for BranchSeed<'_, '_, '_> {
     }
 }
 
-/// Reads the array of rows.
 struct RowsVisitor<'v, 'w, 'f> {
     branch: &'v Branch,
     walk: &'v mut Walk<'w, 'f>,
@@ -312,7 +305,6 @@ impl<'de> Visitor<'de> for RowsVisitor<'_, '_, '_> {
     }
 }
 
-/// Finds a key among the children of a branch.
 struct Key<'v>(&'v [(&'static str, Child)]);
 
 impl<'de, 'v> DeserializeSeed<'de> for Key<'v> {
@@ -335,7 +327,7 @@ impl<'v> Visitor<'_> for Key<'v> {
     }
 }
 
-/// Whether `key` is a field's `name`, or its lowerCamelCase form in the JSON mapping of protocol buffers.
+/// Also accepts the lowerCamelCase of protocol buffers' JSON mapping.
 fn is_named(name: &str, key: &str) -> bool {
     let mut raised = false;
     let camel = name.chars().filter_map(|letter| {

@@ -1,8 +1,8 @@
 //! Decodes message bytes into rows of columns.
 //!
-//! Three independent parts: [`recipes`] map the fields of a type to the slots of a [`Row`]. A [`Plan`]
-//! reads these fields from the wire according to the schema in the log. A [`Builder`] appends rows to the
-//! columns. A new message type needs a recipe; a new encoding needs another way to fill a `Row`.
+//! [`recipes`] map the fields of a type to the slots of a [`Row`]. A [`Plan`] reads these fields from the
+//! wire according to the schema in the log. A [`Builder`] appends rows to the columns. A new message type
+//! needs a recipe; a new encoding needs another way to fill a `Row`.
 
 mod builder;
 mod cursor;
@@ -30,44 +30,39 @@ pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
 pub(super) use self::schema::{bounded, canonical, excerpt};
 
-/// Message format of a channel, as declared in the log.
+/// As declared in the log.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Format<'a> {
-    /// Encoding of the messages, such as `cdr`.
+    /// Such as `cdr`.
     pub(super) encoding: &'a str,
-    /// Type name as in the log.
     pub(super) type_name: &'a str,
-    /// Encoding of the schema, such as `ros2msg`; empty without a schema.
+    /// Such as `ros2msg`; empty without a schema.
     pub(super) schema_encoding: &'a str,
-    /// The schema.
     pub(super) schema: &'a [u8],
 }
 
-/// Reason why the messages of a channel cannot be decoded, regardless of content.
+/// Applies to all messages of a channel.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum FormatError {
-    /// Unsupported message encoding.
     #[error("messages are encoded as `{found}`, expected `cdr`, `ros1`, `json` or `protobuf`")]
     Encoding { found: String },
-    /// Unsupported schema language.
+    /// Unsupported language.
     #[error("schema is written in `{found}`, expected {expected}")]
     SchemaEncoding { expected: &'static str, found: String },
-    /// No schema.
     #[error("the log has no schema for `{type_name}`")]
     NoSchema { type_name: String },
-    /// The schema is invalid or lacks a required field.
+    /// Invalid, or without a required field.
     #[error("schema of `{type_name}`: {source}")]
     Schema { type_name: String, source: SchemaError },
 }
 
 impl Format<'_> {
-    /// Plan for reading the fields of `recipe` from messages in this format.
     pub(super) fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
         match self.encoding {
             "cdr" => self.steps(recipe, Serialization::Cdr),
             "ros1" => self.steps(recipe, Serialization::Ros1),
             "protobuf" => self.protobuf(recipe),
-            // JSON schemas add nothing to the type name and the messages.
+            // The fields of `recipe` and the messages suffice.
             "json" => Ok(Plan::Json(json::Plan::new(recipe))),
             other => Err(FormatError::Encoding { found: excerpt(other) }),
         }
@@ -107,7 +102,7 @@ impl Format<'_> {
         self.first_layout(recipe, compile).map(Plan::Protobuf)
     }
 
-    /// Plan for the first layout of the recipe that the schema supports.
+    /// The first layout that the schema supports.
     fn first_layout<P>(
         self,
         recipe: &Recipe,

@@ -1,5 +1,5 @@
-//! Message definitions in ROS format: the definition of the type, followed by all types it contains, each
-//! after a line of `=` and a line `MSG: package/Type`.
+//! Message definitions in ROS format: the definition of the type, then all types it contains, each after a
+//! line of `=` and a line `MSG: package/Type`.
 
 use std::collections::HashSet;
 
@@ -8,10 +8,10 @@ use super::schema::{
     SchemaError, canonical, excerpt,
 };
 
-/// Definitions of the common ROS 2 types, for logs without schemas.
+/// Common ROS 2 types, for logs without schemas.
 const COMMON: &str = include_str!("common.msg");
 
-/// ROS generation, where the same word has different meanings.
+/// ROS generation: some words have two meanings.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Dialect {
     /// `byte` is signed.
@@ -20,10 +20,9 @@ pub(super) enum Dialect {
     Ros2,
 }
 
-/// The only type that ROS 1 allows without a package name.
+/// The only type that ROS 1 allows without a package.
 const HEADER: &str = "std_msgs/Header";
 
-/// Parses the concatenated definitions of `type_name`.
 pub(super) fn parse(
     type_name: &str,
     schema: &[u8],
@@ -33,13 +32,13 @@ pub(super) fn parse(
     Schema::new(type_name, definitions(&canonical(type_name), &text, dialect)?)
 }
 
-/// Definition of the common type `type_name`, if it is one.
+/// `None` if the type is not common.
 pub(super) fn common(type_name: &str) -> Option<Schema> {
     let definitions = definitions("", COMMON, Dialect::Ros2).ok()?;
     Schema::new(type_name, definitions).ok()
 }
 
-/// All types defined in `text`; the first is called `name`.
+/// The first is called `name`.
 fn definitions(name: &str, text: &str, dialect: Dialect) -> Result<Vec<Definition>, SchemaError> {
     let mut done = Vec::new();
     let mut fields = 0;
@@ -87,14 +86,14 @@ fn settle_headers(definitions: &mut [Definition]) {
     }
 }
 
-/// Field declared in a line. `None` for a constant, comment or empty line.
+/// `None` for a constant, comment or empty line.
 fn field(
     owner: &str,
     number: usize,
     line: &str,
     dialect: Dialect,
 ) -> Result<Option<Field>, SchemaError> {
-    // A `#` in a string constant or default may be cut off, because neither is on the wire.
+    // A `#` may cut off a string constant or default: neither is on the wire.
     let declaration = line.split('#').next().unwrap_or_default().trim();
     if declaration.is_empty() {
         return Ok(None);
@@ -117,7 +116,7 @@ fn field(
     Ok(Some(Field { name: name.into(), base, arity, spelled: spelled.into() }))
 }
 
-/// Type `spelled` in the definition of `owner`.
+/// `owner` is the enclosing definition.
 fn type_of(
     owner: &str,
     line: usize,
@@ -137,7 +136,7 @@ fn type_of(
     Ok((base_of(owner, base, dialect), arity))
 }
 
-/// Type of one value, `name` in the definition of `owner`.
+/// Of one value.
 fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
     if let Some(primitive) = primitive(name, dialect) {
         return Base::Number(primitive);
@@ -146,7 +145,7 @@ fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
         "string" => Base::Text,
         "wstring" => Base::Unreadable("which has no settled encoding"),
         "time" | "duration" => Base::Message(name.into()),
-        // ROS 2 refers to the type of the same package, see `Header` below.
+        // In ROS 2 it is of the same package; see `settle_headers`.
         "Header" if dialect == Dialect::Ros1 => Base::Message(HEADER.into()),
         _ if name.contains('/') => Base::Message(canonical(name).into()),
         _ => match owner.rsplit_once('/') {

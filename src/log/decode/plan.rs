@@ -1,15 +1,14 @@
-//! Plans for reading the rows of a channel from its messages, in any encoding.
+//! Plans for reading messages in any encoding.
 
 use super::fault::{Append, DecodeError};
 use super::row::Row;
 use super::{json, protobuf, steps};
 
-/// Recipe compiled for the format of one channel.
+/// Recipe compiled for one channel.
 #[derive(Debug)]
 pub(crate) enum Plan {
-    /// CDR or ROS 1 serialization.
+    /// CDR or ROS 1.
     Steps(steps::Plan),
-    /// JSON.
     Json(json::Plan),
     /// Protocol buffers.
     Protobuf(protobuf::Plan),

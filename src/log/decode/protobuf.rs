@@ -1,8 +1,7 @@
 //! Protocol buffers, decoded with the descriptors in the log.
 //!
-//! Field numbers are looked up by name once per channel; messages are then read sequentially from the wire
-//! (protobuf.dev, "Encoding"). Unknown fields are skipped. A missing field has its proto3 default: zero or
-//! empty.
+//! Looks up field numbers by name once per channel, then reads messages sequentially (protobuf.dev,
+//! "Encoding"). Skips unknown fields. A missing field has its proto3 default: zero or empty.
 
 mod descriptor;
 mod wire;
@@ -21,19 +20,17 @@ pub(crate) use self::wire::{Reader, Value, WireError};
 #[derive(Debug)]
 pub(crate) struct Plan {
     root: Vec<Wanted>,
-    /// All slots, reset before a message, and the slots of a row, reset before each row.
+    /// Reset before a message; `row_slots` before each row.
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
     has_rows: bool,
-    /// Whether numbers in nested messages are wanted, in the message or in a row.
     has_vectors: bool,
 }
 
-/// One wanted field.
 #[derive(Debug)]
 struct Wanted {
     number: u32,
-    /// Path from the message's root.
+    /// From the message's root.
     path: Box<str>,
     what: What,
 }
@@ -46,31 +43,27 @@ enum What {
     List(Scalar, usize),
     Text(usize),
     Names,
-    /// Message with wanted fields.
     Message(Vec<Wanted>),
     /// Repeated message, one row each.
     Rows(Vec<Wanted>),
 }
 
-/// Content encountered in one pass over a message.
 #[derive(Debug, Default)]
 struct Met {
     rows: usize,
-    /// Number of messages with wanted numbers, such as a position, in the whole message or one row.
+    /// Messages with wanted numbers, such as a position, in the whole message or one row.
     vectors: usize,
 }
 
-/// Fields read in one pass over a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Pass {
-    /// Fields outside rows.
+    /// Outside rows.
     Shared,
-    /// The rows only.
     Rows,
 }
 
 impl Plan {
-    /// Finds `fields` in the type `type_name`. Each element of the array `each`, if given, becomes a row.
+    /// Each element of the array `each`, if given, becomes a row.
     pub(super) fn compile(
         types: &Types,
         type_name: &str,
@@ -96,7 +89,6 @@ impl Plan {
         })
     }
 
-    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -104,7 +96,7 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
-        // The rows may precede the fields shared by all of them.
+        // The rows may precede the fields they share.
         let mut met = Met::default();
         self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut met)?;
         self.cap_lists(row);
@@ -158,8 +150,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Fails if a message has neither position nor rotation, because its numbers would all be zero. One of
-    /// the two may be missing.
+    /// Without position and rotation all numbers would be zero. One of the two may be missing.
     fn require_vectors(&self, met: &Met, reader: &Reader<'_>) -> Result<(), WireError> {
         match met.vectors {
             0 if self.has_vectors => Err(reader.error(Fault::Empty)),
@@ -176,12 +167,10 @@ impl Plan {
     }
 }
 
-/// Whether the message itself has wanted numbers.
 fn is_vector(wanted: &[Wanted]) -> bool {
     wanted.iter().any(|wanted| matches!(wanted.what, What::Number(..)))
 }
 
-/// Whether nested messages have wanted numbers.
 fn has_vectors(wanted: &[Wanted]) -> bool {
     wanted.iter().any(|wanted| match &wanted.what {
         What::Message(wanted) | What::Rows(wanted) => is_vector(wanted) || has_vectors(wanted),
@@ -190,14 +179,14 @@ fn has_vectors(wanted: &[Wanted]) -> bool {
 }
 
 impl What {
-    /// Reads a value without nested wanted fields.
+    /// Without nested wanted fields.
     fn read(&self, value: Value<'_>, row: &mut Row) -> Result<(), Fault> {
         match *self {
             What::Seconds(scalar) => row.seconds = scalar.integer(value)?,
             What::Nanoseconds(scalar) => row.nanoseconds = scalar.integer(value)?,
             What::Number(scalar, index) => row.numbers[index] = scalar.number(value)?,
             What::List(scalar, index) => {
-                // Either packed into one value or one value each.
+                // Packed into one value, or one value each.
                 let Value::Bytes(packed) = value else {
                     row.push(index, scalar.number(value)?);
                     return Ok(());
@@ -216,7 +205,6 @@ impl What {
 }
 
 impl Scalar {
-    /// Next packed value.
     fn next<'a>(self, reader: &mut Reader<'a>) -> Result<Option<Value<'a>>, Fault> {
         if reader.is_at_end() {
             return Ok(None);
@@ -242,7 +230,7 @@ impl Scalar {
         })
     }
 
-    /// Integer; saturates, and fractions are truncated.
+    /// Saturates; truncates fractions.
     fn integer(self, value: Value<'_>) -> Result<i64, Fault> {
         let saturated = |bits: u64| i64::try_from(bits).unwrap_or(i64::MAX);
         Ok(match (self, value) {
@@ -263,14 +251,13 @@ impl Scalar {
     }
 }
 
-/// State while walking descriptors.
 struct Compiler<'a> {
     types: &'a Types,
     each: Option<&'static str>,
 }
 
 impl Compiler<'_> {
-    /// Fields of `message` that lead to the wanted ones, whose paths all start with `prefix`.
+    /// Fields that lead to the wanted ones, whose paths all start with `prefix`.
     fn message(
         &self,
         message: &Message,
@@ -328,7 +315,7 @@ impl Compiler<'_> {
         })
     }
 
-    /// A time: a message with seconds and nanoseconds, such as `google.protobuf.Timestamp`.
+    /// Message with seconds and nanoseconds, such as `google.protobuf.Timestamp`.
     fn stamp(&self, message: &Message, field: &Field, path: &str) -> Result<What, SchemaError> {
         let part = |names: &[&str], what: fn(Scalar) -> What| {
             let part = names.iter().find_map(|name| message.field(name))?;
@@ -351,12 +338,10 @@ impl Compiler<'_> {
     }
 }
 
-/// Length of a path before the names below `prefix`.
 fn prefix_len(prefix: &str) -> usize {
     if prefix.is_empty() { 0 } else { prefix.len() + 1 }
 }
 
-/// First name of `path` below `prefix`.
 fn name_below<'a>(path: &'a str, prefix: &str) -> &'a str {
     let rest = &path[prefix_len(prefix)..];
     rest.split('.').next().unwrap_or(rest)

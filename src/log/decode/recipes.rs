@@ -4,42 +4,39 @@ use super::builder::{Builder, NamedPart, Part};
 use super::row::{self, Slot};
 use super::schema::canonical;
 
-/// Slot for each field, by its path from the message's root.
+/// Slots by path from the message's root.
 pub(super) type Fields = &'static [(&'static str, Slot)];
 
-/// Conversion of a message type to rows.
 pub(crate) struct Recipe {
-    /// Type names as `package/Type`, or `package.Type` outside ROS.
+    /// As `package/Type`, or `package.Type` outside ROS.
     type_names: &'static [&'static str],
     /// Array whose elements are rows; without it, a message is one row.
     pub(super) each: Option<&'static str>,
-    /// Fields of each version of the type. The first layout whose fields all exist is used.
+    /// One per version of the type; the first whose fields all exist is used.
     pub(super) layouts: &'static [Fields],
-    /// Columns to fill; the first has the topic's own name. If rows come from an array there is one part,
-    /// and rows have groups ([`Row::group`](row::Row::group)).
+    /// The first has the topic's own name. If rows come from an array there is one part, and rows have
+    /// groups ([`Row::group`](row::Row::group)).
     parts: &'static [NamedPart],
 }
 
 impl Recipe {
-    /// Recipe for a type spelled `package/Type` or `package/msg/Type`.
+    /// Accepts `package/Type` and `package/msg/Type`.
     pub(crate) fn of(type_name: &str) -> Option<&'static Recipe> {
         let type_name = canonical(type_name);
         RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
     }
 
-    /// Empty columns.
     pub(crate) fn builder(&self) -> Builder {
         let is_stamp = |(_, slot): &(&str, Slot)| *slot == Slot::Stamp;
         Builder::new(self.parts, self.layouts.iter().any(|fields| fields.iter().any(is_stamp)))
     }
 }
 
-/// Single layout of a type.
 macro_rules! layout {
     ($($field:expr),* $(,)?) => { &[&[$($field),*]] };
 }
 
-/// Slots of a position and a quaternion in two nested messages.
+/// A position and a quaternion in two nested messages.
 macro_rules! pose_slots {
     ($position:literal, $orientation:literal $(, $other:expr)*) => {
         &[
@@ -55,7 +52,6 @@ macro_rules! pose_slots {
     };
 }
 
-/// Slots of the three components of a vector.
 macro_rules! vector_slots {
     ($vector:literal, $first:expr) => {
         [
@@ -73,7 +69,6 @@ const STAMP: (&str, Slot) = ("header.stamp", Slot::Stamp);
 const FRAME: (&str, Slot) = ("header.frame_id", Slot::Text(row::FRAME));
 const NAMES: (&str, Slot) = ("joint_names", Slot::Names);
 
-/// All message types with columns.
 static RECIPES: &[Recipe] = &[
     Recipe {
         type_names: &["sensor_msgs/JointState"],
@@ -114,7 +109,7 @@ static RECIPES: &[Recipe] = &[
         parts: &[("", Part::joints), (".reference", Part::reference)],
     },
     Recipe {
-        // A single point is a set-point; the last point of a trajectory counts as its goal.
+        // A single point is a set-point; the last point of a trajectory is its goal.
         type_names: &["trajectory_msgs/JointTrajectory"],
         each: Some("points"),
         layouts: layout![
@@ -127,7 +122,7 @@ static RECIPES: &[Recipe] = &[
         parts: &[(".setpoint", Part::reference)],
     },
     Recipe {
-        // The arm's own state; ROS 1 spells the matrix in capitals.
+        // ROS 1 spells the matrix in capitals.
         type_names: &[
             "franka_msgs/FrankaState",
             "franka_control/FrankaState",

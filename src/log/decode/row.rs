@@ -4,53 +4,46 @@ use std::cell::Cell;
 
 use super::steps::Shape;
 
-/// Index into [`Row::texts`]: frame of the header.
+/// Indices into [`Row::texts`].
 pub(super) const FRAME: usize = 0;
-/// Index into [`Row::texts`]: child frame.
 pub(super) const CHILD: usize = 1;
-/// Index into [`Row::texts`]: text of a text-only type.
+/// Text of a text-only type.
 pub(super) const BODY: usize = 0;
 
-/// Index into [`Row::numbers`]: quaternion x, y, z, w.
+/// Indices into [`Row::numbers`]: quaternion x, y, z, w.
 pub(super) const QUATERNION: usize = 0;
-/// Index into [`Row::numbers`]: position of a pose, three numbers.
+/// Of a pose.
 pub(super) const POSITION: usize = 4;
-/// Index into [`Row::numbers`]: angular velocity of an IMU, three numbers.
+/// Of an IMU, like [`ACCEL`] (specific force).
 pub(super) const GYRO: usize = 4;
-/// Index into [`Row::numbers`]: specific force of an IMU, three numbers.
 pub(super) const ACCEL: usize = 7;
 
-/// Index into [`Row::lists`]: positions, a bare array, or a covariance.
+/// Indices into [`Row::lists`]: positions, a bare array, or a covariance.
 pub(super) const VALUES: usize = 0;
-/// Index into [`Row::lists`]: velocities.
 pub(super) const VELOCITIES: usize = 1;
-/// Index into [`Row::lists`]: commanded joint positions.
+/// Commanded joint positions and velocities.
 pub(super) const REFERENCE: usize = 2;
-/// Index into [`Row::lists`]: commanded joint velocities.
 pub(super) const REFERENCE_VELOCITIES: usize = 3;
-/// Index into [`Row::lists`]: matrix of a pose.
+/// Of a pose.
 pub(super) const MATRIX: usize = 2;
 
-/// Maximum length of a list. Longer lists are cleared or truncated; an arm does not have them.
+/// Longer lists are cleared or truncated; an arm does not have them.
 pub(super) const MAX_LIST: usize = 1 << 16;
 
-/// Destination of a message field.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Slot {
-    /// Time at which the content was valid.
+    /// When the content was valid.
     Stamp,
-    /// One of [`Row::texts`].
+    /// Index into [`Row::texts`].
     Text(usize),
-    /// One of [`Row::numbers`].
+    /// Index into [`Row::numbers`].
     Number(usize),
-    /// [`Row::names`].
     Names,
-    /// One of [`Row::lists`].
+    /// Index into [`Row::lists`].
     List(usize),
 }
 
 impl Slot {
-    /// Type that a schema must declare for this slot.
     pub(super) const fn expected(self) -> &'static str {
         match self {
             Slot::Stamp => "a time",
@@ -62,21 +55,21 @@ impl Slot {
     }
 }
 
-/// Times of a message, ns.
+/// Times in ns.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(crate) struct RowTimes {
-    /// Receive time of the recorder.
+    /// At the recorder.
     pub(crate) log: i64,
-    /// Publish time of the sender.
+    /// At the sender.
     pub(crate) publish: i64,
-    /// Sequence number from the sender or recorder; 0 if there is none.
+    /// From the sender or recorder; 0 if there is none.
     pub(crate) sequence: u32,
 }
 
 /// Fields of one row as read from the wire.
 ///
-/// One `Row` serves all messages of a channel. Its buffers are reused, so decoding allocates only while
-/// they grow. A plan fills every slot of its recipe for every row; the others keep their defaults.
+/// One `Row` serves all messages of a channel and reuses its buffers. A plan fills every slot of its recipe
+/// for every row; the others keep their defaults.
 #[derive(Debug, Default)]
 pub(crate) struct Row {
     pub(super) seconds: i64,
@@ -85,29 +78,27 @@ pub(crate) struct Row {
     pub(super) texts: [String; 2],
     pub(super) names: Names,
     pub(super) lists: [Vec<f64>; 4],
-    /// Index in the message's array of rows.
+    /// In the message's array of rows.
     pub(super) index: usize,
-    /// Pose group of the row.
     pub(super) group: Cell<Group>,
     /// Positions of the previous message's values, in encodings without an index.
     pub(super) shape: Option<Box<Shape>>,
 }
 
-/// Pose group of a row, cached if all messages of one shape share it.
+/// Cached if all messages of one shape share it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) enum Group {
-    /// Determined by its texts; the group is not requested.
+    /// Determined by the texts; not requested.
     #[default]
     ByTexts,
-    /// Determined by its texts; the group is requested.
+    /// Determined by the texts; requested.
     Wanted,
-    /// Known group. The texts may belong to a different row.
+    /// The texts may belong to a different row.
     Known(usize),
 }
 
 impl Row {
-    /// Stamp in ns; saturates. 0 (not set) if the seconds are nonzero and the nanoseconds are a second or
-    /// more, which no clock produces.
+    /// ns; saturates. 0 (not set) for nanoseconds that no clock produces, unless the seconds are 0.
     pub(super) fn stamp(&self) -> i64 {
         if self.seconds != 0 && !(0..1_000_000_000).contains(&self.nanoseconds) {
             return 0;
@@ -115,12 +106,11 @@ impl Row {
         self.seconds.saturating_mul(1_000_000_000).saturating_add(self.nanoseconds)
     }
 
-    /// `N` consecutive numbers from index `first`.
     pub(super) fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
         std::array::from_fn(|i| self.numbers[first + i])
     }
 
-    /// Resets a slot to its default, used for fields missing from a message.
+    /// For fields missing from a message.
     pub(super) fn reset(&mut self, slot: Slot) {
         match slot {
             Slot::Stamp => (self.seconds, self.nanoseconds) = (0, 0),
@@ -131,7 +121,7 @@ impl Row {
         }
     }
 
-    /// Appends to the list at `index`; [`Row::cap_list`] clears it if it is too long.
+    /// [`Row::cap_list`] clears the list if it is too long.
     pub(super) fn push(&mut self, index: usize, value: f64) {
         let list = &mut self.lists[index];
         if list.len() <= MAX_LIST {
@@ -139,14 +129,13 @@ impl Row {
         }
     }
 
-    /// Clears the list at `index` if it is too long.
     pub(super) fn cap_list(&mut self, index: usize) {
         if self.lists[index].len() > MAX_LIST {
             self.lists[index].clear();
         }
     }
 
-    /// Replaces the text at `index`, which usually equals the previous one.
+    /// The text usually equals the previous one.
     pub(super) fn set_text(&mut self, index: usize, bytes: &[u8]) {
         let text = &mut self.texts[index];
         if text.as_bytes() != bytes {
@@ -155,7 +144,7 @@ impl Row {
         }
     }
 
-    /// Frame at `index`, without the leading `/` of ROS 1.
+    /// Without the leading `/` of ROS 1.
     pub(super) fn frame(&self, index: usize) -> &str {
         let frame = &self.texts[index];
         frame.strip_prefix('/').unwrap_or(frame)
@@ -164,13 +153,11 @@ impl Row {
 
 /// List of names in one buffer.
 ///
-/// It is refilled for every message, usually with the same names, so previous names stay in the buffer
-/// until they are replaced.
+/// Messages usually repeat the names, so the buffer keeps previous names until they are replaced.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Names {
     text: String,
     ends: Vec<usize>,
-    /// Number of buffered names that are in the list.
     len: usize,
 }
 
@@ -208,7 +195,6 @@ impl Names {
         self.len
     }
 
-    /// End of the first `count` names in the buffer.
     fn end_of(&self, count: usize) -> usize {
         count.checked_sub(1).and_then(|last| self.ends.get(last)).copied().unwrap_or(0)
     }
@@ -221,7 +207,6 @@ impl Names {
         &self.text.as_bytes()[..self.end_of(self.len)]
     }
 
-    /// Name at `index`.
     pub(super) fn get(&self, index: usize) -> Option<&str> {
         Some(&self.text[self.end_of(index)..*self.ends().get(index)?])
     }
@@ -236,7 +221,7 @@ impl Names {
     }
 }
 
-/// Appends `bytes` with replacement characters for invalid UTF-8, without a copy.
+/// Replaces invalid UTF-8, without a copy.
 fn push_lossy(text: &mut String, bytes: &[u8]) {
     if let Ok(valid) = std::str::from_utf8(bytes) {
         text.push_str(valid);

@@ -1,25 +1,22 @@
-//! Message types described by a schema, independent of its language.
+//! Message types of a schema in any language.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// Maximum number of fields in a schema and in a message including nested ones. Limits types that double at
-/// every level.
+/// In a schema and in a message including nested ones. Limits types that double at every level.
 pub(super) const MAX_FIELDS: usize = 10_000;
 
-/// Maximum number of types in a schema.
 pub(super) const MAX_TYPES: usize = 5_000;
 
-/// Maximum nesting of messages. Limits types that contain themselves.
+/// Of messages. Limits types that contain themselves.
 pub(super) const MAX_DEPTH: usize = 32;
 
-/// Maximum length of a schema, in bytes. Whole message packages need less than a tenth.
+/// Whole message packages need less than a tenth.
 const MAX_BYTES: usize = 4 << 20;
 
-/// Maximum length of a field or type name, in bytes.
+/// Of a field or type, in bytes.
 pub(super) const MAX_NAME: usize = 256;
 
-/// Reason why a schema cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum SchemaError {
     #[error("line {line}: expected `MSG: package/Type` after the separator, found `{found}`")]
@@ -64,7 +61,6 @@ pub(crate) enum SchemaError {
     Missing { field: &'static str },
 }
 
-/// Rejects a schema that is too long.
 pub(super) fn check_length(schema: &[u8]) -> Result<(), SchemaError> {
     match schema.len() {
         0..=MAX_BYTES => Ok(()),
@@ -72,28 +68,27 @@ pub(super) fn check_length(schema: &[u8]) -> Result<(), SchemaError> {
     }
 }
 
-/// The schema as text.
 pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
     check_length(schema).map(|()| String::from_utf8_lossy(schema))
 }
 
-/// Start of `text`, for messages.
+/// For messages.
 pub(crate) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 80;
     start_of(text, LONGEST).into_owned()
 }
 
-/// Name of a topic, type, frame or joint for messages, truncated if it is too long.
+/// Truncates the name of a topic, type, frame or joint.
 pub(crate) fn bounded(name: &str) -> Cow<'_, str> {
     const LONGEST: usize = 256;
     match start_of(name, LONGEST) {
         short if !short.contains(char::is_control) => short,
-        // Names are used in reports, tables and scripts, and must fit on one line.
+        // Names must fit on one line of reports, tables and scripts.
         short => Cow::Owned(short.replace(char::is_control, "\u{fffd}")),
     }
 }
 
-/// Start of `text`, with an ellipsis if it is truncated.
+/// Marks truncation with an ellipsis.
 fn start_of(text: &str, longest: usize) -> Cow<'_, str> {
     match text.char_indices().nth(longest) {
         Some((end, _)) => Cow::Owned(format!("{}…", &text[..end])),
@@ -101,7 +96,7 @@ fn start_of(text: &str, longest: usize) -> Cow<'_, str> {
     }
 }
 
-/// Number on the wire. Booleans, bytes and characters are read as 8-bit numbers.
+/// Booleans, bytes and characters are 8-bit numbers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Primitive {
     U8,
@@ -117,7 +112,7 @@ pub(super) enum Primitive {
 }
 
 impl Primitive {
-    /// Size on the wire in bytes.
+    /// On the wire, in bytes.
     pub(super) const fn size(self) -> usize {
         match self {
             Primitive::U8 | Primitive::I8 => 1,
@@ -128,20 +123,18 @@ impl Primitive {
     }
 }
 
-/// Type of one value of a field.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Base {
     Number(Primitive),
-    /// Enumeration: CDR version 2 has a length prefix before collections of it.
+    /// CDR version 2 has a length prefix before collections of it.
     Enumeration(Primitive),
     Text,
-    /// Message, by its name in [`canonical`] form.
+    /// By [`canonical`] name.
     Message(String),
-    /// Type that cannot be read or skipped, with the reason.
+    /// Can be neither read nor skipped; with the reason.
     Unreadable(&'static str),
 }
 
-/// Number of values of a field.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Arity {
     One,
@@ -149,21 +142,18 @@ pub(super) enum Arity {
     Sequence,
 }
 
-/// One field of a message.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Field {
     pub(super) name: String,
     pub(super) base: Base,
     pub(super) arity: Arity,
-    /// Type as in the schema, for messages.
     pub(super) spelled: String,
 }
 
-/// Whether a type may be extended, which determines its length prefix in CDR version 2 (DDS XTypes 1.3,
-/// §7.4.3.5).
+/// Determines the length prefix in CDR version 2 (DDS XTypes 1.3, §7.4.3.5).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Extensibility {
-    /// Not in the schema: determined by the header of each message.
+    /// Determined by the header of each message.
     Unsaid,
     Final,
     Appendable,
@@ -171,7 +161,6 @@ pub(super) enum Extensibility {
     Mutable,
 }
 
-/// One message type.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Definition {
     /// In [`canonical`] form.
@@ -181,13 +170,11 @@ pub(super) struct Definition {
 }
 
 impl Definition {
-    /// A type without fields.
     pub(super) fn new(name: impl Into<String>) -> Self {
         Self { name: name.into(), fields: Vec::new(), extensibility: Extensibility::Unsaid }
     }
 }
 
-/// Message type with all types that it contains.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Schema {
     definitions: Vec<Definition>,
@@ -195,7 +182,7 @@ pub(super) struct Schema {
     root: usize,
 }
 
-/// Types usable without a definition, with the types of their seconds and nanoseconds.
+/// Usable without a definition; with their seconds and nanoseconds.
 const BUILT_IN: [(&str, Primitive, Primitive); 4] = [
     ("time", Primitive::U32, Primitive::U32),
     ("duration", Primitive::I32, Primitive::I32),
@@ -223,7 +210,7 @@ pub(crate) fn canonical(type_name: &str) -> Cow<'_, str> {
 }
 
 impl Schema {
-    /// Schema of `type_name` with the other `definitions`. For duplicate names the first counts.
+    /// For duplicate names the first definition counts.
     pub(super) fn new(
         type_name: &str,
         mut definitions: Vec<Definition>,
@@ -239,12 +226,10 @@ impl Schema {
         Ok(Self { definitions, by_name, root })
     }
 
-    /// Definition of the message itself.
     pub(super) fn root(&self) -> &Definition {
         &self.definitions[self.root]
     }
 
-    /// Definition with the canonical name `name`.
     pub(super) fn definition(&self, name: &str) -> Option<&Definition> {
         self.by_name.get(name).map(|&index| &self.definitions[index])
     }

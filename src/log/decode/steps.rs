@@ -14,30 +14,28 @@ use super::schema::{Schema, SchemaError};
 
 pub(super) use self::shape::Shape;
 
-/// Steps that read the wanted fields of a message and skip the others, in one pass.
+/// Reads the wanted fields of a message and skips the others, in one pass.
 #[derive(Debug)]
 pub(crate) struct Plan {
     serialization: Serialization,
-    /// Steps for consecutive values without lengths.
+    /// For consecutive values without lengths.
     plain: Vec<Step>,
-    /// Steps for CDR version 2, with lengths between the values; empty for ROS 1.
+    /// For CDR version 2, with lengths between the values; empty for ROS 1.
     delimited: Vec<Step>,
-    /// Whether the message itself is the row; otherwise an [`Op::Repeat`] among the steps has rows.
+    /// The message itself is the row; otherwise an [`Op::Repeat`] has rows.
     whole: bool,
 }
 
-/// Serialization of messages.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Serialization {
-    /// ROS 1: packed, little-endian, without a header.
+    /// Packed, little-endian, without a header.
     Ros1,
-    /// CDR, in the version given by the header of each message.
+    /// In the version given by the header of each message.
     Cdr,
 }
 
 impl Plan {
-    /// Compiles the steps that read `fields` from messages of `schema`. Each element of the array `each`,
-    /// if given, becomes a row.
+    /// Each element of the array `each`, if given, becomes a row.
     pub(super) fn compile(
         schema: &Schema,
         fields: Fields,
@@ -52,7 +50,6 @@ impl Plan {
         Ok(Self { serialization, plain, delimited, whole: each.is_none() })
     }
 
-    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -60,14 +57,14 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         let mut cursor = self.cursor(message)?;
-        // Moved out of the row, which is borrowed mutably.
+        // `row` is borrowed mutably.
         let mut shape = row.shape.take().unwrap_or_default();
         let result = self.read(message, &mut cursor, row, &mut shape, append);
         row.shape = Some(shape);
         result
     }
 
-    /// Reads `message` with the shape of the previous one if it is the same; otherwise with its steps.
+    /// Uses the shape of the previous message if it is the same; otherwise the steps.
     fn read<'p>(
         &'p self,
         message: &[u8],
@@ -91,7 +88,6 @@ impl Plan {
         Ok(())
     }
 
-    /// Cursor at the first value of `message`.
     fn cursor<'m>(&self, message: &'m [u8]) -> Result<Cursor<'m>, EncapsulationError> {
         match self.serialization {
             Serialization::Ros1 => Ok(Cursor::ros1(message)),
@@ -99,7 +95,6 @@ impl Plan {
         }
     }
 
-    /// Steps for the layout at `cursor`.
     fn steps(&self, cursor: &Cursor<'_>) -> &[Step] {
         match cursor.layout() {
             Layout::Packed | Layout::Cdr => &self.plain,
@@ -108,7 +103,6 @@ impl Plan {
     }
 }
 
-/// Executes `steps` once.
 fn walk<'p>(
     steps: &'p [Step],
     cursor: &mut Cursor<'_>,

@@ -13,7 +13,7 @@ use super::*;
 use ground::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
 use ground::time::Clock;
 
-/// Decoded parts of the messages, and the first error.
+/// Also returns the first error.
 fn decode_all(
     format: Format<'_>,
     messages: &[Vec<u8>],
@@ -33,7 +33,7 @@ fn decode_all(
     (builder.finalize(), first)
 }
 
-/// The same for CDR with a message definition, for types with one part.
+/// For CDR with a message definition and types with one part.
 fn decode(type_name: &str, schema: &str, messages: &[Vec<u8>]) -> (Columns, Option<String>) {
     let (mut parts, error) = decode_all(cdr(type_name, schema), messages);
     assert_eq!((parts.len(), parts[0].0), (1, ""));
@@ -74,7 +74,7 @@ fn refused(format: Format<'_>) -> String {
     format.plan(Recipe::of(format.type_name).unwrap()).unwrap_err().to_string()
 }
 
-/// Asserts equality with NaN equal to NaN.
+/// NaN equals NaN.
 fn assert_same(found: &[f64], expected: &[f64]) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(found), bits(expected), "{found:?} {expected:?}");
@@ -469,7 +469,7 @@ fn protocol_buffers_of_another_type_are_refused() {
         schema_encoding: "protobuf",
         schema: foxglove,
     };
-    // Field 3 should be the pose; here it is a number.
+    // Field 3 is a number instead of the pose.
     let (_, error) = decode_all(format, &[vec![0x18, 0x01]]);
     assert!(error.unwrap().starts_with("field `pose`: a wire type that differs"), "wire type");
     let joints = Format { type_name: "sensor_msgs/JointState", ..format };

@@ -7,47 +7,42 @@ use super::super::schema::bounded;
 use super::values::{keep_first, push_times};
 use ground::stream::{JointColumn, JointColumns, is_usable};
 
-/// Maximum number of joint names on a topic. Rows are dense, so new names in every message would fill the
-/// memory. The largest humanoids have fewer than a hundred joints.
+/// Rows are dense, so new names in every message would fill the memory. The largest humanoids have fewer
+/// than a hundred joints.
 const MAX_JOINTS: usize = 256;
 
-/// Number of values missing from their messages (one gigabyte) above which sparsity is checked, …
+/// Above this number of missing values (one gigabyte), …
 const ABSENT_CELLS: usize = 1 << 26;
-/// … and the minimum share of present values is then one in this many. A topic does not have more senders.
+/// … at least one value in this many must be present. A topic does not have more senders.
 const MAX_SENDERS: usize = 8;
 
-/// Prefix of unnamed joints, followed by their number.
+/// Followed by the joint's number.
 const UNNAMED_PREFIX: &str = "q";
 
-/// Joints in a message exceed the limits.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TooManyJoints {
-    /// More joint names than a topic may have.
     #[error("topic has more than {MAX_JOINTS} different joint names")]
     Names,
-    /// Too many of the known joints are missing from this and most other messages.
     #[error("most joints of the topic are missing from most of its messages")]
     Absent,
 }
 
-/// Joint states, with the map from message names to columns.
 #[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Joints {
-    /// Index of the positions in [`Row::lists`].
+    /// Indices into [`Row::lists`].
     pub(super) positions: usize,
-    /// Index of the velocities in [`Row::lists`].
     pub(super) velocities: usize,
-    /// Prefix of the numbers of unnamed joints.
+    /// Prefix of unnamed joints' numbers.
     pub(super) stem: &'static str,
     pub(super) columns: JointColumns,
     pub(super) by_name: HashMap<String, usize>,
-    /// Names in the previous message, which the next one usually repeats.
+    /// Of the previous message; the next one usually repeats them.
     pub(super) names: Names,
-    /// Column of each of these names.
+    /// Column of each name.
     pub(super) order: Vec<usize>,
-    /// Whether they are all columns, each once.
+    /// They are all columns, each once.
     pub(super) is_complete: bool,
-    /// Number of values in all rows, and how many are missing from their messages.
+    /// Values in all rows; `absent` counts those missing from their messages.
     pub(super) cells: usize,
     pub(super) absent: usize,
 }
@@ -128,14 +123,14 @@ impl Joints {
         Ok(())
     }
 
-    /// Whether the limits allow the rows of `later`.
+    /// Checks the limits with the rows of `later`.
     pub(super) fn fits(&self, later: &Self) -> bool {
         let is_new = |joint: &&JointColumn| !self.by_name.contains_key(&joint.name);
         let new = later.columns.joints.iter().filter(is_new).count();
         let (cells, absent) = self.with(later, self.columns.joints.len() + new);
-        // Names that are truncated or contain spaces are compared by their full text.
+        // Truncated names and names with spaces must match in full.
         let is_whole = |joint: &JointColumn| later.by_name.contains_key(&joint.name);
-        // Joints named only in some messages must be matched one message at a time.
+        // If only some messages name the joints, match one message at a time.
         let is_alike = self.columns.joints.is_empty()
             || later.columns.joints.is_empty()
             || self.columns.unnamed == later.columns.unnamed;
@@ -145,14 +140,13 @@ impl Joints {
             && later.columns.joints.iter().all(is_whole)
     }
 
-    /// Number of all values and of missing values after joining `later` into columns for `width` joints.
+    /// All and missing values after joining `later` into columns for `width` joints.
     fn with(&self, later: &Self, width: usize) -> (usize, usize) {
         let cells = later.columns.times.len() * width;
         let there = later.cells - later.absent;
         (self.cells + cells, self.absent + cells.saturating_sub(there))
     }
 
-    /// Appends the rows of `later`.
     pub(super) fn join(&mut self, later: Self) {
         // The next single message maps its names again.
         self.names.clear();
@@ -191,9 +185,8 @@ impl Joints {
         }
     }
 
-    /// Finds or creates the columns of `names`.
     pub(super) fn map_names(&mut self, names: &Names) -> Result<(), TooManyJoints> {
-        // If this fails halfway, the next message must be mapped again.
+        // After a failure the next message must be mapped again.
         self.names.clear();
         self.order.clear();
         self.is_complete = false;
@@ -226,13 +219,11 @@ impl Joints {
     }
 }
 
-/// Whether the rows need far more memory than their content, given the number of all values and of missing
-/// ones.
+/// The rows need far more memory than their content.
 fn is_too_sparse(cells: usize, absent: usize) -> bool {
     absent > ABSENT_CELLS && cells / MAX_SENDERS > cells - absent
 }
 
-/// Default names of `count` unnamed joints.
 fn default_names(stem: &str, count: usize) -> Names {
     let mut names = Names::default();
     for joint in 1..=count {

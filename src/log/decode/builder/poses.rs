@@ -1,4 +1,4 @@
-//! Appends poses to the columns of their pair of frames.
+//! Appends poses by their pair of frames.
 
 use std::collections::HashMap;
 
@@ -7,31 +7,30 @@ use super::super::schema::bounded;
 use super::values::{all_usable, push_times, quaternion};
 use ground::stream::PoseColumns;
 
-/// Child frames for poses identified by their index in the message. The first is empty, as for a single
-/// pose. Particle clouds and paths have more poses.
+/// Child frames for poses identified by index; the first is that of a single pose. Particle clouds and
+/// paths have more poses.
 const INDEX_NAMES: [&str; 16] = [
     "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
     "[13]", "[14]", "[15]",
 ];
 
-/// Maximum number of frame pairs on a topic. The largest trees have a few hundred.
+/// Pairs on a topic. The largest trees have a few hundred.
 pub(crate) const MAX_FRAMES: usize = 1 << 12;
 
-/// Gazebo's name for the frame of its states.
+/// Gazebo's frame of its states.
 const SIMULATED_WORLD: &str = "world";
 
-/// Poses grouped by frame and child frame.
 #[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Poses {
     pub(super) groups: Vec<PoseColumns>,
     pub(super) by_frames: HashMap<String, usize>,
     /// Buffer for a key of `by_frames`.
     pub(super) key: String,
-    /// Group of the previous row.
+    /// Of the previous row.
     pub(super) last: usize,
-    /// For each group, the group that followed it last time: trees are published in a constant order.
+    /// Group that followed each group last time: trees are published in a constant order.
     pub(super) next: Vec<usize>,
-    /// Number of rows with frame pairs beyond [`MAX_FRAMES`].
+    /// Rows beyond [`MAX_FRAMES`].
     pub(super) refused: u64,
 }
 
@@ -70,7 +69,7 @@ impl Poses {
         group.q_xyzw.push(q_xyzw);
     }
 
-    /// Group of a pair of frames. `None` if there are too many.
+    /// `None` if there are too many.
     pub(super) fn group(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
         let group = self.find(frame_id, child_frame_id)?;
         self.next.resize(self.groups.len(), 0);
@@ -117,20 +116,19 @@ impl Poses {
 }
 
 impl Poses {
-    /// Keys in the order of their groups.
+    /// By group.
     fn keys(&self) -> Vec<&str> {
         let mut keys = vec![""; self.groups.len()];
         self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
         keys
     }
 
-    /// Whether the limit allows the new groups of `later`.
+    /// Checks [`MAX_FRAMES`].
     pub(super) fn fits(&self, later: &Self) -> bool {
         let is_new = |key: &&&str| !self.by_frames.contains_key(**key);
         self.groups.len() + later.keys().iter().filter(is_new).count() <= MAX_FRAMES
     }
 
-    /// Appends the rows of `later`, group by group.
     pub(super) fn join(&mut self, later: Self) {
         self.refused += later.refused;
         let keys: Vec<String> = later.keys().into_iter().map(str::to_owned).collect();
@@ -152,16 +150,14 @@ impl Poses {
     }
 }
 
-/// Poses of messages that contain several.
 #[derive(Clone, Debug)]
 pub(in crate::decode) struct PoseSet {
     pub(super) poses: Poses,
     pub(super) naming: Naming,
-    /// Maximum number in one message.
+    /// In one message.
     pub(super) most: usize,
 }
 
-/// Identification of the poses within a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Naming {
     /// By index; see [`INDEX_NAMES`].
@@ -197,7 +193,6 @@ impl PoseSet {
         }
     }
 
-    /// Appends the rows of `later`.
     pub(super) fn join(&mut self, later: Self) {
         if !self.is_too_large() {
             self.poses.join(later.poses);
@@ -205,12 +200,12 @@ impl PoseSet {
         self.most = self.most.max(later.most);
     }
 
-    /// Whether a message contained too many poses for an arm.
+    /// For an arm.
     pub(super) fn is_too_large(&self) -> bool {
         self.most > self.naming.max_poses()
     }
 
-    /// The poses, unless there are too many for an arm.
+    /// `None` if there are too many for an arm.
     pub(super) fn finalize(self) -> Option<Vec<PoseColumns>> {
         let is_too_large = self.is_too_large();
         let mut groups = self.poses.groups;
@@ -221,7 +216,7 @@ impl PoseSet {
     }
 }
 
-/// Removes the model from `model::link` if links are unique without it.
+/// Shortens `model::link` if links are unique without the model.
 fn remove_model_names(groups: &mut [PoseColumns]) {
     let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
     let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();

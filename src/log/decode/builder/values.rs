@@ -6,15 +6,14 @@ use super::super::row::{self, Row, RowTimes};
 use super::super::schema::bounded;
 use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, is_usable};
 
-/// Maximum number of distinct texts kept per topic.
+/// Distinct texts per topic.
 const MAX_TEXTS: usize = 64;
 
-/// Maximum length of a text, in bytes.
 const MAX_TEXT_BYTES: usize = 16 << 20;
 
 pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     keep_first(&mut imu.frame_id, row.frame(row::FRAME));
-    // REP 145: −1 in the first element means that there is no orientation.
+    // REP 145: −1 in the first element means no orientation.
     let has_orientation = row.lists[row::VALUES].first() != Some(&-1.0);
     let q_xyzw = if has_orientation { row.numbers(row::QUATERNION) } else { [0.0; 4] };
     let gyro = row.numbers(row::GYRO);
@@ -30,7 +29,6 @@ pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     imu.accel.push(accel);
 }
 
-/// Appends the samples of `later`.
 pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
     keep_first(&mut imu.frame_id, &later.frame_id);
     imu.has_orientation |= later.has_orientation;
@@ -41,19 +39,17 @@ pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
     imu.accel.extend_from_slice(&later.accel);
 }
 
-/// Bare numbers and their source.
 #[derive(Clone, Debug)]
 pub(in crate::decode) struct Array {
     pub(super) numbers: Numbers,
     pub(super) columns: ArrayColumns,
 }
 
-/// Source of numbers in a row.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
-    /// One of [`Row::lists`].
+    /// Index into [`Row::lists`].
     List(usize),
-    /// Some of [`Row::numbers`].
+    /// Indices into [`Row::numbers`].
     Fields(Range<usize>),
 }
 
@@ -81,12 +77,11 @@ impl Array {
         }
     }
 
-    /// Whether rows of `later` have the same width.
+    /// Requires equal widths.
     pub(super) fn fits(&self, later: &Self) -> bool {
         [0, later.columns.width].contains(&self.columns.width)
     }
 
-    /// Appends the rows of `later`.
     pub(super) fn join(&mut self, later: Self) {
         let (array, later) = (&mut self.columns, later.columns);
         array.width = later.width;
@@ -105,7 +100,7 @@ pub(super) fn append_text(column: &mut TextColumns, row: &Row, times: RowTimes) 
     }
 }
 
-/// Appends the texts of `later` that are new.
+/// Appends only new texts.
 pub(super) fn join_texts(column: &mut TextColumns, later: TextColumns) {
     for (row, text) in later.text.into_iter().enumerate() {
         if has_room(column, &text) {
@@ -115,13 +110,12 @@ pub(super) fn join_texts(column: &mut TextColumns, later: TextColumns) {
     }
 }
 
-/// Whether a text should be kept.
 fn has_room(column: &TextColumns, text: &String) -> bool {
     let full = column.text.len() == MAX_TEXTS || text.len() > MAX_TEXT_BYTES;
     !full && !column.text.contains(text)
 }
 
-/// Appends the times of a row and returns its index.
+/// Returns the row's index.
 pub(super) fn push_times(column: &mut Times, stamp: i64, times: RowTimes) -> usize {
     column.push(stamp, times.log, times.publish);
     column.sequence.push(times.sequence);
@@ -138,7 +132,7 @@ pub(super) fn all_usable(values: &[f64]) -> bool {
     values.iter().all(|value| is_usable(*value))
 }
 
-/// Quaternion of a row. Four NaNs mean the same as zeros: not set.
+/// Four NaNs mean the same as zeros: not set.
 pub(super) fn quaternion(row: &Row) -> [f64; 4] {
     let q_xyzw = row.numbers::<4>(row::QUATERNION);
     if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw }

@@ -1,13 +1,10 @@
-//! Tokens of IDL.
-
 use super::super::schema::{MAX_NAME, SchemaError, excerpt};
 
-/// One token.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Token<'a> {
     /// Identifier, or several with `::` between or before them.
     Name(&'a str),
-    /// Token that starts with a digit.
+    /// Starts with a digit.
     Number(&'a str),
     /// String or character literal with its quotes.
     Text(&'a str),
@@ -15,7 +12,7 @@ pub(super) enum Token<'a> {
     Mark(char),
 }
 
-/// Tokens of consecutive files.
+/// Of consecutive files.
 #[derive(Default)]
 pub(super) struct Tokens<'a> {
     text: &'a str,
@@ -37,12 +34,11 @@ impl<'a> Tokens<'a> {
         self.at == self.text.len()
     }
 
-    /// Position for [`Tokens::since`].
+    /// For [`Tokens::since`].
     pub(super) fn here(&self) -> usize {
         self.at
     }
 
-    /// Text since a position.
     pub(super) fn since(&self, place: usize) -> String {
         excerpt(self.text[place..self.at].trim())
     }
@@ -95,7 +91,7 @@ impl<'a> Tokens<'a> {
         self.refuse_next(expected)
     }
 
-    /// Consumes a name; otherwise returns an error with `expected`.
+    /// `expected` is for the error.
     pub(super) fn name(&mut self, expected: &'static str) -> Result<&'a str, SchemaError> {
         match self.peek() {
             Some(Token::Name(name)) if name.len() <= MAX_NAME => {
@@ -107,7 +103,6 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// Syntax error: `found` instead of `expected`.
     pub(super) fn refuse<T>(&self, expected: &'static str, found: &str) -> Result<T, SchemaError> {
         Err(SchemaError::Syntax { line: self.line(), expected, found: excerpt(found) })
     }
@@ -121,7 +116,7 @@ impl<'a> Tokens<'a> {
         self.text[..self.at].matches('\n').count() + 1
     }
 
-    /// Skips up to and including `mark`.
+    /// Includes `mark`.
     pub(super) fn skip_to(&mut self, mark: char) -> Result<(), SchemaError> {
         while !self.accept(mark) {
             if self.take().is_none() {
@@ -131,18 +126,18 @@ impl<'a> Tokens<'a> {
         Ok(())
     }
 
-    /// Skips up to the end of the next `{ … }`.
+    /// Up to the end of the next `{ … }`.
     pub(super) fn skip_block(&mut self) -> Result<(), SchemaError> {
         self.skip_to('{')?;
         self.skip_nested('{', '}')
     }
 
-    /// Skips a bound in `< … >`, if present.
+    /// A bound in `< … >`, if present.
     pub(super) fn skip_bound(&mut self) -> Result<(), SchemaError> {
         if self.accept('<') { self.skip_nested('<', '>') } else { Ok(()) }
     }
 
-    /// Skips the parameters of an annotation and returns their first word.
+    /// Returns the first word of an annotation's parameters.
     pub(super) fn parenthesized(&mut self) -> Result<Option<&'a str>, SchemaError> {
         if !self.accept('(') {
             return Ok(None);
@@ -155,7 +150,7 @@ impl<'a> Tokens<'a> {
         Ok(first)
     }
 
-    /// Skips up to the mark that closes one already consumed.
+    /// The opening mark is already consumed.
     fn skip_nested(&mut self, open: char, close: char) -> Result<(), SchemaError> {
         let mut depth = 1_usize;
         while depth > 0 {
@@ -169,7 +164,7 @@ impl<'a> Tokens<'a> {
         Ok(())
     }
 
-    /// Skips whitespace, comments, preprocessor lines and file separators.
+    /// Whitespace, comments, preprocessor lines and file separators.
     fn skip_blank(&mut self) {
         loop {
             let rest = &self.text[self.at..];
@@ -188,7 +183,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// Whether the line at `at` separates two files.
+    /// Separator of two files.
     fn is_header(&self, at: usize) -> bool {
         self.text[at..].starts_with("===") || self.text[at..].starts_with("IDL:")
     }
@@ -199,7 +194,7 @@ impl<'a> Tokens<'a> {
     }
 }
 
-/// Length of a quoted text; up to the end if it is not terminated.
+/// Up to the end if it is not terminated.
 fn text_length(text: &str, quote: char) -> usize {
     let mut is_escaped = false;
     for (at, c) in text.char_indices().skip(1) {
@@ -215,7 +210,7 @@ fn word(text: &str, belongs: impl Fn(char) -> bool) -> &str {
     &text[..text.find(|c| !belongs(c)).unwrap_or(text.len())]
 }
 
-/// Identifier, or several with `::` between or before them.
+/// See [`Token::Name`].
 fn name(text: &str) -> &str {
     let mut length = 0;
     loop {

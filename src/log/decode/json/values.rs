@@ -7,7 +7,6 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 use super::super::row::{Row, Slot};
 use ground::time::NANOS_PER_SECOND;
 
-/// Reads a value into a slot.
 pub(super) struct SlotVisitor<'v> {
     pub(super) slot: Slot,
     pub(super) path: &'static str,
@@ -106,8 +105,8 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        // A list under a name from a different version of the type is usually present but empty. It must
-        // not replace a list with values.
+        // A name of another version of the type usually has an empty list. It must not replace a list with
+        // values.
         match self.slot {
             Slot::List(index) => {
                 let mut next = list.next_element_seed(Number)?;
@@ -130,7 +129,6 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
     }
 }
 
-/// Reads one number of a list.
 struct Number;
 
 impl<'de> DeserializeSeed<'de> for Number {
@@ -169,7 +167,7 @@ impl Visitor<'_> for Number {
     }
 }
 
-/// Reads an integer. Protocol buffers write 64-bit integers as strings.
+/// Protocol buffers write 64-bit integers as strings.
 struct Integer;
 
 impl<'de> DeserializeSeed<'de> for Integer {
@@ -200,7 +198,6 @@ impl Visitor<'_> for Integer {
     }
 }
 
-/// Reads one name of a list.
 struct Name<'r>(&'r mut Row);
 
 impl<'de> DeserializeSeed<'de> for Name<'_> {
@@ -224,7 +221,7 @@ impl Visitor<'_> for Name<'_> {
     }
 }
 
-/// Matches the parts of a time by their names in ROS 1, ROS 2 and protocol buffers.
+/// Parts of a time by their names in ROS 1, ROS 2 and protocol buffers.
 struct StampKey;
 
 enum StampPart {
@@ -256,7 +253,7 @@ impl Visitor<'_> for StampKey {
     }
 }
 
-/// Parses a number written as a string, as protocol buffers do for values that JSON lacks.
+/// As protocol buffers write values that JSON lacks.
 fn number(text: &str) -> Option<f64> {
     match text {
         "NaN" => Some(f64::NAN),
@@ -266,8 +263,8 @@ fn number(text: &str) -> Option<f64> {
     }
 }
 
-/// Seconds since 1970 and nanoseconds of an RFC 3339 time such as `2024-05-06T07:08:09.5Z`. Smaller digits
-/// are truncated.
+/// Seconds since 1970 and nanoseconds of an RFC 3339 time such as `2024-05-06T07:08:09.5Z`. Truncates
+/// smaller digits.
 fn timestamp(text: &str) -> Option<(i64, i64)> {
     let text = text.trim();
     let (whole, places) = text.split_once('.').unwrap_or((text, ""));
@@ -283,7 +280,6 @@ fn timestamp(text: &str) -> Option<(i64, i64)> {
     Some((second - borrow, nanosecond + borrow * NANOS_PER_SECOND))
 }
 
-/// Decimal places of a nanosecond.
 const NANOSECOND_PLACES: usize = 9;
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::wire::{Reader, Value, WireError};
 pub(super) enum Scalar {
     F64,
     F32,
-    /// Two's complement sign-extended to 64 bits, also for shorter types.
+    /// Two's complement sign-extended to 64 bits.
     Signed,
     Unsigned,
     /// Sign in the lowest bit.
@@ -22,21 +22,19 @@ pub(super) enum Scalar {
     SignedFixed64,
 }
 
-/// Message types of a set of files by full name, without a leading dot.
+/// By full name, without a leading dot.
 #[derive(Debug, Default)]
 pub(in super::super) struct Types {
     messages: HashMap<String, Message>,
-    /// Total number of fields.
+    /// In total.
     fields: usize,
 }
 
-/// One message type.
 #[derive(Debug)]
 pub(super) struct Message {
     fields: Vec<Field>,
 }
 
-/// One field of a message.
 #[derive(Debug)]
 pub(super) struct Field {
     name: String,
@@ -45,12 +43,12 @@ pub(super) struct Field {
     pub(super) kind: Kind,
 }
 
-/// Type of one value of a field.
+/// Of one value.
 #[derive(Debug)]
 pub(super) enum Kind {
     Number(Scalar),
     Text,
-    /// Message, by full name without a leading dot.
+    /// Full name without a leading dot.
     Message(String),
     /// Bytes, a group or an unknown type.
     Other,
@@ -63,7 +61,7 @@ impl Message {
 }
 
 impl Field {
-    /// Description of the type.
+    /// For messages.
     pub(super) fn spelled(&self) -> String {
         let repeated = if self.is_repeated { "repeated " } else { "" };
         match &self.kind {
@@ -76,7 +74,6 @@ impl Field {
 }
 
 impl Types {
-    /// Parses a `FileDescriptorSet`.
     pub(in super::super) fn parse(schema: &[u8]) -> Result<Self, SchemaError> {
         check_length(schema)?;
         let mut types = Self::default();
@@ -89,12 +86,12 @@ impl Types {
         Ok(types)
     }
 
-    /// Message type with a full name.
+    /// By full name.
     pub(super) fn message(&self, name: &str) -> Option<&Message> {
         self.messages.get(name)
     }
 
-    /// Adds the types of a `FileDescriptorProto`.
+    /// Of a `FileDescriptorProto`.
     fn file(&mut self, file: &[u8]) -> Result<(), SchemaError> {
         let mut package = String::new();
         let mut reader = Reader::new(file);
@@ -112,7 +109,7 @@ impl Types {
         Ok(())
     }
 
-    /// Adds a `DescriptorProto` and its nested types.
+    /// A `DescriptorProto` and its nested types.
     fn message_type(
         &mut self,
         message: &[u8],
@@ -148,7 +145,7 @@ impl Types {
     }
 }
 
-/// Reads a `FieldDescriptorProto`.
+/// A `FieldDescriptorProto`.
 fn field(field: &[u8]) -> Result<Field, SchemaError> {
     const REPEATED: u64 = 3;
     let (mut name, mut number, mut label, mut code) = (String::new(), 0, 0, 0);
@@ -167,12 +164,12 @@ fn field(field: &[u8]) -> Result<Field, SchemaError> {
     Ok(Field { name, number, is_repeated: label == REPEATED, kind: kind(code, type_name) })
 }
 
-/// Type of a field from its code in `FieldDescriptorProto.Type`.
+/// By code in `FieldDescriptorProto.Type`.
 fn kind(code: u64, type_name: String) -> Kind {
     Kind::Number(match code {
         1 => Scalar::F64,
         2 => Scalar::F32,
-        // int64, int32 and enums; negative numbers take ten bytes in each.
+        // int64, int32 and enums; negative numbers take ten bytes.
         3 | 5 | 14 => Scalar::Signed,
         // uint64, bool and uint32.
         4 | 8 | 13 => Scalar::Unsigned,
@@ -191,7 +188,7 @@ fn bytes(value: Value<'_>) -> Result<&[u8], SchemaError> {
     value.bytes().map_err(|fault| broken(Reader::new(&[]).error(fault)))
 }
 
-/// Decodes a name. Nested types repeat the names of their parents.
+/// Limits names: nested types repeat those of their parents.
 fn text(value: Value<'_>) -> Result<String, SchemaError> {
     let name = bytes(value)?;
     if name.len() > MAX_NAME {

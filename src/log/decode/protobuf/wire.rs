@@ -1,18 +1,16 @@
 //! Wire format of protocol buffers.
 
-/// Violation of the wire format.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{fault} (byte {offset} of the enclosing message)", said(path))]
 pub(crate) struct WireError {
-    /// Field path, if known.
+    /// Of the field, if known.
     path: String,
-    /// Offset from the start of the message that contains the field.
+    /// From the start of the message that contains the field.
     offset: usize,
     fault: Fault,
 }
 
 impl WireError {
-    /// The same error with the field at `path`.
     pub(super) fn in_field(self, path: &str) -> Self {
         Self { path: path.to_owned(), ..self }
     }
@@ -22,7 +20,6 @@ fn said(path: &str) -> String {
     if path.is_empty() { String::new() } else { format!("field `{path}`: ") }
 }
 
-/// Kind of violation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Fault {
     #[error("a value extends beyond the end")]
@@ -41,7 +38,7 @@ pub(crate) enum Fault {
     Empty,
 }
 
-/// One value, by wire type.
+/// By wire type.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Value<'a> {
     Varint(u64),
@@ -51,7 +48,7 @@ pub(crate) enum Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// Content of a string, bytes field or message.
+    /// Of a string, bytes field or message.
     pub(super) fn bytes(self) -> Result<&'a [u8], Fault> {
         match self {
             Value::Bytes(bytes) => Ok(bytes),
@@ -60,14 +57,14 @@ impl<'a> Value<'a> {
     }
 }
 
-/// Reader of the fields of one message.
+/// Reads the fields of one message.
 #[derive(Debug)]
 pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-/// Maximum nesting of groups, a feature long deprecated.
+/// Groups are long deprecated.
 const MAX_GROUPS: usize = 32;
 
 impl<'a> Reader<'a> {
@@ -79,17 +76,16 @@ impl<'a> Reader<'a> {
         self.at == self.bytes.len()
     }
 
-    /// Error at the current position.
+    /// At the current position.
     pub(crate) fn error(&self, fault: Fault) -> WireError {
         WireError { path: String::new(), offset: self.at, fault }
     }
 
-    /// Reader of the message in `value`.
     pub(super) fn message(&self, value: Value<'a>) -> Result<Reader<'a>, Fault> {
         value.bytes().map(Reader::new)
     }
 
-    /// Number and value of the next field; skips groups. `None` at the end.
+    /// Skips groups. `None` at the end.
     pub(crate) fn field(&mut self) -> Result<Option<(u32, Value<'a>)>, WireError> {
         self.next_field().map_err(|fault| self.error(fault))
     }
@@ -167,7 +163,7 @@ mod tests {
 
     #[test]
     fn numbers_are_those_of_the_encoding_guide() {
-        // protobuf.dev, "Encoding": 150 is 96 01, and as field 1 it is 08 96 01.
+        // protobuf.dev, "Encoding": 150 is 96 01; as field 1 it is 08 96 01.
         assert_eq!(Reader::new(&[0x96, 0x01]).varint(), Ok(150));
         let field = Reader::new(&[0x08, 0x96, 0x01]).field();
         assert_eq!(field, Ok(Some((1, Value::Varint(150)))));

@@ -8,7 +8,6 @@ use super::super::schema::{
 };
 use super::op::{Count, Op, Step};
 
-/// Wire format for which steps are compiled.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Wire {
     Ros1,
@@ -16,15 +15,14 @@ pub(super) enum Wire {
     Cdr2,
 }
 
-/// State while a schema is walked.
 pub(super) struct Compiler<'a> {
     schema: &'a Schema,
     wanted: Fields,
     each: Option<&'static str>,
     wire: Wire,
-    /// Number of fields so far.
+    /// Fields so far.
     fields: usize,
-    /// Which of the wanted fields have been found.
+    /// Per wanted field.
     found: Vec<bool>,
 }
 
@@ -38,7 +36,7 @@ impl<'a> Compiler<'a> {
         Self { schema, wanted, each, wire, fields: 0, found: vec![false; wanted.len()] }
     }
 
-    /// Steps of a whole message.
+    /// Of a whole message.
     pub(super) fn compile(mut self) -> Result<Vec<Step>, SchemaError> {
         let mut steps = Vec::new();
         self.message(self.schema.root(), "", 0, &mut steps)?;
@@ -51,7 +49,7 @@ impl<'a> Compiler<'a> {
         unreadable(&steps).map_or(Ok(steps), Err)
     }
 
-    /// Appends the steps for the fields of `message`, whose path is `prefix`.
+    /// `prefix` is the path of `message`.
     fn message(
         &mut self,
         message: &Definition,
@@ -62,7 +60,7 @@ impl<'a> Compiler<'a> {
         if depth > MAX_DEPTH {
             return Err(SchemaError::TooDeep { field: prefix.into() });
         }
-        // Without a length prefix, the fields are inlined.
+        // Without a length prefix, inline the fields.
         let mut own = Vec::new();
         let always = match (self.wire, message.extensibility) {
             (Wire::Ros1 | Wire::Cdr, _) | (_, Extensibility::Final) => None,
@@ -76,14 +74,14 @@ impl<'a> Compiler<'a> {
         for field in &message.fields {
             let path = match prefix {
                 "" => field.name.clone(),
-                // A type that represents a nested array has no name.
+                // A type for a nested array has no name.
                 _ if field.name.is_empty() => prefix.to_owned(),
                 _ => format!("{prefix}.{}", field.name),
             };
             self.field(field, path, depth, inner)?;
         }
         if message.fields.is_empty() && self.wire != Wire::Ros1 {
-            // An empty message takes one byte in ROS 2 (`structure_needs_at_least_one_member`).
+            // In ROS 2 it takes one byte (`structure_needs_at_least_one_member`).
             push(inner, Op::Skip { size: 1, count: Count::Fixed(1) }, prefix.into());
         }
         if let Some(always) = always {
@@ -92,7 +90,6 @@ impl<'a> Compiler<'a> {
         Ok(())
     }
 
-    /// Appends the steps for one field.
     fn field(
         &mut self,
         field: &Field,
@@ -134,7 +131,7 @@ impl<'a> Compiler<'a> {
                 self.nested(name, &path, depth, &mut nested)?;
                 self.push_length(field, &path, steps);
                 match (nested.is_empty() && !rows, count) {
-                    // In ROS 1, empty messages take no bytes, regardless of their number.
+                    // In ROS 1, empty messages take no bytes.
                     (true, Count::Fixed(_)) => return Ok(()),
                     (true, Count::Wire) => Op::Skip { size: 0, count },
                     (false, _) => Op::Repeat { count, steps: nested, rows },
@@ -145,7 +142,6 @@ impl<'a> Compiler<'a> {
         Ok(())
     }
 
-    /// Appends the steps for the message type `name` at `path`.
     fn nested(
         &mut self,
         name: &str,
@@ -164,21 +160,19 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Skips the length in bytes that CDR version 2 puts before a collection of anything but numbers.
+    /// Skips the byte length that CDR version 2 puts before a collection of anything but numbers.
     fn push_length(&self, field: &Field, path: &str, steps: &mut Vec<Step>) {
         if self.wire == Wire::Cdr2 && field.arity != Arity::One {
             push(steps, Op::Skip { size: 4, count: Count::Fixed(1) }, path.into());
         }
     }
 
-    /// Whether the recipe wants a field below `path`.
     fn leads_to_wanted(&self, path: &str) -> bool {
         let below =
             |wanted: &str| wanted.strip_prefix(path).is_some_and(|rest| rest.starts_with('.'));
         self.wanted.iter().any(|(wanted, _)| below(wanted))
     }
 
-    /// Appends the steps that read `field` into `slot`.
     fn read(
         &mut self,
         field: &Field,
@@ -209,7 +203,7 @@ impl<'a> Compiler<'a> {
         Ok(())
     }
 
-    /// Appends the steps that read a stamp: a message of seconds and nanoseconds, in any order.
+    /// A message of seconds and nanoseconds, in any order.
     fn stamp(
         &mut self,
         field: &Field,
@@ -246,7 +240,7 @@ impl<'a> Compiler<'a> {
     }
 }
 
-/// Merges consecutive doubles, on the wire and in the row, into one step.
+/// Merges doubles that are consecutive on the wire and in the row.
 fn join(steps: &mut Vec<Step>) {
     let mut joined: Vec<Step> = Vec::with_capacity(steps.len());
     for mut step in steps.drain(..) {
@@ -267,8 +261,8 @@ fn join(steps: &mut Vec<Step>) {
     *steps = joined;
 }
 
-/// Removes the steps after the last wanted field. Elements of an array must be walked completely to find
-/// the next one. A delimited message contains its own end.
+/// Removes the steps after the last wanted field. Array elements must be walked completely to find the next
+/// one; a delimited message contains its own end.
 fn trim(steps: &mut Vec<Step>) {
     while steps.pop_if(|step| step.op.is_skip()).is_some() {}
     if let Some(Step { op: Op::Delimited { steps, .. }, .. }) = steps.last_mut() {
@@ -289,7 +283,7 @@ fn unread(path: &str, spelled: &str, why: &'static str) -> Op {
     Op::Unreadable(Box::new(SchemaError::Unreadable { field, spelled, why }))
 }
 
-/// Appends a step; merges consecutive skips.
+/// Merges consecutive skips.
 fn push(steps: &mut Vec<Step>, op: Op, path: String) {
     if let Op::Skip { size, count: Count::Fixed(more) } = op
         && let Some(Step { op: Op::Skip { size: before, count: Count::Fixed(count) }, .. }) =

@@ -1,5 +1,3 @@
-//! Steps: fields to read or skip.
-
 use super::super::cursor::{Cursor, Short};
 use super::super::row::Row;
 use super::super::schema::{Arity, Primitive, SchemaError};
@@ -8,51 +6,58 @@ use super::super::schema::{Arity, Primitive, SchemaError};
 #[derive(Debug)]
 pub(super) struct Step {
     pub(super) op: Op,
-    /// Path of the field from the message's root.
+    /// Path from the message's root.
     pub(super) field: Box<str>,
 }
 
 #[derive(Debug)]
 pub(super) enum Op {
-    /// Skip numbers of `size` bytes.
-    Skip { size: usize, count: Count },
-    /// Skip strings.
+    /// Numbers of `size` bytes.
+    Skip {
+        size: usize,
+        count: Count,
+    },
     SkipTexts(Count),
-    /// Read [`Row::seconds`].
+    /// Into [`Row::seconds`].
     Seconds(Primitive),
-    /// Read [`Row::nanoseconds`].
+    /// Into [`Row::nanoseconds`].
     Nanoseconds(Primitive),
-    /// Read into one of [`Row::numbers`].
+    /// Into one of [`Row::numbers`].
     Number(Primitive, usize),
-    /// Read consecutive doubles into [`Row::numbers`].
+    /// Consecutive, into [`Row::numbers`].
     Doubles(std::ops::Range<usize>),
-    /// Read into one of [`Row::lists`].
+    /// Into one of [`Row::lists`].
     List(Primitive, Count, usize),
-    /// Read into one of [`Row::texts`].
+    /// Into one of [`Row::texts`].
     Text(usize),
-    /// Read [`Row::names`].
+    /// Into [`Row::names`].
     Names(Count),
-    /// Execute the steps for every element of an array.
-    Repeat { count: Count, steps: Vec<Step>, rows: bool },
-    /// Execute the steps of a message that has a length prefix: `always`, or if the header of the message
-    /// declares delimited types.
-    Delimited { always: bool, steps: Vec<Step> },
-    /// Fail, because the position of the following fields is unknown. Such steps are either trimmed or
-    /// rejected.
+    /// For every element of an array.
+    Repeat {
+        count: Count,
+        steps: Vec<Step>,
+        rows: bool,
+    },
+    /// Message with a length prefix: `always`, or if the header of the message declares delimited types.
+    Delimited {
+        always: bool,
+        steps: Vec<Step>,
+    },
+    /// Fails: the position of the following fields is unknown. Such steps are either trimmed or rejected.
     Unreadable(Box<SchemaError>),
 }
 
-/// Number of values.
+/// Of values.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Count {
     /// Given by the schema.
     Fixed(u32),
-    /// Given by the length on the wire.
+    /// Length on the wire.
     Wire,
 }
 
 impl Op {
-    /// Whether the step does not change the row.
+    /// The row stays unchanged.
     pub(super) fn is_skip(&self) -> bool {
         match self {
             Op::Skip { .. } | Op::SkipTexts(_) => true,
@@ -71,7 +76,7 @@ impl Op {
         }
     }
 
-    /// Reads or skips one field. The plan executes nested steps.
+    /// The plan executes nested steps.
     pub(super) fn run(&self, cursor: &mut Cursor<'_>, row: &mut Row) -> Result<(), Short> {
         match *self {
             Op::Skip { size, count } => {
@@ -105,7 +110,7 @@ impl Op {
 }
 
 impl Count {
-    /// Count for the value at the cursor.
+    /// For the value at the cursor.
     pub(super) fn of(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
         match self {
             Count::Fixed(count) => Ok(count),

@@ -1,8 +1,7 @@
-//! Cached positions of a message's values, used to read the next message of the same shape directly.
+//! Cached positions of a message's values, for the next message of the same shape.
 //!
-//! Lengths and texts determine where the following values are. In most channels they are the same in every
-//! message, so these bytes of the last parsed message are kept. If the next message has the same bytes at
-//! the same positions, its values are read from the cached positions.
+//! Lengths and texts determine where the following values are. They rarely change within a channel: if the
+//! next message has the same ones at the same positions, its values are read from the cached positions.
 
 use std::ops::Range;
 
@@ -12,56 +11,54 @@ use super::super::row::{Group, MAX_LIST, Row};
 use super::super::schema::Primitive;
 use super::op::{Count, Op, Step};
 
-/// Maximum number of values read by position. Arms have fewer; particle clouds have more.
+/// Arms need fewer; particle clouds more.
 const MOST_READS: usize = 512;
 
-/// Maximum offset of a decisive byte in the message.
+/// Maximum offset of a decisive byte.
 const FARTHEST: usize = 1 << 14;
 
 /// After this many consecutive messages of different shapes, …
 const PATIENCE: u32 = 8;
-/// … the shape is computed only for one message in this many.
+/// … compute the shape for one message in this many.
 const SELDOM: u32 = 64;
 
-/// Shape of the last parsed message.
 #[derive(Debug, Default)]
 pub(in crate::decode) struct Shape {
-    /// Reads for a message of this shape, in order; empty if no shape is known.
+    /// Empty if no shape is known.
     reads: Vec<Read>,
     /// Byte ranges that determine the shape.
     decisive: Vec<Range<usize>>,
-    /// Last message in eight-byte words, up to the last decisive byte.
+    /// Last message up to the last decisive byte.
     words: Vec<u64>,
     /// Decisive bits of each word.
     masks: Vec<u64>,
-    /// Minimum length of a message in bytes.
+    /// Minimum message length, bytes.
     least: usize,
-    /// Consecutive messages of unknown shape.
+    /// Consecutive messages of other shapes.
     strange: u32,
-    /// Group of each row, if a message has several rows.
+    /// Of each row, if a message has several.
     groups: Vec<Group>,
-    /// Whether all groups are known, so the texts of the rows are not needed.
+    /// If so, the rows' texts are not needed.
     is_told: bool,
 }
 
 #[derive(Debug)]
 enum Read {
-    /// Read the stamp: offsets of seconds and nanoseconds in the message.
+    /// Offsets of seconds and nanoseconds in the message.
     Stamp(usize, usize),
-    /// Read consecutive doubles from this offset.
+    /// From this offset in the message.
     Doubles(usize, Range<usize>),
-    /// Replace a list with `count` doubles from offset `at`.
+    /// Doubles from offset `at` in the message.
     List { at: usize, count: usize, index: usize },
-    /// Read any other value at this offset in the body.
+    /// At this offset in the body.
     Value(usize, Op),
-    /// The row is complete: the only one of the message.
+    /// Completes the message's only row.
     Only,
-    /// The row is complete: this element of the array of rows.
+    /// Completes a row of several.
     Row(usize),
 }
 
 impl Shape {
-    /// Whether `message` has the known shape.
     pub(super) fn is_of(&self, message: &[u8]) -> bool {
         if self.reads.is_empty() || message.len() < self.least {
             return false;
@@ -76,18 +73,16 @@ impl Shape {
         differs == 0 && last.is_none_or(|(own, mask)| (own ^ filled(rest)) & mask == 0)
     }
 
-    /// Discards the shape, because a message of a different one was parsed.
     pub(super) fn forget(&mut self) {
         self.reads.clear();
         self.strange = self.strange.saturating_add(1);
     }
 
-    /// Whether to compute the shape of the message just parsed.
     pub(super) fn is_wanted(&self) -> bool {
         self.strange <= PATIENCE || self.strange.is_multiple_of(SELDOM)
     }
 
-    /// Reads `message`, which has this shape, into `row`; `cursor` is at the start of its body.
+    /// `message` has this shape; `cursor` is at the start of its body.
     pub(super) fn read(
         &mut self,
         message: &[u8],
@@ -137,10 +132,8 @@ impl Shape {
         Ok(())
     }
 
-    /// Computes the shape of `message`, which was parsed without error.
-    ///
-    /// `steps` are the steps of the message, `cursor` is at its first value, and `whole` is true if the
-    /// message itself is the row.
+    /// Computes the shape of `message`, which was parsed without error. `cursor` is at its first value;
+    /// `whole` means that the message itself is the row.
     pub(super) fn take(
         &mut self,
         steps: &[Step],
@@ -172,43 +165,41 @@ impl Shape {
     }
 }
 
-/// Eight-byte words of `bytes`, the last padded with zeros.
+/// Pads the last word with zeros.
 fn words(bytes: &[u8]) -> Vec<u64> {
     let (words, rest) = bytes.as_chunks();
     let last = (!rest.is_empty()).then(|| filled(rest));
     words.iter().map(|word| u64::from_le_bytes(*word)).chain(last).collect()
 }
 
-/// Fewer than eight bytes as a word padded with zeros.
+/// Pads fewer than eight bytes with zeros.
 fn filled(bytes: &[u8]) -> u64 {
     let mut word = [0; 8];
     word[..bytes.len()].copy_from_slice(bytes);
     u64::from_le_bytes(word)
 }
 
-/// Bytes of consecutive doubles.
 fn doubles(bytes: &[u8]) -> &[[u8; 8]] {
     bytes.as_chunks().0
 }
 
-/// The four bytes from `at`, which must exist.
+/// They must exist.
 fn word(message: &[u8], at: usize) -> [u8; 4] {
     message[at..].first_chunk().copied().unwrap_or_default()
 }
 
-/// Pass that records positions without reading values.
+/// Records positions without reading values.
 struct Walk<'s> {
     shape: &'s mut Shape,
-    /// Bytes of the message before its body.
+    /// Bytes before the body.
     before: usize,
-    /// Whether its numbers are little-endian.
     is_little_endian: bool,
-    /// Whether a message has several rows, each with different texts.
+    /// Several rows per message, with different texts.
     several: bool,
 }
 
 impl Walk<'_> {
-    /// Records the positions in `steps`. `None` if the shape cannot be cached.
+    /// `None` if the shape cannot be cached.
     fn over(&mut self, steps: &[Step], cursor: &mut Cursor<'_>) -> Option<()> {
         for Step { op, .. } in steps {
             match *op {
@@ -230,7 +221,7 @@ impl Walk<'_> {
                 Op::Text(index) => {
                     let at = cursor.at();
                     self.decided(cursor, Cursor::text)?;
-                    // If a message has a single row, its text is already set.
+                    // Otherwise the text is already set.
                     if self.several {
                         self.push(Read::Value(at, Op::Text(index)))?;
                     }
@@ -305,14 +296,13 @@ impl Walk<'_> {
         (end <= FARTHEST).then_some(value)
     }
 
-    /// Records a number and skips it.
     fn value(&mut self, primitive: Primitive, op: Op, cursor: &mut Cursor<'_>) -> Option<()> {
         let size = primitive.size();
         self.push(Read::Value(cursor.aligned(size), op))?;
         cursor.skip(size, 1).ok()
     }
 
-    /// Merges seconds and nanoseconds of ROS 2 types into one read.
+    /// Merges the seconds and nanoseconds of ROS 2 types.
     fn join_stamp(&mut self) {
         use Primitive::{I32, U32};
         if let [.., Read::Value(s, Op::Seconds(I32)), Read::Value(ns, Op::Nanoseconds(U32))] =

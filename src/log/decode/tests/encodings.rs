@@ -4,7 +4,6 @@ use super::super::*;
 use super::decode_all;
 use ground::stream::{Columns, JointColumns, PoseColumns};
 
-/// Encoding of the writer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Style {
     Ros1,
@@ -22,7 +21,7 @@ const STYLES: [Style; 7] = [
     Style::Cdr2 { big_endian: true, delimited: true },
 ];
 
-/// Serializes consecutive values, according to DDS XTypes 1.3, §7.4.3, and the ROS 1 wiki.
+/// Follows DDS XTypes 1.3, §7.4.3, and the ROS 1 wiki.
 struct Writer {
     style: Style,
     bytes: Vec<u8>,
@@ -70,7 +69,7 @@ impl Writer {
         self.bytes.extend(&[0][..zero]);
     }
 
-    /// Writes `content`, with its length in bytes before it if `has_length`.
+    /// `has_length`: in bytes, before the content.
     fn delimited(&mut self, has_length: bool, content: impl FnOnce(&mut Self)) {
         if !has_length {
             return content(self);
@@ -88,7 +87,7 @@ impl Writer {
         self.delimited(matches!(self.style, Style::Cdr2 { delimited: true, .. }), content);
     }
 
-    /// Writes a sequence of anything but numbers.
+    /// Of anything but numbers.
     fn sequence<T>(&mut self, items: &[T], write: impl Fn(&mut Self, &T)) {
         self.delimited(matches!(self.style, Style::Cdr2 { .. }), |writer| {
             writer.u32(items.len() as u32);
@@ -113,7 +112,6 @@ impl Writer {
     }
 }
 
-/// One transform.
 struct Transform {
     stamp: i64,
     frames: [String; 2],
@@ -121,7 +119,6 @@ struct Transform {
     q_xyzw: [f64; 4],
 }
 
-/// Joint states.
 struct Joints {
     stamp: i64,
     names: Vec<String>,
@@ -129,7 +126,7 @@ struct Joints {
     velocity: Vec<f64>,
 }
 
-/// Reproducible random numbers (Knuth's linear congruential generator).
+/// Knuth's linear congruential generator.
 struct Random(u64);
 
 impl Random {
@@ -138,7 +135,7 @@ impl Random {
         self.0 >> 33
     }
 
-    /// Few digits in both bases, so every encoding is exact.
+    /// Few digits in both bases: exact in every encoding.
     fn number(&mut self) -> f64 {
         ((self.next() % (1 << 20)) as f64 - f64::from(1 << 19)) / 1024.0
     }
@@ -229,7 +226,6 @@ fn in_json(transforms: &[Transform], rows_first: bool) -> Vec<u8> {
     format!(r#"{{"other":null,"transforms":[{}]}}"#, rows.join(",")).into_bytes()
 }
 
-/// Protocol buffer writer.
 #[derive(Default)]
 struct Proto(Vec<u8>);
 
@@ -270,7 +266,7 @@ fn in_protobuf(transforms: &[Transform]) -> Vec<u8> {
             let each = numbers.iter().enumerate();
             each.fold(Proto::default(), |proto, (i, &x)| proto.f64(i as u64 + 1, x)).0
         };
-        // Fields out of order, with unknown fields.
+        // Fields out of order, and unknown ones.
         let row = Proto::default().bytes(5, &numbers(&transform.q_xyzw)).integer(77, 5);
         let row = row.bytes(3, transform.frames[1].as_bytes()).bytes(1, &stamp.0);
         let row = row.bytes(2, transform.frames[0].as_bytes()).f64(99, 1.0);
@@ -310,7 +306,7 @@ const ROS1_TRANSFORMS: &str = "FrameTransform[] transforms\n===\nMSG: foxglove_m
     ===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n\
     ===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n";
 
-/// Two transforms in each encoding: name of the fuzz target, type, schema and message.
+/// Name of the fuzz target, type, schema and message.
 pub(crate) fn seeds() -> Vec<(&'static str, &'static str, Vec<u8>, Vec<u8>)> {
     let mut random = Random(11);
     let transforms = [random.transform(), random.transform()];

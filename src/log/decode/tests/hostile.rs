@@ -1,4 +1,4 @@
-//! Malicious lengths, depths and sizes must cause an error without using much memory.
+//! Malicious lengths, depths and sizes cause an error without using much memory.
 
 use super::super::super::testing::Cdr;
 use super::super::*;
@@ -11,7 +11,7 @@ fn error(format: Format<'_>, message: Vec<u8>) -> String {
 
 #[test]
 fn arrays_of_nothing_take_no_time() {
-    // In ROS 1 an empty message takes no bytes, so the message length does not bound their number.
+    // In ROS 1 empty messages take no bytes, so the message length does not bound their number.
     let text = "Empty[4000000000] a\nEmpty[] b\nstring data\n===\nMSG: std_msgs/Empty\n";
     let format =
         Format { encoding: "ros1", schema_encoding: "ros1msg", ..cdr("std_msgs/String", text) };
@@ -26,7 +26,7 @@ fn arrays_of_nothing_take_no_time() {
 
 #[test]
 fn arrays_of_nothing_in_arrays_take_no_time() {
-    // Repeats empty elements 250,000 times as often as the message has bytes.
+    // 250,000 empty elements per byte of the message.
     let text = "Many[4000000000] a\nstring data\n===\nMSG: std_msgs/Many\nEmpty[] b\n\
                 ===\nMSG: std_msgs/Empty\n";
     let format =
@@ -90,7 +90,7 @@ fn json_of_any_depth_is_read_or_refused() {
     assert!(error(format, long).len() < 300);
 }
 
-/// Length-delimited field.
+/// Length-delimited.
 fn field(number: u8, content: &[u8]) -> Vec<u8> {
     let mut bytes = vec![number << 3 | 2];
     let mut length = content.len();

@@ -8,7 +8,6 @@ use ground::stream::{Columns, JointColumns, PoseColumns};
 const STAMP: i64 = 1_700_000_000_123_456_789;
 const TURNED: [f64; 4] = [0.0, 0.0, 0.6, 0.8];
 
-/// Columns of one message, by part.
 fn columns(format: Format<'_>, hexadecimal: &str) -> Vec<(&'static str, Columns)> {
     let (parts, error) = decode_all(format, &[bytes(hexadecimal)]);
     assert_eq!(error, None);
@@ -213,7 +212,7 @@ fn every_cut_message_is_an_error_or_lacks_only_what_is_not_read() {
             assert!(error.is_some(), "{length} bytes of {} were enough", format.type_name);
         }
     }
-    // A protocol buffer cut between two fields is still valid. No cut may cause a panic.
+    // A protocol buffer cut between two fields is still valid. No cut may panic.
     let message = bytes(PROTO_POSES_IN_FRAME);
     let broken = (0..message.len())
         .filter(|&length| {

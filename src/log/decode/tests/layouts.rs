@@ -1,4 +1,4 @@
-//! Different versions of message types, and messages with missing fields.
+//! Versions of message types, and missing fields.
 
 use super::super::*;
 use super::{cdr, decode_all, refusal};
@@ -40,7 +40,7 @@ fn a_transform_without_position_and_rotation_is_refused() {
         schema_encoding: "protobuf",
         schema: include_bytes!("foxglove.bin"),
     };
-    // Field 1 is a transform: with only a name, and with only an empty rotation.
+    // A transform with only a name, and one with only an empty rotation.
     let (named, rotated) = (vec![0x0a, 3, 0x1a, 1, b'c'], vec![0x0a, 2, 0x2a, 0]);
     let (parts, error) = decode_all(protobuf, &[named]);
     assert!(error.is_some_and(|error| error.contains("neither a position nor a rotation")));
@@ -92,7 +92,7 @@ fn a_bare_header_is_that_of_its_package_where_it_has_one() {
     };
     assert_eq!(values(own, Cdr::little().u8(1).list(&[1.5]).done()), [1.5]);
     assert_eq!(values(other, Cdr::little().header(1, 2, "base").list(&[2.5]).done()), [2.5]);
-    // A package with its own Header, in addition to the one of ROS.
+    // A package with its own Header next to that of ROS.
     let nested = "my_msgs/Stamped first\nfloat64[] data\n===\nMSG: my_msgs/Stamped\nHeader header\n\
                   ===\nMSG: my_msgs/Header\nuint8 kind\n\
                   ===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";

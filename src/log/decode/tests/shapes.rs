@@ -8,7 +8,7 @@ use super::cdr;
 use crate::testing::{self, Cdr};
 use ground::stream::Columns;
 
-/// Decoded parts with one row for all messages or a new row for each, and the number of errors.
+/// Also returns the number of errors. `one_row` serves all messages.
 fn decoded(
     type_name: &str,
     schema: &str,
@@ -29,8 +29,7 @@ fn decoded(
     (builder.finalize(), failed)
 }
 
-/// Asserts independence of previous messages over several mixtures: long runs of one kind, rapid changes,
-/// and truncated messages.
+/// Over long runs of one kind, rapid changes and truncated messages.
 fn assert_alike(type_name: &str, schema: &str, of_kind: impl Fn(usize, &mut Pcg64) -> Vec<u8>) {
     let mut random = Pcg64::seed_from_u64(7);
     for longest in [1, 3, 40] {
@@ -63,7 +62,7 @@ fn joint_states_are_read_alike_whatever_came_before() {
             [&["a", "b"][..], &["b", "a"], &["a", "c"], &["a"], &[], &["ab", ""]][kind];
         let velocities = names.len() * usize::from(kind % 2 == 0);
         let (q, qd) = (numbers(names.len(), random), numbers(velocities, random));
-        // Some messages have a different byte order, or a frame of different length.
+        // Different byte order; frame of different length.
         let message = if kind == 5 { Cdr::big() } else { Cdr::little() };
         let frame = if kind == 1 { "arm" } else { "base_link" };
         let header = message.header(random.next_u32(), random.next_u32(), frame);
@@ -84,7 +83,7 @@ fn poses_are_read_alike_whatever_came_before() {
 fn transforms_are_read_alike_whatever_came_before() {
     let frames = ["a", "b", "c", "d"];
     assert_alike("tf2_msgs/msg/TFMessage", testing::TF_MESSAGE, |kind, random| {
-        // The same frames in a different order, frames of equal length, more frames, none.
+        // Same frames in a different order, equal lengths, more frames, none.
         let children: &[usize] = [&[1, 2, 3][..], &[3, 2, 1], &[1, 1, 1], &[1, 2], &[], &[2]][kind];
         let mut message = Cdr::little().u32(children.len() as u32);
         for &child in children {
@@ -98,7 +97,6 @@ fn transforms_are_read_alike_whatever_came_before() {
 
 #[test]
 fn two_publishers_whose_schemas_differ_share_the_frames_of_a_topic() {
-    // Each uses a separate row, and the columns are the same.
     let type_name = "tf2_msgs/msg/TFMessage";
     let recipe = Recipe::of(type_name).unwrap();
     let plan = cdr(type_name, testing::TF_MESSAGE).plan(recipe).unwrap();

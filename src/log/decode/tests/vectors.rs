@@ -1,9 +1,9 @@
 //! Messages written by other programs, in hexadecimal.
 //!
-//! ROS 1 and ROS 2 messages: the Python package `rosbags` 0.11.9 (`serialize_ros1`, `serialize_cdr`,
-//! definitions by `generate_msgdef`). Protocol buffers: `protobuf` 7.36 with `foxglove-schemas-protobuf`
-//! 0.4.0, whose descriptors without comments are in `foxglove.bin`; the JSON of the same messages is from
-//! `MessageToJson`. Stamps are 1700000000.123456789 s unless noted.
+//! ROS 1 and 2: the Python package `rosbags` 0.11.9 (`serialize_ros1`, `serialize_cdr`, definitions by
+//! `generate_msgdef`). Protocol buffers: `protobuf` 7.36 with `foxglove-schemas-protobuf` 0.4.0, whose
+//! descriptors without comments are in `foxglove.bin`; JSON by `MessageToJson`. Stamps are
+//! 1700000000.123456789 s unless noted.
 
 /// `sensor_msgs/JointState`: base, shoulder 0.5 (0.125/s), elbow −1.25 (2/s).
 pub(super) const ROS1_JOINT_STATE: &str = "\
@@ -168,7 +168,6 @@ pub(super) const PROTO_POSES_IN_FRAME: &str = "\
     00000840121219333333333333e33f219a9999999999e93f\
     ";
 
-/// `ros1msg`.
 pub(super) const ROS1_TF_DEFINITION: &str = r#"geometry_msgs/TransformStamped[] transforms
 ================================================================================
 MSG: geometry_msgs/TransformStamped
@@ -197,7 +196,6 @@ float64 z
 float64 w
 "#;
 
-/// `ros1msg`.
 pub(super) const ROS1_IMU_DEFINITION: &str = r#"std_msgs/Header header
 geometry_msgs/Quaternion orientation
 float64[9] orientation_covariance
@@ -223,7 +221,6 @@ float64 y
 float64 z
 "#;
 
-/// `ros1msg`.
 pub(super) const ROS1_POSE_ARRAY_DEFINITION: &str = r#"std_msgs/Header header
 geometry_msgs/Pose[] poses
 ================================================================================
@@ -248,7 +245,6 @@ float64 z
 float64 w
 "#;
 
-/// `ros1msg`.
 pub(super) const ROS1_JOINT_STATE_DEFINITION: &str = r#"std_msgs/Header header
 string[] name
 float64[] position
@@ -261,7 +257,6 @@ time stamp
 string frame_id
 "#;
 
-/// `ros1msg`.
 pub(super) const ROS1_CONTROLLER_STATE_DEFINITION: &str = r#"std_msgs/Header header
 string[] joint_names
 trajectory_msgs/JointTrajectoryPoint desired
@@ -281,7 +276,6 @@ float64[] effort
 duration time_from_start
 "#;
 
-/// `ros1msg`.
 pub(super) const ROS1_FRANKA_STATE_DEFINITION: &str = r#"uint8 ROBOT_MODE_OTHER=0
 std_msgs/Header header
 float64[6] cartesian_collision
@@ -308,7 +302,6 @@ bool e1
 bool e2
 "#;
 
-/// `ros2msg`.
 pub(super) const ROS2_CONTROLLER_STATE_DEFINITION: &str = r#"std_msgs/Header header
 string[] joint_names
 trajectory_msgs/JointTrajectoryPoint reference
