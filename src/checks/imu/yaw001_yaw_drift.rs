@@ -10,29 +10,28 @@ rule! {
     /// IMU yaw drifts or jumps relative to the arm.
     ///
     /// ## What it means
-    /// The IMU's heading changes about gravity differently from the heading by forward kinematics. The
-    /// estimate is the rate of (IMU yaw − FK yaw), or the size of a permanent jump. A constant yaw offset
-    /// between the IMU's world and the robot's base is not a fault.
+    /// The IMU's heading about gravity changes differently from FK's. The estimate is the rate of (IMU yaw
+    /// − FK yaw), or the size of a permanent jump. A constant yaw offset between the IMU's world and the
+    /// robot's base is not a fault.
     ///
     /// ## Why it matters
     /// Gravity constrains roll and pitch, but only a magnetometer or another reference constrains yaw.
     /// Anything fused with this IMU rotates away: 1° in 20 s at 3 °/min, or at once if a magnet passes.
     ///
     /// ## Evidence
-    /// The drift is the slope of the yaw error over the run, corrected for the joint zero offsets found.
-    /// Its interval allows for correlated noise. `effect` is the total over the run. `kind` is the model
-    /// that explains the error with the fewest parameters:
+    /// The slope of the yaw error over the run, corrected for the joint zero offsets found; its interval
+    /// allows for correlated noise. `effect` is the total over the run. `kind` is the model that explains
+    /// the error with the fewest parameters:
     ///
     /// - `drift`: a constant rate.
     /// - `jump`: `jumps` lists the time of each, from the start of the log, and its size.
     /// - `random-walk`: `walk_rad_rt_s` is its density in rad/√s. A walk drifts by chance, so it widens the
-    ///   interval of the drift.
-    /// - `heading`: an error that depends on the heading (first and second harmonic: hard and soft iron).
-    ///   `axis` is the IMU axis whose heading it is.
+    ///   interval.
+    /// - `heading`: an error that depends on the heading (first and second harmonic: hard and soft iron) of
+    ///   the IMU's `axis`.
     /// - `warm-up`: a drift that decays with `time_constant_s`.
     ///
-    /// The heading error is removed before jumps and drift are estimated; jumps and walk are removed before
-    /// the drift.
+    /// The heading error is removed before jumps and drift are estimated; jumps and walk before the drift.
     ///
     /// ## How to fix
     /// Take yaw from kinematics, or give the filter a heading reference. Calibrate the gyro bias while the
@@ -58,18 +57,17 @@ const THRESHOLD: Threshold = Threshold {
     error: 2.0 * DEGREE / 60.0,
 };
 
-/// Reported from several times the wander of a good filter, where it starts to affect poses.
+/// Several times the wander of a good filter, where it starts to affect poses.
 const JUMP: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
-/// The motion that makes the drift observable.
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.imus().flat_map(|(_, imu)| judge(case, imu)).collect()
 }
 
-/// Judges the drift, and the largest jump, heading error and warm-up if significant.
+/// Drift, and the largest jump, heading error and warm-up if significant.
 fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
@@ -157,7 +155,6 @@ fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
     }
 }
 
-/// The action for an undetermined drift, with the random walk if there is one.
 fn settle(course: &YawProfile) -> String {
     match course.walk_rad_per_sqrt_s {
         Some(density) => {
@@ -167,7 +164,6 @@ fn settle(course: &YawProfile) -> String {
     }
 }
 
-/// Adds the evidence on the yaw error model.
 fn with_course(judged: SubjectResult, course: &YawProfile, kind: &str) -> SubjectResult {
     let mut judged = judged.with_evidence("kind", kind);
     if let Some(density) = course.walk_rad_per_sqrt_s {

@@ -8,26 +8,26 @@ rule! {
     /// The roll and pitch of an IMU disagree with gravity.
     ///
     /// ## What it means
-    /// The vertical by the IMU's orientation and the vertical by its accelerometer differ by this angle,
-    /// averaged over the run.
+    /// The verticals by the IMU's orientation and by its accelerometer differ by this angle, averaged over
+    /// the run.
     ///
     /// ## Why it matters
-    /// A tilt of 1° appears as an acceleration of 0.17 m/s² and rotates every pose derived from the IMU.
+    /// 1° appears as an acceleration of 0.17 m/s² and rotates every pose derived from the IMU.
     ///
     /// ## Evidence
-    /// The angle between the vertical of the world frame and the mean specific force while the arm rests,
-    /// rotated into that frame by the logged orientation. The interval comes from its scatter.
+    /// The angle between the world frame's vertical and the mean specific force at rest, rotated into that
+    /// frame by the logged orientation. The interval comes from its scatter.
     ///
-    /// If the tilt is close to 90° or 180°, the finding names the axis of the orientation's world frame
-    /// that points up instead of z (REP 145): z down is NED. `up_in_world` is the measured up direction in
-    /// that frame, `up_in_base` the same in the arm's base by FK and the mount.
+    /// If the tilt is close to 90° or 180°, the finding names the world axis that points up instead of z
+    /// (REP 145): z down is NED. `up_in_world` is the measured up direction in that frame, `up_in_base` the
+    /// same in the arm's base by FK and the mount.
     ///
     /// ## How to fix
     /// Calibrate the accelerometer's bias, or level the IMU's world frame.
     ///
     /// ## When it misleads
     /// An accelerometer bias of 0.1 m/s² is a tilt of 0.6°. A run that ends far from its start has a small
-    /// nonzero mean acceleration. Without an accelerometer the tilt is not observable.
+    /// mean acceleration. Without an accelerometer the tilt is not observable.
     YAW002 {
         name: "imu-tilt",
         grade: Grade::From(&[THRESHOLD]),
@@ -41,7 +41,6 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
-/// The motion that makes the tilt observable.
 const SETTLE: &str = "record 10 s with rests";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -76,10 +75,9 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     }
 }
 
-/// Title, message and fix if another axis than z of the orientation's world points up. `None` if it is only
-/// tilted.
+/// If another axis of the orientation's world points up; `None` if it is only tilted.
 fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
-    /// Maximum angle between an axis and the vertical for the axis to point up, rad.
+    /// From the vertical, rad.
     const UP: f64 = 10.0 * DEGREE;
     let axis = up.in_world.iamax();
     if up.in_world[axis].abs() < UP.cos() || (axis == 2 && up.in_world.z > 0.0) {

@@ -10,11 +10,11 @@ rule! {
     /// IMU mount differs from the log's frames.
     ///
     /// ## What it means
-    /// The orientation follows the arm only with a different rotation between link and IMU than in the
-    /// log's transforms.
+    /// The orientation follows the arm only with another rotation between link and IMU than in the log's
+    /// transforms.
     ///
     /// ## Why it matters
-    /// Angular rates and accelerations appear on the wrong axes: at 90°, roll becomes pitch.
+    /// Rates and accelerations appear on the wrong axes: at 90°, roll becomes pitch.
     ///
     /// ## Evidence
     /// The angle between the best-fitting mount and the one in the log.
@@ -22,21 +22,21 @@ rule! {
     /// - `link_from_imu`: the best-fitting mount as a quaternion x, y, z, w.
     /// - `direction_cosines`: the same as a matrix, with one column per IMU axis and one row per link axis.
     /// - `axes`: the direction of each IMU axis in words.
-    /// - `logged_direction_cosines`, `logged_axes`: the same for the mount in the log's frames.
+    /// - `logged_direction_cosines`, `logged_axes`: for the mount in the log's frames.
     /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time. `from`
-    ///   and `to` are the angles to the logged mount before and after, and `link_from_imu_after` is the
-    ///   mount afterwards.
+    ///   and `to` are the angles to the logged mount before and after; `link_from_imu_after` is the mount
+    ///   afterwards.
     ///
-    /// If the log has no frame for the IMU, the rule is skipped and the mount is evidence only. Permuted or
+    /// Without a frame for the IMU, the rule is skipped and the mount is evidence only. Permuted or
     /// reversed axes are named, for instance forward-right-down (FRD) in a forward-left-up frame. A gyro
-    /// with left-handed axes, or with axes other than those of the orientation, is also reported.
+    /// with left-handed axes, or axes other than the orientation's, is also reported.
     ///
     /// ## How to fix
     /// Correct the static transform of the IMU's frame, or the axes that its driver reports.
     ///
     /// ## When it misleads
-    /// A wrong static transform and a wrongly mounted sensor look the same in the log. Zero offsets of the
-    /// wrist joints also rotate the mount; the offsets found are corrected first.
+    /// A wrong static transform and a wrongly mounted sensor look the same. Zero offsets of the wrist
+    /// joints also rotate the mount; the offsets found are corrected first.
     YAW003 {
         name: "imu-mount",
         grade: Grade::From(&[THRESHOLD]),
@@ -50,7 +50,6 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
 
-/// The motion that makes the mount observable.
 const SETTLE: &str = "rotate the IMU through 60° about two axes";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -59,7 +58,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     imus().map(|imu| judge(case, imu)).chain(axes).collect()
 }
 
-/// Checks that the gyro axes are right-handed and match the orientation's. `None` if no deviation is found.
+/// Gyro axes must be right-handed and match the orientation's; `None` if they do.
 fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
@@ -81,7 +80,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
     let turn = imu.diagnosis.axes_rotation.as_ref()?;
     // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
     let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
-    // Rotation about a single axis leaves one direction unobservable.
+    // Rotation about one axis leaves one direction unobservable.
     if turn.size_rad.norm.half_width(0.95) > threshold.error {
         return None;
     }
@@ -130,7 +129,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;
-            // A mount less certain than the error threshold cannot be a finding.
+            // Too uncertain for a finding.
             let is_vague = mount.norm.half_width(0.95) > threshold.error;
             let outcome = match decision {
                 Decision::Fail(_) if is_vague => {
@@ -164,10 +163,9 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Maximum angle between two axes that count as parallel, rad.
 const MAX_AXIS_ANGLE_RAD: f64 = 10.0 * DEGREE;
 
-/// The matrix of a mount `link_from_imu` with labelled rows and columns.
+/// With labelled rows and columns.
 fn direction_cosines(mount: &Rotation, link: &str) -> Value {
     let columns = [0, 1, 2].map(|axis| mount * Vec3::ith(axis, 1.0));
     let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));
@@ -178,13 +176,12 @@ fn direction_cosines(mount: &Rotation, link: &str) -> Value {
     })
 }
 
-/// The direction of each IMU axis in words.
 fn sentences(mount: &Rotation, link: &str) -> Vec<String> {
     let sentence = |axis| format!("imu {} points {}", AXES[axis], direction(mount, axis, link));
     (0..AXES.len()).map(sentence).collect()
 }
 
-/// Direction of one IMU axis: `along tool0 -y`, or between the two nearest link axes.
+/// `along tool0 -y`, or between the two nearest link axes.
 fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
@@ -201,13 +198,13 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {off:.0}° off the first")
 }
 
-/// Angle between a mount and the logged one, rad; to the mount at the start if the log has none.
+/// In rad; to the mount at the start if the log has none.
 fn mount_off(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
 
-/// The directions of x, y and z after `error` if it permutes or reverses axes, otherwise `None`.
+/// The directions of x, y and z if `error` permutes or reverses axes, otherwise `None`.
 fn permuted(error: &Rotation) -> Option<String> {
     let axes: Vec<(usize, f64)> = (0..3)
         .map(|axis| {
@@ -235,7 +232,6 @@ fn permuted(error: &Rotation) -> Option<String> {
     Some(format!("{order}{known}"))
 }
 
-/// The fault of an IMU that rotates in its mount within the run.
 fn slipped(
     case: &Case,
     imu: &StreamEvidence<ImuEvidence>,

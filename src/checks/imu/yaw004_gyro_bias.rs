@@ -10,24 +10,23 @@ rule! {
     /// A gyro has a bias.
     ///
     /// ## What it means
-    /// The gyro reads a constant rate in addition to the angular rate by forward kinematics. The estimate
-    /// is its norm.
+    /// The gyro reads a constant rate in addition to the angular rate by FK. The estimate is its norm.
     ///
     /// ## Why it matters
-    /// Integrated, it drifts the heading at that rate: 0.1 °/s is 6° after a minute.
+    /// Integrated, it drifts the heading: 0.1 °/s is 6° after a minute.
     ///
     /// ## Evidence
-    /// The constant part of (gyro − angular rate by FK), fitted together with the IMU's latency and mount
-    /// to rotations over time intervals.
+    /// The constant part of (gyro − angular rate by FK), fitted with the IMU's latency and mount to
+    /// rotations over time intervals.
     ///
     /// - `vector_rad_s`: the bias in the sensor frame.
     /// - `yaw_rate_rad_s`: drift of a yaw integrated from this gyro.
-    /// - `scale` (along x, y, z) and `misalignment_rad` (of y and z, x and z, x and y): given if
-    ///   significant; they are not part of the bias.
-    /// - `kind`: `step` or `warm-up` if the bias significantly changes over the run. `from_vector_rad_s`
-    ///   and `to_vector_rad_s` are the bias before and after. `change_ns` is the time of a step,
-    ///   `time_constant_s` the time constant of a warm-up. `value` is the size of the change if that
-    ///   reaches the threshold, otherwise the larger of the two biases.
+    /// - `scale` (along x, y, z) and `misalignment_rad` (of y and z, x and z, x and y): not part of the
+    ///   bias; given if significant.
+    /// - `kind`: `step` or `warm-up` if the bias changes significantly. `from_vector_rad_s`,
+    ///   `to_vector_rad_s`: bias before and after. `change_ns`: time of a step. `time_constant_s`: of a
+    ///   warm-up. `value` is the size of the change if that reaches the threshold, otherwise the larger
+    ///   bias.
     ///
     /// ## How to fix
     /// Subtract the bias. Re-estimate it whenever the arm rests, because it depends on temperature.
@@ -48,7 +47,6 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
 
-/// The motion that makes the bias observable.
 const SETTLE: &str = "record 10 s with rests";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -90,13 +88,13 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     }
 }
 
-/// Whether the bias always exceeds its change. The fault is then the bias, and the change is evidence.
+/// The fault is then the bias, and the change is evidence.
 fn is_mostly_constant(change: &GyroBiasChange) -> bool {
     let least = change.before_rad_s.norm().min(change.after_rad_s.norm());
     least > change.size_rad_s.norm.value
 }
 
-/// Size of a change; for a step also the values before and after, and the time.
+/// For a step, with the values before and after, and the time.
 fn estimate(case: &Case, change: &GyroBiasChange) -> Estimate {
     let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
     match change.profile {
@@ -123,7 +121,6 @@ fn with_change(judged: SubjectResult, change: &GyroBiasChange) -> SubjectResult 
     }
 }
 
-/// The fault of a bias that changes over the run.
 fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     let [from, to] =
         [change.before_rad_s, change.after_rad_s].map(|bias| Unit::GyroRate.show(bias.norm()));
@@ -163,7 +160,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     }
 }
 
-/// A value with its 95 % interval, as evidence.
+/// With its 95 % interval.
 fn shown(measured: Measured) -> Value {
     json!({"value": measured.value, "ci95": measured.interval(0.95)})
 }

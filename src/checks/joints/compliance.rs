@@ -1,5 +1,4 @@
-//! Shared by MOT006 and ZER003: joint compliance, which is observable only if the other causes do not
-//! explain the log.
+//! Joint compliance (MOT006, ZER003): observable only if the other causes do not explain the log.
 
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
@@ -8,22 +7,16 @@ use crate::diagnosis::{JointCompliance, Measured};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
-/// A kind of joint compliance and how its rule reports it.
 pub(super) struct ComplianceRule {
-    /// Name of the estimate.
     pub name: &'static str,
-    /// Thresholds for a warning and an error.
     pub threshold: Threshold,
-    /// Motion that makes it observable.
     pub settle: &'static str,
-    /// Whether a joint's compliance is of this kind.
     pub is_it: fn(&JointCompliance) -> bool,
-    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &JointCompliance, Severity) -> Fault,
 }
 
 impl ComplianceRule {
-    /// Judges every joint with this kind of compliance, or the arm if there is none.
+    /// Judges every joint of this kind, or the arm if there is none.
     pub fn check(&self, rule: &Rule, case: &Case) -> Vec<SubjectResult> {
         let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
         arms.flat_map(|arm| self.judge_arm(rule, case, arm)).collect()
@@ -75,7 +68,6 @@ impl ComplianceRule {
     }
 }
 
-/// Whether a pose stream was compared with the arm in motion.
 fn has_moving_proof(arm: &ArmEvidence) -> bool {
     let moves = |stream: &StreamEvidence<PoseEvidence>| {
         let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.is_at_rest);
@@ -84,7 +76,7 @@ fn has_moving_proof(arm: &ArmEvidence) -> bool {
     arm.poses.iter().any(moves)
 }
 
-/// Residual of the arm's poses that any joint may have caused; `None` if it is below the thresholds.
+/// `None` if below the thresholds.
 fn residual_reason(arm: &ArmEvidence) -> Option<String> {
     let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
     let left =
@@ -99,7 +91,7 @@ fn residual_reason(arm: &ArmEvidence) -> Option<String> {
     })
 }
 
-/// Displacement of the tip at full reach if joint `column` rotates, in metres and formatted.
+/// Displacement of the tip at full reach, in metres and formatted.
 pub(super) fn tip_effect(arm: &ArmEvidence, column: usize, turn_rad: f64) -> (f64, String) {
     let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
     let effect_m = lever_m * turn_rad.abs();

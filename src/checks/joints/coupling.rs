@@ -5,7 +5,6 @@ use crate::diagnosis::JointCoupling;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
-/// One finding for each coupled pair.
 pub(super) fn judge(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     couplings.filter_map(|coupling| judge_pair(arm, coupling)).collect()

@@ -1,4 +1,4 @@
-//! Rules on joints and the kinematic model: order, scale, zeros, backlash, sag, velocities, DH convention.
+//! Joints and kinematic model.
 
 mod compliance;
 mod coupling;

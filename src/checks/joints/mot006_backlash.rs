@@ -9,31 +9,32 @@ rule! {
     /// A joint has backlash.
     ///
     /// ## What it means
-    /// After each change of direction, the joint's encoder moves by the backlash before the link follows: a
-    /// gear with play, a loose coupling or a slack belt. The value is the full backlash.
+    /// After each reversal, the encoder moves by the backlash before the link follows: gear play, a loose
+    /// coupling or a slack belt. The value is the full backlash.
     ///
     /// ## Why it matters
-    /// The tool reaches a different place from either side, by the backlash times the lever arm: 0.5° at
-    /// the shoulder of an arm of 0.85 m is 7 mm. Against poses it resembles a latency of a few
-    /// milliseconds, which no shift of stamps corrects.
+    /// The tool reaches a different place from either side: 0.5° at the shoulder of an arm of 0.85 m is 7
+    /// mm. Against poses it resembles a latency of a few milliseconds, which no shift of stamps corrects.
     ///
     /// ## Evidence
-    /// If the causes of the other rules do not explain the log to within the noise, each joint is tested
-    /// for hysteresis, together with sag (ZER003) and eccentricity. All latencies, zeros and frames are
-    /// free. The link may wait while its encoder crosses the backlash, or be pushed through it when the
-    /// joint reverses. Backlash is reported if it reduces the residual substantially. It is preferred to
-    /// zeros or frames that change during the run if fewer causes are then needed. Latency and zeros are
-    /// then judged on corrected joint states. `leads` means that the poses lead this joint's encoder: it is
-    /// on the link side, and the poses are computed from the motor's encoder.
+    /// If the other rules' causes do not explain the log to within the noise, each joint is tested for
+    /// hysteresis, together with sag (ZER003) and eccentricity; latencies, zeros and frames are free. The
+    /// link may wait while its encoder crosses the backlash, or be pushed through it at the reversal.
+    /// Backlash is reported if it reduces the residual substantially, and preferred to zeros or frames that
+    /// change during the run if fewer causes are then needed. Latency and zeros are then judged on
+    /// corrected joint states.
+    ///
+    /// `leads`: the poses lead this joint's encoder, which is on the link side; they are computed from the
+    /// motor's encoder.
     ///
     /// ## How to fix
     /// Adjust the gear's preload, or tighten the coupling or belt. Until then, approach each target from
     /// the same side.
     ///
     /// ## When it misleads
-    /// Dry friction that winds up a compliant gear also depends on the direction. A joint that is always
-    /// loaded from the same side never shows its backlash. The controller's own poses show backlash only if
-    /// it has encoders on both sides of the gear.
+    /// Dry friction that winds up a compliant gear also depends on direction. A joint always loaded from
+    /// the same side never shows its backlash. The controller's own poses show it only with encoders on
+    /// both sides of the gear.
     MOT006 {
         name: "backlash",
         grade: Grade::From(&[THRESHOLD]),

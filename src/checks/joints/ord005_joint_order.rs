@@ -8,25 +8,28 @@ rule! {
     /// Joint names and positions are paired in the wrong order.
     ///
     /// ## What it means
-    /// The positions of a joint state are published under other joints' names. Usually one side uses
-    /// alphabetical order (elbow before shoulder) or driver order, and the other the order of the chain.
+    /// Positions are published under other joints' names. Usually one side uses alphabetical order (elbow
+    /// before shoulder) or driver order, the other the order of the chain.
     ///
     /// ## Why it matters
-    /// Consumers that pair by name get wrong joint positions. Forward kinematics, collision checks and /tf
-    /// are then all wrong, but consistent with each other.
+    /// Consumers that pair by name get wrong positions. FK, collision checks and /tf are all wrong, but
+    /// consistent with each other.
     ///
     /// ## Evidence
     /// Every order of the chain's joints is compared with a stream that is not computed from the named
-    /// joints. `permutation` lists the joints in the order of the numbers. `as_logged_m`, `corrected_m` and
-    /// `runner_up_m` are the residuals as logged, in that order, and in the next best order.
+    /// joints.
+    ///
+    /// - `permutation`: the joints in the order of the numbers.
+    /// - `as_logged_m`, `corrected_m`, `runner_up_m`: residuals as logged, in that order, and in the next
+    ///   best.
     ///
     /// ## How to fix
-    /// Fill `position` in the order of `name`, and look joints up by name, never by index. In ros2_control,
-    /// the `joints` parameter defines the order of the numbers.
+    /// Fill `position` in the order of `name`; look joints up by name, never by index. In ros2_control, the
+    /// `joints` parameter defines the order.
     ///
     /// ## When it misleads
-    /// /tf from a robot_state_publisher inherits the mistake and cannot show it; a pose from a different
-    /// source is required. Joints that do not move in the run are indistinguishable.
+    /// /tf from a robot_state_publisher inherits the mistake; a pose from a different source is required.
+    /// Joints that do not move are indistinguishable.
     ORD005 {
         name: "joint-order",
         grade: Grade::Fixed(Severity::Error),

@@ -10,31 +10,31 @@ rule! {
     /// The DH table fits only under the other DH convention.
     ///
     /// ## What it means
-    /// The rows a, d, α, θ of the robot's table use the other convention than the declared one. The
-    /// conventions are standard (Denavit and Hartenberg, Spong; a row rotates about z first) and modified
-    /// (Craig; about x first, with a and α of the previous row). The same numbers describe a different arm
-    /// under each.
+    /// The table's rows a, d, α, θ are not in the declared convention but in the other: standard (Denavit
+    /// and Hartenberg, Spong; a row rotates about z first) or modified (Craig; about x first, with a and α
+    /// of the previous row). The same numbers describe a different arm under each.
     ///
     /// ## Why it matters
-    /// Forward kinematics of such a table is wrong everywhere by decimetres, but looks plausible with all
-    /// joints at zero. Every other finding would be about the wrong arm. All other rules therefore use the
-    /// convention that fits.
+    /// FK is wrong everywhere by decimetres, but looks plausible with all joints at zero. All other rules
+    /// use the convention that fits.
     ///
     /// ## Evidence
-    /// For each stream, `streams` has the residual beyond its noise under the declared convention
-    /// (`declared_m`, `declared_rad`) and under the other one (`other_m`, `other_rad`), after correcting
-    /// all causes; null if the stream cannot be interpreted. `declared_positions_m` is the distance of its
-    /// positions from the arm as declared. `declared_faults` and `other_faults` count the causes needed.
-    /// The rule fires only if the residual of a stream under the other convention is typical of a nominal
-    /// model of a calibrated arm, and at most a tenth of that under the declared one. No stream may
-    /// contradict this.
+    /// For each stream, `streams` has the residual beyond its noise, after correcting all causes:
+    ///
+    /// - `declared_m`, `declared_rad`: under the declared convention.
+    /// - `other_m`, `other_rad`: under the other; null if the stream cannot be interpreted.
+    /// - `declared_positions_m`: distance of its positions from the arm as declared.
+    ///
+    /// `declared_faults` and `other_faults` count the causes needed. The rule fires only if a stream's
+    /// residual under the other convention is typical of a nominal model of a calibrated arm, and at most a
+    /// tenth of the declared one's, and no stream contradicts this.
     ///
     /// ## How to fix
     /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes the corrected table.
     ///
     /// ## When it misleads
-    /// If all axes are parallel and all links have the same length, the conventions differ by constant
-    /// frames, and the rule is inconclusive. The table of a different arm fits under neither convention.
+    /// If all axes are parallel and all links equally long, the conventions differ by constant frames, and
+    /// the rule is inconclusive. The table of a different arm fits neither.
     ORD007 {
         name: "dh-convention",
         grade: Grade::Fixed(Severity::Error),
@@ -45,7 +45,6 @@ rule! {
     }
 }
 
-/// Motion that separates the conventions.
 const SETTLE: &str = "move every joint, and check the table's rows";
 
 fn check(case: &Case) -> Vec<SubjectResult> {

@@ -13,45 +13,38 @@ rule! {
     /// A joint's direction or scale is wrong.
     ///
     /// ## What it means
-    /// The joint's numbers must be scaled to get its position in rad or m: `q_true = factor · q_reported +
-    /// offset`. A factor of −1 is a reversed joint. 2, 0.5 or 100 is a gear ratio applied twice or not at
-    /// all. 0.00153 is a tick of an encoder with 4096 ticks per turn. Half the joint's range divided by 100
-    /// is a number from −100 to 100. One finding per joint; if all joints have the same factor, one finding
-    /// on their topic.
+    /// The joint's numbers must be scaled to rad or m: `q_true = factor · q_reported + offset`. −1 is a
+    /// reversed joint; 2, 0.5 or 100 a gear ratio applied twice or not at all; 0.00153 a tick of an encoder
+    /// with 4096 per turn; half the joint's range divided by 100 a number from −100 to 100. One finding per
+    /// joint, or on the topic if all joints share the factor.
     ///
     /// ## Why it matters
-    /// Forward kinematics of such a joint is wrong everywhere except at zero, by up to the length of the
-    /// arm. Everything computed from it is wrong: /tf, collision checks and every other finding. All other
-    /// rules therefore use the corrected joint.
+    /// FK is wrong everywhere except at zero, by up to the length of the arm, and so is everything computed
+    /// from it. All other rules use the corrected joint.
     ///
     /// ## Evidence
-    /// `factor` is estimated together with all other causes on the arm's pose streams, and has an interval.
-    /// `as_logged_m` and `corrected_m` are the pose residuals as logged and with the corrected joint; a
-    /// factor with a large residual is not reported. `offset` is added after scaling, if the numbers are
-    /// neither rad nor m and have their own zero. The offset of any other joint is ZER001. `joints` lists
-    /// the joints if the finding is on all of them.
-    ///
-    /// A joint that moves together with another one is reported with that joint (`with`) and the `factor`:
-    /// `q_true = q_reported + factor · q_with`. FANUC controllers measure J3 from the horizon, so a model
-    /// that measures J3 from the upper arm needs J2 added. In some wrists, one joint's gear rotates the
-    /// next joint by a few percent.
-    ///
-    /// A joint that is off by a quarter, half or whole turn is reported with its `turns`. A whole turn is
-    /// visible only in the model's limits, which the joint exceeds throughout the run. The others are
-    /// visible in the poses.
-    ///
-    /// `changes` lists the times from which the scale is different, with the scales before and after. The
-    /// value is then the size of the change (`from`, `to`, `change_ns`).
+    /// - `factor`: estimated together with all other causes on the arm's pose streams, with an interval.
+    /// - `as_logged_m`, `corrected_m`: pose residuals as logged and corrected. A factor with a large
+    ///   residual is not reported.
+    /// - `offset`: added after scaling, if the numbers are neither rad nor m and have their own zero. The
+    ///   offset of any other joint is ZER001.
+    /// - `joints`: those of a finding on all joints.
+    /// - `with`, `factor`: a joint that moves with another, `q_true = q_reported + factor · q_with`. FANUC
+    ///   controllers measure J3 from the horizon, so a model that measures it from the upper arm needs J2
+    ///   added. In some wrists, one joint's gear rotates the next joint by a few percent.
+    /// - `turns`: of a joint off by a quarter, half or whole turn. Only the model's limits, exceeded
+    ///   throughout the run, show a whole turn; the poses show the others.
+    /// - `changes`: times from which the scale differs, with the scales before and after. The value is then
+    ///   the size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
     /// Scale the numbers where the joint states are filled, or correct the driver's `direction`, gear ratio
-    /// or encoder resolution. If the numbers are right, the axis in the robot's description points the
-    /// wrong way; the log cannot distinguish these two cases.
+    /// or encoder resolution. If the numbers are right, the axis in the robot's description is reversed;
+    /// the log cannot distinguish the two.
     ///
     /// ## When it misleads
-    /// A joint that barely moves shows neither its sign nor its scale. The sign of the last joint is
-    /// visible in orientations only. Reversing all joints of a mirror-symmetric arm has the same effect as
-    /// poses in mirrored axes.
+    /// A joint that barely moves shows neither sign nor scale. Only orientations show the last joint's
+    /// sign. Reversing all joints of a mirror-symmetric arm has the same effect as poses in mirrored axes.
     ORD009 {
         name: "joint-scale",
         grade: Grade::Fixed(Severity::Error),
@@ -62,7 +55,7 @@ rule! {
     }
 }
 
-/// Factors that differ by less than this, relatively, are the same.
+/// Relative.
 const MAX_FACTOR_DIFFERENCE: f64 = 2e-3;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -120,9 +113,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     }
 }
 
-/// Joints whose scale changes during the run.
 fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
-    /// Minimum change of a scale.
     const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
     let columns = 0..arm.joints.len();
     let judged = columns.filter_map(|column| {
@@ -138,7 +129,7 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-/// Factor from the log's numbers to rad, if they were interpreted as degrees.
+/// In rad per logged unit, if the numbers were interpreted as degrees.
 fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
     match arm.is_in_degrees_by_magnitude {
         true => factor.scaled(1f64.to_radians()),
@@ -146,7 +137,6 @@ fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
     }
 }
 
-/// Whether two joints have the same factor.
 fn is_same(a: &JointScale, b: &JointScale) -> bool {
     let apart = (a.factor.value - b.factor.value).abs();
     let known = a.factor.std_error.hypot(b.factor.std_error);
@@ -189,7 +179,6 @@ fn fault(
     }
 }
 
-/// Correction of a joint with this scale.
 fn correction(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrection> {
     let joint = arm.joints.get(scale.column)?;
     Some(JointScaleCorrection {
@@ -200,7 +189,6 @@ fn correction(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrect
     })
 }
 
-/// Describes a factor.
 fn describe_scale(arm: &ArmEvidence, scale: &JointScale) -> String {
     let factor = as_logged(arm, scale.factor).value.abs();
     let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
@@ -224,7 +212,6 @@ fn describe_scale(arm: &ArmEvidence, scale: &JointScale) -> String {
     )
 }
 
-/// Whether two numbers are indistinguishable in a log.
 fn is_same_factor(value: f64, other: f64) -> bool {
     (value - other).abs() < MAX_FACTOR_DIFFERENCE * other.abs()
 }
@@ -294,7 +281,7 @@ mod tests {
 
     #[test]
     fn shares_of_the_range_are_called_so() {
-        // The joints of the clean run have limits of -3 and 3.
+        // Limits of the clean run: ±3.
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.03)]));
         assert!(findings[0].message.contains("from -100 to 100"), "{}", findings[0].message);
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.06)]));

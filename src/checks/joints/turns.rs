@@ -1,4 +1,4 @@
-//! Joints that are off by whole, half or quarter turns, for ORD009.
+//! Joints off by whole, half or quarter turns, for ORD009.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -9,7 +9,6 @@ use crate::diagnosis::Measured;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
-/// One finding for each joint that is off by turns.
 pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let of_joint = |joint: usize| match part_of_turn(case, arm, joint) {
         Some((turns, offset)) => {
@@ -20,14 +19,13 @@ pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     (0..arm.joints.len()).filter_map(of_joint).collect()
 }
 
-/// Evidence for the offset.
 #[derive(Clone, Copy)]
 enum TurnEvidence {
     InPoses,
     InLimits,
 }
 
-/// Finding for a joint that exceeds its limits throughout the run, but not if shifted by a turn.
+/// A joint beyond its limits throughout the run, but within them if shifted by whole turns.
 fn judge_whole_turns(arm: &ArmEvidence, joint: usize) -> Option<SubjectResult> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
     if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen) {
@@ -129,7 +127,7 @@ mod tests {
             assert_eq!(joint.turns, Some(turns));
             assert!(ask(&ZER001, &run).1.is_empty());
         }
-        // Two degrees more than a quarter turn are a zero offset.
+        // Two degrees off a quarter turn is a zero offset.
         let mut run = clean_run();
         let lift = &mut run.robots[0].diagnosis.offsets[1];
         (lift.offset, lift.is_chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);

@@ -9,33 +9,35 @@ rule! {
     /// Recorded velocities are not the rates of the recorded positions.
     ///
     /// ## What it means
-    /// The velocities in the joint states differ from the rate of change of the positions: they have a
-    /// different unit, the wrong sign, another joint's values, a delay or a filter, or are zero while the
-    /// joint moves. One finding per joint; joints with the same fault are one finding on their topic.
+    /// The joint states' velocities have a different unit, the wrong sign, another joint's values, a delay
+    /// or a filter, or are zero in motion. One finding per joint; joints with the same fault are one
+    /// finding on their topic.
     ///
     /// ## Why it matters
-    /// Velocities are used in feed-forward, damping, interpolation between samples, collision detection and
-    /// training data. A wrong sign or unit makes a controller unstable, and a filter makes it late.
+    /// Feed-forward, damping, interpolation, collision detection and training data use velocities. A wrong
+    /// sign or unit makes a controller unstable; a filter makes it late.
     ///
     /// ## Evidence
-    /// Velocities are integrated over windows (`window_s`) and compared with the change of position over
-    /// the same windows, so no signal is differentiated. The value is the rms error divided by the rms
-    /// rate, beyond `noise`: the effect of encoder resolution, noise and stamp jitter. `rate` is the rms
-    /// rate of the positions. `kind` is `zero`, `scaled`, `other-joint`, `filtered` or `unlike`. `gain` is
-    /// the velocity at a rate of 1. `delay_s` is the delay of the velocities (negative: early) with its
-    /// interval. `low_pass_hz` is the corner frequency of a first-order low-pass, if it explains more than
-    /// a delay.
+    /// Velocities integrated over windows (`window_s`) are compared with the change of position, so no
+    /// signal is differentiated. The value is the rms error divided by the rms rate, beyond `noise`.
+    ///
+    /// - `noise`: effect of encoder resolution, noise and stamp jitter.
+    /// - `rate`: rms rate of the positions.
+    /// - `kind`: `zero`, `scaled`, `other-joint`, `filtered` or `unlike`.
+    /// - `gain`: velocity at a rate of 1.
+    /// - `delay_s`: delay of the velocities (negative: early), with its interval.
+    /// - `low_pass_hz`: corner of a first-order low-pass, if it explains more than a delay.
     ///
     /// ## How to fix
-    /// Fill `velocity` from the same reading as `position`, in rad/s (m/s for prismatic joints) and in the
-    /// order of `name`. If the driver has no velocities, leave it empty: zeros mean that the arm is at
-    /// rest. Filter less, or delay the positions equally.
+    /// Fill `velocity` from the same reading as `position`, in rad/s (m/s for prismatic joints), in the
+    /// order of `name`. Without velocities, leave it empty: zeros mean rest. Filter less, or delay the
+    /// positions equally.
     ///
     /// ## When it misleads
     /// The positions may be wrong instead, for example in degrees. Tool poses show this (ORD004, ORD009),
     /// and velocities that match the corrected positions are accepted. White noise on velocities is not a
-    /// fault. A velocity computed from two samples is late by half a sample period, which is not counted. A
-    /// joint that barely moves shows nothing.
+    /// fault. The delay of a velocity from two samples, half a period, is not counted. A joint that barely
+    /// moves shows nothing.
     VEL001 {
         name: "velocity-mismatch",
         grade: Grade::From(&[THRESHOLD]),
@@ -47,9 +49,8 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.2 };
-/// Motion that makes the error observable.
 const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
-/// Factors that differ by less than this, relatively, are the same.
+/// Relative.
 const MAX_FACTOR_DIFFERENCE: f64 = 0.03;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -113,8 +114,7 @@ fn not_observable_reason(why: &NotObservable) -> String {
     }
 }
 
-/// Reason why velocities that contradict the recorded positions are right: they match the positions
-/// corrected by means of the pose streams.
+/// Velocities that contradict the recorded positions are right if they match the corrected positions.
 fn explained_by_correction(
     joint: &JointEvidence,
     index: usize,
@@ -135,7 +135,7 @@ fn is_same_factor(value: f64, other: f64) -> bool {
 }
 
 fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
-    /// Delays closer than this are the same, s or relative.
+    /// Equal delays differ by less, s or relative.
     const MAX_DELAY_DIFFERENCE_S: f64 = 2e-3;
     const MAX_RELATIVE_DIFFERENCE: f64 = 0.2;
     match (a, b) {
@@ -160,7 +160,6 @@ fn percent(share: f64) -> String {
     format!("{} %", shown.strip_suffix(".0").unwrap_or(&shown))
 }
 
-/// Finding for joints with the same fault.
 fn report_group(
     case: &Case,
     arm: &ArmEvidence,
@@ -198,7 +197,7 @@ fn report_group(
     with_joint_names(with_numbers(judged, found), arm, &joints)
 }
 
-/// Describes the velocities in a clause, with the fix.
+/// A clause and the fix.
 fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String, String) {
     let fill = |what: &str| format!("{what} where {} is filled", arm.joints_topic);
     match found.shape {
@@ -264,7 +263,6 @@ fn per_second(arm: &ArmEvidence, joint: usize) -> &'static str {
     }
 }
 
-/// Describes a factor.
 fn describe_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
     const DEGREES_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI;
     const TURNS_PER_RADIAN: f64 = 1.0 / std::f64::consts::TAU;

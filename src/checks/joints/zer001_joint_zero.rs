@@ -16,45 +16,42 @@ rule! {
     /// A joint's zero is off.
     ///
     /// ## What it means
-    /// The joint reports its position with a constant error: `q_true = q_reported + offset`. One finding
-    /// per joint, from all pose streams together.
+    /// The joint's position has a constant error: `q_true = q_reported + offset`. One finding per joint,
+    /// from all pose streams together.
     ///
     /// ## Why it matters
-    /// The arm repeats perfectly but is wrong everywhere. An offset of 0.5° at the shoulder of an arm of
-    /// 0.85 m moves the tip by 7 mm. Manually taught programs hide it; everything computed from kinematics
-    /// shows it.
+    /// The arm repeats perfectly but is wrong everywhere: 0.5° at the shoulder of an arm of 0.85 m moves
+    /// the tip by 7 mm. Taught programs hide it; everything computed from kinematics shows it.
     ///
     /// ## Evidence
-    /// The smallest set of causes (joint zeros, frames) that explains all streams, together with their
-    /// latencies. `effect_m` is the displacement of the tip at full reach. `inherited_by` lists streams
-    /// that were computed from the faulty joint states. `indistinguishable` lists causes with the same
-    /// effect on this log: the first joint's zero and the base's yaw, the last joint's zero and a rotation
-    /// of the tool, a rail's zero and a shift of the base.
+    /// The smallest set of causes (joint zeros, frames) that explains all streams, with their latencies.
     ///
-    /// If an inaccurate nominal model could explain several causes or the residual, the deviations of all
-    /// links are estimated together with the zeros, each with its own standard deviation. A zero is then
-    /// reported if it makes the log fifty times as likely, and its interval includes the link deviations.
-    /// Zeros of other joints that are at least a twentieth as likely are in `indistinguishable`.
+    /// - `effect_m`: displacement of the tip at full reach.
+    /// - `inherited_by`: streams computed from the faulty joint states.
+    /// - `indistinguishable`: causes with the same effect on this log: first joint's zero and base yaw,
+    ///   last joint's zero and tool rotation, a rail's zero and a shift of the base.
+    /// - `witness`: source of the poses (`controller`, `external`, `unknown`); `meaning`: what the offset
+    ///   then implies.
+    /// - `changes`: times from which the offset differs, with the offsets before and after. The value is
+    ///   then the size of the change (`from`, `to`, `change_ns`).
     ///
-    /// With an unexplained residual (MDL001), a zero is reported only if it moves the tip at least 30 times
-    /// as far. If the motion cannot locate the tracker's marker, it is never reported.
+    /// If an inaccurate nominal model could explain several causes or the residual, all link deviations are
+    /// estimated with the zeros, each with its own standard deviation. A zero is then reported if it makes
+    /// the log fifty times as likely; its interval includes the deviations. `indistinguishable` lists zeros
+    /// of other joints at least a twentieth as likely.
     ///
-    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
-    /// value is then the size of the change (`from`, `to`, `change_ns`).
-    ///
-    /// `witness` is the source of the poses (`controller`, `external`, `unknown`), and `meaning` what the
-    /// offset then implies for the arm.
+    /// With an unexplained residual (MDL001), a zero must move the tip at least 30 times as far. If the
+    /// motion cannot locate the tracker's marker, it is never reported.
     ///
     /// ## How to fix
-    /// Re-home or re-master the joint, or add the offset to the driver's calibration file. Check the
-    /// robot's description first: a model of a different variant of the arm has the same effect.
+    /// Check the robot's description first: another variant of the arm has the same effect. Then re-home or
+    /// re-master the joint, or add the offset to the driver's calibration file.
     ///
     /// ## When it misleads
-    /// A controller's own pose is computed from the same encoders. Against it, an offset means that this
-    /// model or these joint states differ from the controller's; a mechanical zero error is invisible. An
-    /// independent source (tracker, camera, IMU) shows it. An offset required by only one of several
-    /// explanations is never a finding. In few configurations, sag has the same effect as a zero offset;
-    /// `indistinguishable` then lists ZER003.
+    /// A controller's pose is computed from the same encoders. Against it, an offset means that this model
+    /// or these joint states differ from the controller's; only an independent source (tracker, camera,
+    /// IMU) shows a mechanical zero error. An offset required by only one of several explanations is never
+    /// a finding. In few configurations, sag has the same effect; `indistinguishable` then lists ZER003.
     ZER001 {
         name: "joint-zero",
         grade: Grade::From(&[ROTARY, PRISMATIC]),
@@ -69,7 +66,6 @@ const ROTARY: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
 const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
 
-/// Motion that makes the offset observable.
 const SETTLE: &str = "move each joint by 30° or more, one after another";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -81,7 +77,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         return Vec::new();
     }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    // An unknown world frame may absorb a fault that this motion does not observe.
+    // An unknown world frame may absorb an unobservable fault.
     let is_world_unknown = arm.poses.iter().all(|stream| !stream.reference_known);
     let judged = offsets.map(|(joint, offset)| judge(case, arm, joint, offset));
     judged
@@ -169,12 +165,11 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         .estimated(joint_zero_estimate(threshold.unit, measured))
 }
 
-/// Reason why a zero offset may be the effect of an unknown tool frame: the motion does not locate an
-/// external marker, and a residual above the noise remains. `None` if it cannot.
+/// If the motion does not locate an external marker and a residual above the noise remains, the zero may be
+/// the effect of the unknown tool frame.
 fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
-    /// Standard error above which a tool's position is unknown, m.
+    /// Standard error, m.
     const MIN_UNKNOWN_TOOL_ERROR_M: f64 = 0.01;
-    /// Maximum residual of a healthy stream, m.
     const MAX_HEALTHY_RESIDUAL_M: f64 = 0.3e-3;
     let is_hidden = |stream: &&StreamEvidence<PoseEvidence>| {
         let diagnosis = &stream.diagnosis;
@@ -198,10 +193,9 @@ fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
     ))
 }
 
-/// Reason why a zero offset may be the effect of a wrong model: a residual exceeds the thresholds of
-/// MDL001, and the effect of the zero is below a multiple of it. `None` if it cannot.
+/// If a residual exceeds the thresholds of MDL001, the zero may be the effect of a wrong model.
 fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
-    /// Minimum ratio of a zero's effect to the residual, for link deviations not to produce it.
+    /// Link deviations do not give a zero's effect a larger ratio to the residual.
     const MIN_EFFECT_RATIO: f64 = 30.0;
     let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let least = |amount: &Measured| amount.value - amount.half_width(0.95);
@@ -288,7 +282,6 @@ fn fault(
     Fault { severity, cause, title: "joint zero is off", message, evidence, fix }
 }
 
-/// What an offset implies for the arm, given the source of the poses.
 fn meaning(witness: PoseSourceKind) -> &'static str {
     match witness {
         PoseSourceKind::Controller => {
@@ -303,7 +296,7 @@ fn meaning(witness: PoseSourceKind) -> &'static str {
     }
 }
 
-/// The confounder of `offset` that is in the selected model, for messages.
+/// The confounder that is in the selected model.
 fn reported_confounder(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen =
         |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.is_chosen);
@@ -394,10 +387,10 @@ mod tests {
             ask(&ZER001, &run).0[0].status
         };
         assert_eq!(status(1e-4, 0.0, 0.01), Status::Fail);
-        // The tool's position is unknown.
+        // Unknown tool.
         assert_eq!(status(1.0, 0.0, 0.01), Status::Fail);
         assert_eq!(status(1.0, 0.8e-3, 0.01), Status::Inconclusive);
-        // The residual exceeds MDL001's threshold.
+        // Residual above MDL001's threshold.
         assert_eq!(status(1e-4, 2e-3, 0.01), Status::Inconclusive);
         assert_eq!(status(1e-4, 2e-3, 0.2), Status::Fail);
     }

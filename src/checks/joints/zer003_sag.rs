@@ -9,33 +9,31 @@ rule! {
     /// A joint sags under gravity.
     ///
     /// ## What it means
-    /// The link hangs lower than the joint's encoder reports, in proportion to the gravity torque:
-    /// compliant gears, belts and links. The value is the largest sag over the run. One finding per joint.
+    /// The link hangs lower than the encoder reports, in proportion to the gravity torque: compliant gears,
+    /// belts and links. The value is the largest sag over the run. One finding per joint.
     ///
     /// ## Why it matters
-    /// Sag is largest when the arm is stretched out and loaded, and zero when it hangs. It resembles a zero
-    /// offset, but a zero that is corrected for one configuration is wrong in the others.
+    /// Sag is largest when the arm is stretched out and loaded, and zero when it hangs. Corrected as a zero
+    /// offset in one configuration, the arm is wrong in the others.
     ///
     /// ## Evidence
-    /// If the causes of the other rules do not explain the log to within the noise, each joint is tested
-    /// for a deflection proportional to its gravity torque, together with backlash (MOT006) and
-    /// eccentricity. All latencies, zeros and frames are free. Gravity points along −z of the chain's base.
-    /// Link masses are assumed halfway between the joints, and to decrease outwards at the ratio that fits
-    /// best; only their ratios matter. Sag is reported if it reduces the residual substantially. Zeros are
-    /// then judged on corrected joint states.
+    /// If the other rules' causes do not explain the log to within the noise, each joint is tested for a
+    /// deflection proportional to its gravity torque, together with backlash (MOT006) and eccentricity;
+    /// latencies, zeros and frames are free. Gravity points along −z of the chain's base. Link masses lie
+    /// halfway between the joints and decrease outwards at the ratio that fits best; only ratios matter.
+    /// Sag is reported if it reduces the residual substantially. Zeros are then judged on corrected joint
+    /// states.
     ///
-    /// If a load is picked up or put down during the run, the sag changes. The value is then the size of
-    /// the change (`from`, `to`, `change_ns`).
+    /// If a load is picked up or put down, the value is the size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
-    /// Configure the payload and its centre of mass in the controller, and the joint compliance if it
-    /// supports that. Otherwise correct targets by the sag in their configuration.
+    /// Configure payload, centre of mass and, if supported, joint compliance in the controller. Otherwise
+    /// correct each target by the sag in its configuration.
     ///
     /// ## When it misleads
-    /// If the arm is mounted on a wall or ceiling and its base frame is not upright, gravity has a
-    /// different direction. In few configurations, sag is indistinguishable from a zero offset. A base that
-    /// tilts under the arm has nearly the same effect. If the load changes twice in one run, neither change
-    /// is reported.
+    /// On a wall or ceiling, gravity has another direction if the base frame is not upright. In few
+    /// configurations, sag is indistinguishable from a zero offset. A base that tilts under the arm has
+    /// nearly the same effect. If the load changes twice, neither change is reported.
     ZER003 {
         name: "sag",
         grade: Grade::From(&[THRESHOLD]),

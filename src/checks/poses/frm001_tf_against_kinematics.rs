@@ -9,8 +9,8 @@ rule! {
     /// /tf disagrees with forward kinematics of the joint states.
     ///
     /// ## What it means
-    /// The tip pose in /tf differs from the pose that the robot description gives for the joint positions
-    /// at the same time. The latency of /tf is compensated first (LAT001 reports it).
+    /// The tip pose in /tf differs from FK of the joint positions at the same time, after compensating the
+    /// latency of /tf (LAT001 reports it).
     ///
     /// ## Why it matters
     /// Everything that uses tf2 (planning, sensors, visualisation) has different kinematics from nodes that
@@ -19,14 +19,14 @@ rule! {
     /// ## Evidence
     /// The constant offset if there is one, otherwise the rms residual beyond the noise. `before_m` is the
     /// residual without latency compensation. /tf is compared with the joint states as recorded: an error
-    /// that the state publisher inherits from a joint fault is listed with that fault.
+    /// inherited from a joint fault is listed with that fault.
     ///
     /// ## How to fix
     /// Use the same description for the state publisher and the audit: calibrated kinematics, variant and
     /// tool. Check whether a second publisher sends the same frames.
     ///
     /// ## When it misleads
-    /// If `--robot` names a different description from the publisher's, this finding follows. Fixed
+    /// The finding follows if `--robot` names a different description from the publisher's. Fixed
     /// transforms missing from /tf are taken from the model.
     FRM001 {
         name: "tf-against-kinematics",
@@ -38,20 +38,17 @@ rule! {
     }
 }
 
-/// Recording that makes the disagreement observable.
 const SETTLE: &str = "record /tf together with the joint states while the arm moves";
 
-/// Disagreement of /tf with FK, and the decision on it.
 struct Disagreement {
     length: Measured,
     angle: Measured,
-    /// Whether it is a constant offset.
     constant: bool,
     decision: Decision,
 }
 
 impl Disagreement {
-    /// The constant offset, if one explains the disagreement; otherwise the residual beyond the noise.
+    /// The constant offset if it explains the disagreement, else the residual.
     fn estimate<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
         let (thresholds, subjects) =
             (case.thresholds.frame_thresholds(&FRM001, THRESHOLDS), case.evidence.subjects());
@@ -68,7 +65,7 @@ impl Disagreement {
     }
 }
 
-/// Whether /tf matches the joint states as recorded, and so inherits their faults.
+/// Whether /tf matches the recorded joint states, and so inherits their faults.
 pub(in crate::checks) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
     Disagreement::estimate(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
@@ -100,7 +97,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-/// Fault of the recorded joint states that makes everything computed or interpolated from them invalid.
+/// Fault of the recorded joint states that invalidates everything computed from them.
 fn misread(arm: &ArmEvidence) -> Option<&'static str> {
     let joints = arm.diagnosis.encoding.as_ref().ok()?;
     match joints {

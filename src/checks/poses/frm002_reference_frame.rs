@@ -10,33 +10,31 @@ rule! {
     /// The reference frame of a stream is off by a constant.
     ///
     /// ## What it means
-    /// The poses are expressed in a different frame from their `frame_id`. A common case: Universal Robots
-    /// controllers report poses in `base`, and the driver labels them `base_link`, which is rotated by 180°
-    /// about z.
+    /// The poses are in a different frame from their `frame_id`. Commonly, a Universal Robots controller
+    /// reports poses in `base`, and the driver labels them `base_link`, which is rotated by 180° about z.
     ///
     /// ## Why it matters
     /// Every pose is wrong by the same transform in the base frame. A half turn sends the arm to the other
     /// side of the table.
     ///
     /// ## Evidence
-    /// `pose` is `reference_from_stream`; apply it to a logged pose to express it in the named frame. The
-    /// value is the norm of its translation, and `rotation` is the angle. The significance test is joint
-    /// over all six components.
+    /// `pose` is `reference_from_stream`; it converts a logged pose to the named frame. The value is the
+    /// norm of its translation, `rotation` its angle. The significance test is joint over all six
+    /// components.
     ///
     /// If `frame_id` changes during the run and the poses are right under only one of the names, the value
     /// also has `from`, `to` and `change_ns`.
     ///
-    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
-    /// value is then the size of the change (`from`, `to`, `change_ns`).
+    /// `changes` lists when the offset changes, with the offsets before and after. The value is then the
+    /// size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///
     /// ## When it misleads
     /// No log can distinguish a base rotated about the first joint's axis from a zero offset of that joint.
-    /// The joint zero is preferred unless the angle is a round number; the alternative is listed in
-    /// `indistinguishable`. A frame that is not fixed to the robot (a tracker's world) is estimated, and is
-    /// never a fault.
+    /// The joint zero is preferred unless the angle is a round number; `indistinguishable` lists the
+    /// alternative. A frame not fixed to the robot (a tracker's world) is estimated, and is never a fault.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -65,8 +63,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()
 }
 
-/// Adds the start or end time to an offset that occurs in part of the run, if the poses are right under the
-/// `frame_id` of the other part.
+/// Adds the start or end time if the poses are right under the `frame_id` of the other part of the run.
 fn since_label(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
@@ -109,8 +106,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let reference = &stream.reference;
-    // Table columns may be in the base frame or the controller's base frame; neither contradicts a
-    // declaration.
+    // Table columns may be in either base frame; neither contradicts a declaration.
     let is_either_base =
         stream.is_of_table && stream.is_undeclared && is_half_turn_about_z(&frame.pose);
     let severity = if is_either_base { Severity::Info } else { severity };

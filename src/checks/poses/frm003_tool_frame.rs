@@ -9,33 +9,33 @@ rule! {
     /// The tool frame of a stream is off by a constant.
     ///
     /// ## What it means
-    /// The poses describe a different point on the last link than the named tip: the flange instead of
-    /// tool0, or a TCP that is active in the controller.
+    /// The poses describe another point on the last link than the named tip: the flange instead of tool0,
+    /// or a TCP active in the controller.
     ///
     /// ## Why it matters
-    /// The error is constant in the tool frame but rotates with the wrist in the base frame. Correcting a
-    /// few taught points does not remove it.
+    /// The error is constant in the tool frame but rotates with the wrist in the base frame, so correcting
+    /// a few taught points does not remove it.
     ///
     /// ## Evidence
     /// `pose` is `tip_from_stream`: the stream's point in the tip frame. The value is the norm of its
-    /// translation, and `rotation` is the angle. The significance test is joint over all six components.
+    /// translation, `rotation` its angle. The significance test is joint over all six components.
     ///
-    /// The poses may alternate between several rigid bodies on one tool (a tracker confuses markers, or the
-    /// TCP is switched). Each body other than the most frequent one then has a finding with its offset from
-    /// that body (`pose` is `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and its number
-    /// of `samples`. All other rules use the poses converted to the most frequent body.
+    /// The poses may alternate between rigid bodies on one tool (a tracker confuses markers, or the TCP is
+    /// switched). Each body other than the most frequent one has a finding with its offset from that body
+    /// (`pose` is `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and its number of
+    /// `samples`. All other rules use the poses converted to the most frequent body.
     ///
-    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
-    /// value is then the size of the change (`from`, `to`, `change_ns`).
+    /// `changes` lists when the offset changes, with the offsets before and after. The value is then the
+    /// size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
     /// Set the controller's active TCP to the intended one, or name the link of the stream with `--tip`.
     ///
     /// ## When it misleads
     /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active TCP
-    /// and is reported as `info`. The offset of an external tracker is the position of its marker, also
-    /// `info`. No log can distinguish a rotation about the last joint's axis from a zero offset of that
-    /// joint; the alternative is listed in `indistinguishable`.
+    /// and is `info`. So is the offset of an external tracker: the position of its marker. No log can
+    /// distinguish a rotation about the last joint's axis from a zero offset of that joint;
+    /// `indistinguishable` lists the alternative.
     FRM003 {
         name: "tool-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -67,14 +67,13 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged
 }
 
-/// Finding for a second body on the tool, described by part of the poses.
 fn alternates(
     case: &Case,
     arm: &ArmEvidence,
     stream: &StreamEvidence<PoseEvidence>,
     other: &SwitchedTool,
 ) -> SubjectResult {
-    /// Maximum number of time spans in the message.
+    /// Time spans in the message.
     const NAMED: usize = 3;
     let thresholds = case.thresholds.frame_thresholds(&FRM003, THRESHOLDS);
     let (length, angle) = (&other.length_m, &other.angle_rad);

@@ -21,52 +21,49 @@ rule! {
     /// Residual error with no identified cause.
     ///
     /// ## What it means
-    /// Every stream is compared with FK twice. The second comparison bypasses the estimators: it takes the
-    /// 95th percentile of the raw error over the moving run and over each tenth of it. If that reaches the
-    /// thresholds, the findings of the other rules must explain it. After correcting them, the error in
-    /// every tenth must be below the thresholds, or at most twice the sample-to-sample noise. A larger
-    /// residual has no cause that this audit models: kinematic parameters, a bent link, gear error, a slow
-    /// change during the run, or a different arm.
+    /// Every stream is compared with FK independently of the estimators: by the 95th percentile of the raw
+    /// error over the moving run and over each tenth of it. If that reaches the thresholds, the other
+    /// rules' findings must explain it. After correcting them, the error in every tenth must be below the
+    /// thresholds, or at most twice the sample-to-sample noise. A larger residual has no modelled cause:
+    /// kinematic parameters, a bent link, gear error, a slow change during the run, or a different arm.
     ///
-    /// IMUs are also compared with FK: the residuals of orientation and gyro after correction, the scale of
-    /// the gyro (`gyro gain`, its relative error), and the rate at which the gyro saturates while the arm
-    /// turns faster (`gyro saturation`).
+    /// For an IMU, the residuals of orientation and gyro after correction are checked, the gyro's scale
+    /// (`gyro gain`, its relative error), and whether it saturates below the arm's rate (`gyro
+    /// saturation`).
     ///
     /// ## Why it matters
-    /// A run passes only if this rule passes on every stream. The residual is the best accuracy that
-    /// correcting the other findings can reach, and a warning that the description may belong to a
-    /// different arm.
+    /// A run passes only if this rule passes on every stream. The residual is the accuracy that correcting
+    /// the other findings can reach, and a warning that the description may belong to a different arm.
     ///
     /// ## Evidence
     /// `value` is the rms position error beyond the sample-to-sample noise, and `rotation` the rms
-    /// orientation error. `rms_m` and `rms_rad` include the noise; `before_m` and `before_rad` are before
-    /// any correction. `as_logged` is the raw error against FK, and `left` the error after correcting the
-    /// findings. Both give the 95th percentile (`most_m`, `most_rad`) in the worst tenth of the run, with
-    /// its times and tip position (`from_ns`, `to_ns`, `at_m`). `shared_by` lists the streams with a
-    /// residual at the same times.
+    /// orientation error. `rms_m` and `rms_rad` include the noise; `before_m` and `before_rad` are
+    /// uncorrected. `as_logged` is the raw error, `left` the error after correcting the findings: each the
+    /// 95th percentile (`most_m`, `most_rad`) in the worst tenth of the run, its times and tip position
+    /// (`from_ns`, `to_ns`, `at_m`). `shared_by` lists streams with a residual at the same times.
     ///
     /// If the residual varies with one, two or three times a joint's angle, as from an eccentric gear or
-    /// encoder, the message names the joint and the amplitude. `candidates` are the closest explanations,
-    /// each with its residual. `fits` names a catalogue arm with the same joints that fits far better than
-    /// the given model, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The audit keeps
-    /// the given model; rules that compare poses with it are inconclusive.
+    /// encoder, the message names joint and amplitude. `candidates` are the closest explanations with their
+    /// residuals. `fits` names a catalogue arm with the same joints that fits far better than the given
+    /// model, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The given model is kept;
+    /// rules that compare poses with it are inconclusive.
     ///
-    /// For a gyro, `scale` is the gain minus 1 along x, y and z with its interval. `axes` are the saturated
-    /// axes, `share` the fraction of samples at the limit, and `by_fk_rad_s` the arm's maximum rate.
+    /// For a gyro, `scale` is the gain minus 1 along x, y, z with its interval, `axes` the saturated axes,
+    /// `share` the fraction of samples at the limit, and `by_fk_rad_s` the arm's maximum rate.
     ///
-    /// For a nominal model of a calibrated arm, `link_m` is the standard deviation of the link deviations.
-    /// Their angles scale with 0.1° per 1 mm.
+    /// For a nominal model of a calibrated arm, `link_m` is the standard deviation of the link deviations,
+    /// with 0.1° per 1 mm for their angles.
     ///
-    /// A stream that leads the arm by more than 40 ms is not compared and is inconclusive. It is a command,
+    /// A stream that leads the arm by more than 40 ms is not compared and is inconclusive: it is a command,
     /// or a tool pose with late joint states.
     ///
-    /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9), or if it
+    /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9) or
     /// repeats with the configuration. Otherwise it is inconclusive, and so is the run.
     ///
     /// ## How to fix
-    /// Use the arm's own calibrated description (for a UR, `calibration.yaml` extracted from the
-    /// controller). A residual of a few millimetres everywhere is usually calibration. A residual of
-    /// centimetres suggests the wrong model. If it starts at some time, check what happened then.
+    /// Use the arm's calibrated description (for a UR, `calibration.yaml` extracted from the controller).
+    /// Millimetres everywhere are usually calibration; centimetres suggest the wrong model. If the residual
+    /// starts at some time, check what happened then.
     ///
     /// ## When it misleads
     /// A nominal description of a calibrated arm has a residual of 1–10 mm; the log is then not at fault.
@@ -81,10 +78,8 @@ rule! {
     }
 }
 
-/// Motion that makes the residual observable.
 const SETTLE: &str = "record 10 s in which every joint moves";
 
-/// What to record if there is nothing to compare with the joint states.
 const RECORD: &str = "record the tool's pose (from the controller or a tracker), /tf or an IMU on the arm \
     while every joint moves for 10 s";
 
@@ -94,8 +89,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     arms.chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
 }
 
-/// A stream that leads the arm is a command, or a tool pose with late joint states. The log does not show
-/// which, and the second case could hide a fault, so the outcome is inconclusive.
+/// A leading stream is a command, or a tool pose with late joint states, which could hide a fault:
+/// inconclusive.
 fn judge_leader(stream: &StreamEvidence<f64>) -> SubjectResult {
     let why = format!(
         "not compared: it leads the arm by {:.0} ms, as a command, hand tracker or leader arm does, or a \
@@ -107,17 +102,15 @@ fn judge_leader(stream: &StreamEvidence<f64>) -> SubjectResult {
     stream.judged(Outcome::Inconclusive(why))
 }
 
-/// A stream of an arm with the attribution of its error.
 struct AttributedStream<'a> {
     stream: &'a StreamEvidence<PoseEvidence>,
     subject: Subject,
     attribution: Option<Attribution>,
-    /// Joint angle with which the residual varies, if known: see [`eccentricity`].
+    /// Clause of [`eccentricity`]; may be empty.
     varying_angle: String,
 }
 
 impl AttributedStream<'_> {
-    /// Its residual, if too large.
     fn residual(&self) -> Option<&ExceedingResidual> {
         match self.attribution.as_ref()? {
             Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) => {
@@ -127,7 +120,6 @@ impl AttributedStream<'_> {
         }
     }
 
-    /// Whether no combination of causes makes the poses match the arm.
     fn is_mismatched(&self) -> bool {
         let reference_known = self.stream.reference_known;
         match &self.stream.diagnosis.residual {
@@ -201,7 +193,6 @@ fn judge(
     let length = rms_beyond_noise(&error.length.whole);
     let competing = &arm.indistinguishable_models;
     let outcome = match outcome(case, attributed, all) {
-        // Another arm may explain the residual.
         Outcome::Evaluated(Ruling::Fail(_))
             if !competing.is_empty() && attributed.residual().is_some() =>
         {
@@ -236,8 +227,8 @@ fn judge(
     }
 }
 
-/// The rms error beyond the noise. The error repeats with the motion apart from the noise, so its interval
-/// is that of a mean of independent noise.
+/// The error repeats with the motion apart from the noise, so its interval is that of a mean of independent
+/// noise.
 fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.lag_samples.max(1) as f64).max(3.0);
@@ -248,7 +239,6 @@ fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
     }
 }
 
-/// An error over the whole run, and its largest part, as JSON.
 fn error_json(case: &Case, error: &FkError) -> Value {
     let most = |size: &ErrorSize| size.worst().map(|part| part.magnitude.quantile_95);
     let worst = error.length.worst();
@@ -306,7 +296,7 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
     }
 }
 
-/// Formats the rms errors: `12 mm and 0.3°`.
+/// As `12 mm and 0.3°`.
 fn sizes(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     match &error.angle {
@@ -315,8 +305,7 @@ fn sizes(error: &FkError) -> String {
     }
 }
 
-/// Formats time, size and place of the error: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up
-/// to 70 mm and 0.2°, largest near (…) m`.
+/// As `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up to 70 mm and 0.2°, largest near (…) m`.
 fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     let PartError { at, .. } = residual.worst;
     let most = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.magnitude.quantile_95);
@@ -336,7 +325,6 @@ fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     format!("{parts}, up to {most}, largest near ({at}) m")
 }
 
-/// Reason why a residual is inconclusive.
 fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str]) -> String {
     let (off, most) = (sizes(&residual.error), describe_residual(case, residual));
     let why = match (open, residual.error.length.whole.noise) {
@@ -401,7 +389,6 @@ fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
     }
 }
 
-/// Finding for the residual after correcting all other findings.
 fn unexplained(
     case: &Case,
     attributed: &AttributedStream,
@@ -439,11 +426,10 @@ fn unexplained(
     }
 }
 
-/// Finding for poses and joint states that no cause reconciles.
 fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> Fault {
     let stream = attributed.stream;
     let as_logged = stream.proof.as_ref().ok().map(|proof| &proof.as_logged);
-    // The error as logged is meaningless if the reference frame is not fixed to the robot.
+    // Meaningless as logged if the reference frame is not fixed to the robot.
     let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&residual.error);
     let candidates = candidates(stream);
     let said = said(error);
@@ -467,13 +453,10 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
     }
 }
 
-/// Title if no cause reconciles poses and joint states.
 const DISAGREE: &str = "poses and joint states disagree";
 
-/// Motion that would show why.
 const TELLS: &str = "record 10 s in which the joints move by 30° one at a time";
 
-/// Formats the disagreement between poses and joint states.
 fn said(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     let angle = error.angle.as_ref().map(|angle| Unit::Radian.show(angle.whole.rms));
@@ -481,7 +464,7 @@ fn said(error: &FkError) -> String {
     format!("poses and joint states disagree by {length}{angle}")
 }
 
-/// Closest explanations with their residuals, best first.
+/// Best first.
 fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
@@ -502,7 +485,6 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     all.into_iter().chain(readings).collect()
 }
 
-/// Outcome if another arm fits far better than the given model.
 fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outcome {
     let CompetingModel { name, named_m, left_m, tool_m, .. } = better;
     let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));

@@ -10,35 +10,35 @@ rule! {
     /// Rotation numbers of one convention are read as another.
     ///
     /// ## What it means
-    /// Three numbers in one convention (for example a rotation vector, from a UR) were
-    /// converted to a rotation as if they were in another (say roll, pitch, yaw). The positions are right.
-    /// The orientations are wrong, by a different rotation at every pose.
+    /// Three numbers of one convention (say a UR's rotation vector) were converted to a rotation as another
+    /// (say roll, pitch, yaw). Positions are right; orientations are wrong, by a different rotation at
+    /// every pose.
     ///
-    /// Names are `rotvec` and `euler:SEQ` with SciPy's letters: lower case rotates about fixed axes, upper
-    /// case about moving axes, with the numbers in the order of the letters. ROS rpy is `euler:xyz`.
-    /// `euler:SEQ@axes` are numbers labelled rx, ry, rz that are applied in the order SEQ.
+    /// Names are `rotvec` and `euler:SEQ` with SciPy's letters, in the order of the numbers: lower case for
+    /// fixed axes, upper case for moving axes. ROS rpy is `euler:xyz`. `euler:SEQ@axes` are numbers
+    /// labelled rx, ry, rz, applied in the order SEQ.
     ///
     /// ## Why it matters
-    /// Near the pose used for testing, the two interpretations may almost agree. Elsewhere they differ by
-    /// tens of degrees: a grasp planned from these poses misses, and a hand-eye calibration converges to a
-    /// wrong result without a warning.
+    /// The two interpretations may almost agree near the pose used for testing, and differ by tens of
+    /// degrees elsewhere. Grasps miss, and a hand-eye calibration converges to a wrong result without a
+    /// warning.
     ///
     /// ## Evidence
-    /// The stream's orientations are compared with forward kinematics under every pair of conventions, on
-    /// every branch that a pendant may show (wrapped angles, the second Euler solution, rotation vectors
-    /// beyond 180°). The finding gives the residual as logged (`as_logged_rad`), the residual under the
-    /// best interpretation (`corrected_rad`), and the ratio of the next best to it. `equivalent` lists the
-    /// pairs that are the same map for every rotation or that this motion cannot separate.
+    /// Orientations are compared with FK under every pair of conventions, on every branch that a pendant
+    /// may show (wrapped angles, the second Euler solution, rotation vectors beyond 180°). The finding
+    /// gives the residual as logged (`as_logged_rad`) and under the best pair (`corrected_rad`), and the
+    /// ratio of the next best to it. `equivalent` lists pairs that are the same map or that this motion
+    /// cannot separate.
     ///
     /// ## How to fix
-    /// Change the line that converts the numbers to a rotation; the finding gives the SciPy call. To repair
-    /// a log, convert the logged rotation back to numbers with `read_as`, then to a rotation with `is`.
+    /// Change the line that converts the numbers; the finding gives the SciPy call. To repair a log,
+    /// convert the rotation back to numbers with `read_as`, then to a rotation with `is`.
     ///
     /// ## When it misleads
-    /// If the arm barely rotates, or rotates about one axis only, many interpretations agree and the rule
-    /// is inconclusive. If the stream's reference frame is not fixed to the robot (a tracker's world), some
-    /// interpretations differ only by a constant frame; the most common is reported and the others are
-    /// listed. An interpretation is reported only if its residual is at most half of every other's.
+    /// If the arm rotates little, or about one axis only, many interpretations agree and the rule is
+    /// inconclusive. If the reference frame is not fixed to the robot (a tracker's world), some differ only
+    /// by a constant frame; the most common is reported and the others listed. An interpretation is
+    /// reported only if its residual is at most half of every other's.
     ORD001 {
         name: "rotation-convention",
         grade: Grade::Fixed(Severity::Error),
@@ -83,7 +83,6 @@ fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     })
 }
 
-/// The SciPy call to write and the one to replace.
 fn fix(Misinterpretation { is, read_as }: &Misinterpretation) -> String {
     let by_axis = |convention: &Convention| {
         *convention == Convention::RotVec || convention.to_string().ends_with("@axes")
@@ -92,7 +91,7 @@ fn fix(Misinterpretation { is, read_as }: &Misinterpretation) -> String {
     format!("{}, not {}", scipy_call(*is, labels), scipy_call(*read_as, labels))
 }
 
-/// SciPy call that converts numbers with these `labels`, in log order, to a rotation.
+/// Converts numbers with these `labels`, in log order, to a rotation.
 fn scipy_call(convention: Convention, labels: [&str; 3]) -> String {
     let name = convention.to_string();
     let Some(order) = name.strip_prefix("euler:") else {

@@ -8,21 +8,19 @@ rule! {
     /// Quaternion components are in the wrong order.
     ///
     /// ## What it means
-    /// The four numbers are w, x, y, z but were stored as x, y, z, w, or the reverse. ROS messages, SciPy
-    /// and Eigen's storage use x, y, z, w. MuJoCo, transforms3d, ABB robtargets and most constructors take
-    /// w first.
+    /// Components w, x, y, z were stored as x, y, z, w, or the reverse. ROS messages, SciPy and Eigen's
+    /// storage use x, y, z, w. MuJoCo, transforms3d, ABB robtargets and most constructors take w first.
     ///
     /// ## Why it matters
-    /// The result is still a unit quaternion, so nothing fails, but it is a different rotation. Yaw often
-    /// looks right over part of its range and then stops, which is mistaken for drift.
+    /// The result is still a unit quaternion, so nothing fails, but a different rotation. Yaw often looks
+    /// right over part of its range and then stops, which is mistaken for drift.
     ///
     /// ## Evidence
-    /// The residual against forward kinematics with the components as logged (`as_logged_rad`) and in the
-    /// other order (`corrected_rad`).
+    /// The residual against FK as logged (`as_logged_rad`) and in the other order (`corrected_rad`).
     ///
     /// ## How to fix
-    /// Reorder the components where the quaternion is written, by name and not by position. Pose messages
-    /// have the fields x, y, z, w; `Quaternion(w, x, y, z)` is the order of a constructor.
+    /// Write the components by name, not by position. Pose messages have the fields x, y, z, w;
+    /// `Quaternion(w, x, y, z)` is the order of a constructor.
     ///
     /// ## When it misleads
     /// If the orientation changes by less than about 20°, or about one axis only, both orders may fit with

@@ -9,24 +9,23 @@ rule! {
     ///
     /// ## What it means
     /// `pose-inverse`: the stream holds `tip_from_base` instead of `base_from_tip`; parent and child are
-    /// swapped. `transpose`: only the rotation is inverted and the position is right. Active and passive
-    /// rotations were mixed, or a matrix was read by columns instead of rows.
+    /// swapped. `transpose`: only the rotation is inverted. Active and passive rotations were mixed, or a
+    /// matrix was read by columns instead of rows.
     ///
     /// ## Why it matters
     /// An inverted pose moves the wrong way, and a transposed rotation turns the wrong way. Both look
-    /// plausible at rest, and both make a calibration converge to a wrong result.
+    /// plausible at rest and make a calibration converge to a wrong result.
     ///
     /// ## Evidence
-    /// The residual against forward kinematics as logged (`as_logged_rad`) and once inverted
-    /// (`corrected_rad`). Positions distinguish the two cases: those of an inverted pose are the base
-    /// position in the tip frame.
+    /// The residual against FK as logged (`as_logged_rad`) and once inverted (`corrected_rad`). Positions
+    /// distinguish the two cases: those of an inverted pose are the base position in the tip frame.
     ///
     /// ## How to fix
-    /// Publish `base_from_tip`: in tf2, call `lookup_transform(base, tip)` and not the reverse. Transpose a
+    /// Publish `base_from_tip`: in tf2, call `lookup_transform(base, tip)`, not the reverse. Transpose a
     /// column-major matrix (such as Franka's `O_T_EE`) before reading it by rows.
     ///
     /// ## When it misleads
-    /// If the reference frame is not fixed to the robot, and the motion is about few axes, inverted and
+    /// If the reference frame is not fixed to the robot and the motion is about few axes, inverted and
     /// plain orientations differ only by constant frames. The rule then prefers no fault.
     ORD003 {
         name: "inverted-pose",
@@ -55,7 +54,6 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged
 }
 
-/// Estimate for a transposed rotation or an inverted pose.
 fn direction(slip: RotationError) -> Estimate {
     let Misread { is, read_as } = slip.into();
     Estimate::slip("direction", is, read_as)
@@ -82,7 +80,6 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
     }
 }
 
-/// Fix for an inverted pose.
 const EXCHANGE: &str =
     "swap parent and child: publish base_from_tip, as returned by lookup_transform(base, tip)";
 

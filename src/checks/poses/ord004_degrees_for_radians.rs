@@ -11,18 +11,17 @@ rule! {
     /// ## What it means
     /// The positions of one or all joints are in degrees, but consumers expect radians (REP 103). For
     /// declared rotation numbers, the declaration may name the wrong unit, either way. Undeclared numbers
-    /// cannot have a wrong unit; ORD001 reports the unit assumed for them. The angular velocity of an IMU
-    /// may also be in degrees per second; the other rules then use the converted values.
+    /// cannot have a wrong unit; ORD001 reports the unit assumed for them. An IMU's angular velocity may
+    /// also be in degrees per second; the other rules then use the converted values.
     ///
     /// ## Why it matters
-    /// Forward kinematics of degrees read as radians is noise within the arm's reach. Nothing based on it
-    /// can be right, and every other finding would be about the wrong motion. The audit therefore converts
-    /// the numbers before it evaluates any other rule.
+    /// FK of degrees read as radians is noise within the arm's reach, and every other finding would be
+    /// about the wrong motion. The numbers are therefore converted before any other rule is evaluated.
     ///
     /// ## Evidence
-    /// The residual of the stream against forward kinematics as logged (`as_logged`) and as degrees
-    /// (`corrected`): metres for joint positions, radians for rotation numbers, radians per second for a
-    /// gyro. The gyro is compared with the arm's angular rate without integration.
+    /// The residual against FK as logged (`as_logged`) and as degrees (`corrected`): metres for joint
+    /// positions, radians for rotation numbers, radians per second for a gyro, which is compared with the
+    /// arm's rate without integration.
     ///
     /// ## How to fix
     /// Convert at the source with `np.deg2rad(q)`, or `np.deg2rad(angular_velocity)` for an IMU. If a
@@ -83,7 +82,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).chain(gyros).collect()
 }
 
-/// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
+/// `None` if the IMU does not rotate with the arm.
 fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.conventions.degrees else {
         let turns = imu.proof.as_ref()?.gyro.is_some();
@@ -111,17 +110,14 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }
 
-/// Unit assumed for angles in the log.
 #[derive(Clone, Copy)]
 enum AssumedUnit {
     /// Radians, the default.
     Logged,
-    /// The unit declared by the caller.
     Declared(AngleUnit),
 }
 
 impl AssumedUnit {
-    /// The actual and the assumed unit, if they differ.
     fn slip(self) -> Misread<AngleUnit> {
         let (degrees, radians) = (AngleUnit::Degree, AngleUnit::Radian);
         match self {

@@ -9,7 +9,7 @@ rule! {
     /// Euler angles are near gimbal lock.
     ///
     /// ## What it means
-    /// The rotations of a stream are Euler angles, and the middle angle comes within 5° of a value at which
+    /// The stream's rotations are Euler angles, and the middle angle comes within 5° of a value at which
     /// the outer two rotate about the same axis: ±90° for three different axes (rpy), 0° and 180° if the
     /// first and third axis are the same (ZYZ).
     ///
@@ -18,18 +18,17 @@ rule! {
     /// barely moves, so interpolating, filtering, differentiating or averaging them creates false motion.
     ///
     /// ## Evidence
-    /// `convention` is the convention of the numbers. `spans` lists the times near the lock with their
-    /// distance from it, and `count` is the number of such spans; `nearest_rad` is the smallest distance.
-    /// The value is the fraction of samples near the lock.
+    /// `convention` is that of the numbers. `spans` lists the times near the lock with their distance from
+    /// it, `count` their number; `nearest_rad` is the smallest distance. The value is the fraction of
+    /// samples near the lock.
     ///
     /// ## How to fix
-    /// Log and exchange quaternions, and use Euler angles only for display. If angles are required, choose
-    /// an order whose lock is outside the workspace.
+    /// Log and exchange quaternions; use Euler angles only for display. If angles are required, choose an
+    /// order whose lock is outside the workspace.
     ///
     /// ## When it misleads
-    /// The rotations themselves are right, and the audit interprets them correctly. The rule covers only
-    /// bare numbers whose convention is declared or inferred from the arm. Whether a quaternion was
-    /// converted from Euler angles is unknown.
+    /// The rotations themselves are right and interpreted correctly. The rule covers only bare numbers
+    /// whose convention is declared or inferred from the arm, not quaternions converted from Euler angles.
     ORD006 {
         limits: &[MAX_GIMBAL_MARGIN],
         name: "gimbal-lock",
@@ -41,16 +40,15 @@ rule! {
     }
 }
 
-/// Angle to gimbal lock that counts as near.
 const MAX_GIMBAL_MARGIN: Limit = Limit {
     key: "near",
     unit: Unit::Radian,
     value: 5.0 * DEGREE,
     what: "how close to gimbal lock counts as near",
 };
-/// Spans closer together than this are merged, s.
+/// Closer spans are merged, s.
 const MIN_SEPARATION_S: f64 = 0.5;
-/// Maximum number of spans in the evidence.
+/// Spans in the evidence.
 const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -71,7 +69,6 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// A span of time near the lock.
 #[derive(Debug, PartialEq)]
 struct NearSingularity {
     span: Span,

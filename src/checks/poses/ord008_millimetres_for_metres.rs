@@ -10,21 +10,21 @@ rule! {
     ///
     /// ## What it means
     /// The positions of a pose stream are not in metres (REP 103), but in millimetres as pendants show
-    /// them, centimetres, inches or tenths of a millimetre. Or the positions of a prismatic joint are in
-    /// millimetres or centimetres. For a declared stream, the declaration may name the wrong unit, either
-    /// way. Or the linear acceleration of an IMU is in g, mg or cm/s² instead of m/s²; the other rules then
-    /// use the converted values.
+    /// them, centimetres, inches or tenths of a millimetre. Or a prismatic joint is in millimetres or
+    /// centimetres. For a declared stream, the declaration may name the wrong unit, either way. Or an IMU's
+    /// linear acceleration is in g, mg or cm/s² instead of m/s²; the other rules then use the converted
+    /// values.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far away. Consumers that do not fail may compensate for it
     /// silently elsewhere.
     ///
     /// ## Evidence
-    /// The factor is estimated from the motion, with free constant frames if they are needed. If it matches
-    /// a common unit to 2 %, that unit is reported; otherwise the factor to metres. `as_logged_m` is the
-    /// position residual against forward kinematics in metres, and `corrected_m` the residual in the
-    /// detected unit. A unit is reported only if it explains the positions. For an accelerometer, `felt` is
-    /// the median magnitude of the logged specific force at rest: 9.81 in m/s², 1 in g.
+    /// The factor is estimated from the motion, with free constant frames if needed. If it matches a common
+    /// unit to 2 %, that unit is reported; otherwise the factor to metres. `as_logged_m` is the position
+    /// residual against FK in metres, `corrected_m` in the detected unit. A unit is reported only if it
+    /// explains the positions. For an accelerometer, `felt` is the median magnitude of the specific force
+    /// at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
     /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit; ORD001 reports the
@@ -75,7 +75,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged.chain(case.evidence.robots.iter().flat_map(judge_joints)).chain(imus).collect()
 }
 
-/// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
+/// `None` if it measures neither gravity nor a wrong unit.
 fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
@@ -99,7 +99,7 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResul
     Some(judged.with_evidence("felt", felt))
 }
 
-/// Findings for prismatic joints whose positions are not in metres.
+/// Prismatic joints not in metres.
 fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let Ok(reading) = &arm.diagnosis.encoding else { return Vec::new() };
     let units = [
@@ -134,7 +134,6 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-/// Fault for positions in a different unit from the one assumed.
 fn fault(stream: &StreamEvidence<PoseEvidence>, slip: &LengthUnitError) -> Fault {
     let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());

@@ -9,20 +9,19 @@ rule! {
     /// Axes are exchanged or mirrored.
     ///
     /// ## What it means
-    /// The numbers of a pose stream use different axes from those of its frame. For example, y is up as in
-    /// game engines, the frame is left-handed, or the components of positions or quaternions were permuted
-    /// between two programs. ROS uses x forward, y left, z up (REP 103), right-handed.
+    /// The numbers use different axes from those of their frame: y is up as in game engines, the frame is
+    /// left-handed, or components of positions or quaternions were permuted between two programs. ROS uses
+    /// x forward, y left, z up (REP 103), right-handed.
     ///
     /// ## Why it matters
-    /// If the axes are mirrored, no static transform can correct the poses: everything that moves left
-    /// moves right, and rotations are reversed.
+    /// No static transform can correct mirrored axes: everything that moves left moves right, and rotations
+    /// are reversed.
     ///
     /// ## Evidence
-    /// Positions are compared with forward kinematics under all 48 axis permutations with signs. Rotations
-    /// are then compared under those that fit the positions and under all others. `positions` and
-    /// `rotations` give the axes of each. `as_logged_m` is the position residual as logged; `corrected_m`
-    /// and `corrected_rad` are the residuals after correction. Axes are reported only if they explain the
-    /// stream.
+    /// Positions are compared with FK under all 48 axis permutations with signs. Rotations are then
+    /// compared under those that fit the positions and under all others. `positions` and `rotations` give
+    /// the axes of each. `as_logged_m` is the position residual as logged; `corrected_m` and
+    /// `corrected_rad` are corrected. Axes are reported only if they explain the stream.
     ///
     /// ## How to fix
     /// Copy the components by name, as listed in `fix`. For a left-handed frame, the vector part of the
@@ -65,13 +64,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-/// Whether rotations use the axes of the positions. A left-handed frame and its opposite encode rotations
-/// identically.
+/// A left-handed frame and its opposite encode rotations identically.
 fn are_alike(slip: AxesError) -> bool {
     slip.positions.conjugator() == slip.rotations.conjugator()
 }
 
-/// Name of the axes.
 fn named(slip: AxesError) -> String {
     let AxesError { positions, rotations } = slip;
     match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {

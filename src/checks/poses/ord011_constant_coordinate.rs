@@ -8,22 +8,22 @@ rule! {
     /// A coordinate never changes while the arm moves it.
     ///
     /// ## What it means
-    /// The x, y or z of a pose stream has the same value from the first sample to the last, while forward
-    /// kinematics moves it. It was never filled, or comes from a planar pose (x, y and a heading).
+    /// The x, y or z of a pose stream is the same in every sample, while FK moves it. It was never filled,
+    /// or comes from a planar pose (x, y and a heading).
     ///
     /// ## Why it matters
     /// The pose is off by the arm's full motion along that axis, and nothing in the message shows it.
     ///
     /// ## Evidence
-    /// `value` is the range over which forward kinematics moves the coordinate, and `constant` its value in
-    /// the log. The other coordinates are audited normally.
+    /// `value` is the range over which FK moves the coordinate, `constant` its value in the log. The other
+    /// coordinates are audited normally.
     ///
     /// ## How to fix
     /// Fill the coordinate where the message is written.
     ///
     /// ## When it misleads
-    /// Changes below 1 % of the other coordinates' range count as noise. If forward kinematics also keeps
-    /// the coordinate constant, as in a task at one height, nothing is reported.
+    /// Changes below 1 % of the other coordinates' range count as noise. If FK also keeps the coordinate
+    /// constant, as in a task at one height, nothing is reported.
     ORD011 {
         name: "constant-coordinate",
         grade: Grade::Fixed(Severity::Error),

@@ -9,25 +9,25 @@ rule! {
     /// The position error grows with reach, and no joint offset explains it.
     ///
     /// ## What it means
-    /// The logged positions are too far from the base's origin, or too near, by a fraction of their
-    /// distance. Positive means too far.
+    /// Logged positions are too far from the base's origin (positive) or too near, by a fraction of their
+    /// distance.
     ///
     /// ## Why it matters
-    /// At 1 %, a stretched-out arm of 0.85 m misses by 8.5 mm, but by nothing near its base. This looks
-    /// like a bent joint but is a scale error.
+    /// At 1 %, a stretched-out arm of 0.85 m misses by 8.5 mm, but by nothing near its base. It looks like
+    /// a bent joint.
     ///
     /// ## Evidence
     /// The radial scale of logged over computed positions from the base's origin, minus 1. It is estimated
-    /// together with all other parameters, and reported only if joint zeros and frames do not explain the
-    /// log without it. If it changes during the run, `from`, `to` and `change_ns` are given.
+    /// with all other parameters, and reported only if joint zeros and frames do not explain the log
+    /// without it. If it changes during the run, `from`, `to` and `change_ns` are given.
     ///
     /// ## How to fix
-    /// Look for a unit or scale factor in the driver, or for a description of a different size or variant
-    /// of the arm.
+    /// Look for a unit or scale factor in the driver, or a description of another size or variant of the
+    /// arm.
     ///
     /// ## When it misleads
-    /// If all links in the description are 1 % too long, the effect is the same. A tracker with a wrong
-    /// scale also causes it; the arm is then right.
+    /// Links that are all 1 % too long in the description have the same effect. So does a tracker with a
+    /// wrong scale; the arm is then right.
     ZER002 {
         name: "growth-with-reach",
         grade: Grade::From(&[THRESHOLD]),
@@ -78,7 +78,7 @@ fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
         let why = "depends on a latency that fits at several lags; record non-periodic motion";
         return Some(why.to_owned());
     }
-    // The main difference between two arms is usually their size.
+    // Two arms differ mainly in size.
     residual_attribution::model_doubt(arm, 0.0)
 }
 

@@ -10,21 +10,20 @@ rule! {
     /// Stamps run backwards.
     ///
     /// ## What it means
-    /// A message has an earlier stamp than the message received before it, by more than the stream's
-    /// period. /tf is checked per transform, joint states per publisher. If all streams step back by more
-    /// than a second, the clock was restarted: the run is split there, and this rule does not report it.
+    /// A message has an earlier stamp than the one received before it, by more than the stream's period.
+    /// /tf is checked per transform, joint states per publisher. If all streams step back by more than a
+    /// second, the clock was restarted: the run is split there, and nothing is reported here.
     ///
     /// ## Why it matters
-    /// tf2 rejects a transform older than its latest, or clears its buffer. Filters that integrate over
-    /// time integrate backwards.
+    /// tf2 rejects a transform older than its latest, or clears its buffer. Filters integrate backwards.
     ///
     /// ## Evidence
-    /// `steps` lists the stamp before each step and its size; `count` is their number. The estimate is the
+    /// `steps`: the stamp before each step, and its size; `count`: their number. The estimate is the
     /// largest step.
     ///
     /// ## How to fix
     /// Look for two nodes that publish on one topic, a clock that is set while recording (use a slewing NTP
-    /// client), or messages that are queued and sent out of order.
+    /// client), or messages queued and sent out of order.
     ///
     /// ## When it misleads
     /// A transport that may reorder messages (UDP, best effort) causes small steps that receivers must
@@ -39,16 +38,15 @@ rule! {
     }
 }
 
-/// Minimum step in periods. Smaller steps are two swapped samples with stamp jitter.
+/// Smaller steps are two swapped samples with stamp jitter.
 const MIN_STEP_PERIODS: f64 = 1.2;
-/// Maximum number of steps in the evidence.
 const MAX_LISTED_STEPS: usize = 10;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
-/// Steps back of a part by more than a period: the stamp before the step, and its size, s.
+/// Stamp before the step, and its size, s.
 fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     let least_s = MIN_STEP_PERIODS * part.period_s.unwrap_or(0.0);
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)

@@ -12,33 +12,31 @@ rule! {
     ///
     /// ## What it means
     /// No samples arrived for more than ten periods and 0.1 s while the arm moved, or more than 1 % of the
-    /// samples are missing in between. The period is the most common interval of the stream. If the
-    /// publisher numbers its messages per topic (`header.seq` in ROS 1, `sequence` in MCAP), skipped
-    /// numbers also count as lost samples.
+    /// samples are missing in between. The period is the most common interval. If the publisher numbers its
+    /// messages per topic (`header.seq` in ROS 1, `sequence` in MCAP), skipped numbers also count as lost.
     ///
     /// ## Why it matters
-    /// Interpolation over a gap invents a path. Samples lost under load are lost when they matter most, and
-    /// a controller that depends on them stutters.
+    /// Interpolation over a gap invents a path. Samples are lost under load, when they matter most, and a
+    /// controller that depends on them stutters.
     ///
     /// ## Evidence
     /// - `gaps`: start and length of each; `count`: their number.
-    /// - `lost`: missing samples; `samples`: received samples; `skipped`: samples missing by sequence
-    ///   number.
+    /// - `lost`, `samples`: missing and received samples; `skipped`: missing by sequence number.
     /// - `made_by`: `recorder` or `transport` if the log shows the cause, otherwise null.
     /// - The estimate is the longest gap in seconds, or the fraction of lost samples if there are no gaps.
     ///
-    /// If two nodes publish on one topic, the samples of each are counted separately.
+    /// Two nodes on one topic are counted separately.
     ///
     /// ## How to fix
     /// If all streams stop at once, check the recorder's disk and CPU. If sequence numbers are skipped,
-    /// messages were sent and lost: use reliable transport or a longer queue. Otherwise the log does not
-    /// show whether the publisher stopped or messages were lost.
+    /// messages were sent and lost: use reliable transport or a longer queue. Otherwise the publisher
+    /// stopped or messages were lost; the log does not show which.
     ///
     /// ## When it misleads
-    /// A stream published on change is silent while the arm rests; that is not a gap. Losses in a stream
-    /// without a fixed period can be counted only by sequence number. TIM006 reports a lower rate over
-    /// seconds. Commands and camera detections are published on occasion and are not judged. A stream
-    /// without an assigned role is judged only if it is periodic.
+    /// Silence of a stream published on change is no gap while the arm rests. Without a fixed period,
+    /// losses can be counted only by sequence number. TIM006 reports a lower rate over seconds. Commands
+    /// and camera detections are not judged. A stream without an assigned role is judged only if it is
+    /// periodic.
     TIM002 {
         limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
@@ -50,44 +48,38 @@ rule! {
     }
 }
 
-/// Minimum length of a gap, in periods. [`GAP`] must also be exceeded.
+/// [`GAP`] must also be exceeded.
 const GAP_PERIODS: Limit = Limit {
     key: "gap_periods",
     unit: Unit::One,
     value: 10.0,
     what: "minimum length of a gap in periods",
 };
-/// Minimum length of a gap.
 const GAP: Limit = Limit {
     key: "gap",
     unit: Unit::Second,
     value: 0.1,
     what: "minimum length of a gap; both limits apply",
 };
-/// Fraction of lost samples above which they are reported.
 const LOST: Limit = Limit {
     key: "lost",
     unit: Unit::One,
     value: 0.01,
     what: "fraction of lost samples above which they are reported",
 };
-/// Minimum number of lost samples for the fraction to be significant.
+/// Minimum for a significant fraction.
 const MIN_LOST_SAMPLES: usize = 3;
-/// Maximum number of gaps in the evidence.
 const MAX_LISTED_GAPS: usize = 10;
 
-/// The stream that would make the result conclusive.
 const SETTLE: &str = "record the joint states too";
 
-/// The limits for one stream.
 #[derive(Clone, Copy)]
 struct GapLimits {
     gap_periods: f64,
     gap_s: f64,
     lost: f64,
-    /// The limits of a lower rate, which is not a loss.
+    /// A lower rate is not a loss.
     pace: SlowRateLimits,
-    /// Period declared by the caller, s.
     declared_period_s: Option<f64>,
 }
 
@@ -122,7 +114,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     steady.map(judge_once).collect()
 }
 
-/// Whether two streams have gaps at the same stamps, to the nanosecond, like columns of one table.
+/// To the nanosecond, like columns of one table.
 fn has_same_gaps(
     one: &StreamEvidence<RhythmEvidence>,
     other: &StreamEvidence<RhythmEvidence>,
@@ -135,8 +127,7 @@ fn has_same_gaps(
     !own.is_empty() && own == holes(other)
 }
 
-/// The parts of a stream to judge: those expected to be periodic. For a stream without a role, those that
-/// are periodic.
+/// Parts expected to be periodic; for a stream without a role, those that are.
 fn judged_parts(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.required_parts().filter(move |part| is_known || part.is_regular)
@@ -198,24 +189,24 @@ fn compare_length(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
     a.seconds().total_cmp(&b.seconds())
 }
 
-/// Whether a hole is longer than any message delay.
+/// Longer than any message delay.
 fn is_long(by: &GapLimits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
     let own_s = part.period_s.unwrap_or(f64::INFINITY);
-    // The declared rate of a topic of transforms applies to its fastest transform.
+    // The declared rate of a /tf topic applies to its fastest transform.
     let said_s = by.declared_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
     let period_s = said_s.unwrap_or(own_s);
     length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 
-/// The holes of a part outside stretches with a lower rate.
+/// Outside stretches with a lower rate.
 fn holes<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
     let slow: Vec<&Stretch> = slow_stretches(by.pace, part).collect();
     let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
     part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
 }
 
-/// The gaps of a part: long holes in which nothing was received.
+/// Long holes in which nothing was received.
 fn gaps<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
     let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
     long.map(|hole| &hole.stretch)
@@ -229,9 +220,9 @@ fn has_gaps(by: &GapLimits, part: &Cadence) -> bool {
     gaps_in_motion(by, part).next().is_some()
 }
 
-/// Number of lost samples of a part, by its period or by sequence numbers. `None` if neither is available.
+/// By period or sequence numbers; `None` if neither is available.
 fn lost_samples(by: &GapLimits, part: &Cadence) -> Option<usize> {
-    // Unbroken numbers may be assigned by the recorder, so they do not prove that nothing was lost.
+    // Unbroken numbers may be assigned by the recorder, so they prove nothing.
     let by_number = part.skipped.filter(|skipped| *skipped > 0);
     lost_samples_by_period(by, part).max(by_number)
 }
@@ -242,11 +233,10 @@ fn lost_samples_by_period(by: &GapLimits, part: &Cadence) -> Option<usize> {
         !is_long(by, part, hole) || (hole.is_silent && !rests)
     };
     let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.missing).sum();
-    // Late samples, and samples with the stamp of another sample, are not missing.
+    // Late samples, and those with the stamp of another, are not missing.
     part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
 }
 
-/// Fraction of a part's samples that are lost.
 fn lost_share(by: &GapLimits, part: &Cadence) -> f64 {
     let lost = lost_samples(by, part).unwrap_or(0);
     lost as f64 / (lost + part.rows).max(1) as f64
@@ -310,15 +300,13 @@ fn fault(
         .with_evidence("made_by", cause.made_by)
 }
 
-/// The cause of a gap or of lost samples, if the log shows it.
 struct GapCause {
     made_by: Option<&'static str>,
     suffix: &'static str,
     fix: &'static str,
 }
 
-/// Determines the cause: the recorder or its machine if all streams stop, the transport if sequence numbers
-/// are skipped. Otherwise the publisher may have stopped or its messages were lost.
+/// The recorder or its machine if all streams stop, the transport if sequence numbers are skipped.
 fn determine_cause(
     case: &Case,
     rhythm: &StreamEvidence<RhythmEvidence>,
@@ -385,7 +373,7 @@ mod tests {
         }
     }
 
-    /// A part of 1000 samples at 100 Hz with a hole of this many periods.
+    /// 1000 samples at 100 Hz.
     fn with_hole(periods: i64, is_silent: bool) -> Cadence {
         let (start, end) = (Stamp::from_nanos(0), Stamp::from_nanos(10 * periods * MS));
         let stretch = Stretch { start, end, rate_hz: 100.0 / periods as f64, moving: Some(true) };

@@ -9,24 +9,24 @@ rule! {
     /// A stream is stamped by a different clock than the others.
     ///
     /// ## What it means
-    /// The stream's stamps have another epoch (time since boot, simulation time), or an offset of more than
+    /// Its stamps have another epoch (time since boot, simulation time), or an offset of more than
     /// `--max-latency`, which cannot be a latency.
     ///
     /// ## Why it matters
     /// tf2 rejects such stamps or extrapolates. Joining by stamp combines data from different times.
     ///
     /// ## Evidence
-    /// The offset of the stream's clock from the clock that the others share, determined by the message
-    /// with the minimum transport delay. `spread_s` is the scatter of the transport delay, the limit of any
-    /// alignment; the interval of LAT001 includes it. If messages of a stream on the common clock were
-    /// received before their own stamps, its row reports it.
+    /// The offset of the stream's clock from the others' clock, by the message with the minimum transport
+    /// delay. `spread_s` is the scatter of the delay, the limit of any alignment; LAT001's interval
+    /// includes it. A stream on the common clock with messages received before their own stamps has this in
+    /// its row.
     ///
     /// ## How to fix
     /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with `--stamp
     /// log`. In simulation set `use_sim_time` on every node.
     ///
     /// ## When it misleads
-    /// If all streams share one clock that differs from the recorder's, or the log contains `/clock`, it is
+    /// If all streams share one clock that is not the recorder's, or the log contains `/clock`, it is
     /// simulation or controller time and the finding is `info`.
     TIM003 {
         name: "foreign-clock",
@@ -38,7 +38,7 @@ rule! {
     }
 }
 
-/// Maximum difference between clocks on one machine, s.
+/// Clocks on one machine differ by less, s.
 const MIN_LEAD_S: f64 = 1e-3;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -46,7 +46,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     shared_clock(case).into_iter().chain(streams).collect()
 }
 
-/// The single finding if the streams share a clock other than the recorder's.
+/// The finding if all streams share a foreign clock.
 fn shared_clock(case: &Case) -> Option<SubjectResult> {
     let mut offsets: Vec<f64> = case
         .evidence
@@ -115,7 +115,6 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
         .with_evidence("spread_s", spread_s)
 }
 
-/// An offset with standard error `spread_s`.
 fn estimate(offset_s: f64, spread_s: f64) -> Estimate {
     let offset = Measured { value: offset_s, std_error: spread_s, dof: f64::INFINITY };
     Estimate::scalar("clock offset", Unit::Second, &offset)

@@ -7,25 +7,25 @@ rule! {
     /// Several samples have the same stamp but different content.
     ///
     /// ## What it means
-    /// More than 0.1 % of a stream's samples have the stamp of an earlier one, but different content. /tf
-    /// is checked per transform, joint states per publisher.
+    /// More than 0.1 % of a stream's samples have an earlier one's stamp, but different content. /tf is
+    /// checked per transform, joint states per publisher.
     ///
     /// ## Why it matters
-    /// The arm has one pose at a time. Interpolation divides by zero time, and tf2 keeps an arbitrary one
-    /// of the two with a warning.
+    /// The arm has one pose at a time. Interpolation divides by zero time, and tf2 keeps an arbitrary
+    /// sample with a warning.
     ///
     /// ## Evidence
-    /// `conflicts` is the number of samples that contradict an earlier one with the same stamp, `repeats`
-    /// the number of identical repeats. The estimate is the fraction of conflicts.
+    /// `conflicts`: samples that contradict an earlier one with the same stamp; `repeats`: identical
+    /// repeats. The estimate is the fraction of conflicts.
     ///
     /// ## How to fix
-    /// Look for two nodes that publish the same, or a driver that stamps a whole batch of measurements with
-    /// the time at which it read the buffer. Stamp every measurement.
+    /// Look for two nodes that publish the same, or a driver that stamps a batch of measurements with the
+    /// time at which it read the buffer. Stamp every measurement.
     ///
     /// ## When it misleads
-    /// A node that resends its last value with its old stamp, such as a state publisher that is polled
-    /// faster than it is updated, does not contradict itself and is not counted. Stamps rounded to
-    /// milliseconds may collide in a stream faster than 1 kHz.
+    /// A node that resends its last value with its old stamp, such as a state publisher polled faster than
+    /// it is updated, is not counted. Stamps rounded to milliseconds may collide in a stream faster than 1
+    /// kHz.
     TIM004 {
         limits: &[DUPLICATES],
         name: "duplicate-stamps",
@@ -37,7 +37,6 @@ rule! {
     }
 }
 
-/// Fraction of samples above which duplicate stamps are a fault.
 const DUPLICATES: Limit = Limit {
     key: "duplicates",
     unit: Unit::One,

@@ -8,35 +8,31 @@ rule! {
     /// Stamps are zero, constant, backward, missing, rounded or far outside the run.
     ///
     /// ## What it means
-    /// The messages have no valid acquisition time. The audit then uses the time at which the recorder
-    /// received them.
+    /// The messages have no valid acquisition time; the audit uses their receive time.
     ///
-    /// Stamps far outside the run are at least a day from all others, and at least a hundred times the
-    /// length of the run. Their samples are excluded.
+    /// Stamps far outside the run are at least a day, and a hundred times the length of the run, from all
+    /// others. Their samples are excluded.
     ///
-    /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so several rows share
-    /// one or their intervals alternate. The audit restores them from the row order; this is `info`.
+    /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so rows share one or
+    /// intervals alternate. The audit restores them from the row order; this is `info`.
     ///
     /// ## Why it matters
-    /// Receive times include the transport delay and its scatter. A latency found on such a stream includes
-    /// the transport.
+    /// Receive times, and a latency found from them, include the transport delay and its scatter.
     ///
     /// ## Evidence
-    /// - `samples`: number of samples; `zero`: those with a zero stamp; `far`: those with a stamp far
-    ///   outside the run.
+    /// - `samples`: number of samples; `zero`, `far`: those with a zero stamp, or one far outside the run.
     /// - For rounded stamps: `tick_s` is the tick, `shared` the number of rows with the stamp of the
-    ///   previous row, and `resolution_s` the maximum error of a restored stamp.
+    ///   previous row, `resolution_s` the maximum error of a restored stamp.
     ///
     /// ## How to fix
     /// Fill `header.stamp` at acquisition. If the type has no header, use one that has (PoseStamped instead
     /// of a bare array).
     ///
     /// ## When it misleads
-    /// A type without a header cannot have a stamp; this is `info`, and only for audited streams. Commands
-    /// are often sent without a stamp for immediate execution; this is also `info`. Up to three stamps
-    /// outside the run, or one in a thousand, are `info`, and so is a single zero stamp. A zero stamp of the
-    /// first sample is no finding: a simulation clock starts at zero. Static transforms may have stamp zero by
-    /// design and are not counted.
+    /// These are `info`: a type without a header (only for audited streams), unstamped commands for
+    /// immediate execution, up to three stamps outside the run or one in a thousand, and a single zero
+    /// stamp. A zero stamp of the first sample is no finding: a simulation clock starts at zero. Static
+    /// transforms may have stamp zero by design and are not counted.
     TIM005 {
         name: "unusable-stamps",
         grade: Grade::Fixed(Severity::Warning),
@@ -53,7 +49,6 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
 }
 
-/// Whether the rule applies to a stream: it is audited, or its type has a stamp.
 fn is_asked(stream: &StreamEvidence<StampEvidence>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }

@@ -16,13 +16,13 @@ rule! {
     /// - No transforms connect a frame that an audited stream needs to the arm's base.
     ///
     /// ## Why it matters
-    /// tf2 uses the latest message. With two parents or two publishers, lookups alternate between two
-    /// answers without an error. A cycle or a disconnected tree makes lookups fail, and a static transform
-    /// is cached forever by whoever received it first.
+    /// tf2 uses the latest message: with two parents or publishers, lookups alternate between two answers
+    /// without an error. A cycle or a disconnected tree makes them fail. A static transform is cached
+    /// forever by whoever received it first.
     ///
     /// ## Evidence
     /// - `what`: `several-parents`, `cycle`, `static-moves`, `conflict`, `publishers` or `pieces`.
-    /// - `frames`, `topics`: the frames and topics involved.
+    /// - `frames`, `topics`: those involved.
     /// - `length_m`, `angle_rad`: difference of the values. The estimate is the length, or the angle if
     ///   there is no length.
     /// - For a conflict, `jumps` of `samples` differ from their neighbours.
@@ -31,13 +31,13 @@ rule! {
     ///
     /// ## How to fix
     /// Let one node publish each transform, and give each frame one parent: invert a transform, or rename
-    /// the frame of the second publisher. Publish moving frames on /tf. For disconnected frames, publish
-    /// the transform between the two roots.
+    /// the second publisher's frame. Publish moving frames on /tf. For disconnected frames, publish the
+    /// transform between the two roots.
     ///
     /// ## When it misleads
     /// - An object that is picked up and put down changes its parent occasionally; this is not counted.
     /// - Two publishers with equal values are `info`.
-    /// - A static transform that was recalibrated during the run did change.
+    /// - A static transform recalibrated during the run did change.
     /// - A tracker's world frame needs no transform to the base: it is estimated.
     /// - Topics in different namespaces (`/left/tf`, `/right/tf`) are separate trees.
     FRM004 {
@@ -91,12 +91,11 @@ fn judge(flaw: &TfProblem) -> SubjectResult {
     judged.estimated(moved)
 }
 
-/// A TF problem with its messages.
 struct TfProblemReport {
     severity: Severity,
     what: &'static str,
     title: &'static str,
-    /// The frames, the affected one first.
+    /// The affected frame first.
     frames: Vec<String>,
     by: Option<PoseDistance>,
     numbers: Vec<(&'static str, Value)>,

@@ -9,24 +9,24 @@ rule! {
     /// An arm or a pose stream is not audited, or not as declared.
     ///
     /// ## What it means
-    /// The log contains a tool pose stream, or joint states of an arm, whose metadata cannot be trusted.
-    /// `why` names the reason:
+    /// The metadata of a tool pose stream, or of an arm's joint states, cannot be trusted. `why` names the
+    /// reason:
     ///
     /// - `own-frame`: its `frame_id` is the tool's own frame, in which the tool cannot move.
     /// - `no-orientation`: its orientations were never set.
     /// - `never-changes`: its pose is constant while the joints move the tool.
-    /// - `scene-objects`: its bodies never move: they are objects of the scene.
+    /// - `scene-objects`: its bodies never move.
     /// - `other-frames`: some poses are in frames without a transform to the arm.
     /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
     /// - `whose-arm`: it may belong to either of two arms.
     /// - `no-kinematics`: no kinematics can be compared with it.
     /// - `no-model`: no model has its joints.
     ///
-    /// Everything else is still audited: positions if orientations are not set, and poses in the tool's own
-    /// frame as poses in an unknown frame.
+    /// Everything else is still audited: positions without orientations, and poses in the tool's own frame
+    /// as poses in an unknown frame.
     ///
     /// ## Why it matters
-    /// A stream that is not audited may be wrong even if the run passes. A program that trusts its frame or
+    /// An unaudited stream may be wrong even if the run passes. A program that trusts its frame or
     /// orientation is wrong by the full offset.
     ///
     /// ## Evidence
@@ -36,13 +36,13 @@ rule! {
     ///
     /// ## How to fix
     /// Set `frame_id` to the frame of the poses (the base, not the tool). Set the orientation, or publish a
-    /// point. Record the transform from the frame to a moving base (odometry, on /tf). Name topics after
-    /// their arms. Record the description of every robot, or name it with `--robot PREFIX=FILE`.
+    /// point. Record the transform to a moving base (odometry, on /tf). Name topics after their arms.
+    /// Record every robot's description, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
     /// Joint states of an arm that is not to be audited (a hand-held leader arm, an arm next to the cell)
-    /// are also reported: ignore the rule for their topic. A gantry or a SCARA that never tilts its tool
-    /// has a constant orientation; it is reported only if the joints rotate the tool.
+    /// are also reported: ignore the rule for their topic. A gantry or SCARA that never tilts its tool has
+    /// a constant orientation; it is reported only if the joints rotate the tool.
     FRM007 {
         name: "not-audited",
         grade: Grade::Fixed(Severity::Warning),
@@ -196,7 +196,6 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
     }
 }
 
-/// The first of the names, comma-separated.
 fn list_names(names: &[String]) -> String {
     const MAX_LISTED_NAMES: usize = 4;
     let shown = names.iter().take(MAX_LISTED_NAMES).cloned().collect::<Vec<_>>().join(", ");

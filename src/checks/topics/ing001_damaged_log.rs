@@ -13,9 +13,10 @@ rule! {
     /// run.
     ///
     /// ## Evidence
-    /// `offset` is the start of the damage in bytes from the start of the file, `messages_lost` the number
-    /// of lost messages, if the file contains them. The finding is dated to the lost messages, if known.
-    /// For a table, the message names the column, and `messages_lost` counts rows.
+    /// - `offset`: start of the damage, in bytes from the start of the file.
+    /// - `messages_lost`: lost messages, if the file contains their number; for a table, rows, and the
+    ///   message names the column.
+    /// - The time of the finding is that of the lost messages, if known.
     ///
     /// ## How to fix
     /// If messages are lost, record again, and check for a full disk or a killed recorder. `mcap recover`
@@ -26,12 +27,11 @@ rule! {
     /// - Tables that need more memory than 32 MiB and 32 times the size of their files.
     ///
     /// ## When it misleads
-    /// - It is a warning if only the index, the summary or a partial last chunk is missing, as after a
-    ///   killed recorder, if a sound log exceeds the size limits, or if a segment of the log cannot be
-    ///   audited. It is an error if messages within the file are lost.
-    /// - Table rows without a single usable number are missing samples, which ING003 counts. A row with
-    ///   some usable numbers is damaged and counts here.
-    /// - A missing Zarr or HDF5 chunk is not a loss if the values before and after it equal the fill value:
+    /// - A warning if only the index, the summary or a partial last chunk is missing (a killed recorder), a
+    ///   sound log exceeds the size limits, or a segment cannot be audited. An error if messages within the
+    ///   file are lost.
+    /// - Table rows without a usable number are missing samples (ING003). Rows with some count here.
+    /// - A missing Zarr or HDF5 chunk is no loss if the values before and after it equal the fill value:
     ///   writers omit such chunks.
     /// - Bit errors in a file without checksums are not detected. `--verify` checks all existing checksums.
     ING001 {
@@ -88,7 +88,6 @@ fn judge(loss: &Loss) -> SubjectResult {
         .with_evidence("messages_lost", loss.messages)
 }
 
-/// Place and kind of the damage, and the loss.
 fn message(loss: &Loss) -> String {
     let place = loss.offset.map_or_else(String::new, |offset| format!("at byte {offset}: "));
     let seconds = loss.span.map(|(start, end)| end.seconds_since(start));

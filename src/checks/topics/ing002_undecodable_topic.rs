@@ -6,16 +6,15 @@ rule! {
     /// A topic needed by the audit cannot be decoded.
     ///
     /// ## What it means
-    /// The audit uses the topic's type, but cannot decode its messages: the schema is missing or malformed,
-    /// the encoding is unknown, or messages are shorter than their schema. Or the topic has a robot
-    /// description that cannot be parsed and no `--robot` replaces it. An arm from the catalogue may be
-    /// used instead, but does not verify the description.
+    /// The schema is missing or malformed, the encoding is unknown, or messages are shorter than their
+    /// schema. Or a robot description cannot be parsed and no `--robot` replaces it; an arm from the
+    /// catalogue may be used instead, but does not verify it.
     ///
     /// ## Why it matters
     /// The topic was not audited, so it may be wrong even if everything else passes.
     ///
     /// ## Evidence
-    /// The number of affected messages, and why the first of them could not be decoded.
+    /// The number of affected messages, and why the first could not be decoded.
     ///
     /// ## How to fix
     /// Record with the schema in the log (rosbag2 does so for MCAP since Iron), and with the publisher's

@@ -19,19 +19,19 @@ rule! {
     /// - An episode's columns differ from its dataset's.
     ///
     /// ## Why it matters
-    /// Loaders trust the metadata. A wrong rate scales every velocity and latency. A missing name shifts
-    /// the meaning of all following columns.
+    /// Loaders trust the metadata. A wrong rate scales every velocity and latency; a missing name shifts
+    /// all following columns.
     ///
     /// ## Evidence
-    /// One finding per contradiction, with the file. The message has the declared and the measured value.
+    /// One finding per contradiction, with the file and the declared and measured value.
     ///
     /// ## How to fix
     /// Correct `meta/info.json` or the name, or rewrite the dataset with the declared features.
     ///
     /// ## When it misleads
-    /// - Two joints that move alike cannot be distinguished, so swapped names between them are not found.
-    /// - Rates are compared with the median interval of a stamp column. Stamps that the recorder generated
-    ///   from the declared rate always agree with it.
+    /// - Swapped names of two joints that move alike are not found.
+    /// - Rates are compared with the median interval of a stamp column. Stamps generated from the declared
+    ///   rate always agree with it.
     /// - Other units and meanings are not checked here: ORD004 detects joints in degrees, FRM007 a pose
     ///   that follows no arm.
     META001 {
@@ -73,11 +73,9 @@ fn contradicted(message: String, fix: String) -> Outcome {
     })
 }
 
-/// Whether the rotation encoding of a stream matches its column names. `None` if the names or the motion do
-/// not determine it.
+/// `None` if column names or motion do not determine the rotation encoding.
 fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
-    /// Maximum residual of a credible encoding, rad, and maximum ratio of the named encoding's residual to
-    /// the best.
+    /// Residual of a credible encoding, rad, and ratio of the named encoding's residual to the best.
     const FOLLOWS_RAD: f64 = 0.17;
     const CLEAR_RATIO: f64 = 2.0;
     let labels = pose.labels?;
@@ -115,10 +113,10 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
     Some(pose.judged(outcome))
 }
 
-/// The encodings that the names may denote, the most common first.
+/// Encodings that the names may denote.
 fn codings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
     let is_of = |maker: &str| arm.to_lowercase().contains(maker);
-    // `vendors.toml`: manufacturers whose A, B, C differ from KUKA's.
+    // Manufacturers in `vendors.toml`.
     let makers: &[&str] = match labels {
         RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
         RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],

@@ -8,20 +8,19 @@ rule! {
     /// Columns repeat others or never change.
     ///
     /// ## What it means
-    /// Two columns of a table are identical in every row, bit for bit, or a column is constant while the
-    /// arm moves. Two measurements differ in noise, so one of the two is a copy.
+    /// Two columns of a table are identical in every row, bit for bit, so one is a copy: measurements
+    /// differ in noise. Or a column is constant while the arm moves.
     ///
     /// ## Why it matters
     /// A copy is not independent evidence. Commands that equal the states teach a policy to stay in place.
-    /// A tracker pose copied from the controller is not independent. A joint copied from another joint
-    /// leaves one of them unknown.
+    /// A joint copied from another leaves one of them unknown.
     ///
     /// ## Evidence
-    /// `of` is the original column; null if the column is constant. The columns are identical in all rows
-    /// of all episodes that were read.
+    /// `of`: the original column; null if the column is constant. Columns are identical in all rows of all
+    /// episodes read.
     ///
-    /// It is a warning if commands equal states, if independent poses equal the controller's, or if a joint
-    /// equals another. Other copies, resting joints and constant topics are `info`.
+    /// A warning if commands equal states, independent poses equal the controller's, or a joint equals
+    /// another. Other copies, resting joints and constant topics are `info`.
     ///
     /// ## How to fix
     /// Check where the recorder takes the column from, and record the intended signal.

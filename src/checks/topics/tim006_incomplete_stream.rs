@@ -12,26 +12,25 @@ rule! {
     /// - A topic of joint states, transforms, tool poses or an IMU has no messages, or none with finite
     ///   values.
     /// - It begins or ends more than a second apart from the others, by receive time.
-    /// - It runs below its usual rate for two seconds or more, or below the rate declared in a config.
+    /// - It runs below its usual rate for two seconds or more, or below a config's declared rate.
     /// - A config names a topic that the log does not have.
     ///
     /// ## Why it matters
     /// Missing data were not audited, even if everything else passes. A stream that ends early indicates a
-    /// crashed driver; one that slows down, an overloaded machine.
+    /// crashed driver; a slow one, an overloaded machine.
     ///
     /// ## Evidence
     /// `late_start_s` and `early_end_s` are relative to the median of the other streams. The estimate is
     /// the missed time in seconds, or the rate in the slowest stretch.
     ///
     /// ## How to fix
-    /// Start the recorder when all drivers run and stop it before them. Check the driver's log at the time
-    /// at which its stream ends.
+    /// Start the recorder when all drivers run and stop it before them. Check the driver's log when its
+    /// stream ends.
     ///
     /// ## When it misleads
-    /// A stream published on change begins with the first motion and ends with the last; this is not a
-    /// fault if the arm rested otherwise. A driver that is too slow throughout is detected only if a config
-    /// declares its `rate_hz`. Commands, camera detections and streams without an assigned role may be
-    /// empty or short.
+    /// A stream published on change spans the first to the last motion; this is no fault if the arm rested
+    /// otherwise. A driver that is too slow throughout is detected only if a config declares its `rate_hz`.
+    /// Commands, camera detections and streams without an assigned role may be empty or short.
     TIM006 {
         limits: &[MAX_EDGE_DIFFERENCE, MIN_SLOW_INTERVAL_RATIO, MIN_SLOW_DURATION, MIN_DECLARED_RATE_RATIO],
         name: "incomplete-stream",
@@ -43,28 +42,24 @@ rule! {
     }
 }
 
-/// Maximum difference of start or end times between complete streams.
 const MAX_EDGE_DIFFERENCE: Limit = Limit {
     key: "together",
     unit: Unit::Second,
     value: 1.0,
     what: "maximum difference in start and end times of complete streams",
 };
-/// Minimum ratio of a slow stream's interval to the usual one.
 const MIN_SLOW_INTERVAL_RATIO: Limit = Limit {
     key: "slow",
     unit: Unit::One,
     value: 1.4,
     what: "minimum ratio of a slow stream's interval to the usual one",
 };
-/// Minimum duration of a slow stretch.
 const MIN_SLOW_DURATION: Limit = Limit {
     key: "lasts",
     unit: Unit::Second,
     value: 2.0,
     what: "minimum duration of a slow stretch",
 };
-/// Minimum ratio of the measured rate to the declared rate.
 const MIN_DECLARED_RATE_RATIO: Limit = Limit {
     key: "below",
     unit: Unit::One,
@@ -72,7 +67,6 @@ const MIN_DECLARED_RATE_RATIO: Limit = Limit {
     what: "minimum ratio of the measured to the declared rate",
 };
 
-/// The limits of a lower rate.
 #[derive(Clone, Copy)]
 pub(in crate::checks) struct SlowRateLimits {
     slow: f64,
@@ -138,7 +132,7 @@ fn judge_missing(subject: Subject, place: &str) -> SubjectResult {
     )
 }
 
-/// Measured and declared rate, Hz, if the stream is notably slower than declared.
+/// Measured and declared rate, Hz, if too slow.
 fn below_declared_rate(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Option<(f64, f64)> {
     let (declared_hz, rate_hz) = (rhythm.declared_hz?, rhythm.rate_hz?);
     (rate_hz < case.thresholds.limit(&TIM006, &MIN_DECLARED_RATE_RATIO) * declared_hz)
@@ -201,7 +195,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         .with_evidence("early_end_s", early_s)
 }
 
-/// Time missed at start and end, s. Zero if the stream may be silent because the arm rests.
+/// At start and end, s. Zero if the stream may be silent because the arm rests.
 fn missed_at_ends(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample is due one period after the last.
@@ -214,7 +208,6 @@ fn missed_at_ends(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
     (counted(extent.late_start_s, before), counted(extent.early_end_s, after))
 }
 
-/// Stretches in which a part runs below its usual rate.
 pub(in crate::checks) fn slow_stretches(
     pace: SlowRateLimits,
     part: &Cadence,
@@ -224,7 +217,7 @@ pub(in crate::checks) fn slow_stretches(
     part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)
 }
 
-/// The slowest stretch of a part, except at rest if the stream may be slow then.
+/// Except at rest if the stream may be slow then.
 fn slowest_stretch<'a>(
     pace: SlowRateLimits,
     rhythm: &StreamEvidence<RhythmEvidence>,

@@ -3,7 +3,7 @@
 use crate::evidence::ArmEvidence;
 use crate::finding::Unit;
 
-/// Clause on the joints with whose angle the residual varies; empty if there are none.
+/// Empty if there is none.
 pub(super) fn eccentricity(arm: &ArmEvidence) -> String {
     let eccentric = arm.diagnosis.compliance.iter().filter(|bend| bend.is_eccentric());
     let clauses = eccentric.filter_map(|bend| {

@@ -1,4 +1,4 @@
-//! An IMU compared with FK: residuals, gyro gain and gyro saturation.
+//! IMU against FK: residuals, gyro gain and saturation.
 
 use serde_json::json;
 
@@ -10,17 +10,14 @@ use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
-/// Thresholds of the gyro gain minus 1, and of the fraction of saturated samples. Data sheets of MEMS gyros
-/// allow a gain error of 3 %.
+/// Also of the fraction of saturated samples. Data sheets of MEMS gyros allow a gain error of 3 %.
 pub const GAIN: Threshold = Threshold { unit: Unit::One, warning: 0.04, error: 0.1 };
 
-/// Motion that makes the gain observable.
 const SETTLE: &str = "turn the IMU through 60° about three axes";
 
-/// Names of the gyro axes.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Findings on the gyro itself, or whether the IMU rotates with the arm if there are none.
+/// Findings on the gyro; if none, whether the IMU rotates with the arm.
 pub fn judge(
     case: &Case,
     thresholds: &FrameThresholds,
@@ -38,12 +35,12 @@ pub fn judge(
     }
 }
 
-/// Checks whether the IMU rotates with the arm, by orientation, gyro and measured gravity. The orientation
-/// is filtered, so only the error threshold applies to it.
+/// By orientation, gyro and measured gravity. The orientation is filtered, so only the error threshold
+/// applies.
 fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
-    /// Maximum ratio of the gyro's residual to the arm's rate.
+    /// Of the gyro's residual to the arm's rate.
     const SHARE: f64 = 0.3;
-    /// Standard gravity, m/s², and the maximum relative error of a healthy accelerometer's median on a
+    /// Standard gravity, m/s², and the largest relative error of a healthy accelerometer's median on a
     /// moving arm.
     const GRAVITY: (f64, f64) = (9.81, 0.2);
     let Some(proof) = &imu.proof else {
@@ -116,7 +113,7 @@ fn saturates(
         .with_evidence("by_fk_rad_s", *by_fk_rad_s)
 }
 
-/// Gain of the axis with the largest deviation from 1; `None` if it is below the warning threshold.
+/// Gain of the worst axis; `None` below the warning threshold.
 fn gain(
     case: &Case,
     imu: &StreamEvidence<ImuEvidence>,
@@ -136,14 +133,13 @@ fn gain(
     Some(judged.with_evidence("scale", scale.iter().map(shown).collect::<Vec<_>>()))
 }
 
-/// Finding for a gyro with a wrong gain.
 fn reads(
     imu: &StreamEvidence<ImuEvidence>,
     scale: &[Measured; 3],
     worst: &Measured,
     severity: Severity,
 ) -> Fault {
-    /// Axes whose gain error is within this fraction of the worst one are listed with it.
+    /// Axes whose gain error is this close to the worst one are listed with it.
     const SHARED: f64 = 0.5;
     let shares = |one: &Measured| (one.value - worst.value).abs() < SHARED * worst.value.abs();
     let axes = AXES.iter().zip(scale).filter(|(_, one)| shares(one)).map(|(axis, _)| *axis);

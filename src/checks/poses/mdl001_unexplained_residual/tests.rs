@@ -4,7 +4,6 @@ use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
 use crate::diagnosis::{FrameEstimate, NotObservable, ResidualCheck, SampleNoise};
 use crate::finding::{CheckRow, Finding, Status};
 
-/// Row and findings for a pose stream with errors of `as_logged_m` as logged and `left_m` after correction.
 fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (CheckRow, Vec<Finding>) {
     let mut run = clean_run();
     run.robots[0].poses[0].proof =
