@@ -7,62 +7,62 @@ use ground::stats::Measured;
 /// Change point of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChangePoint<Value, Size> {
-    /// Time, s from the run's origin, by the stamps of the affected stream.
+    /// S from the run's origin, by the affected stream's stamps.
     pub at_s: f64,
-    /// Half-width of the interval that contains the change, s.
+    /// Half-width of the interval.
     pub within_s: f64,
     /// Value before.
     pub from: Value,
     /// Value after.
     pub to: Value,
-    /// Difference between the two.
+    /// Their difference.
     pub size: Size,
 }
 
-/// Change point of a frame: `reference_from_stream` or `tip_from_stream` before and after.
+/// `reference_from_stream` or `tip_from_stream` before and after.
 pub type FrameChange = ChangePoint<Pose, FrameEstimate>;
 /// Change point of a number.
 pub type ScalarChange = ChangePoint<f64, Measured>;
 
 impl ScalarChange {
-    /// Returns the largest of several changes. `None` if there are none.
+    /// Largest of several changes.
     pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
         let size = |change: &Self| change.size.value.abs();
         changes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))
     }
 }
 
-/// Change point of a joint's zero or scale.
+/// Change of a joint's zero or scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointChange {
-    /// Column of the joint.
+    /// Joint's column.
     pub column: usize,
     /// Offset in `q_true = factor · q_reported + offset`, rad or m.
     pub zero: Option<ScalarChange>,
-    /// Factor in the same equation.
+    /// Factor in it.
     pub factor: Option<ScalarChange>,
 }
 
-/// Correction that makes a joint's positions in one segment consistent with the baseline segment.
+/// Correction of a joint in one segment to match the baseline segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointPatch {
-    /// Column of the joint.
+    /// Joint's column.
     pub column: usize,
-    /// Start of the segment (inclusive), s from the run's origin.
+    /// Start, inclusive, from the run's origin.
     pub from_s: f64,
-    /// End of the segment (exclusive), s from the run's origin.
+    /// End, exclusive.
     pub to_s: f64,
-    /// Factor applied to positions.
+    /// Applied to positions.
     pub factor: f64,
-    /// Offset that is then added, rad or m.
+    /// Then added, rad or m.
     pub offset: f64,
 }
 
-/// Part of the run that uses the reported encoding of a stream, s from the run's origin on the joints'
-/// clock. `None` if it is the whole run.
+/// Spans of a stream's reported encoding, s from the run's origin on the joints' clock. `None` for the
+/// whole run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EncodingSpans {
-    /// Rotations: convention, order of components, inverse.
+    /// Convention, component order, inverse.
     pub rotation: Option<(f64, f64)>,
     /// Unit of angles.
     pub degrees: Option<(f64, f64)>,

@@ -5,16 +5,14 @@ use crate::{AlignedSamples, ArmDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
-/// Smaller residuals are consistent with link deviations and calibration error: 1 mm and 0.1°, the warning
-/// thresholds of MDL001.
+/// Warning thresholds of MDL001, 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
-/// Length that weights rotations relative to positions, m.
+/// Weights rotations relative to positions.
 const LEVER_M: f64 = 0.3;
-/// Number of segments in which the residual must be small.
 const SEGMENTS: usize = 20;
 
-/// Returns whether constant tool and reference frames explain the run. The residual of every stream must be
-/// below 1 mm and 0.1° rms in every segment.
+/// Whether constant tool and reference frames explain the run: every stream's residual must be below 1 mm
+/// and 0.1° rms in every segment.
 pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
         let left = constant_frame_residuals(aligned, has_rotation);
@@ -33,8 +31,7 @@ pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
         && streams.all(|found| is_small(&found.aligned, found.encoding.is_ok()))
 }
 
-/// Position (m) and rotation (rad) residual of each sample after a least-squares fit of small changes of
-/// tool and reference.
+/// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.
 fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<[Vec3; 2]> {
     let pairs = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let mut residuals: Vec<[Vec3; 2]> = pairs()
@@ -84,7 +81,7 @@ mod tests {
     use super::*;
     use ground::geometry::{Pose, pose, rotation_from_rotvec};
 
-    /// Samples of a moving tip whose poses differ from FK by `off`.
+    /// Moving tip whose poses differ from FK by `off`.
     fn aligned(off: impl Fn(usize, &Pose) -> Pose) -> AlignedSamples {
         let at = |k: usize| {
             let s = k as f64 * 0.05;

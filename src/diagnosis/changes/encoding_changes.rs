@@ -5,8 +5,7 @@ use super::{BaselineSegment, EncodingSpans, OtherSegment};
 use crate::{PoseDiagnosis, PoseEncoding};
 
 impl BaselineSegment {
-    /// Reports the encoding of stream `s` in its diagnosis `after`. If an encoding differs between
-    /// segments, reports the one that is not as logged, with the time span in which it applies.
+    /// If an encoding differs between segments, reports the one not as logged, with its time span.
     pub(super) fn report_encoding(
         &self,
         s: usize,
@@ -41,7 +40,7 @@ impl BaselineSegment {
     }
 }
 
-/// Compares one aspect of the encoding of two streams.
+/// Of one aspect.
 type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
@@ -67,7 +66,6 @@ fn is_same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     of(a) == of(b)
 }
 
-/// Returns whether two streams use the same encoding.
 pub(super) fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     let all: [EncodingComparison; 4] =
         [is_same_rotation, is_same_angle_unit, is_same_length_unit, is_same_axes];

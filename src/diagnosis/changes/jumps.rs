@@ -1,5 +1,4 @@
-//! Detects change points: times at which a stream jumps relative to the arm by more than motion and noise
-//! explain.
+//! Detects change points: jumps of a stream relative to the arm that motion and noise do not explain.
 
 use crate::latency::median_period_s;
 use crate::residual_check::align_with_fk;
@@ -8,37 +7,33 @@ use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};
 use ground::stream::JointTrack;
 
-/// Window lengths on either side of a change point, in samples. One suffices for a large jump; a jump
-/// within the noise needs more.
+/// On either side, in samples. A jump within the noise needs more than one.
 const WINDOW_SAMPLES: [usize; 3] = [1, 5, 25];
-/// Minimum ratio of a jump to the variation that the motion explains.
+/// To the variation that the motion explains.
 const MIN_JUMP_RATIO: f64 = 6.0;
-/// Maximum number of change points.
 const MAX_CHANGE_POINTS: usize = 8;
-/// Minimum strength of a change point relative to the strongest one.
+/// Relative to the strongest.
 const MIN_RELATIVE_STRENGTH: f64 = 0.2;
-/// A shorter window dates a jump if its strength is at least this fraction of the longer window's.
+/// Of the longer window's strength; the shorter window then dates the jump.
 const MIN_SHORT_WINDOW_STRENGTH: f64 = 0.3;
-/// Minimum distance between change points, s.
 const MIN_SEPARATION_S: f64 = 0.5;
-/// Lever arm that converts rotations to lengths, m.
+/// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
 
-/// Change point between two samples of a stream.
+/// Between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {
-    /// Midpoint of the two stamps, s from the run's origin.
+    /// Midpoint of the two stamps, from the run's origin.
     pub at_s: f64,
-    /// Half the interval between them, s.
+    /// Half their interval.
     pub within_s: f64,
-    /// Ratio to the variation that the motion explains. Infinite for a gap.
+    /// Ratio to the explained variation; infinite for a gap.
     pub strength: f64,
-    /// Duration of the averaging window on either side, s.
+    /// Averaging window on either side.
     pub window_s: f64,
 }
 
-/// Detects the likeliest change points of a stream, from the residual in `aligned` and from the raw error
-/// against FK at `lag_s`.
+/// Uses the residual in `aligned` and the raw error against FK at `lag_s`.
 pub(super) fn detect_jumps(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -67,9 +62,9 @@ pub(super) fn detect_jumps(
     strongest(found)
 }
 
-/// Detects jumps in a path without FK: steps that exceed the mean of the two adjacent steps.
+/// Without FK: steps that exceed the mean of the adjacent ones.
 fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
-    /// Numerical floor of a step, m.
+    /// Numerical floor.
     const FLOOR_M: f64 = 1e-5;
     let step = |row: usize| -> [Vec3; 2] {
         let (a, b) = (&poses[row - 1], &poses[row]);
@@ -87,10 +82,10 @@ fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     [of_kind(0), of_kind(1)].concat()
 }
 
-/// Detects jumps in the joint states, such as a lost zero: steps that exceed the mean of the two adjacent
-/// steps. Steps across a gap, such as between two excerpts, are ignored because the joint may have moved.
+/// Jumps such as a lost zero: steps that exceed the mean of the adjacent ones. Steps across a gap do not
+/// count, because the joint may have moved.
 pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
-    /// Smallest jump that matters, rad or m.
+    /// Rad or m.
     const MIN_JUMP: f64 = 1e-3;
     let rows = joints.len();
     let gap_s = least_gap_s(&joints.t_s);
@@ -107,10 +102,8 @@ pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
     strongest((0..joints.dof).flat_map(of_joint).collect())
 }
 
-/// Detects jumps in `sizes`, the differences between each step and the mean of its neighbours, starting at
-/// the second step. Differences below `floor` are ignored.
+/// `sizes` are differences between each step and the mean of its neighbours, from the second step on.
 fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
-    /// Quantile that represents the usual difference.
     const USUAL_QUANTILE: f64 = 0.95;
     let usual = quantile(&mut sizes.clone(), USUAL_QUANTILE).unwrap_or(0.0) + floor;
     let jump = |(at, size): (usize, f64)| {
@@ -126,16 +119,13 @@ fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     sizes.into_iter().enumerate().filter_map(jump).collect()
 }
 
-/// Minimum interval between stamps that counts as a gap, s.
 fn least_gap_s(t_s: &[f64]) -> f64 {
-    /// Minimum gap in periods.
     const MIN_GAP_PERIODS: f64 = 10.0;
-    /// Minimum gap, s.
     const MIN_GAP_S: f64 = 0.3;
     (MIN_GAP_PERIODS * median_period_s(t_s)).max(MIN_GAP_S)
 }
 
-/// The longest gaps of a stream. Anything may change during a gap.
+/// Anything may change during a gap.
 fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const MAX_GAPS: usize = 3;
     let least_s = least_gap_s(t_s);
@@ -154,9 +144,8 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
     gaps.into_iter().take(MAX_GAPS).map(jump).collect()
 }
 
-/// The strongest jumps in time order, at least [`MIN_SEPARATION_S`] apart.
+/// In time order, at least [`MIN_SEPARATION_S`] apart.
 pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
-    // The shorter window dates the jump.
     let finer = |jump: &Jump| {
         found.iter().any(|other| {
             other.window_s < jump.window_s
@@ -183,7 +172,7 @@ fn jumps_in_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> 
     WINDOW_SAMPLES.into_iter().flat_map(|side| jumps_between_means(t_s, series, fk, side)).collect()
 }
 
-/// Detects jumps between the means over `side` samples before and after.
+/// Between the means over `side` samples before and after.
 fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
     let n = series.len();
     if n < 4 * side + 20 {
@@ -199,7 +188,7 @@ fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usi
     let apart = |a: [Vec3; 2], b: [Vec3; 2]| {
         a.iter().zip(&b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
     };
-    // Row indices such that the jump is between samples `row - 1` and `row`.
+    // The jump is between samples `row - 1` and `row`.
     let rows: Vec<usize> = (side..=n - side).filter(|row| *row < n).collect();
     let step = |row: usize| apart(mean(row - side, row), mean(row, row + side));
     let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
@@ -217,14 +206,13 @@ fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usi
     let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
         return Vec::new();
     };
-    // Numerical floor of a step, m.
     const FLOOR_M: f64 = 1e-5;
     let jump = |(index, &row): (usize, &usize)| {
         let usual = still + slope * moves[index] + FLOOR_M;
         if steps[index] <= MIN_JUMP_RATIO * usual {
             return None;
         }
-        // A residual that varies fast also varies before and after the jump.
+        // A fast residual also varies before and after the jump.
         let before = (2..=6).filter_map(|by| steps.get(index.checked_sub(by * side)?).copied());
         let after = (2..=6).filter_map(|by| steps.get(index + by * side).copied());
         let [before, after] = [before.collect(), after.collect()]

@@ -1,4 +1,4 @@
-//! Measures the residual of a run and decides whether change points explain enough of it.
+//! Decides whether change points explain enough of a run's residual.
 
 use super::MIN_SEGMENT_SAMPLES;
 use crate::model::{FLOOR_M, FLOOR_RAD};
@@ -8,16 +8,15 @@ use crate::residual_check::{ErrorSeries, ErrorSize, PartError};
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, StreamResidual};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 
-/// Change points are accepted if they reduce the residual to this fraction.
+/// For accepted change points.
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
-/// Maximum fraction if the likelihood must also justify them, because the residual is mostly noise.
+/// If the likelihood must also justify them, because the residual is mostly noise.
 const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
-/// Upper bound on the residual of a healthy stream, m and rad.
+/// Of a healthy stream.
 const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
 
-/// Returns whether the residual of a stream exceeds its noise in some segment of the run.
+/// Whether a stream's residual exceeds its noise in some segment.
 pub(crate) fn has_large_residual(found: &PoseDiagnosis) -> bool {
-    /// Minimum ratio of residual to noise.
     const MIN_NOISE_RATIO: f64 = 2.0;
     let aligned = &found.aligned;
     let does_not_follow = matches!(found.encoding, Err(NotObservable::DoesNotFollow(_)));
@@ -45,7 +44,7 @@ pub(crate) fn has_large_residual(found: &PoseDiagnosis) -> bool {
     std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
 }
 
-/// Returns whether the latency of a stream has significant steps.
+/// Whether they are significant.
 pub(crate) fn has_latency_steps(found: &PoseDiagnosis) -> bool {
     found
         .latency_profile
@@ -53,13 +52,12 @@ pub(crate) fn has_latency_steps(found: &PoseDiagnosis) -> bool {
         .is_ok_and(|course| course.is_unsteady && !course.steps.is_empty())
 }
 
-/// Residual of all streams of an arm. Angles are weighted by 0.3 m. A stream that was not decoded counts as
-/// 1 m.
+/// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
 pub(crate) fn residual_m(found: &ArmDiagnosis) -> f64 {
     combined_m(found, StreamResidual::combined_m)
 }
 
-/// Excess residual of all streams of an arm, weighted as in [`residual_m`].
+/// Weighted as in [`residual_m`].
 fn excess_m(found: &ArmDiagnosis) -> f64 {
     combined_m(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
 }
@@ -72,12 +70,10 @@ fn combined_m(found: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 
     found.streams.iter().map(of_stream).sum()
 }
 
-/// Returns whether the residual of a stream exceeds its noise, or has a mean in some segment that noise
-/// does not explain.
+/// Whether the residual exceeds the noise, or its mean in some segment does.
 pub(crate) fn has_slow_residual(found: &PoseDiagnosis) -> bool {
-    /// Number of segments.
     const SEGMENTS: usize = 10;
-    /// A mean is significant if it exceeds this many standard errors.
+    /// For a significant mean.
     const MIN_STD_ERRORS: f64 = 6.0;
     if has_large_residual(found) {
         return true;
@@ -104,7 +100,7 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
     vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
 }
 
-/// Residuals of a stream's samples: position, m, and rotation, rad.
+/// M and rad.
 fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
     let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
@@ -113,8 +109,8 @@ fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
     [length.collect(), turn.collect()]
 }
 
-/// Returns whether change points with this many `parameters` are justified. They must halve the residual,
-/// or increase the likelihood by more than the price of the parameters (after Chow 1960).
+/// Change points must halve the residual, or increase the likelihood by more than the price of their
+/// parameters (after Chow 1960).
 pub(super) fn is_justified(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: usize) -> bool {
     let [was, is] = [before, after].map(residual_m);
     if is <= MAX_RESIDUAL_RATIO * was {
@@ -126,11 +122,10 @@ pub(super) fn is_justified(before: &ArmDiagnosis, after: &ArmDiagnosis, paramete
     is_less && gain > price(independent) * parameters as f64
 }
 
-/// Twice the log-likelihood ratio of two diagnoses, and the number of independent samples. The number
-/// accounts for autocorrelation of the residual, so the systematic residual of a wrong model counts as few
-/// samples.
+/// Twice the log-likelihood ratio, and the number of independent samples. Autocorrelation reduces it, so a
+/// wrong model's systematic residual counts as few.
 pub(crate) fn log_likelihood_gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
-    /// Longest noise correlation, samples. A longer one comes from the motion.
+    /// A longer correlation comes from the motion.
     const MAX_CORRELATION_SAMPLES: f64 = 200.0;
     let (mut gain, mut independent) = (0.0, 0.0);
     for (before, after) in before.streams.iter().zip(&after.streams) {

@@ -1,11 +1,9 @@
 //! Change points: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! In such a run, a single model has a residual that no cause explains. A change occurs between two
-//! samples, when the stream jumps relative to the arm ([`steps`]). The run is split there. The longest
-//! segment, the baseline, is diagnosed on its own. The other segments are corrected by its result and
-//! diagnosed again, so the selected model of each contains only the differences (after Chow 1960). These
-//! differences are then corrected, and the whole run is diagnosed as if nothing had changed. The change
-//! points are reported only if this reduces the residual substantially.
+//! The run is split where a stream jumps relative to the arm ([`jumps`]). The longest segment, the
+//! baseline, is diagnosed alone. The others are corrected by its result and diagnosed again, so their
+//! models contain only the differences (after Chow 1960). The whole run is then diagnosed with these
+//! corrected. Change points are reported only if this reduces the residual substantially.
 
 mod change_points;
 mod constant;
@@ -38,18 +36,16 @@ pub(super) use justification::{
 };
 use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
 
-/// Maximum residual of a segment, as a multiple of the baseline segment's residual; and a floor for it, m.
+/// Of a segment, relative to the baseline's; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
-/// Residuals of two segments whose ratio is below this may have the same noise level.
+/// Smaller ratios of two segments may be the same noise.
 const MIN_NOISE_RATIO: f64 = 2.0;
-/// If the baseline segment has at least this fraction of the whole run's residual, change points do not
-/// explain it.
+/// Of the whole run's residual; above it, changes do not explain it.
 const MAX_BASELINE_SHARE: f64 = 0.97;
 
-/// Diagnoses an arm whose streams or joints change during the run, as if nothing had changed. `found` is
-/// the diagnosis of the whole run. Tests at most `most` change points. `None` if there are none or if they
-/// do not explain enough of the residual.
+/// Diagnoses the arm as if nothing had changed. `found` is the diagnosis of the whole run. `None` if there
+/// are no changes or they do not explain enough of the residual.
 pub(super) fn diagnose_with_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -79,7 +75,7 @@ pub(super) fn diagnose_with_changes(
         all.truncate(most);
         all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
-    // Test jumps between two samples first, then those that need averaging.
+    // Jumps that need averaging come second.
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.window_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();
     let by_sharp = if is_both { diagnose_with_jumps(&run, &sharp, found) } else { None };
@@ -92,7 +88,6 @@ pub(super) fn diagnose_with_changes(
     }
 }
 
-/// Diagnoses a run with change points at some of `change_points`, as if nothing had changed.
 fn diagnose_with_jumps(
     run: &SplitRun,
     moments: &[Jump],
@@ -104,7 +99,7 @@ fn diagnose_with_jumps(
     let kept = (parts.len() > 1).then(|| BaselineSegment::diagnose(run, parts[kept]))?;
     let left = residual_m(&kept.found);
     if left > MAX_BASELINE_SHARE * residual_m(found) {
-        // The baseline segment has the same residual, so it is not due to a change.
+        // The residual is not due to a change.
         return None;
     }
     let most_m = (MAX_RESIDUAL_RATIO * left)
@@ -122,7 +117,7 @@ fn diagnose_with_jumps(
         })
         .collect();
     let mut after = diagnose_arm(&undone.joints, &changed, most_lag_s);
-    // Joint compliance persists across change points.
+    // Compliance persists across change points.
     if let Some(bent) =
         diagnose_with_compliance(&undone.joints, &changed, slides, &after, most_lag_s)
     {
@@ -148,7 +143,7 @@ fn diagnose_with_jumps(
         .then_some(after)
 }
 
-/// Number of parameters that describe the changes in a run with `split_at` segments.
+/// Parameters of the changes.
 fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
     let of_stream = |found: &PoseDiagnosis| {
         let frames = found.tool_changes.len() + found.reference_changes.len();
@@ -165,7 +160,7 @@ fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
     moments + of_joints.sum::<usize>() + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
-/// Restores the recorded poses, and FK of the recorded joint states, in the samples of a corrected stream.
+/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples.
 pub(super) fn restore_recorded(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -188,14 +183,14 @@ pub(super) fn restore_recorded(
     }
 }
 
-/// Returns whether the last of `other_segments` and `after`, merged, fit as well as each on its own.
+/// Whether the last of `others` and `after` fit as well merged.
 fn is_as_good(
     run: &SplitRun,
     both: &OtherSegment,
     others: &[OtherSegment],
     after: &OtherSegment,
 ) -> bool {
-    /// Tolerance: a factor, and a length in m.
+    /// A factor, and a length in m.
     const RESIDUAL_TOLERANCE: f64 = 1.03;
     const RESIDUAL_TOLERANCE_M: f64 = 1e-5;
     let apart = || others.last().into_iter().chain([after]);
@@ -207,19 +202,17 @@ fn is_as_good(
         <= RESIDUAL_TOLERANCE * (squares / all.max(1.0)).sqrt() + RESIDUAL_TOLERANCE_M
 }
 
-/// Baseline segment.
 struct BaselineSegment {
     span: Span,
     found: ArmDiagnosis,
 }
 
-/// Segment other than the baseline.
+/// Any other segment.
 struct OtherSegment {
     span: Span,
-    /// Diagnosis of the segment on its own.
+    /// On its own.
     own: ArmDiagnosis,
-    /// Diagnosis of the segment after correcting it by the baseline's result. It contains only the
-    /// differences.
+    /// After correction by the baseline: only the differences.
     difference: ArmDiagnosis,
 }
 
@@ -228,8 +221,8 @@ impl BaselineSegment {
         Self { span, found: run.diagnose(span).1 }
     }
 
-    /// Diagnoses the other segments. A segment whose residual exceeds `most_m` is merged with the previous
-    /// one. `None` if the residual is then still too large.
+    /// Merges a segment whose residual exceeds `most_m` with the previous one. `None` if the residual is
+    /// then still too large.
     fn other_segments(
         &self,
         run: &SplitRun,
@@ -247,7 +240,7 @@ impl BaselineSegment {
                 other = self.other_segment(run, (before.span.0, part.1));
             }
             let other = Some(other).filter(leaves_little)?;
-            // Merge two segments that differ from the baseline in the same way.
+            // They may differ from the baseline in the same way.
             let before = others.last().filter(|before| before.span.1 == part.0);
             let both = before.map(|before| self.other_segment(run, (before.span.0, part.1)));
             let is_one =
@@ -263,7 +256,6 @@ impl BaselineSegment {
         Some(others)
     }
 
-    /// Diagnoses another segment.
     fn other_segment(&self, run: &SplitRun, span: Span) -> OtherSegment {
         let (joints, alone) = run.diagnose(span);
         let joints = self.found.joints.corrected_joints(&joints, run.is_prismatic);
@@ -283,10 +275,9 @@ impl BaselineSegment {
         OtherSegment { span, own: alone, difference: beyond }
     }
 
-    /// Returns whether the diagnosis of another segment is reliable. If its encoding is undetermined, it
-    /// must match the baseline's, and no frame may rotate by much.
+    /// An undetermined encoding must match the baseline's, and no frame may rotate by much.
     fn is_reliable(&self, other: &OtherSegment) -> bool {
-        /// Frame rotation that a misread rotation can imitate in a few configurations, rad.
+        /// A misread rotation can imitate it in a few configurations.
         const MAX_FRAME_ROTATION_RAD: f64 = 0.1;
         let streams =
             self.found.streams.iter().zip(&other.own.streams).zip(&other.difference.streams);
@@ -303,17 +294,15 @@ impl BaselineSegment {
         })
     }
 
-    /// Returns whether the encoding of stream `s` differs in another segment.
     fn has_other_encoding(&self, s: usize, other: &OtherSegment) -> bool {
         let (own, its) = (&self.found.streams[s], &other.own.streams[s]);
         let told = own.encoding.is_ok() && its.encoding.as_ref().is_ok_and(|its| its.is_determined);
         told && !is_same_encoding(own, its)
     }
 
-    /// Increase of the stream's latency in another segment over the baseline's, extrapolated with its skew,
-    /// s. `None` if it is not significant.
+    /// Over the baseline's latency extrapolated with its skew, s. `None` if not significant.
     fn latency_increase(&self, s: usize, other: &OtherSegment) -> Option<Measured> {
-        /// Smaller steps are left to the latency profile, s.
+        /// Smaller steps are left to the latency profile.
         const MIN_LATENCY_STEP_S: f64 = 1e-3;
         const MIN_STD_ERRORS: f64 = 6.0;
         let (here, there) = (&self.found.streams[s], &other.difference.streams[s]);
@@ -325,7 +314,7 @@ impl BaselineSegment {
         (by.value.abs() > MIN_LATENCY_STEP_S.max(MIN_STD_ERRORS * std_error)).then_some(by)
     }
 
-    /// Corrects all changes. `None` if nothing changed.
+    /// `None` if nothing changed.
     fn correct_changes(&self, run: &SplitRun, others: &[OtherSegment]) -> Option<CorrectedRun> {
         let mut joints = run.joints.clone();
         let mut patches = Vec::new();
@@ -359,7 +348,7 @@ impl BaselineSegment {
         is_changed.then_some(CorrectedRun { joints, patches, tracks })
     }
 
-    /// Decoded poses of a stream, with the differences of the other segments corrected.
+    /// Decoded poses with the differences of the other segments corrected.
     fn corrected_track(&self, s: usize, others: &[OtherSegment]) -> PoseTrack {
         let own = &self.found.streams[s];
         let mut parts = vec![(self.span, with_poses(own, decoded_poses(own)))];
@@ -376,7 +365,7 @@ impl BaselineSegment {
         let mut parts = parts.into_iter().map(|(_, track)| track);
         let first = parts.next().unwrap_or_else(|| with_poses(own, decoded_poses(own)));
         parts.fold(first, |mut all, part| {
-            // Correcting a latency can make segments overlap, so drop the overlap.
+            // Correcting a latency can make segments overlap.
             let end_s = part.t_s.first().copied().unwrap_or(f64::INFINITY);
             let kept = all.t_s.partition_point(|t_s| *t_s < end_s);
             all.t_s.truncate(kept);
@@ -396,16 +385,15 @@ impl BaselineSegment {
     }
 }
 
-/// Run with its changes corrected.
 struct CorrectedRun {
     joints: JointTrack,
     patches: Vec<JointPatch>,
-    /// Corrected poses, for the streams that changed.
+    /// For the streams that changed.
     tracks: Vec<Option<PoseTrack>>,
 }
 
 impl JointPatch {
-    /// Maps the joint's positions in this segment to the baseline segment.
+    /// To the baseline segment.
     pub(super) fn apply(&self, joints: &mut JointTrack) {
         let Self { column, from_s, to_s, factor, offset } = *self;
         let dof = joints.dof.max(1);
@@ -418,8 +406,8 @@ impl JointPatch {
     }
 }
 
-/// Corrections that map joint positions of another segment to the baseline: column, factor and offset of
-/// each joint that differs. Empty if joint names or units are wrong as well.
+/// Column, factor and offset that map joints of another segment to the baseline. Empty if joint names or
+/// units are wrong as well.
 fn joint_map(
     kept: &JointDiagnosis,
     beyond: &JointDiagnosis,
@@ -432,7 +420,7 @@ fn joint_map(
         return Vec::new();
     }
     let dof = run.joints.dof;
-    // Probe every joint at positions 0 and 1: corrected by the baseline, then by the other segment.
+    // Corrected by the baseline, then by the other segment.
     let probe = JointTrack {
         t_s: vec![0.0, 1.0],
         dof,
@@ -464,12 +452,11 @@ fn is_chosen(frame: &EstimateResult<FrameEstimate>) -> bool {
     frame.as_ref().is_ok_and(|frame| frame.is_chosen)
 }
 
-/// Decoded poses of a stream, in its reference frame, without any other correction.
+/// In the reference frame, without any other correction.
 fn decoded_poses(found: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
     found.aligned.corrected.iter().map(|pose| found.frame_correction.invert(pose))
 }
 
-/// Track with the given poses at the stamps of a stream's samples.
 fn with_poses(found: &PoseDiagnosis, poses: impl Iterator<Item = Pose>) -> PoseTrack {
     let (xyz, rotations): (Vec<_>, Vec<_>) =
         poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();

@@ -1,4 +1,4 @@
-//! Reports the corrected changes: value before, value after, and time.
+//! Reports the corrected changes.
 
 use super::jumps::Jump;
 use super::split_run::{Span, SplitRun};
@@ -11,7 +11,7 @@ use ground::geometry::Pose;
 use ground::stats::Measured;
 
 impl BaselineSegment {
-    /// Adds the changes and their times to `after`, the diagnosis of the corrected run.
+    /// To `after`, the diagnosis of the corrected run.
     pub(super) fn report_changes<'a>(
         &self,
         run: &SplitRun,
@@ -92,8 +92,8 @@ impl BaselineSegment {
             for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
                 let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());
                 let is_at = |end: Option<&usize>| end == Some(&change.column);
-                // With a single stream, the first joint's zero is equivalent to a base rotation and the
-                // last joint's to a tool rotation.
+                // For a single stream, the first joint's zero is equivalent to a base rotation, the last
+                // joint's to a tool rotation.
                 let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
                 let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
                 if let Some(offset) = joints.offsets.get_mut(change.column) {
@@ -117,8 +117,7 @@ impl BaselineSegment {
     }
 }
 
-/// Change of a frame from one segment to the next. `kept` is the baseline's frame; `from` and `to` are the
-/// differences of the two segments from it.
+/// `kept` is the baseline's frame; `from` and `to` are the segments' differences from it.
 fn frame_change(
     (at_s, within_s): (f64, f64),
     kept: Option<&FrameEstimate>,
@@ -143,7 +142,7 @@ fn frame_change(
         p_value: surest.p_value,
         is_chosen: true,
     };
-    // Two segments that differ from the baseline in the same way do not differ from each other.
+    // The segments do not differ from each other.
     let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
     let base = kept.map_or_else(Pose::identity, |kept| kept.pose);
     (!is_same).then(|| ChangePoint {
@@ -155,7 +154,7 @@ fn frame_change(
     })
 }
 
-/// Change of a number from one segment to the next. `none` is the value of a segment without a difference.
+/// `none` is the value without a difference.
 fn scalar_change(
     (at_s, within_s): (f64, f64),
     kept: Option<&Measured>,

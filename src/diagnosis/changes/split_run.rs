@@ -8,24 +8,24 @@ use crate::latency_compensation::with_stamps;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
-/// Minimum number of samples of some stream in a segment.
+/// Of some stream.
 pub(super) const MIN_SEGMENT_SAMPLES: usize = 20;
 
-/// Run that may be split. Change points are on the joint states' clock.
+/// Change points are on the joint states' clock.
 pub(super) struct SplitRun<'a> {
     pub joints: &'a JointTrack,
     pub streams: &'a [PoseStream<'a>],
     pub is_prismatic: &'a [bool],
-    /// Latency of each stream, s.
+    /// Latency per stream.
     pub lags: &'a [f64],
     pub max_lag_s: f64,
 }
 
-/// Segment of a run: start (inclusive) and end (exclusive), s.
+/// Start (inclusive) and end (exclusive), s.
 pub(super) type Span = (f64, f64);
 
 impl SplitRun<'_> {
-    /// Change points of streams and joint states, on the joint states' clock.
+    /// On the joint states' clock.
     pub fn change_points(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
             let aligned = &found.streams[s].aligned;
@@ -36,7 +36,7 @@ impl SplitRun<'_> {
         strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
     }
 
-    /// Splits the run at `change_points`. A segment that is too short is merged with its neighbour.
+    /// Merges segments that are too short.
     pub fn split_at(&self, moments: &[Jump]) -> Vec<Span> {
         let mut parts = Vec::new();
         let mut from_s = f64::NEG_INFINITY;
@@ -51,14 +51,13 @@ impl SplitRun<'_> {
         parts
     }
 
-    /// Rows of a stream in a segment.
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
         let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
         from..to
     }
 
-    /// Number of samples in a segment, of the stream that has most.
+    /// Of the stream that has most.
     pub fn samples(&self, span: Span) -> usize {
         (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }
@@ -85,14 +84,14 @@ impl SplitRun<'_> {
         (0..self.streams.len()).map(track).collect()
     }
 
-    /// Replaces the tracks of the streams.
+    /// Replaces the tracks.
     pub fn with_tracks<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
         let with =
             |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
         self.streams.iter().zip(tracks).map(with).collect()
     }
 
-    /// Diagnoses a segment on its own.
+    /// Diagnoses a segment alone.
     pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
         let found = diagnose_arm(&joints, &self.with_tracks(&tracks), self.max_lag_s);

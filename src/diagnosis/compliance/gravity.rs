@@ -3,8 +3,8 @@
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, JointKind};
 
-/// Relative mass distribution, assumed if the model has no masses. `taper` is the ratio of each link's mass
-/// to the previous link's, `tool` the ratio of the tool's mass to the last link's.
+/// Relative masses, assumed if the model has none. `taper` is the mass ratio of successive links, `tool`
+/// that of tool to last link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MassModel {
     pub taper: f64,
@@ -12,7 +12,7 @@ pub(super) struct MassModel {
 }
 
 impl MassModel {
-    /// Distributions that are tested: equal or tapered links, with and without a tool.
+    /// Equal or tapered links, with and without a tool.
     pub const CANDIDATES: [Self; 9] = {
         const fn new(taper: f64, tool: f64) -> MassModel {
             MassModel { taper, tool }
@@ -31,17 +31,16 @@ impl MassModel {
     };
 }
 
-/// Gravity torques about the joints of a chain with an upright base, up to a common factor. Each link is a
-/// point mass midway between its joints.
+/// Torques with an upright base, up to a common factor. Each link is a point mass midway between its
+/// joints.
 #[derive(Clone, Debug)]
 pub(super) struct GravityTorques {
     chain: Chain,
-    /// Column in the joint track of each joint of the chain.
+    /// Column in the joint track per joint.
     columns: Vec<usize>,
     masses: MassModel,
 }
 
-/// Buffers for the torques of one configuration.
 #[derive(Default)]
 pub(super) struct TorqueBuffers {
     q: Vec<f64>,
@@ -54,8 +53,8 @@ impl GravityTorques {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 
-    /// Computes the torque about each joint at the positions in `row`, positive along the joint's motion.
-    /// It is 0 for prismatic joints. `out` is indexed by column of the joint track.
+    /// Torques at `row`, positive along the joint's motion, 0 for prismatic joints. `out` is indexed by
+    /// track column.
     pub fn torques(&self, row: &[f64], buffer: &mut TorqueBuffers, out: &mut [f64]) {
         let TorqueBuffers { q, jacobian, frames } = buffer;
         q.clear();

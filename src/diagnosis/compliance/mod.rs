@@ -1,15 +1,9 @@
 //! Joint compliance: backlash, sag under gravity, and eccentric gears or encoders.
 //!
-//! Backlash resembles a latency and sag resembles a joint zero. The selected model may therefore report
-//! those instead and keep a large residual. In that case, regress the residual on one profile per joint
-//! ([`search`]):
-//!
-//! - backlash: the direction of the last motion (hysteresis)
-//! - sag: the gravity torque
-//! - eccentricity: the joint angle
-//!
-//! The joint states are then corrected for the estimated compliance and the arm is diagnosed again.
-//! Compliance is reported only if this reduces the residual substantially.
+//! Backlash resembles a latency and sag a joint zero, so the selected model may report those and keep a
+//! large residual. The residual is then regressed on one profile per joint ([`search`]): direction of the
+//! last motion (hysteresis), gravity torque, or joint angle. Compliance is reported only if correcting it
+//! reduces the residual substantially.
 
 mod gravity;
 mod model_comparison;
@@ -36,22 +30,19 @@ use shapes::USUAL_COMPLIANCE_RAD;
 pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub(super) use shapes::{apply_compliance, motion_directions};
 
-/// Maximum number of samples used per stream.
+/// Per stream.
 const MAX_SAMPLES: usize = 2000;
-/// A compliance model must reduce the excess residual to at most this fraction.
+/// Of the excess residual.
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
-/// Backlash and sag are sufficient if they reduce the excess residual to at most this fraction.
+/// Backlash and sag then suffice.
 const SUFFICIENT_RESIDUAL_RATIO: f64 = 0.15;
-/// Replaces [`MAX_RESIDUAL_RATIO`] if the residual is that of a nominal model of a calibrated arm.
+/// Replaces [`MAX_RESIDUAL_RATIO`] for the nominal model of a calibrated arm.
 const MAX_RESIDUAL_RATIO_NOMINAL: f64 = 0.25;
-/// Convergence tolerance of a compliance value, rad.
 const CONVERGED_RAD: f64 = 2e-5;
-/// Smallest zero offset that is tested against sag as a competing model, rad.
+/// Tested against sag.
 const MIN_ZERO_RAD: f64 = 1e-3;
-/// Number of refinement rounds.
 const MAX_ROUNDS: usize = 3;
 
-/// Run whose joints are tested for compliance.
 struct ComplianceRun<'a> {
     joints: &'a JointTrack,
     streams: &'a [PoseStream<'a>],
@@ -59,25 +50,24 @@ struct ComplianceRun<'a> {
     max_lag_s: f64,
 }
 
-/// Samples of one stream with their residuals under a diagnosis, expressed in the base frame at the tip.
+/// Residuals under a diagnosis, in the base frame at the tip.
 #[derive(Default)]
 struct ResidualSamples {
-    /// Reported positions of all joints of the track.
+    /// Reported, all joints of the track.
     q: Vec<Vec<f64>>,
-    /// Velocities of all joints.
+    /// Of all joints.
     qd: Vec<Vec<f64>>,
-    /// Row of the joint track before the sample, and the fraction of the interval to the next row.
+    /// Row of the joint track before the sample, and fraction to the next.
     at: Vec<(usize, f64)>,
-    /// Jacobian column of each joint of the track.
+    /// Per joint of the track.
     jacobian: Vec<Vec<[f64; 6]>>,
     fk: Vec<Pose>,
-    /// Position residual, m, and rotation residual, rad.
+    /// Position, m, and rotation, rad.
     residual: Vec<[[f64; 3]; 2]>,
     has_rotation: bool,
 }
 
-/// Diagnoses the arm with joint compliance corrected. `found` is the diagnosis without compliance. `None`
-/// if no joint has compliance or if it does not explain enough of the residual.
+/// `found` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
 pub(super) fn diagnose_with_compliance(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -100,7 +90,6 @@ pub(super) fn diagnose_with_compliance(
     };
     let reading = match &found.joints.encoding {
         Ok(reading) if !reading.is_as_logged() => reading,
-        // Without a valid encoding, use the joints as logged.
         _ => {
             return without(
                 ComplianceRun { joints, streams, is_prismatic: slides, max_lag_s: most_lag_s },
@@ -125,12 +114,12 @@ pub(super) fn diagnose_with_compliance(
     Some(after)
 }
 
-/// Residual of all pose streams of an arm, m. Angles are weighted by 0.3 m.
+/// Of all pose streams. Angles are weighted by 0.3 m.
 #[derive(Clone, Copy, Debug)]
 struct ArmResidual {
-    /// Root mean square of the excess residual.
+    /// Of the excess residual.
     rms_m: f64,
-    /// Median, including noise.
+    /// Including noise.
     median_m: f64,
 }
 
@@ -149,8 +138,8 @@ impl ArmResidual {
         Self { rms_m: streams().map(rms).sum(), median_m: streams().map(half).sum() }
     }
 
-    /// Returns whether the residual is at most `share` of `other`. Sudden backlash has a residual at each
-    /// reversal but a small median. In that case the limit on the rms is relaxed.
+    /// At most `share` of `other`. Sudden backlash has a residual at each reversal but a small median,
+    /// which relaxes the limit on the rms.
     fn is_within(&self, share: f64, other: &Self) -> bool {
         let is_mostly = self.median_m < 0.5 * share * other.median_m;
         self.rms_m <= share * other.rms_m || (is_mostly && self.rms_m <= 1.5 * share * other.rms_m)
@@ -158,8 +147,7 @@ impl ArmResidual {
 }
 
 impl ComplianceRun<'_> {
-    /// Diagnoses the run with joint compliance corrected. `found` is the diagnosis without compliance.
-    /// `None` if no compliance is found or if it does not explain enough.
+    /// See [`diagnose_with_compliance`].
     fn fit_compliance(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let samples = self.samples(self.joints, found);
         let before = ArmResidual::from_diagnosis(found);
@@ -171,7 +159,7 @@ impl ComplianceRun<'_> {
         {
             let is_eccentric =
                 terms.iter().any(|term| matches!(term.kind, ComplianceKind::Eccentric(_)));
-            // Eccentricity is a flexible model, so backlash and sag take precedence.
+            // Eccentricity is flexible: backlash and sag take precedence.
             let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| {
                 left.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
             };
@@ -201,8 +189,7 @@ impl ComplianceRun<'_> {
                 }
             }
         }
-        // The residual of a nominal model has many small causes, and any few compliance terms absorb part
-        // of it.
+        // Any few compliance terms absorb part of a nominal model's many small causes.
         let is_nominal = found.streams.iter().any(|found| found.is_nominal);
         let most = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
         let (left, mut after) = best?;
@@ -213,7 +200,7 @@ impl ComplianceRun<'_> {
         if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
             self.restore_eccentricity(&mut after);
         }
-        // The link masses are assumed. An error in them looks like a zero offset, so widen that interval.
+        // An error of the assumed link masses looks like a zero offset.
         for bend in after.joints.compliance.iter().filter(|bend| bend.is_sag()) {
             let offset = after.joints.offsets.get_mut(bend.column);
             if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
@@ -223,12 +210,10 @@ impl ComplianceRun<'_> {
         Some(after)
     }
 
-    /// Tests whether a joint zero in `found` is sag instead. Replaces the zero by sag if sag is clearly
-    /// likelier, and lists sag as a confounder of the zero if both are similarly likely. `None` if neither
-    /// holds.
+    /// Replaces a joint zero by sag if that is clearly likelier, or lists sag as its confounder if both are
+    /// similarly likely. `None` if neither holds.
     fn test_zeros_as_sag(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        /// Thresholds on twice the log-likelihood ratio: to replace one cause by another, and to list a
-        /// confounder.
+        /// Twice the log-likelihood ratio.
         const MIN_LOG_RATIO_TO_REPLACE: f64 = 16.0;
         const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
         let is_plain = found.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
@@ -265,8 +250,7 @@ impl ComplianceRun<'_> {
         beside
     }
 
-    /// Finds sets of compliance terms that explain most with few joints. If a joint sags, uses the mass
-    /// distribution that fits best.
+    /// Sets that explain most with few joints, with the mass distribution that fits best.
     fn search<'a>(
         &'a self,
         samples: &'a [ResidualSamples],
@@ -285,7 +269,7 @@ impl ComplianceRun<'_> {
         Some((search, sets))
     }
 
-    /// Diagnoses the run after correcting the compliance in `terms`. `None` if no term remains.
+    /// `None` if no term remains.
     fn diagnose_without(
         &self,
         search: &ComplianceSearch,
@@ -298,7 +282,7 @@ impl ComplianceRun<'_> {
         self.diagnose_converged(search, terms)
     }
 
-    /// Same as [`Self::diagnose_without`], starting from the values in `terms`.
+    /// [`Self::diagnose_without`] from the values in `terms`.
     fn diagnose_converged(
         &self,
         search: &ComplianceSearch,
@@ -306,7 +290,7 @@ impl ComplianceRun<'_> {
     ) -> Option<ArmDiagnosis> {
         let mut after = self.corrected(&search.to_compliance(&terms))?;
         for _ in 0..MAX_ROUNDS {
-            // Causes that the corrected model no longer contains are not free parameters.
+            // Causes that the corrected model dropped are not free.
             let before: Vec<f64> = terms.iter().map(ComplianceTerm::size).collect();
             let samples = self.samples(&after.0, &after.1);
             search.on_samples(&samples).refine(
@@ -328,7 +312,7 @@ impl ComplianceRun<'_> {
         gives.then_some(after.1)
     }
 
-    /// Joint states corrected for `to_compliance`, and the diagnosis on them. `None` if `to_compliance` is empty.
+    /// `None` if `bends` is empty.
     fn corrected(&self, bends: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
         if bends.is_empty() {
             return None;
@@ -339,14 +323,14 @@ impl ComplianceRun<'_> {
         Some((joints, found))
     }
 
-    /// Samples of every stream with their residuals. `found` is the diagnosis of `joints`.
+    /// `found` is the diagnosis of `joints`.
     fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<ResidualSamples> {
         let corrected = found.joints.corrected_joints(joints, self.is_prismatic);
         let both = self.streams.iter().zip(&found.streams);
         both.map(|(stream, found)| self.stream_samples(&corrected, stream, found)).collect()
     }
 
-    /// Maps a stamp of the stream to the time of measurement, s.
+    /// Time of measurement of a stamp, s.
     fn truth_s(&self, stream: &PoseStream, found: &PoseDiagnosis) -> impl Fn(f64) -> f64 + use<> {
         let lag_s = match &found.latency_s {
             Ok(latency) => latency.value,
@@ -358,7 +342,7 @@ impl ComplianceRun<'_> {
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 
-    /// Recomputes FK without eccentricity. No rule reports eccentricity, so it remains in the residual.
+    /// No rule reports eccentricity, so it remains in the residual.
     fn restore_eccentricity(&self, after: &mut ArmDiagnosis) {
         let named =
             after.joints.without_eccentricity().corrected_joints(self.joints, self.is_prismatic);

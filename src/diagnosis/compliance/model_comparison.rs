@@ -1,5 +1,5 @@
-//! Compares joint compliance with change points. A few reversals of a joint with backlash look much like
-//! steps of its zero or of a frame.
+//! Compares joint compliance with change points: a few reversals with backlash look like steps of a zero or
+//! frame.
 
 use crate::changes::residual_m;
 use crate::{
@@ -8,19 +8,17 @@ use crate::{
 };
 use std::cmp::Ordering;
 
-/// Maximum ratio of the residual with compliance to the residual with change points, if both models have
-/// the same number of causes.
+/// Over change points with the same number of causes.
 const MAX_RESIDUAL_RATIO: f64 = 1.5;
-/// Same if compliance needs fewer causes. Larger, because the backlash crossings bias the fitted values.
+/// With fewer causes. Larger, because backlash crossings bias the fitted values.
 const MAX_RESIDUAL_RATIO_WITH_FEWER: f64 = 3.0;
 
-/// Returns whether the compliance model `bend` is preferred to the change-point model `change`.
 pub(crate) fn prefers_compliance(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
     if bend.joints.compliance.is_empty() {
         return false;
     }
     let (own, other) = (cause_count(bend), cause_count(change));
-    // A step of one joint's zero is simpler than a load change, so compliance must fit better.
+    // A step of one joint's zero is simpler than a load change.
     let is_loaded = bend.joints.compliance.iter().any(|bend| bend.change.is_some());
     let most = match own.cmp(&other) {
         Ordering::Greater => return false,
@@ -28,13 +26,12 @@ pub(crate) fn prefers_compliance(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> 
         Ordering::Equal => MAX_RESIDUAL_RATIO,
         Ordering::Less => MAX_RESIDUAL_RATIO_WITH_FEWER,
     };
-    // The position within the backlash is unknown during a crossing and before the first motion.
+    // During a crossing and before the first motion, the position within the backlash is unknown.
     residual_m(bend) <= most * residual_m(change)
         || trimmed_residual_m(bend) <= most * trimmed_residual_m(change)
 }
 
-/// Trimmed rms residual of an arm's streams: the best nine tenths of the samples. Angles are weighted by
-/// 0.3 m.
+/// The best nine tenths of the samples. Angles are weighted by 0.3 m.
 fn trimmed_residual_m(found: &ArmDiagnosis) -> f64 {
     const TRIMMED_SHARE: f64 = 0.9;
     let of_stream = |found: &PoseDiagnosis| {
@@ -47,10 +44,9 @@ fn trimmed_residual_m(found: &ArmDiagnosis) -> f64 {
     found.streams.iter().map(of_stream).sum()
 }
 
-/// Number of causes in a diagnosis, excluding latencies and encodings. A change point counts twice if the
-/// value is wrong both before and after it.
+/// Without latencies and encodings. A change counts twice if the value is wrong before and after.
 fn cause_count(found: &ArmDiagnosis) -> usize {
-    /// A value below this fraction of the step counts as zero.
+    /// Of the step; smaller values count as zero.
     const MAX_ZERO_SHARE: f64 = 0.2;
     let JointDiagnosis { offsets, changes, compliance: bends, .. } = &found.joints;
     let of_zero = |zero: &ScalarChange| {

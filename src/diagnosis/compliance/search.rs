@@ -1,5 +1,5 @@
-//! Selects the joints with compliance and estimates its values. Uses linear least squares on the residual
-//! of one diagnosis, with all causes of its model as free parameters.
+//! Selects the joints with compliance by linear least squares on the residual of one diagnosis, with all
+//! causes of its model free.
 
 use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
 use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
@@ -11,43 +11,39 @@ use crate::{ArmDiagnosis, ChangePoint, EstimateResult, FrameEstimate};
 use ground::stats::Measured;
 use std::sync::Arc;
 
-/// Backlash assumed during the search, rad. The profile depends only weakly on it.
+/// During the search. The profile depends weakly on it.
 const INITIAL_BACKLASH_RAD: f64 = 3e-3;
-/// A term must explain at least this fraction of the explainable excess residual.
+/// Of the explainable excess residual.
 const MIN_EXPLAINED_SHARE: f64 = 0.03;
-/// Eccentricity orders that are tested, in cycles per turn: joint, encoder, bearing.
+/// Cycles per turn: joint, encoder, bearing.
 const ECCENTRICITY_ORDERS: [u32; 3] = [1, 2, 3];
-/// Joints whose gravity torque is below this fraction of the largest are not tested for sag.
+/// Of the largest gravity torque, to test for sag.
 const MIN_TORQUE_SHARE: f64 = 0.05;
-/// A value is significant if it exceeds this many standard errors.
 const MIN_STD_ERRORS: f64 = 4.0;
-/// Relative standard error of sag due to the assumed link masses.
+/// Relative, of sag, due to the assumed link masses.
 pub(super) const MASS_STD_ERROR: f64 = 0.07;
-/// Larger values are not compliance, rad.
 const MAX_COMPLIANCE_RAD: f64 = 0.1;
-/// Minimum range of a joint angle to test for eccentricity, rad.
+/// To test for eccentricity.
 const MIN_RANGE_RAD: f64 = 1.0;
 
-/// Number of trial times for a load change, and the factor of the finer grid around the best.
+/// For a load change, and the finer grid around the best.
 const TRIAL_TIMES: usize = 12;
 const GRID_REFINEMENT: i32 = 4;
 
-/// Kind of joint compliance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum ComplianceKind {
     Backlash(BacklashCrossing),
     Sag,
-    /// Sag whose value changes at this time (a load change), s.
+    /// Changes at this time, s (load change).
     LoadedSag(f64),
     Eccentric(u32),
 }
 
-/// Compliance term of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ComplianceTerm {
     pub column: usize,
     pub kind: ComplianceKind,
-    /// Coefficients. Eccentricity: sine and cosine. Sag with a load change: before and after.
+    /// Eccentricity: sine and cosine. Sag with a load change: before and after.
     pub amount: [f64; 2],
     pub std_error: f64,
     pub dof: f64,
@@ -67,7 +63,7 @@ impl ComplianceTerm {
         }
     }
 
-    /// Magnitude, rad, signed except for eccentricity.
+    /// Rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
             ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
@@ -79,7 +75,7 @@ impl ComplianceTerm {
         }
     }
 
-    /// Returns whether the value is physical and significant.
+    /// Physical and significant.
     fn is_significant(&self) -> bool {
         let size = self.size();
         let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
@@ -87,15 +83,15 @@ impl ComplianceTerm {
     }
 }
 
-/// Free parameters in addition to the compliance terms.
+/// In addition to the compliance terms.
 pub(super) struct FreeParameters {
     pub zeros: Vec<bool>,
-    /// Latency, radial scale, reference and tool of each stream.
+    /// Latency, radial scale, reference and tool per stream.
     pub streams: Vec<[bool; 4]>,
 }
 
 impl FreeParameters {
-    /// Frees all zeros, latencies and frames.
+    /// All zeros, latencies and frames.
     pub fn all(run: &ComplianceRun) -> Self {
         Self {
             zeros: vec![true; run.joints.dof],
@@ -103,7 +99,7 @@ impl FreeParameters {
         }
     }
 
-    /// Frees only the causes that the selected model contains.
+    /// Only the causes of the selected model.
     pub fn from_selected(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
         let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
             let frame = |frame: &EstimateResult<FrameEstimate>| {
@@ -119,14 +115,14 @@ impl FreeParameters {
     }
 }
 
-/// Search for compliance on one linearisation.
+/// On one linearisation.
 pub(super) struct ComplianceSearch<'a> {
     run: &'a ComplianceRun<'a>,
     samples: &'a [ResidualSamples],
     gravity: Arc<GravityTorques>,
-    /// Largest torque about each joint over the run.
+    /// Per joint over the run.
     max_torque: Vec<f64>,
-    /// Gravity torques, indexed by stream, sample and joint.
+    /// Indexed by stream, sample and joint.
     torques: Vec<Vec<Vec<f64>>>,
 }
 
@@ -146,7 +142,7 @@ impl<'a> ComplianceSearch<'a> {
         Some(Self { run, samples, gravity, max_torque: most_torque, torques })
     }
 
-    /// Same search on other samples of the run.
+    /// On other samples of the run.
     pub fn on_samples<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
     where
         'a: 'b,
@@ -157,8 +153,8 @@ impl<'a> ComplianceSearch<'a> {
         ComplianceSearch { run: self.run, samples, gravity, max_torque: most_torque, torques }
     }
 
-    /// Sag whose mean over the samples equals a zero of `offset_rad`. `None` if the sign contradicts
-    /// gravity or the sag is too large.
+    /// Sag whose mean equals a zero of `offset_rad`. `None` if the sign contradicts gravity or it is too
+    /// large.
     pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<ComplianceTerm> {
         let term =
             |term: &ComplianceTerm| term.column == column && term.kind == ComplianceKind::Sag;
@@ -171,7 +167,7 @@ impl<'a> ComplianceSearch<'a> {
             .then_some(ComplianceTerm { amount, ..term })
     }
 
-    /// All compliance terms that the motion can show.
+    /// That the motion can show.
     fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
@@ -201,7 +197,7 @@ impl<'a> ComplianceSearch<'a> {
         (0..dof).filter(used).flat_map(of_joint).collect()
     }
 
-    /// Profiles of `terms`, indexed by stream, sample and coefficient.
+    /// Indexed by stream, sample and coefficient.
     fn profiles(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
         let joints = self.run.joints;
         let behind: Vec<Vec<f64>> = terms
@@ -290,8 +286,8 @@ impl<'a> ComplianceSearch<'a> {
         system
     }
 
-    /// Selects small sets of terms with all zeros, latencies and frames free. The first set contains only
-    /// backlash and sag. A second set follows if adding eccentricity selects it.
+    /// Small sets, with all zeros, latencies and frames free. The first has only backlash and sag; a second
+    /// follows if eccentricity is selected.
     pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
         let (terms, free) = (self.candidates(), FreeParameters::all(self.run));
         let system = self.system(&terms, &free);
@@ -313,8 +309,8 @@ impl<'a> ComplianceSearch<'a> {
         sets.filter(|set| !set.is_empty()).map(of).collect()
     }
 
-    /// Selects joints whose sag changes at one time (a load change), in addition to backlash, with
-    /// everything else free. Empty if constant sag fits about as well.
+    /// Sag that changes at one time, and backlash, with everything else free. Empty if constant sag fits
+    /// about as well.
     pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
         let free = FreeParameters::all(self.run);
         let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
@@ -357,19 +353,19 @@ impl<'a> ComplianceSearch<'a> {
         if is_loaded { set } else { Vec::new() }
     }
 
-    /// Time resolution of the load change, s.
+    /// Of the load change.
     fn step_s(&self) -> f64 {
         let (first, last) = self.run.joints.span().unwrap_or_default();
         (last - first) / (TRIAL_TIMES as f64 * f64::from(GRID_REFINEMENT))
     }
 
-    /// Residual noise `Σ n·ln σ` with `terms` and everything else free.
+    /// `Σ n·ln σ` with `terms` and everything else free.
     pub fn residual_noise(&self, terms: &[ComplianceTerm]) -> f64 {
         self.system(terms, &FreeParameters::all(self.run)).noise()
     }
 
-    /// Refines the values of `terms`. If `is_taken`, the residuals are already corrected for the current
-    /// values, and terms that are not significant are removed.
+    /// Refines values. If `is_taken`, residuals are already corrected for them, and insignificant terms are
+    /// removed.
     pub fn refine(&self, terms: &mut Vec<ComplianceTerm>, free: &FreeParameters, is_taken: bool) {
         let system = self.system(terms, free);
         let every: Vec<usize> = (0..terms.len()).collect();
@@ -391,7 +387,7 @@ impl<'a> ComplianceSearch<'a> {
         }
     }
 
-    /// Converts `terms` to joint compliance.
+    /// As joint compliance.
     pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
         let bend = |term: &ComplianceTerm| {
             let ComplianceTerm { column, amount, std_error, dof, .. } = *term;
@@ -431,7 +427,7 @@ impl<'a> ComplianceSearch<'a> {
     }
 }
 
-/// Stepwise selection from `menu` that minimises cost plus price. `plain` is the cost of the empty set.
+/// Stepwise selection that minimises cost plus price. `plain` is the cost of the empty set.
 fn select_terms(
     menu: &[usize],
     plain: f64,
@@ -450,7 +446,7 @@ fn select_terms(
         };
         set.push(index);
         now = after;
-        // A later term can make an earlier one redundant.
+        // A later term can make it redundant.
         loop {
             let fewer = (0..set.len()).map(|at| {
                 let mut fewer = set.clone();
@@ -466,7 +462,7 @@ fn select_terms(
     set
 }
 
-/// Gravity torques, indexed by stream, sample and joint.
+/// Indexed by stream, sample and joint.
 fn torques(
     gravity: &GravityTorques,
     samples: &[ResidualSamples],

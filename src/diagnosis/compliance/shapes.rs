@@ -6,53 +6,50 @@ use ground::stats::Measured;
 use ground::stream::JointTrack;
 use std::sync::Arc;
 
-/// Compliance that gears and links of a healthy arm have, rad. Smaller values are not reported.
+/// Healthy gears and links have it; smaller values are not reported.
 pub(super) const USUAL_COMPLIANCE_RAD: f64 = 2.1e-3;
 
-/// Deviation of a link from its encoder that depends on configuration or direction of motion: `q_true =
-/// q_reported + bend`.
+/// Deviation of a link from its encoder: `q_true = q_reported + bend`.
 #[derive(Clone, Debug)]
 pub struct JointCompliance {
-    /// Column of the joint.
+    /// Joint's column.
     pub column: usize,
-    /// Value, rad: full backlash, negative if the link leads its encoder; or largest sag over the run; or
-    /// amplitude of the eccentricity.
+    /// Rad: full backlash (negative if the link leads its encoder), largest sag over the run, or
+    /// eccentricity's amplitude.
     pub value: Measured,
     /// Profile over the motion.
     pub shape: ComplianceShape,
-    /// Change point of the value, rad, such as sag after a load change. Times are on the joint states'
-    /// clock.
+    /// Change, rad, such as sag after a load change. Times are on the joint states' clock.
     pub change: Option<ScalarChange>,
 }
 
 /// Profile of a joint's compliance.
 #[derive(Clone, Debug)]
 pub enum ComplianceShape {
-    /// Backlash: the link lags by half of it (hysteresis).
+    /// The link lags by half (hysteresis).
     Backlash(BacklashCrossing),
-    /// Sag, proportional to the gravity torque.
+    /// Proportional to the gravity torque.
     Sag(JointSag),
-    /// Eccentricity, `sin(order · q + phase)`.
+    /// `sin(order · q + phase)`.
     Eccentric {
-        /// Cycles per turn of the joint.
+        /// Cycles per turn.
         order: u32,
-        /// Phase, rad.
+        /// Phase.
         phase_rad: f64,
     },
 }
 
-/// How a joint crosses its backlash after a reversal.
+/// After a reversal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklashCrossing {
-    /// Friction holds the link until the encoder has moved by the backlash.
+    /// Friction holds the link until the backlash is crossed.
     Gradual,
-    /// The link jumps across at the reversal, pushed by another gear or a load.
+    /// The link jumps at the reversal, pushed by a gear or load.
     Sudden,
 }
 
 impl BacklashCrossing {
-    /// Offset of the link from its encoder, from −½ to ½ of the backlash, at each of `rows` encoder
-    /// positions. Starts in the middle.
+    /// Link relative to encoder, from −½ to ½ of the backlash, per row. Starts in the middle.
     pub(super) fn link_offsets(
         self,
         rows: usize,
@@ -66,34 +63,33 @@ impl BacklashCrossing {
     }
 }
 
-/// Sag of a joint under its gravity torque.
+/// Sag under gravity torque.
 #[derive(Clone, Debug)]
 pub struct JointSag {
     pub(super) gravity: Arc<GravityTorques>,
-    /// Torque that causes the full sag, in the unit of `gravity`.
+    /// Torque of the full sag, in the unit of `gravity`.
     pub(super) max_torque: f64,
 }
 
 impl JointCompliance {
-    /// Returns whether this is backlash.
+    /// Whether this is backlash.
     pub fn is_backlash(&self) -> bool {
         matches!(self.shape, ComplianceShape::Backlash(_))
     }
 
-    /// Returns whether this is sag.
+    /// Whether this is sag.
     pub fn is_sag(&self) -> bool {
         matches!(self.shape, ComplianceShape::Sag(_))
     }
 
-    /// Returns whether this is eccentricity above the usual level of gears and encoders.
+    /// Above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
         matches!(self.shape, ComplianceShape::Eccentric { .. })
             && self.value.value > USUAL_COMPLIANCE_RAD
     }
 }
 
-/// Adds the compliance in `bends` to the joint positions, rad, and its derivative to the velocities. All
-/// terms are computed from the reported positions.
+/// Adds `bends` to positions, rad, and their derivatives to velocities, all from the reported positions.
 pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
@@ -112,7 +108,7 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
-                    // The link is at rest while the joint crosses its backlash.
+                    // The link rests while the joint crosses.
                     if behind.abs() < 0.499
                         && amount > 0.0
                         && *crossing == BacklashCrossing::Gradual
@@ -141,9 +137,9 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance
     }
 }
 
-/// Direction of the last motion of a joint, 1 or −1, at each of `rows` positions. 0 before it moves.
+/// Last motion per row: 1 or −1; 0 before it moves.
 pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
-    /// Minimum reversal, above encoder noise, rad.
+    /// Above encoder noise.
     const MIN_REVERSAL_RAD: f64 = 3e-4;
     let (mut way, mut farthest) = (0.0, None);
     (0..rows)
@@ -158,7 +154,7 @@ pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f6
         .collect()
 }
 
-/// Play operator of hysteresis.
+/// Of hysteresis.
 fn play_operator(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);

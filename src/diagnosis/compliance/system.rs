@@ -8,25 +8,24 @@ use crate::robust::sandwich;
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 
-/// Parameters of each stream: latency, radial scale, reference and tool.
+/// Per stream: latency, radial scale, reference and tool.
 pub(super) const STREAM_PARAMETERS: usize = 14;
 const CAUSE_COLUMNS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
 
-/// Least-squares system of compliance terms and stream parameters.
 pub(super) struct ComplianceSystem {
     pub linears: Vec<Linear>,
     pub weights: Vec<Vec<Weight>>,
     pub normal: Normal,
-    /// Columns of each stream's parameters in the full system.
+    /// Of each stream's parameters in the full system.
     pub columns: Vec<Vec<usize>>,
-    /// First column of each term.
+    /// First column per term.
     pub starts: Vec<usize>,
 }
 
 impl ComplianceSystem {
     pub fn sum(&mut self) {
         let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
-        /// Prior standard deviation that damps the steps, as in the fit of the model.
+        /// Prior that damps the steps, as in the fit of the model.
         const DAMPING_SCALE: f64 = 0.02;
         let mut normal = Normal::zeros(width);
         for ((linear, weights), columns) in
@@ -51,7 +50,7 @@ impl ComplianceSystem {
         self.sum();
     }
 
-    /// Parameter indices of the terms in `set` and of the `free` parameters, ascending.
+    /// Of the terms in `set` and the `free` parameters, ascending.
     pub fn parameters(
         &self,
         terms: &[ComplianceTerm],
@@ -84,7 +83,7 @@ impl ComplianceSystem {
         self.normal.cost_after(&self.step(parameters))
     }
 
-    /// Residual noise, `Σ n·ln σ`.
+    /// `Σ n·ln σ`.
     pub fn noise(&self) -> f64 {
         let of_stream = |(linear, weights): (&Linear, &Vec<Weight>)| {
             let log = weights.iter().map(|weight| weight.noise.sigma.ln()).sum::<f64>();
@@ -107,7 +106,7 @@ impl ComplianceSystem {
     }
 }
 
-/// Linearises a stream: residuals of its samples and their derivatives, in the base frame at the tip.
+/// Residuals and derivatives, in the base frame at the tip.
 pub(super) fn linear(
     samples: &ResidualSamples,
     shapes: &[Vec<f64>],

@@ -3,59 +3,59 @@
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 
-/// Arm as capsules: segments between consecutive joint origins, from base to tip, each with a radius.
+/// Capsules between consecutive joint origins, from base to tip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmCapsules {
-    /// Radius of each segment, m; one more than the number of joints.
+    /// Per segment; one more than the joints.
     pub radius_m: Vec<f64>,
 }
 
-/// Visibility constraint of a camera in the hand.
+/// Target visibility from a camera in the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetVisibility {
-    /// Pose of the camera.
+    /// Camera pose.
     pub hand_from_camera: Pose,
-    /// Target in the base, m.
+    /// In the base, m.
     pub target: Vec3,
-    /// Maximum angle between the camera's z axis and the direction to the target, rad.
+    /// Maximum angle of the target to the camera's z axis.
     pub half_rad: f64,
 }
 
-/// Clearances that a motion must keep.
+/// Clearances to keep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clearances {
     /// The arm.
     pub body: ArmCapsules,
-    /// Minimum distance between surfaces, m.
+    /// Between surfaces.
     pub clear_m: f64,
-    /// Height of the floor in the base, m.
+    /// Floor height in the base.
     pub floor_m: Option<f64>,
-    /// Visibility constraint, if any.
+    /// If any.
     pub view: Option<TargetVisibility>,
-    /// Segment pairs to check, with the minimum distance between their surfaces, m.
+    /// Segments, with the minimum distance between surfaces, m.
     pairs: Vec<(usize, usize, f64)>,
-    /// Minimum height of each segment above the floor, m.
+    /// Minimum height per segment above the floor.
     heights: Vec<f64>,
 }
 
 /// Violation of a clearance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClearanceViolation {
-    /// Two segments of the arm, counted from the base, and the distance between their surfaces, m.
+    /// Segments, from the base, and surface distance, m.
     Parts(usize, usize, f64),
-    /// Segment and its height above the floor, m.
+    /// Segment and height above the floor, m.
     Floor(usize, f64),
-    /// Target outside the camera's view: angle to the camera's z axis, rad.
+    /// Angle of the target to the camera's z axis, rad.
     View(f64),
 }
 
-/// Tolerance for segments already too close in the known free configuration, m.
+/// For segments already too close in the known free configuration.
 const CONTACT_TOLERANCE_M: f64 = 5e-3;
 
 impl Clearances {
-    /// Derives the clearances for an arm whose configuration `free` is collision-free. Segments connected
-    /// by a path shorter than twice their radii are neighbours and are not checked. Segments already closer
-    /// than `clear_m` must keep about that distance.
+    /// For an arm whose configuration `free` is collision-free. Segments connected by a path shorter than
+    /// twice their radii are not checked; segments already closer than `clear_m` must keep about that
+    /// distance.
     pub fn from_configuration(
         chain: &Chain,
         free: &[f64],
@@ -87,7 +87,7 @@ impl Clearances {
         keep
     }
 
-    /// Height of the lowest point of a segment, m. Infinite for the fixed first segment.
+    /// Of the lowest point, m; infinite for the fixed first segment.
     fn height(&self, points: &[Vec3], at: usize) -> f64 {
         match at {
             0 => f64::INFINITY,
@@ -95,7 +95,7 @@ impl Clearances {
         }
     }
 
-    /// First violation in configuration `q`.
+    /// In configuration `q`.
     pub fn first_violation(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
         let points = points(chain, q);
         let parts = self.pairs.iter().find_map(|&(i, j, least)| {
@@ -118,7 +118,7 @@ impl Clearances {
         parts.or_else(floor).or_else(view)
     }
 
-    /// Segment pairs, and segments above the floor, closer than `clear_m` in configuration `q`.
+    /// Segment pairs, and segments above the floor, closer than `clear_m` at `q`.
     pub fn close_pairs(&self, chain: &Chain, q: &[f64]) -> Vec<ClearanceViolation> {
         let points = points(chain, q);
         let pairs = self.pairs.iter().filter_map(|&(i, j, _)| {
@@ -133,14 +133,14 @@ impl Clearances {
         pairs.chain(floor).collect()
     }
 
-    /// Number of segment pairs checked.
+    /// Segment pairs checked.
     pub fn pairs(&self) -> usize {
         self.pairs.len()
     }
 }
 
 impl TargetVisibility {
-    /// Angle between the camera's z axis and the direction to the target, rad.
+    /// Between the camera's z axis and the target, rad.
     fn angle(&self, base_from_hand: &Pose) -> f64 {
         let camera = base_from_hand * self.hand_from_camera;
         let seen = camera.inverse() * nalgebra::Point3::from(self.target);
@@ -148,7 +148,7 @@ impl TargetVisibility {
     }
 }
 
-/// Origins of the base, the joints and the tip, m.
+/// Base, joints and tip, m.
 pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
     let mut frames = Vec::new();
     chain.joint_frames(q, &mut frames);
@@ -157,7 +157,7 @@ pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
     std::iter::once(Vec3::zeros()).chain(joints).chain([tip]).collect()
 }
 
-/// Distance between two segments, m (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
+/// M (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
 fn between(one: &[Vec3], other: &[Vec3]) -> f64 {
     const MIN_SQUARED_LENGTH: f64 = 1e-12;
     let (d1, d2, r) = (one[1] - one[0], other[1] - other[0], one[0] - other[0]);

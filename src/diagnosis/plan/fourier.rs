@@ -4,36 +4,34 @@ use super::JointMargins;
 use ground::stream::JointTrack;
 use std::f64::consts::{PI, TAU};
 
-/// Samples per period of the fastest sine at which limits are checked.
+/// Of the fastest sine, to check limits.
 const SAMPLES_PER_PERIOD: usize = 16;
 
-/// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`. At
-/// both ends the position is `around_j` with zero velocity and acceleration; the arm rests before and
-/// after.
+/// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`.
+/// Velocity and acceleration are zero at both ends; the arm rests before and after.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FourierMotion {
-    /// Configuration at both ends, rad or m.
+    /// Start and end, rad or m.
     pub around: Vec<f64>,
-    /// Duration of the motion, s.
+    /// Of the motion.
     pub seconds: f64,
-    /// Duration of the rest before and after it, s.
+    /// Before and after it.
     pub rest_s: f64,
-    /// Number of sines per joint.
+    /// Sines per joint.
     pub harmonics: usize,
-    /// Sine amplitudes, joint by joint, rad or m.
+    /// Amplitudes, joint by joint, rad or m.
     pub sin: Vec<f64>,
-    /// Cosine amplitudes, joint by joint, rad or m.
+    /// Amplitudes, joint by joint, rad or m.
     pub cos: Vec<f64>,
 }
 
 impl FourierMotion {
-    /// Motion with all amplitudes zero.
     pub(super) fn at_rest(around: &[f64], seconds: f64, rest_s: f64, harmonics: usize) -> Self {
         let (around, none) = (around.to_vec(), vec![0.0; around.len() * harmonics]);
         Self { around, seconds, rest_s, harmonics, sin: none.clone(), cos: none }
     }
 
-    /// Total duration including rests, s.
+    /// Including rests.
     pub fn length_s(&self) -> f64 {
         self.seconds + 2.0 * self.rest_s
     }
@@ -48,7 +46,7 @@ impl FourierMotion {
         self.moving(joint, (t_s - self.rest_s).clamp(0.0, self.seconds))
     }
 
-    /// Same as [`Self::at`], with time relative to the start of the motion.
+    /// Time since the start of the motion.
     fn moving(&self, joint: usize, t_s: f64) -> [f64; 3] {
         let omega = TAU / self.seconds;
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
@@ -63,7 +61,7 @@ impl FourierMotion {
         sum
     }
 
-    /// Positions and velocities at `count` evenly spaced times.
+    /// At `count` evenly spaced times.
     pub fn track(&self, count: usize) -> JointTrack {
         let last = count.max(2) - 1;
         let mut track = JointTrack { dof: self.dof(), ..JointTrack::default() };
@@ -82,9 +80,9 @@ impl FourierMotion {
     /// Projects a joint's amplitudes onto motions at rest at both ends, and scales them to `share` of its
     /// room.
     ///
-    /// A sum of K sines bounded by m at N equidistant points is bounded by `m / cos(πK/N)` everywhere
-    /// (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86,
-    /// 1964). Limits therefore also hold between samples.
+    /// Limits also hold between samples: a sum of K sines bounded by m at N equidistant points is bounded
+    /// by `m / cos(πK/N)` everywhere (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten",
+    /// Mathematische Zeitschrift 86, 1964).
     pub(super) fn project(&mut self, joint: usize, room: &JointMargins, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
         // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
@@ -103,7 +101,7 @@ impl FourierMotion {
                 most[3].max(qdd.abs()),
             ];
         }
-        // The bound applies to the absolute value, so either side includes the larger overshoot.
+        // The bound is on the absolute value, so either side includes the larger overshoot.
         let over = (between - 1.0) * most[0].max(most[1]);
         let allowed = [
             share * room.above / (most[0] + over),
@@ -119,7 +117,7 @@ impl FourierMotion {
     }
 }
 
-/// Subtracts the projections of a vector onto some directions (Gram–Schmidt).
+/// Gram–Schmidt.
 fn subtract_projections<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
     let mut taken: Vec<Vec<f64>> = Vec::new();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

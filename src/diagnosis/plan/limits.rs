@@ -3,12 +3,12 @@
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 
-/// Limited quantity of a joint.
+/// Limited quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LimitKind {
-    /// Lowest position.
+    /// Position.
     Lower,
-    /// Highest position.
+    /// Position.
     Upper,
     /// Speed.
     Speed,
@@ -19,32 +19,32 @@ pub enum LimitKind {
 /// Violation of one limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LimitViolation {
-    /// Index of the joint in the chain.
+    /// Index in the chain.
     pub joint: usize,
     /// Limited quantity.
     pub bound: LimitKind,
-    /// Time of the largest violation, s.
+    /// Of the largest violation.
     pub t_s: f64,
-    /// Value at that time, SI units.
+    /// Value then, SI units.
     pub value: f64,
-    /// The limit.
+    /// Its limit.
     pub limit: f64,
 }
 
-/// Range of one joint's motion.
+/// Range of a joint's motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointRange {
-    /// Lowest position, rad or m.
+    /// Position, rad or m.
     pub low: f64,
-    /// Highest position, rad or m.
+    /// Position, rad or m.
     pub high: f64,
-    /// Highest speed, rad/s or m/s.
+    /// Maximum, rad/s or m/s.
     pub speed: f64,
-    /// Highest acceleration between samples, rad/s² or m/s².
+    /// Maximum between samples, rad/s² or m/s².
     pub acceleration: f64,
 }
 
-/// Time, velocity (position difference) and acceleration (velocity difference) between consecutive samples.
+/// Time, velocity and acceleration by differences.
 fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f64)> {
     let (dof, last) = (motion.dof, motion.len().saturating_sub(1));
     (0..last).map(move |row| {
@@ -55,7 +55,7 @@ fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f
     })
 }
 
-/// Range of each joint's motion.
+/// Range per joint.
 pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
     let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
         values.iter().skip(joint).step_by(motion.dof).copied().collect()
@@ -74,17 +74,17 @@ pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
     (0..motion.dof).map(extent).collect()
 }
 
-/// Limits violated by a motion of `chain`, each at its largest violation. `speed` and `acceleration` are
-/// the limits of each joint.
+/// Limits violated by a motion, each at its largest violation. `speed` and `acceleration` are limits per
+/// joint.
 pub fn limit_violations(
     chain: &Chain,
     motion: &JointTrack,
     speed: &[f64],
     acceleration: &[f64],
 ) -> Vec<LimitViolation> {
-    /// Tolerance for rounding in a file.
+    /// In a file.
     const ROUNDING_TOLERANCE: f64 = 1e-6;
-    /// Tolerance for finite differences of rounded values.
+    /// For finite differences of rounded values.
     const DIFFERENCE_TOLERANCE: f64 = 1e-2;
     let mut found = Vec::new();
     for (joint, limits) in chain.limits().iter().enumerate() {

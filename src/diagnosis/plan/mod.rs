@@ -1,10 +1,9 @@
 //! Plans the motion to record for an audit or calibration, and predicts the precision of a given motion.
 //!
-//! A motion is evaluated by the information matrix of the estimators: their Jacobians at its
-//! configurations, weighted by the expected pose noise. The search maximises the determinant of the
-//! information on the requested parameters, marginalised over all other unknowns (D-optimality: Fedorov,
-//! *Theory of Optimal Experiments*, 1972; for robot motions: Swevers et al., "Optimal robot excitation and
-//! identification", IEEE Trans. Robotics and Automation 13(5), 1997).
+//! A motion is evaluated by the estimators' information matrix under the expected pose noise. The search
+//! maximises the determinant of the information on the requested parameters, marginalised over all others
+//! (D-optimality: Fedorov, *Theory of Optimal Experiments*, 1972; for robot motions: Swevers et al.,
+//! "Optimal robot excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997).
 
 mod distance;
 mod fourier;
@@ -25,32 +24,32 @@ pub use limits::{JointRange, LimitKind, LimitViolation, joint_ranges, limit_viol
 pub use precision::{ExpectedPrecision, PlannedQuantity, expected_precisions, geometric_mean};
 pub use search::{Infeasible, MotionPlan, plan, sample_motion};
 
-/// Quantity to estimate from a motion.
+/// Quantity to estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Zero offsets of the joints.
+    /// Joint offsets.
     Zeros,
-    /// Deviations of all links from the nominal model.
+    /// All link deviations from the nominal model.
     Calibration,
-    /// Latency of poses against the joint states.
+    /// Poses against joint states.
     Latency,
-    /// Pose of a camera in the hand.
+    /// Camera in the hand.
     HandEye,
-    /// Drift and tilt of an IMU's orientation.
+    /// Drift and tilt of an IMU.
     Yaw,
 }
 
 impl Purpose {
-    /// All purposes, most common first.
+    /// Most common first.
     pub const ALL: [Purpose; 5] =
         [Purpose::Zeros, Purpose::Calibration, Purpose::Latency, Purpose::HandEye, Purpose::Yaw];
 
-    /// Whether it is estimated from poses in a known or unknown frame.
+    /// Whether it is estimated from poses.
     pub const fn is_of_poses(self) -> bool {
         matches!(self, Purpose::Zeros | Purpose::Calibration | Purpose::Latency)
     }
 
-    /// Name on the command line and in reports.
+    /// On the command line and in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Purpose::Zeros => "zeros",
@@ -62,35 +61,35 @@ impl Purpose {
     }
 }
 
-/// Properties of the measurement.
+/// Properties of the measurement; noise is per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
-    /// Standard deviation of a position along each axis, m.
+    /// Of a position.
     pub noise_m: f64,
-    /// Standard deviation of a rotation about each axis, rad.
+    /// Of a rotation.
     pub noise_rad: f64,
-    /// Pose rate, Hz.
+    /// Pose rate.
     pub rate_hz: f64,
-    /// Whether the reference frame and the measured point are unknown, as for a tracker.
+    /// Whether reference frame and measured point are unknown (tracker).
     pub outside: bool,
-    /// Standard deviation of the link deviations from the nominal model, m (and 0.1° per mm).
+    /// Link deviations from the nominal model, m (and 0.1° per mm).
     pub link_m: f64,
-    /// Pose of the camera in the hand.
+    /// Camera pose.
     pub hand_from_camera: Pose,
-    /// Distance of the target along the camera's z axis in the start configuration, m.
+    /// Target's distance along the camera's z axis at the start.
     pub target_m: f64,
 }
 
-/// Limits of one joint's motion relative to its start.
+/// Limits relative to the start; distances are not negative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointMargins {
-    /// Downwards, rad or m, not negative.
+    /// Downwards, rad or m.
     pub below: f64,
-    /// Upwards, rad or m, not negative.
+    /// Upwards, rad or m.
     pub above: f64,
-    /// Maximum speed, rad/s or m/s.
+    /// Maximum, rad/s or m/s.
     pub velocity: f64,
-    /// Maximum acceleration, rad/s² or m/s².
+    /// Maximum, rad/s² or m/s².
     pub acceleration: f64,
 }
 
@@ -99,15 +98,15 @@ pub struct JointMargins {
 pub struct PlanRequirements<'a> {
     /// The arm.
     pub chain: &'a Chain,
-    /// Start and end configuration, in the chain's order, rad or m.
+    /// Start and end, in chain order, rad or m.
     pub around: &'a [f64],
-    /// Limits of each joint.
+    /// Per joint.
     pub margins: &'a [JointMargins],
-    /// Total duration including rests, s.
+    /// Including rests.
     pub seconds: f64,
-    /// Quantity to estimate.
+    /// What to estimate.
     pub purpose: Purpose,
-    /// Measurement used for it.
+    /// Its measurement.
     pub sensing: Sensing,
     /// Clearances.
     pub clearances: &'a Clearances,

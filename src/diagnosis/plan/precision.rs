@@ -1,4 +1,4 @@
-//! Expected precision of a motion, from the information matrix of the corresponding estimator.
+//! Expected precision of a motion, from the estimator's information matrix.
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
@@ -17,57 +17,55 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Half-width of a 95 % interval in standard deviations.
+/// Of a 95 % interval.
 const HALF_WIDTH_SIGMAS: f64 = 1.959_963_985;
-/// Number of configurations over the workspace for the evaluation of a calibrated model.
+/// Over the workspace, to evaluate a calibrated model.
 const CONFIGURATIONS: usize = 150;
-/// A parameter is observable if its standard deviation is below this share of the prior one.
+/// Of the prior; an observable parameter is below it.
 const MAX_STD_DEVIATION_SHARE: f64 = 0.5;
-/// Weak prior of a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for
-/// unobservable parameters.
+/// On a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for unobservable
+/// parameters.
 const WEAK_PRIOR: f64 = 1.0;
 
-/// Quantity that a motion may determine.
+/// Quantity to determine. Joints in chain order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlannedQuantity {
-    /// Zero of a joint, in the chain's order, with all zeros free, rad or m.
+    /// All zeros free, rad or m.
     Zero(usize),
-    /// Zero of a joint with link deviations free, rad or m.
+    /// Link deviations free as well.
     ZeroBesideLinks(usize),
-    /// Tip position of the calibrated model, rms m, along the motion or `everywhere`.
+    /// Tip position of the calibrated model, rms m.
     FkPosition {
-        /// Over the whole workspace.
+        /// Over the workspace, not only the motion.
         everywhere: bool,
     },
-    /// Tip rotation of the calibrated model, rms rad.
+    /// Tip rotation, rms rad.
     FkRotation {
-        /// Over the whole workspace.
+        /// Over the workspace.
         everywhere: bool,
     },
-    /// Latency, s.
+    /// S.
     Latency,
-    /// Camera position along one of its axes (0 to 2), m.
+    /// Position along an axis (0 to 2), m.
     CameraShift(usize),
-    /// Camera rotation about one of its axes, rad.
+    /// Rotation about an axis, rad.
     CameraTurn(usize),
-    /// Yaw drift, rad/s.
+    /// Rad/s.
     YawDrift,
-    /// Tilt of the IMU's world about x or y (0 or 1) of the base, rad.
+    /// IMU's world about the base's x or y (0 or 1), rad.
     Tilt(usize),
 }
 
-/// Expected precision of a quantity.
+/// Expected precision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedPrecision {
-    /// The quantity.
+    /// Its quantity.
     pub quantity: PlannedQuantity,
-    /// Half-width of its 95 % interval, or the rms of the tip's errors. Infinite if the motion does not
-    /// determine it.
+    /// Of the 95 % interval, or rms at the tip. Infinite if undetermined.
     pub half_width: f64,
 }
 
-/// Free parameters, their prior standard deviations (infinite for a flat prior), and which of them are
-/// requested.
+/// Free parameters, prior standard deviations (infinite if flat), and which are requested.
 struct PrecisionQuery {
     parameters: Vec<usize>,
     prior: Vec<f64>,
@@ -75,7 +73,7 @@ struct PrecisionQuery {
 }
 
 impl PrecisionQuery {
-    /// Covariance of the requested parameters, infinite for unobservable ones.
+    /// Infinite for unobservable ones.
     fn covariance(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
         let n = self.parameters.len();
         let at = |i: usize, j: usize| information[(self.parameters[i], self.parameters[j])];
@@ -110,7 +108,6 @@ impl PrecisionQuery {
     }
 }
 
-/// Linearised motion, sample by sample, as in the estimator.
 pub(super) struct LinearizedMotion<'a> {
     sensing: &'a Sensing,
     purpose: Purpose,
@@ -121,7 +118,7 @@ pub(super) struct LinearizedMotion<'a> {
 }
 
 impl<'a> LinearizedMotion<'a> {
-    /// `None` if joint positions between the rows of `motion` are unknown.
+    /// `None` if joint positions between the rows are unknown.
     pub fn new(
         chain: &Chain,
         motion: &'a JointTrack,
@@ -149,7 +146,7 @@ impl<'a> LinearizedMotion<'a> {
         })
     }
 
-    /// Information from a log of which the estimator uses at most `most` samples.
+    /// If the estimator uses at most `most` samples.
     fn information(&self, most: usize) -> DMatrix<f64> {
         let &Sensing { noise_m, noise_rad, rate_hz, .. } = self.sensing;
         let mut weights = self.linear.even_weights();
@@ -165,7 +162,7 @@ impl<'a> LinearizedMotion<'a> {
         }
     }
 
-    /// Appends a column for the yaw drift about the middle of the motion.
+    /// Appends the yaw drift about the middle of the motion.
     fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
         let (width, middle_s) = (information.ncols(), self.t_s[0] + 0.5 * self.seconds);
         let mut with = information.resize(width + 1, width + 1, 0.0);
@@ -202,7 +199,7 @@ impl<'a> LinearizedMotion<'a> {
         (0..6).chain(last..last + 6).filter(|_| outside).collect()
     }
 
-    /// Question about the zeros of some joints, with link deviations (prior `link`) and latency free.
+    /// Link deviations (prior `link`) and latency are free.
     fn zeros_with_links_query(&self, zeros: &[usize], link: (f64, f64)) -> PrecisionQuery {
         let frames = self.frames();
         let before = |i: usize| match i % 6 {
@@ -221,7 +218,7 @@ impl<'a> LinearizedMotion<'a> {
         }
     }
 
-    /// Question with flat priors, about the first `requested` of the parameters.
+    /// About the first `asked` parameters.
     fn flat_query(parameters: Vec<usize>, asked: usize) -> PrecisionQuery {
         let before = vec![f64::INFINITY; parameters.len()];
         PrecisionQuery { parameters, prior: before, requested: (0..asked).collect() }
@@ -231,7 +228,7 @@ impl<'a> LinearizedMotion<'a> {
         (self.sensing.link_m, RAD_PER_M * self.sensing.link_m)
     }
 
-    /// All zeros, with latency and frames free.
+    /// Latency and frames are free.
     fn zeros(&self) -> PrecisionQuery {
         let zeros = (0..self.joints).map(|joint| self.zero(joint));
         let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
@@ -248,7 +245,7 @@ impl<'a> LinearizedMotion<'a> {
         Self::flat_query(latency.chain(self.frames()).collect(), 1)
     }
 
-    /// Drift and tilt, with yaw, mount and latency free.
+    /// Yaw, mount and latency are free.
     fn yaw_query(&self) -> PrecisionQuery {
         let (drift, mount) = (self.linear.width, self.links() - 3);
         let beside = [YAW_PARAMETER, self.latency(), mount, mount + 1, mount + 2];
@@ -262,7 +259,7 @@ impl<'a> LinearizedMotion<'a> {
         Self::flat_query((0..handeye::WIDTH).collect(), 6)
     }
 
-    /// Log determinant of the covariance of the requested parameters; lower is better.
+    /// Log determinant of the covariance; lower is better.
     pub fn score(&self) -> f64 {
         let all: Vec<usize> = (0..self.joints).collect();
         let (question, most) = match self.purpose {
@@ -279,7 +276,7 @@ impl<'a> LinearizedMotion<'a> {
         question.score(&self.information(most))
     }
 
-    /// Expected precision of the requested quantities.
+    /// Of the requested quantities.
     pub fn expected_precisions(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let each = |question: &PrecisionQuery,
                     most: usize,
@@ -330,7 +327,7 @@ impl<'a> LinearizedMotion<'a> {
         }
     }
 
-    /// Expected tip error of a calibrated model, along the motion and over the workspace.
+    /// Tip error along the motion and over the workspace.
     fn calibrated(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
         let everywhere = random_configurations(chain);
@@ -361,11 +358,11 @@ impl<'a> LinearizedMotion<'a> {
     }
 }
 
-/// Rotation of the world about z, and about x, in the link frames' parameters.
+/// World rotation about z and x, in the link frames' parameters.
 const YAW_PARAMETER: usize = 5;
 const TILT_PARAMETER: usize = 3;
 
-/// Expected precision of a motion. `None` if the motion is unknown between its rows.
+/// `None` if the motion is unknown between its rows.
 pub fn expected_precisions(
     chain: &Chain,
     motion: &JointTrack,
@@ -375,14 +372,14 @@ pub fn expected_precisions(
     Some(LinearizedMotion::new(chain, motion, purpose, sensing)?.expected_precisions(chain))
 }
 
-/// Geometric mean of the ratio `one / other`, over the quantities that both motions determine.
+/// Mean of `one / other` over the quantities that both determine.
 pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) -> Option<f64> {
     let both = one.iter().zip(other).map(|(one, other)| (one.half_width / other.half_width).ln());
     let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
 }
 
-/// Linearises a motion in the link frames, the latency and the zeros.
+/// By link frames, latency and zeros.
 fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
@@ -409,7 +406,7 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     )
 }
 
-/// Random configurations over the workspace, 0.1 s apart.
+/// Over the workspace, 0.1 s apart.
 fn random_configurations(chain: &Chain) -> JointTrack {
     let mut random = Pcg64::seed_from_u64(1);
     let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };

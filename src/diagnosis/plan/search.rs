@@ -9,52 +9,50 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-/// Highest frequency, Hz. Arms can follow it, and a latency of some milliseconds is visible at it.
+/// Arms can follow it, and it shows a latency of some milliseconds.
 const MAX_FREQUENCY_HZ: f64 = 0.3;
-/// Number of sines per joint. Fewer leave too little freedom, more take too long.
+/// Fewer leave too little freedom, more take too long.
 const SINES_PER_JOINT: std::ops::RangeInclusive<usize> = 5..=18;
-/// Rest at either end, s, and its maximum share of the time. Some estimates need samples at rest.
+/// At either end; some estimates need samples at rest.
 const REST_S: f64 = 2.0;
 const MAX_REST_SHARE: f64 = 0.05;
-/// Number of evaluation rows of a motion.
 const EVALUATION_ROWS: usize = 160;
-/// Rate of the clearance checks, Hz: during the search, and for the result.
+/// During the search, and for the result.
 const SEARCH_CLEARANCE_HZ: f64 = 10.0;
 const RESULT_CLEARANCE_HZ: f64 = 50.0;
-/// Number of random initial motions. Their median serves as a baseline.
+/// Their median serves as a baseline.
 const INITIAL_MOTIONS: usize = 15;
-/// Number of search steps.
 const SEARCH_STEPS: usize = 1500;
-/// Fractions of the room, tried in turn until the clearance is kept.
+/// Of the room, tried until the clearance is kept.
 const MARGIN_SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
 
-/// Result of the search.
+/// Result of the search, with expected precisions.
 #[derive(Clone, Debug)]
 pub struct MotionPlan {
     /// The motion.
     pub series: FourierMotion,
-    /// Fraction of the room that it uses.
+    /// Fraction of the room used.
     pub share: f64,
-    /// Expected precision of the motion.
+    /// Of the motion.
     pub precision: Vec<ExpectedPrecision>,
-    /// Expected precision of the median random motion within the same limits.
+    /// Of the median random motion within the limits.
     pub random_precision: Vec<ExpectedPrecision>,
-    /// Expected precision if the joints move one after the other for the same total time.
+    /// With the joints moving in turn for the same time.
     pub one_by_one_precision: Vec<ExpectedPrecision>,
 }
 
-/// Reason why no motion was found.
+/// Why no motion was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Infeasible {
     /// No joint can move.
     NoMargin,
-    /// All attempts violated a clearance; the violation at the smallest fraction of the room.
+    /// All attempts violated a clearance; here at the smallest fraction.
     ClearanceViolated(Option<ClearanceViolation>),
-    /// No motion makes the requested parameters observable.
+    /// The requested parameters remain unobservable.
     NothingObservable,
 }
 
-/// Samples the motion at the evaluation rows. `None` if these are more than 2 s apart during motion.
+/// At the evaluation rows. `None` if these are more than 2 s apart during motion.
 pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
     let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
@@ -72,7 +70,7 @@ pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     Some(sampled)
 }
 
-/// Finds the motion with the largest information on the requested parameters.
+/// Finds the motion with the largest information.
 ///
 /// # Errors
 /// If no motion satisfies the limits.
@@ -126,14 +124,14 @@ pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
 
 struct MotionSearch<'a> {
     task: &'a PlanRequirements<'a>,
-    /// Duration of the motion without rests, s.
+    /// Without rests.
     seconds: f64,
     rest_s: f64,
     harmonics: usize,
 }
 
 impl MotionSearch<'_> {
-    /// Random motion within the limits.
+    /// Within the limits.
     fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
         let Self { task, seconds, rest_s, harmonics } = *self;
         let mut series = FourierMotion::at_rest(task.around, seconds, rest_s, harmonics);
@@ -150,7 +148,7 @@ impl MotionSearch<'_> {
         series
     }
 
-    /// First clearance violation, checked at `rate_hz`.
+    /// Checked at `rate_hz`.
     fn first_violation(&self, series: &FourierMotion, rate_hz: f64) -> Option<ClearanceViolation> {
         let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
         (0..track.len())
@@ -164,8 +162,8 @@ impl MotionSearch<'_> {
         sight.map_or(f64::INFINITY, |sight| sight.score())
     }
 
-    /// (1+1) evolution strategy: random changes of one joint at a time, kept if better. The step size
-    /// adapts to the success rate (Rechenberg, *Evolutionsstrategie*, 1973).
+    /// (1+1) evolution strategy, one joint at a time. The step size adapts to the success rate (Rechenberg,
+    /// *Evolutionsstrategie*, 1973).
     fn improve(
         &self,
         start: (f64, FourierMotion),
@@ -196,15 +194,14 @@ impl MotionSearch<'_> {
         best
     }
 
-    /// Each joint in turn moves forth and back once, from rest to rest, as far and as fast as the limits
-    /// allow.
+    /// Each joint in turn moves forth and back once, as far and as fast as the limits allow.
     fn one_by_one(&self, share: f64, rows: usize) -> JointTrack {
         let dof = self.task.around.len();
         let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
         let series: Vec<FourierMotion> = (0..dof)
             .map(|joint| {
                 let mut series = FourierMotion::at_rest(self.task.around, seconds, 0.0, 2);
-                // sin x − sin 2x / 2 starts and ends at rest.
+                // Starts and ends at rest.
                 (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
                 series.project(joint, &self.task.margins[joint], share);
                 series

@@ -41,7 +41,7 @@ fn free(chain: &Chain, q: &[f64]) -> Clearances {
     Clearances::from_configuration(chain, q, ArmCapsules { radius_m }, 0.01, None, None)
 }
 
-/// A 20 s task around [`UR`], with room in all directions.
+/// 20 s around [`UR`].
 fn task<'a>(chain: &'a Chain, keep: &'a Clearances, purpose: Purpose) -> PlanRequirements<'a> {
     let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
     PlanRequirements {
@@ -62,7 +62,7 @@ fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> MotionPlan {
     plan(&PlanRequirements { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
 }
 
-/// Room of up to 0.4 rad within the limits.
+/// Up to 0.4 rad within the limits.
 fn rooms(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
     let room = |(limits, q): (&ground::robot::Limits, &f64)| JointMargins {
         below: limits.lower.map_or(0.4, |lower| (q - lower).min(0.4)),
@@ -73,7 +73,7 @@ fn rooms(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
     chain.limits().iter().zip(q).map(room).collect()
 }
 
-/// Configuration within the limits.
+/// Within the limits.
 fn posture(chain: &Chain, parts: &[f64]) -> Vec<f64> {
     let kinds = chain.joint_kinds().iter();
     let at = |((kind, limits), part): ((&JointKind, &ground::robot::Limits), &f64)| {
@@ -196,10 +196,10 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
 fn what_no_motion_shows_is_promised_to_nobody() {
     let found = planned(&ur5e(), Purpose::Zeros, true);
     let zero = |joint: usize| found.precision[joint].half_width;
-    // Joint 0 is confounded with the tracker frame, joint 5 with the marker's rotation.
+    // Confounded with the tracker frame and the marker's rotation.
     assert!(zero(0).is_infinite() && zero(5).is_infinite());
     assert!((1..5).all(|joint| zero(joint) < 1e-3));
-    // With a prior on the links, these zeros remain undetermined.
+    // A prior on the links does not determine them.
     let beside = |joint: usize| found.precision[6 + joint].half_width;
     assert!(beside(0).is_infinite() && beside(5).is_infinite() && beside(2) < 2e-3);
 }
@@ -211,7 +211,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let keep = free(&chain, &UR);
     let none = PlanRequirements { margins: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
     assert_eq!(plan(&none).unwrap_err(), Infeasible::NoMargin);
-    // Stretched out just above the floor, every motion violates the clearance.
+    // Stretched out just above the floor.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let keep = Clearances::from_configuration(
         &chain,
@@ -228,7 +228,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     ));
 }
 
-/// Poses of a motion, with noise.
+/// With noise.
 fn logged(chain: &Chain, motion: &JointTrack, late_s: f64, zeros: &[f64], seed: u64) -> PoseTrack {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut normal = |sigma: f64| {
@@ -259,7 +259,7 @@ fn empty() -> PoseTrack {
     }
 }
 
-/// Compares the estimator's intervals and errors on simulated logs with the predicted precision.
+/// Compares intervals and errors on simulated logs with the predicted precision.
 #[test]
 fn promises_are_kept() {
     const RUNS: u64 = 16;
@@ -305,10 +305,9 @@ fn promises_are_kept() {
     }
     println!("claimed {claimed:.3?}, actual {seen:.3?}");
     assert!(claimed.iter().all(|ratio| (ratio - 1.0).abs() < 0.2), "{claimed:?}");
-    // The spread is known to 18 % from 16 runs, and to 7 % from all seven.
+    // 16 runs give the spread to 18 %, all seven to 7 %.
     let mean = seen.iter().sum::<f64>() / seen.len() as f64;
     assert!((mean - 1.0).abs() < 0.25, "{seen:?}");
-    // Estimated zero offsets are at least as precise.
     let track = logged(&chain, &motion, 0.02, &truth, 99);
     let found = diagnosed(&track);
     for joint in [1, 2, 3] {

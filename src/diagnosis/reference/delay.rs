@@ -1,4 +1,4 @@
-//! Delay between commands and the state of the arm.
+//! Delay of the arm behind its commands.
 
 use super::is_streamed;
 use crate::latency::median_period_s;
@@ -7,25 +7,25 @@ use crate::{NotObservable, PoseSeries, Response};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 
-/// Response of a joint or of the tip to its commands.
+/// Response of a joint or the tip to commands.
 #[derive(Clone, Debug)]
 pub struct CommandDelay {
-    /// Column in the joint track; `None` for poses.
+    /// Column; `None` for poses.
     pub joint: Option<usize>,
-    /// Median period of the commands, s.
+    /// Median of the commands.
     pub period_s: f64,
-    /// Response, or why it cannot be determined.
+    /// Response, or why not.
     pub response: Result<Response, DelayFailure>,
 }
 
-/// Why a delay cannot be determined.
+/// Why the delay is undetermined.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DelayFailure {
-    /// The commands are single goals, not a stream.
+    /// Single goals, not a stream.
     Goals,
-    /// The commands are a stream of steps: repeated goals.
+    /// A stream of repeated goals.
     Steps,
-    /// Reason shared with other estimates.
+    /// Shared with other estimates.
     NotObservable(NotObservable),
 }
 
@@ -35,18 +35,16 @@ impl From<NotObservable> for DelayFailure {
     }
 }
 
-/// Windows over which changes are compared: the minimum, s, and the multiples of the command and state
-/// periods.
+/// To compare changes over: the minimum, and multiples of command and state periods.
 const MIN_WINDOW_S: f64 = 0.1;
 const COMMAND_PERIODS: f64 = 2.5;
 const STATE_PERIODS: f64 = 4.0;
-/// Longest delay searched, s.
 const MAX_DELAY_S: f64 = 2.0;
-/// Minimum motion for an estimate, rad or m.
+/// Rad or m.
 const MIN_MOTION: f64 = 0.01;
 
-/// Estimates the delay of each commanded joint. `q` has `order.len()` numbers per row at the times `t_s`
-/// (NaN for joints without a command). `order` contains the column of each in `joints`.
+/// Estimates the delay per commanded joint. `q` has `order.len()` numbers per row (NaN without a command);
+/// `order` holds their columns in `joints`.
 pub fn estimate_joint_delays(
     t_s: &[f64],
     order: &[usize],
@@ -71,7 +69,7 @@ pub fn estimate_joint_delays(
     order.iter().enumerate().map(of).collect()
 }
 
-/// Estimates the delay of the tip relative to commanded poses. Both series are `base_from_tip`.
+/// Delay of the tip behind commanded poses; both series are `base_from_tip`.
 pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
     let period_s = median_period_s(&told.t_s);
     let columns = [told, done].map(columns);
@@ -106,9 +104,8 @@ pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64
     CommandDelay { joint: None, period_s, response }
 }
 
-/// Whether commands advance in steps that no arm can follow: more than half of the path consists of jumps
-/// several times faster than the arm's top speed. The controller then plans its own profile, which does not
-/// show the delay.
+/// Whether over half of the path consists of jumps several times faster than the arm's top speed. The
+/// controller then plans its own profile, which hides the delay.
 fn advances_in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
     const MIN_STEP_SPEED_RATIO: f64 = 4.0;
     const MIN_STEP_PATH_SHARE: f64 = 0.5;
@@ -136,7 +133,7 @@ fn advances_in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f
     leapt > MIN_STEP_PATH_SHARE * way
 }
 
-/// Position, m, and accumulated rotation vectors, rad, times a length that balances the two.
+/// Position, m, and accumulated rotation vectors, rad, times a balancing length.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
     const ROTATION_LEVER_M: f64 = 0.3;
     let mut turned = Vec3::zeros();

@@ -1,10 +1,10 @@
 //! Commanded straight lines: whether their orientation is interpolated correctly, and whether the arm
-//! follows them.
+//! follows.
 //!
-//! A line is detected from the commands: positions between two stops that lie on the chord. Position and
-//! orientation of the tip are compared at equal fractions of the path, so the speed profile has no effect.
-//! The reference orientation is a slerp, a rotation about one axis in proportion to the distance travelled
-//! (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+//! A line is a set of commands on the chord between two stops. Position and orientation are compared at
+//! equal fractions of the path, so the speed profile has no effect. The reference orientation is a slerp, a
+//! rotation about one axis in proportion to the distance (Shoemake, "Animating rotation with quaternion
+//! curves", SIGGRAPH 1985).
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,48 +15,45 @@ use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
 
-/// Minimum length of a line, m.
 const MIN_LINE_M: f64 = 0.02;
-/// Close to half a turn the shortest rotation is ambiguous.
+/// Near half a turn the shortest rotation is ambiguous.
 const MAX_ROTATION_RAD: f64 = 170.0 * PI / 180.0;
 
 /// Commanded straight line.
 #[derive(Clone, Debug)]
 pub struct CommandedLine {
-    /// When the command leaves its start, s from the run's origin.
+    /// The command leaves its start, from the run's origin.
     pub from_s: f64,
-    /// When the command reaches its end, s.
+    /// The command reaches its end.
     pub to_s: f64,
-    /// Length, m.
+    /// Length.
     pub length_m: f64,
-    /// Rotation from start to end, rad.
+    /// Start to end.
     pub turn_rad: f64,
-    /// Largest angle between the commanded orientation and the slerp at the same fraction of the path, rad.
+    /// Largest angle of the commanded orientation to the slerp.
     pub command_rad: f64,
-    /// Largest component of that angle perpendicular to the slerp's axis, rad.
+    /// Its largest component perpendicular to the slerp's axis.
     pub command_off_axis_rad: f64,
-    /// Name of the quantity interpolated instead, if it is clear.
+    /// Quantity interpolated instead, if clear.
     pub interpolated: Option<String>,
-    /// For each observation, how the tip followed the line; `None` if it cannot be determined.
+    /// Per observation; `None` if undetermined.
     pub deviations: Vec<Option<LineDeviation>>,
 }
 
-/// Deviation of the tip from a commanded line.
+/// Largest deviation of the tip beyond noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineDeviation {
-    /// Largest distance, beyond noise, from the line through its own end points, m.
+    /// From the line through its own ends.
     pub distance_m: MeasuredLength,
-    /// Largest angle, beyond noise, from the slerp between its own ends at the same fraction of the path,
-    /// rad.
+    /// From the slerp between its own ends.
     pub angle_rad: MeasuredLength,
 }
 
-/// Motion from one pose to another.
 struct PoseMotion {
     from: Pose,
     along: Vec3,
     length_m: f64,
-    /// Rotation vector from start to end, in the start frame, rad.
+    /// Start to end, in the start frame, rad.
     turn: Vec3,
 }
 
@@ -72,7 +69,7 @@ impl PoseMotion {
         }
     }
 
-    /// Fraction of the path, 0 to 1, and the offset perpendicular to it, m.
+    /// Path fraction, 0 to 1, and perpendicular offset, m.
     fn locate(&self, pose: &Pose) -> (f64, Vec3) {
         let since = pose.translation.vector - self.from.translation.vector;
         let along_m = since.dot(&self.along);
@@ -83,8 +80,8 @@ impl PoseMotion {
         self.from.rotation * rotation_from_rotvec(self.turn * part.clamp(0.0, 1.0))
     }
 
-    /// Component of a rotation perpendicular to the axis of the path, rad. It is twice the arcsine of the
-    /// perpendicular part of the quaternion's vector.
+    /// Component perpendicular to the path's axis: twice the arcsine of the perpendicular part of the
+    /// quaternion's vector.
     fn off_axis_rad(&self, rotation: &Rotation) -> f64 {
         let turn = rotvec_from_rotation(&(self.from.rotation.inverse() * rotation));
         let angle = turn.norm();
@@ -95,7 +92,7 @@ impl PoseMotion {
     }
 }
 
-/// Detects commanded lines and measures the deviation of each observation.
+/// With the deviation per observation.
 pub(super) fn detect_lines(
     series: &PoseSeries,
     holds: &[Hold],
@@ -119,13 +116,13 @@ pub(super) fn detect_lines(
     pairs.collect()
 }
 
-/// Line through the commands in `rows`, from first to last. `None` if they are not on a line.
+/// `None` if the commands in `rows` are not on a line.
 fn commanded_line(
     series: &PoseSeries,
     rows: std::ops::Range<usize>,
 ) -> Option<(CommandedLine, PoseMotion)> {
     const MIN_COMMANDS: usize = 8;
-    /// Maximum deviation from straightness: rounding of the numbers, m, plus a share of the length.
+    /// Rounding, m, plus a share of the length.
     const MAX_LINE_DEVIATION: (f64, f64) = (2e-5, 1e-4);
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
@@ -141,7 +138,7 @@ fn commanded_line(
         let (part, off) = way.locate(pose);
         off.norm() <= most_m && (-beyond..=1.0 + beyond).contains(&part)
     };
-    // A command stream with a pause or a jump does not define a line.
+    // A pause or a jump is not a line.
     let longest = poses.windows(2).map(|pair| {
         (pair[1].translation.vector - pair[0].translation.vector).norm() / way.length_m
     });
@@ -166,16 +163,16 @@ fn commanded_line(
     Some((line, way))
 }
 
-/// Identifies the interpolation used instead of a slerp: linear in Euler angles, rotation vector,
-/// quaternion components or matrix elements. `None` for a slerp, or if no candidate fits well.
+/// Linear in Euler angles, rotation vector, quaternion components or matrix elements. `None` for a slerp,
+/// or if no candidate fits well.
 fn identify_interpolation(
     way: &PoseMotion,
     last: &Pose,
     placed: &[(f64, Rotation)],
 ) -> Option<String> {
-    /// Smaller deviations, rms rad, are a slerp with rounded numbers.
+    /// Rms; smaller deviations are a slerp with rounded numbers.
     const MIN_SLERP_DEVIATION_RAD: f64 = 5e-4;
-    /// Maximum residual of a candidate as a share of the slerp's.
+    /// Of the slerp's residual.
     const MAX_RESIDUAL_SHARE: f64 = 0.05;
     let rms = |guess: &dyn Fn(f64) -> Rotation| {
         let square =
@@ -187,7 +184,7 @@ fn identify_interpolation(
         return None;
     }
     let (angle, axis) = (way.turn.norm(), way.turn.try_normalize(1e-9)?);
-    // Angle of a linear blend of two unit vectors separated by `angle`.
+    // Linear blend of two unit vectors `angle` apart.
     let blended =
         |angle: f64, part: f64| (part * angle.sin()).atan2(1.0 - part + part * angle.cos());
     let at_angle = |angle: f64| way.from.rotation * rotation_from_rotvec(axis * angle);
@@ -207,13 +204,13 @@ fn identify_interpolation(
             |part: f64| convention.rotation(std::array::from_fn(|at| a[at] + part * by[at]));
         guesses.push((rms(&guess), convention.to_string()));
     }
-    // `min_by` returns the first of equal candidates, which is the most common.
+    // The first of equal candidates is the most common.
     let (least, name) = guesses.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     (least <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
-/// Deviation of an observation from the line and slerp between its rests before and after. Delay and
-/// constant pose errors therefore have no effect.
+/// From the line and slerp between the rests before and after, so delay and constant pose errors have no
+/// effect.
 fn line_deviation(
     line: &CommandedLine,
     way: &PoseMotion,
@@ -221,13 +218,13 @@ fn line_deviation(
     stop: &Hold,
     witness: &MeasuredPoses<'_>,
 ) -> Option<LineDeviation> {
-    /// Duration of the rests averaged to locate the ends, s.
+    /// Of the rests averaged to locate the ends.
     const END_S: f64 = 0.3;
-    /// Maximum difference in path length, m, plus a share of the length.
+    /// In path length: m, plus a share.
     const MAX_LENGTH_DIFFERENCE: (f64, f64) = (5e-3, 0.1);
-    /// Maximum difference in total rotation, rad.
+    /// In total rotation.
     const MAX_ROTATION_DIFFERENCE_RAD: f64 = 3.0 * PI / 180.0;
-    /// Maximum number of bins along the path, and samples per bin.
+    /// Along the path.
     const MAX_BINS: usize = 20;
     const SAMPLES_PER_BIN: usize = 4;
     let before = rests.iter().rev().find(|rest| rest.from_s < line.from_s)?;
@@ -281,25 +278,24 @@ fn line_deviation(
             length_of(mean, variance_of_mean(noise, count) + variance_of_mean(noise, fewest))
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
-        // Bonferroni correction for the maximum over the bins.
+        // Bonferroni: maximum over the bins.
         Some(MeasuredLength { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
     };
     Some(LineDeviation { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }
 
-/// Commanded point on the tool, `tip_from_point`. `None` if it cannot be located and its path may differ
-/// from the tip's.
+/// `tip_from_point`. `None` if the point cannot be located and its path may differ from the tip's.
 fn commanded_point(
     way: &PoseMotion,
     line: &CommandedLine,
     first: &Pose,
     last: &Pose,
 ) -> Option<Pose> {
-    /// Maximum distance at which the tip counts as the commanded point, m.
+    /// The tip then counts as the commanded point.
     const MAX_POINT_DISTANCE_M: f64 = 5e-3;
-    /// With less rotation than this, all points follow the same path, rad.
+    /// With less rotation, all points follow the same path.
     const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
-    /// Maximum difference between start and end for one and the same point, m.
+    /// Between start and end, for one and the same point.
     const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
     let told = [
         way.from,

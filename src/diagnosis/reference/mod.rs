@@ -1,9 +1,8 @@
 //! Compares commands with the motion of the arm: error at rest, following error and latency, and
 //! straightness of commanded lines.
 //!
-//! A command holds until the next one. Once it has been constant for a while and the arm rests, latency and
-//! following error have decayed, and the remaining difference is a constant pose error. Goals that the arm
-//! never approached are counted separately from goals missed by a small distance.
+//! Once a command has been constant for a while and the arm rests, only a constant pose error remains.
+//! Goals that the arm never approached are counted separately.
 
 mod delay;
 mod line;
@@ -23,20 +22,18 @@ use ground::stream::JointTrack;
 pub use line::{CommandedLine, LineDeviation};
 use rest::{Hold, Rest, constant_commands, detect_rests, mean_pose};
 
-/// Time series of commanded poses.
+/// Commanded poses over time.
 #[derive(Clone, Debug, Default)]
 pub struct Commands {
     /// Commanded `base_from_tip`.
     pub series: PoseSeries,
-    /// Commanded joint positions, row-major, in the order of the arm's joint track. NaN for joints without
-    /// a command. Empty for pose commands.
+    /// Positions, row-major, in joint-track order; NaN without a command. Empty for pose commands.
     pub joints: Vec<f64>,
 }
 
 impl Commands {
-    /// Converts joint commands to poses. `q` has `order.len()` numbers per row, and `order` contains the
-    /// joint-track column of each. A joint missing from a row keeps its last command. Joints never
-    /// commanded use their measured position.
+    /// Converts joint commands: `q` has `order.len()` numbers per row, `order` their joint-track columns. A
+    /// joint missing from a row keeps its last command; joints never commanded use their measured position.
     pub fn from_joints(
         t_s: &[f64],
         order: &[usize],
@@ -67,8 +64,8 @@ impl Commands {
     }
 }
 
-/// Determines the joint order of unnamed commands: chain, joint-track or alphabetical order, whichever is
-/// closest to the measured joints. `None` if none of them follows the joints.
+/// Joint order of unnamed commands: chain, joint-track or alphabetical order, whichever is closest to the
+/// measured joints. `None` if none follows them.
 pub fn infer_joint_order(
     t_s: &[f64],
     q: &[f64],
@@ -76,9 +73,8 @@ pub fn infer_joint_order(
     names: &[String],
     columns: &[usize],
 ) -> Option<Vec<usize>> {
-    /// Maximum mean distance of the joints from the commands, rad or m, at one of the delays below.
+    /// From the commands, rad or m, at one of the delays below.
     const MAX_JOINT_DISTANCE: f64 = 0.1;
-    /// Delays tried, s.
     const TRIAL_DELAYS_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
     let mut alphabetical = columns.to_vec();
     alphabetical.sort_by_key(|&column| names.get(column));
@@ -105,35 +101,32 @@ pub fn infer_joint_order(
             .map(|&later_s| distance_at(order, later_s))
             .fold(f64::INFINITY, f64::min)
     };
-    // `min_by` returns the first of equal candidates.
+    // Returns the first of equal candidates.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
     let orders = orders.map(|order| (distance(&order), order));
     let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (least < MAX_JOINT_DISTANCE).then_some(order)
 }
 
-/// Joint states of the arm, and the chain to the commanded tip.
+/// Joint states and chain to the commanded tip.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandedArm<'a> {
-    /// Joint states as recorded.
+    /// As recorded.
     pub joints: &'a JointTrack,
-    /// Chain from base to tip.
+    /// Base to tip.
     pub chain: &'a Chain,
-    /// Column in `joints` of each joint of `chain`.
+    /// In `joints`, per joint of `chain`.
     pub columns: &'a [usize],
 }
 
-/// Measured poses of the tip, with their noise.
 struct MeasuredPoses<'a> {
     series: &'a PoseSeries,
-    /// Noise per component of position, m, and rotation, rad.
+    /// Per component of position, m, and rotation, rad.
     noise: [Noise; 2],
 }
 
-/// Compares commands with the motion of the arm.
-///
-/// Each entry of `witnesses` is a series of measured `base_from_tip`, corrected for latency. The first is
-/// FK of the joint states.
+/// Compares commands with the arm's motion. `witnesses` are measured `base_from_tip`, corrected for
+/// latency; the first is FK of the joint states.
 ///
 /// # Errors
 /// If the commands do not overlap the joint states, or the arm never rests.
@@ -177,7 +170,6 @@ pub fn diagnose_reference(
     let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
         witnesses.iter().map(|one| rest_error(commands, arm, hold, (from_s, to_s), one)).collect()
     };
-    // Goals that the arm did not approach.
     let mut far: Vec<Vec<Option<RestError>>> = Vec::new();
     let mut near: Vec<Vec<Option<RestError>>> = Vec::new();
     for (hold, windows) in holds.iter().zip(&pairs) {
@@ -220,14 +212,13 @@ pub fn diagnose_reference(
     Ok(found)
 }
 
-/// Whether the commands are a stream that the arm follows, and not single goals.
 fn is_streamed(t_s: &[f64]) -> bool {
     const MIN_STREAM_COMMANDS: usize = 20;
     const MAX_STREAM_PERIOD_S: f64 = 0.2;
     t_s.len() >= MIN_STREAM_COMMANDS && median_period_s(t_s) <= MAX_STREAM_PERIOD_S
 }
 
-/// Intervals in which the command is constant and the arm rests as its result.
+/// The command is constant and the arm rests as its result.
 fn rest_windows(
     hold: &Hold,
     rests: &[Rest],
@@ -235,36 +226,35 @@ fn rest_windows(
     follows: bool,
     delay_s: f64,
 ) -> Vec<(f64, f64)> {
-    /// Time for the motion to settle after the command stops, s. Twice the delay is added.
+    /// After the command stops; twice the delay is added.
     const SETTLING_S: f64 = 0.1;
-    /// Only the end of a long rest is used, s.
+    /// At the end of a long rest.
     const MAX_REST_S: f64 = 1.0;
     let is_led = |rest: &&Rest| {
-        // If no other command precedes it, a constant stream counts: the arm is holding it.
+        // With no command before it, the arm is holding a constant stream.
         follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
     };
     let window = |rest: &Rest| {
         let from_s = rest.from_s.max(hold.from_s + SETTLING_S + 2.0 * delay_s);
         let to_s = rest.to_s.min(hold.to_s);
-        // Use the later half, when the motion has settled further.
+        // The motion has settled further in the later half.
         let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::MIN_REST_S).max(to_s - MAX_REST_S);
         (to_s - from_s >= rest::MIN_REST_S).then_some((from_s.max(late_s), to_s))
     };
     rests.iter().filter(is_led).filter_map(window).collect()
 }
 
-/// A rest farther than this from the goal was not its target: the arm stopped early or was moved by other
-/// means.
+/// A rest farther from the goal was not its target: the arm stopped early or was moved by other means.
 const MAX_GOAL_DISTANCE_M: f64 = 0.02;
 const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// Distance of a rest from its command, relative to the thresholds for near.
+/// Relative to the thresholds for near.
 fn relative_error(gap: &RestError) -> f64 {
     (gap.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
         .max(gap.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)
 }
 
-/// The smallest such distance among the observations.
+/// Smallest among the observations.
 fn least_error(gaps: &[Option<RestError>]) -> f64 {
     gaps.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
 }
@@ -277,8 +267,7 @@ fn start_of(gaps: &[Option<RestError>]) -> f64 {
     gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
 }
 
-/// Whether one rigid transform explains all distant goals (three or more) of an observation. They were then
-/// reached in another frame or with another tool.
+/// Whether one rigid transform explains all distant goals (three or more): another frame or tool.
 fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
     const FEWEST: usize = 3;
     const MAX_TRANSFORM_SPREAD: (f64, f64) = (0.25 * MAX_GOAL_DISTANCE_M, 0.1 * MAX_GOAL_ANGLE_RAD);
@@ -290,9 +279,9 @@ fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
     constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
 }
 
-/// Noise of a measured series at rest: positions, m, and rotations, rad.
+/// M and rad.
 fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
-    /// Noise floors of the specification: 1 µm and 1 µrad.
+    /// Of the specification: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-6;
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for rest in rests {
@@ -307,22 +296,21 @@ fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
         .map(|left: Vec<[f64; 3]>| Noise::estimate(&left, &vec![1.0; left.len()], FLOOR))
 }
 
-/// Variance of a mean of `count` samples, allowing for autocorrelation.
+/// With autocorrelation.
 fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
     let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
     noise.sigma * noise.sigma * inflation
 }
 
-/// Length of `vector`, whose components all have this variance.
+/// All components have this variance.
 fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
-    /// Squared noise floors: 1 µm and 1 µrad.
+    /// Squared: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-12;
     let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
     MeasuredLength::estimate(vector.as_slice(), &covariance, f64::INFINITY)
 }
 
-/// Difference between command and measured pose at rest. `None` if there are too few samples or the pose
-/// still moves.
+/// `None` if there are too few samples or the pose still moves.
 fn rest_error(
     commands: &Commands,
     arm: &CommandedArm<'_>,
@@ -331,9 +319,8 @@ fn rest_error(
     witness: &MeasuredPoses<'_>,
 ) -> Option<RestError> {
     const FEWEST: usize = 4;
-    /// Maximum motion between the two halves of a rest, m and rad.
+    /// Between the two halves of a rest.
     const MAX_REST_MOTION_M_RAD: (f64, f64) = (2e-4, 3e-4);
-    /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let series = witness.series;
     let count = rest::poses_within(series, from_s, to_s).count();
@@ -366,7 +353,6 @@ fn rest_error(
     })
 }
 
-/// Error of each commanded joint at a rest.
 fn joint_errors(
     commands: &Commands,
     joints: &JointTrack,
@@ -390,15 +376,14 @@ fn joint_errors(
     (0..dof).filter(|&column| commanded[column].is_finite()).map(off).collect()
 }
 
-/// Delay and following error of the arm. `None` if its speed does not correlate with that of the commands.
+/// `None` if the arm's speed does not correlate with the commands'.
 fn command_tracking(
     series: &PoseSeries,
     arm: &CommandedArm<'_>,
     most_lag_s: f64,
 ) -> Option<CommandTracking> {
-    /// Minimum correlation between the two speeds.
     const MIN_CORRELATION: f64 = 0.7;
-    /// Peaks within this of the highest count as equal. The one with the smallest lag is selected.
+    /// Of the highest; the equal peak with the smallest lag is selected.
     const MAX_PEAK_DEFICIT: f64 = 0.03;
     let CommandedArm { joints, chain, columns } = *arm;
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
@@ -411,7 +396,7 @@ fn command_tracking(
     if peak.correlation < MIN_CORRELATION {
         return None;
     }
-    // The lag of the commands is negative: they lead the arm.
+    // The commands lead the arm.
     let LagPeak { lag_s, correlation } = *peak;
     let delay_s = -lag_s;
     Some(CommandTracking {
@@ -422,11 +407,11 @@ fn command_tracking(
     })
 }
 
-/// Rms distance, m, and angle, rad, between FK and the command `delay_s` earlier, while the arm moves.
+/// Rms m and rad between FK and the command `delay_s` earlier, while the arm moves.
 fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
-    /// Maximum number of rows. More do not improve the rms.
+    /// More rows do not improve the rms.
     const ENOUGH: usize = 4000;
-    /// Minimum joint speed of a moving arm, rad/s or m/s.
+    /// Of a moving arm, rad/s or m/s.
     const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);

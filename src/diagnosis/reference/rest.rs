@@ -1,33 +1,29 @@
-//! Detects when the arm rests and when commands are constant.
+//! Rests of the arm and constant commands.
 
 use super::super::latency::median_period_s;
 use crate::PoseSeries;
 use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 
-/// Shortest rest, s. In shorter ones the motion has not settled.
+/// In shorter rests the motion has not settled.
 pub(super) const MIN_REST_S: f64 = 0.1;
 
-/// Interval without joint motion.
+/// Without joint motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rest {
     pub from_s: f64,
     pub to_s: f64,
 }
 
-/// Constant command and its duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hold {
-    /// First row.
     pub first: usize,
-    /// Last row.
     pub last: usize,
     pub from_s: f64,
     pub to_s: f64,
 }
 
-/// Detects intervals without joint motion. The means over a tenth of a second before and after each sample
-/// must agree within the noise.
+/// Means over a tenth of a second before and after each sample must agree within the noise.
 pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
     let period_s = median_period_s(&joints.t_s);
     let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
@@ -49,11 +45,9 @@ pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
 }
 
 fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
-    /// Half of a window, s.
     const HALF_WINDOW_S: f64 = 0.1;
-    /// Maximum speed at rest, rad/s or m/s: 2 mm/s at a radius of 1 m.
+    /// Rad/s or m/s: 2 mm/s at a radius of 1 m.
     const MAX_REST_SPEED: f64 = 2e-3;
-    /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let (rows, dof) = (joints.len(), joints.dof);
     let half = ((HALF_WINDOW_S / period_s.max(1e-6)).round() as usize).max(1);
@@ -67,7 +61,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
         let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
         let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();
         for (row, still) in still.iter_mut().enumerate() {
-            // Windows are truncated at the ends of the track.
+            // Truncated at the ends of the track.
             let (from, to) = (row.saturating_sub(half), (row + 1 + half).min(rows));
             let left = if from == row { q[row] } else { mean(from, row) };
             let right = if row + 1 == to { q[row] } else { mean(row + 1, to) };
@@ -78,10 +72,9 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     still
 }
 
-/// Intervals of constant commands. A single goal holds until the next one or until `end_s`; a streamed
-/// command holds until the stream stops.
+/// A single goal holds until the next one or `end_s`; a streamed command until the stream stops.
 pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
-    /// Commands closer than this are equal, m and rad.
+    /// Equal commands.
     const COMMAND_TOLERANCE_M_RAD: (f64, f64) = (5e-5, 5e-5);
     let PoseSeries { t_s, poses } = series;
     let silent_s = match is_streamed {
@@ -113,7 +106,6 @@ pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f
     found
 }
 
-/// Poses of a series from `from_s` to `to_s`.
 pub(super) fn poses_within(
     series: &PoseSeries,
     from_s: f64,
@@ -124,7 +116,7 @@ pub(super) fn poses_within(
     series.poses[from..to].iter()
 }
 
-/// Mean of nearly equal poses. `None` if the interval has no pose.
+/// Of nearly equal poses. `None` if the interval has none.
 pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
     let first = poses_within(series, from_s, to_s).next()?;
     let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);

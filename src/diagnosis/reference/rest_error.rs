@@ -1,43 +1,42 @@
-//! Results of the comparison of commands with motion.
+//! Commands compared with motion.
 
 use super::line::CommandedLine;
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
 
-/// Difference between a command and the pose in which the arm came to rest.
+/// Difference between a command and the pose at rest.
 #[derive(Clone, Debug)]
 pub struct RestError {
-    /// Start of the interval in which both are constant, s from the run's origin.
+    /// Start of the constant interval, from the run's origin.
     pub from_s: f64,
-    /// End of the interval, s.
+    /// Its end.
     pub to_s: f64,
     /// Commanded `base_from_tip`.
     pub commanded: Pose,
-    /// Mean of the measured `base_from_tip`.
+    /// Mean measured `base_from_tip`.
     pub measured: Pose,
-    /// Distance between the two, m.
+    /// Between the two.
     pub distance_m: MeasuredLength,
-    /// Angle between the two, rad.
+    /// Between the two.
     pub angle_rad: MeasuredLength,
-    /// For each commanded joint, its column and its error `q_measured − q_commanded`, rad or m.
+    /// Column and `q_measured − q_commanded`, rad or m, per commanded joint.
     pub joints: Vec<(usize, Measured)>,
 }
 
 impl RestError {
-    /// `tip_from_commanded`: commanded pose in the measured tip frame.
+    /// Commanded pose in the measured tip frame.
     pub fn tip_from_commanded(&self) -> Pose {
         self.measured.inverse() * self.commanded
     }
 }
 
-/// Spread of the pose error over several rests.
+/// Spread of the pose error over rests, m and rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestErrorSpread {
-    /// Maximum deviation of `tip_from_commanded` from its mean, m and rad. Zero if the commands refer to
-    /// another point on the tool.
+    /// Maximum deviation of `tip_from_commanded` from its mean. Zero if the commands refer to another tool
+    /// point.
     pub in_tool: (f64, f64),
-    /// Maximum deviation of `base_from_commanded_base`, m and rad. Zero if the commands refer to another
-    /// base.
+    /// Likewise of `base_from_commanded_base`. Zero if they refer to another base.
     pub in_base: (f64, f64),
 }
 
@@ -68,34 +67,34 @@ impl RestErrorSpread {
     }
 }
 
-/// How the arm follows a stream of commands, by FK of its joint states during motion.
+/// Following of a command stream by FK during motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandTracking {
-    /// Delay of the arm, s.
+    /// Of the arm.
     pub delay_s: f64,
-    /// Correlation of the two speeds at that delay.
+    /// Of the speeds at that delay.
     pub correlation: f64,
     /// Following error at equal stamps, rms m and rad.
     pub rms: (f64, f64),
-    /// Following error after compensating the delay, rms m and rad.
+    /// After compensating the delay.
     pub compensated: (f64, f64),
 }
 
-/// Comparison of one command stream with the motion of the arm.
+/// One command stream against the arm's motion.
 #[derive(Clone, Debug)]
 pub struct ReferenceDiagnosis {
-    /// Whether the commands are a stream that the arm follows, and not single goals.
+    /// Whether the arm follows a stream, not single goals.
     pub is_streamed: bool,
-    /// How the arm follows. `None` if there are too few commands or it does not follow.
+    /// `None` if there are too few commands or the arm does not follow.
     pub tracking: Option<CommandTracking>,
-    /// Number of constant commands.
+    /// Constant commands.
     pub goals: usize,
-    /// Goals near which the arm never came to rest afterwards. Zero for a stream that the arm follows.
+    /// Goals without a rest nearby. Zero for a followed stream.
     pub not_reached: usize,
-    /// Smallest distance (m) and angle (rad) between such a goal and a rest.
+    /// Smallest distance (m) and angle (rad) of these goals to a rest.
     pub nearest_miss: Option<(f64, f64)>,
-    /// For each observation, the pose error at each rest near its command, in time order.
+    /// Per observation, each rest near its command, in time order.
     pub rest_errors: Vec<Vec<RestError>>,
-    /// Straight lines commanded by a stream of poses.
+    /// Straight lines in the stream.
     pub lines: Vec<CommandedLine>,
 }

@@ -3,18 +3,18 @@ use super::*;
 use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use ground::robot::catalogue;
 
-/// Smooth profile from 0 to 1 over one second, starting at `from_s`.
+/// From 0 to 1 over one second.
 fn blend(t_s: f64, from_s: f64) -> f64 {
     let u = (t_s - from_s).clamp(0.0, 1.0);
     u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
 }
 
-/// Stamps over 6 s.
+/// Over 6 s.
 fn times(rate_hz: f64) -> Vec<f64> {
     (0..(6.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect()
 }
 
-/// A UR5e at rest that turns all joints by 0.3 rad between 1 s and 2 s, and back between 4 s and 5 s.
+/// A UR5e that turns all joints by 0.3 rad between 1 s and 2 s, and back between 4 s and 5 s.
 fn joints_at(t_s: f64) -> [f64; 6] {
     let part = blend(t_s, 1.0) - blend(t_s, 4.0);
     [0.0, -1.6, 1.5, -1.5, -1.6, 0.0].map(|home| home + 0.3 * part)
@@ -34,7 +34,7 @@ fn arm() -> (JointTrack, Chain, Vec<usize>) {
     (JointTrack { t_s, dof: 6, q, qd, noise: Vec::new() }, chain, (0..6).collect())
 }
 
-/// Diagnosis of commands `pose_at` given at the times `t_s`.
+/// Commands `pose_at` at `t_s`.
 fn diagnosed(t_s: Vec<f64>, pose_at: impl Fn(&Chain, f64) -> Pose) -> ReferenceDiagnosis {
     let (joints, chain, columns) = arm();
     let poses = t_s.iter().map(|&t_s| pose_at(&chain, t_s)).collect();
@@ -69,7 +69,7 @@ fn a_streamed_command_is_held_against_every_rest_and_its_delay_is_found() {
 #[test]
 fn of_single_goals_those_count_that_the_arm_was_brought_to() {
     let reached = |chain: &Chain| chain.forward(&joints_at(3.0));
-    // One goal that the arm reaches, and one far from its next rest.
+    // The arm reaches one goal, the other is far from its next rest.
     let found = diagnosed(vec![0.6, 3.8], |chain, t_s| match t_s {
         t_s if t_s < 1.0 => aside(0.004) * reached(chain),
         _ => aside(0.3) * reached(chain),
@@ -77,7 +77,6 @@ fn of_single_goals_those_count_that_the_arm_was_brought_to() {
     assert_eq!((found.goals, found.not_reached, found.rest_errors[0].len()), (2, 1, 1));
     assert!((found.rest_errors[0][0].distance_m.norm.value - 0.004).abs() < 1e-5);
     assert!(found.nearest_miss.is_some_and(|(m, _)| m > 0.1), "{found:?}");
-    // A goal that is followed by no motion has no gap.
     let found = diagnosed(vec![5.2], |chain, _| aside(0.004) * chain.forward(&joints_at(5.5)));
     assert_eq!((found.goals, found.not_reached, found.rest_errors[0].len()), (1, 1, 0));
 }
@@ -131,7 +130,7 @@ fn a_turn_of_the_tool_is_told_from_a_shift_of_the_base() {
     assert!(by_base.in_base.0 < 1e-12 && by_base.in_tool.0 > 0.03, "{by_base:?}");
 }
 
-/// Line detected in commands between two poses, with orientation `turned` at each fraction of the path.
+/// Commands between two poses, with orientation `turned` per fraction of the path.
 fn line_of(from: Pose, to: Pose, turned: impl Fn(f64) -> Rotation) -> CommandedLine {
     let t_s = times(50.0);
     let at = |t_s: f64| {
@@ -167,8 +166,7 @@ fn what_was_interpolated_instead_of_a_slerp_is_told() {
     let line = line_of(from, to, by_numbers(Convention::RotVec));
     assert_eq!(line.interpolated.as_deref(), Some("rotvec"), "{line:?}");
 
-    // A quaternion blend stays on the slerp's arc but with another speed profile. So does a nonlinear
-    // profile.
+    // A quaternion blend stays on the slerp's arc with another speed profile.
     let half = turn.norm() / 2.0;
     let blended = |part: f64| 2.0 * (part * half.sin()).atan2(1.0 - part + part * half.cos());
     let line =
