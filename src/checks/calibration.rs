@@ -1,30 +1,29 @@
-//! Decides whether the logs contain enough information to calibrate an arm.
+//! Decides whether logs suffice to calibrate an arm.
 
 use crate::diagnosis::{ArmCalibration, StreamCalibration};
 use crate::robot::{JointKind, Robot};
 
-/// Minimum ratio of the expected FK error before calibration to the error after it.
+/// Minimum ratio of the expected FK error, nominal to calibrated.
 const MIN_IMPROVEMENT_RATIO: f64 = 2.0;
-/// Maximum ratio of the cross-validated residual after calibration to the residual before it.
+/// Maximum ratio of the cross-validated residual to the nominal one.
 const MAX_CROSS_VALIDATION_RATIO: f64 = 0.9;
 /// Residuals up to this multiple of the noise need no improvement.
 const MAX_NOISE_RATIO: f64 = 1.1;
-/// A joint that moves less than this reveals little about its neighbouring links, rad and m.
+/// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
 
 /// A joint that moved too little for calibration.
 #[derive(Clone, Debug)]
 pub struct UnmovedJoint {
-    /// Name of the joint.
+    /// Joint name.
     pub joint: String,
     /// Range of motion, rad or m.
     pub moved: f64,
-    /// Whether the joint is prismatic.
+    /// Prismatic.
     pub slides: bool,
 }
 
-/// Joints that move too little in every stream.
 pub(crate) fn unmoved_joints(
     robot: &Robot,
     joints: &[String],
@@ -43,7 +42,7 @@ pub(crate) fn unmoved_joints(
     joints.iter().enumerate().filter_map(of).collect()
 }
 
-/// Reason for rejecting the calibration; `None` if it is accepted.
+/// Reason for rejecting the calibration.
 pub(crate) fn rejection_reason(found: &ArmCalibration, unmoved: &[UnmovedJoint]) -> Option<String> {
     let (known, drawing) = (found.calibrated_uncertainty.m, found.nominal_uncertainty.m);
     if known.is_nan() || drawing == 0.0 || known * MIN_IMPROVEMENT_RATIO > drawing {
@@ -63,8 +62,7 @@ pub(crate) fn rejection_reason(found: &ArmCalibration, unmoved: &[UnmovedJoint])
     found.streams.iter().find_map(stream_rejection_reason)
 }
 
-/// Reason why a stream contradicts the calibration; `None` if the calibration fits it better than the
-/// nominal model.
+/// Reason why a stream contradicts the calibration.
 pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<String> {
     let noise_m = MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0];
     if stream.after.m > stream.before.m.max(noise_m) {
@@ -90,8 +88,8 @@ mod tests {
     use crate::diagnosis::CalibrationResidual;
     use crate::robot::catalogue;
 
-    /// A calibration with an expected FK error of `expected_m` (1 mm for the nominal model), and the
-    /// residuals in metres: nominal and calibrated, on the training data and on held-out segments.
+    /// Residuals in m: \[nominal, calibrated\], on training data and on held-out segments. The nominal
+    /// model has an expected error of 1 mm.
     fn found(
         expected_m: f64,
         [before, after]: [f64; 2],

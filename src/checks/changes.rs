@@ -1,4 +1,4 @@
-//! Findings for parameters that change during the run, with the values before and after and the time.
+//! Findings for parameters that change during the run.
 
 use serde_json::{Value, json};
 
@@ -14,18 +14,16 @@ use crate::finding::{
 use crate::geometry::Pose;
 use crate::time::Stamp;
 
-/// Description of a change, common to all parameters.
 struct ChangeReport {
     /// `at +14.00 s`.
     at: String,
     from: String,
     to: String,
     by: String,
-    /// Name of the parameter, such as "tool frame".
+    /// For example "tool frame".
     name: &'static str,
     title: &'static str,
     effect_m: f64,
-    /// All changes of this parameter.
     all: Vec<Value>,
 }
 
@@ -52,9 +50,9 @@ impl ChangeReport {
     }
 }
 
-/// Formats a value with the interval of its change; `None` if it is within the noise.
+/// `None` if the value is within the noise.
 fn show_if_significant(unit: Unit, value: f64, by: &Measured) -> Option<String> {
-    /// Minimum ratio of the value to the standard error of its change.
+    /// Ratio to the standard error of the change.
     const MIN_VALUE_NOISE_RATIO: f64 = 4.0;
     let is_there =
         value.abs() > (MIN_VALUE_NOISE_RATIO * by.std_error).max(2.0 * unit.noise_floor());
@@ -67,7 +65,7 @@ fn change_stamps<V, S>(case: &Case, change: &ChangePoint<V, S>) -> (Stamp, [Stam
     (at(0.0), [at(-change.within_s), at(change.within_s)])
 }
 
-/// Outcome for a frame of a stream that changes during the run; `None` if it is constant.
+/// `None` if the frame is constant.
 pub fn judge_frame_change(
     case: &Case,
     arm: &ArmEvidence,
@@ -125,7 +123,6 @@ pub fn judge_frame_change(
     Some((outcome(decision, report), estimate))
 }
 
-/// Outcome for a scalar parameter that changes during the run.
 pub fn judge_scalar_change(
     case: &Case,
     name: &'static str,
@@ -166,7 +163,7 @@ fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
     }
 }
 
-/// Limits a finding about a stream's encoding to the part of the run in which that encoding occurs.
+/// Limits an encoding finding to the part of the run in which it occurs.
 pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let segment_s = |subject: &Subject, cause: &Cause| {
         let mut streams = case.evidence.poses_and_tf();

@@ -4,19 +4,16 @@ use crate::diagnosis::{Confounder, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Alternative, Estimate, Unit};
 
-/// Estimate of a joint's zero offset.
 pub fn joint_zero_estimate(unit: Unit, offset: &Measured) -> Estimate {
     Estimate::scalar("joint zero offset", unit, offset)
 }
 
-/// Zero offset of joint `joint` as an alternative cause for another rule.
 pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize) -> Alternative {
     let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
     let estimate = offset.map(|offset| joint_zero_estimate(arm.joint_unit(joint), offset));
     Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
 }
 
-/// A confounder of an offset in `unit`, as an alternative cause.
 pub fn confounder_alternative(arm: &ArmEvidence, twin: &Confounder, unit: Unit) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
     let (code, subject, name, value, unit) = match *twin {

@@ -3,28 +3,27 @@
 use crate::diagnosis::{FrameEstimate, Measured, MeasuredLength, NotObservable};
 use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 
-/// Confidence level of the interval that must exclude zero for a rule to fail.
+/// The interval at this level must exclude zero for a rule to fail.
 const FAIL_CONFIDENCE: f64 = 0.999;
 
-/// Confidence level of the interval that reports show, and that must be narrow for a rule to pass.
+/// The interval at this level is reported, and must be narrow for a rule to pass.
 const PASS_CONFIDENCE: f64 = 0.95;
 
-/// One degree, in rad.
 pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Thresholds of a quantity for a warning and an error.
+/// Smallest values that are a warning and an error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Threshold {
-    /// SI unit of the thresholds.
+    /// SI unit.
     pub unit: Unit,
-    /// Smallest value that is a warning.
+    /// Warning threshold.
     pub warning: f64,
-    /// Smallest value that is an error.
+    /// Error threshold.
     pub error: f64,
 }
 
 impl Threshold {
-    /// Severity of a value of this size; `None` below the warning threshold.
+    /// `None` below the warning threshold.
     pub fn severity(&self, size: f64) -> Option<Severity> {
         if size >= self.error {
             Some(Severity::Error)
@@ -39,19 +38,19 @@ impl Threshold {
 /// Decision on an estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Decision {
-    /// At or above the threshold, and significantly different from zero.
+    /// Reaches the threshold and is significant.
     Fail(Severity),
-    /// Below the threshold, with a sufficiently narrow interval.
+    /// Below the threshold, with a narrow interval.
     Pass,
-    /// Neither, with the reason: the actual and the required uncertainty.
+    /// Neither: actual and required uncertainty.
     Undecided(String),
 }
 
-/// Decides on an estimate in a run with `subjects` subjects (Bonferroni correction).
+/// Decides on an estimate, with Bonferroni correction for `subjects`.
 ///
 /// Fails if |value| reaches the threshold and the 99.9 % interval excludes zero. Passes if |value| is below
-/// the threshold and the half-width of the 95 % interval is at most the threshold. Intervals are never
-/// narrower than the unit's noise floor.
+/// the threshold and the half-width of the 95 % interval is at most the threshold. Intervals are at least
+/// as wide as the unit's noise floor.
 pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> Decision {
     let size = measured.value.abs();
     let confidence = 1.0 - (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
@@ -65,8 +64,7 @@ pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> De
     }
 }
 
-/// Decides on the length of a vector. Fails if the components are jointly significant and the 95 % interval
-/// of the length excludes zero.
+/// Fails if the components are jointly significant and the 95 % interval of the length excludes zero.
 pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: usize) -> Decision {
     let norm = &length.norm;
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
@@ -80,8 +78,7 @@ pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: u
 }
 
 impl Decision {
-    /// Converts the decision to an outcome. `fault` builds the fault; `settle` names the motion or topic
-    /// that would resolve an undecided case.
+    /// `settle` names the motion or topic that would resolve an undecided case.
     pub fn into_outcome(self, settle: &str, fault: impl FnOnce(Severity) -> Fault) -> Outcome {
         match self {
             Decision::Pass => Outcome::pass(),
@@ -91,8 +88,8 @@ impl Decision {
     }
 }
 
-/// Decides on a frame error. Fails if one of the two norms reaches its threshold and the six components are
-/// jointly significant. Passes if both norms are below and known well enough.
+/// Decides on a frame error. Fails if a norm reaches its threshold and the six components are jointly
+/// significant.
 pub fn decide_frame(
     frame: &FrameEstimate,
     thresholds: &FrameThresholds,
@@ -109,12 +106,12 @@ pub fn decide_frame(
     }
 }
 
-/// Thresholds of a rule on frames; reaching either of them is a fault.
+/// Thresholds of a rule on frames; reaching one is a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameThresholds {
-    /// For the translation.
+    /// Of the translation.
     pub length: Threshold,
-    /// For the rotation.
+    /// Of the rotation.
     pub angle: Threshold,
 }
 
@@ -146,8 +143,7 @@ fn undecided_reason(measured: &Measured, threshold: &Threshold) -> String {
     format!("{} is not significantly different from zero", unit.show_measured(measured))
 }
 
-/// Outcome for a quantity that has no estimate. `settle` names the motion or topic that would make it
-/// observable.
+/// Outcome without an estimate. `settle` names the motion or topic that would make it observable.
 pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
     let why = match why {
         NotObservable::TooFewSamples { have, need } => {

@@ -1,4 +1,4 @@
-//! Shared by ORD001, ORD002 and ORD003: each judges the same encoding estimate for one kind of fault.
+//! Shared by ORD001, ORD002 and ORD003, which judge the same encoding estimate.
 
 use crate::checks::decision::{DEGREE, not_observable};
 use crate::checks::{Case, SubjectResult};
@@ -14,24 +14,22 @@ use crate::geometry::{
     RotationEncoding, RotationError, vendors,
 };
 
-/// Minimum ratio of the residuals as logged and of the next best encoding to the residual of a reported
-/// one.
+/// Minimum ratio of the residuals as logged and of the next best encoding to that of a reported one.
 const MIN_CLEAR_RATIO: f64 = 2.0;
 
-/// Maximum residual of an accepted encoding, rad.
+/// Of an accepted encoding, rad.
 const MAX_RESIDUAL_RAD: f64 = 10.0 * DEGREE;
 
-/// Motion that makes the encoding observable.
 const SETTLE: &str = "turn the wrist through 60° or more about two axes";
 
-/// Kind of misinterpretation; each belongs to one rule.
+/// Each kind belongs to one rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncodingFaultKind {
-    /// Three numbers interpreted in the wrong convention (ORD001).
+    /// ORD001: three numbers in another convention.
     Convention,
-    /// Quaternion components in the wrong order (ORD002).
+    /// ORD002.
     QuaternionOrder,
-    /// Inverse or transpose of the pose (ORD003).
+    /// ORD003: inverse or transpose.
     Direction,
 }
 
@@ -44,23 +42,18 @@ fn fault_kind(reading: &PoseEncoding) -> Option<EncodingFaultKind> {
     }
 }
 
-/// How a rule reports its fault.
 pub struct EncodingReport {
-    /// As in [`Fault::title`].
     pub title: &'static str,
-    /// The misinterpretation, followed in the message by ", 64° off as logged".
+    /// Followed in the message by ", 64° off as logged".
     pub what: String,
-    /// The correction, preceded in the message by "0.01° once".
+    /// Preceded in the message by "0.01° once".
     pub once: String,
-    /// As in [`Fault::fix`].
     pub fix: String,
-    /// The misinterpretation as a cause.
     pub slip: RotationError,
-    /// The estimate.
     pub estimate: Estimate,
 }
 
-/// Judges the encoding of every stream for faults of kind `asked`. `word` writes the report.
+/// Judges every stream for faults of kind `asked`; `word` writes the report.
 pub fn judge(
     case: &Case,
     asked: EncodingFaultKind,
@@ -148,7 +141,7 @@ fn judge_stream(
     }
 }
 
-/// Outcome for positions whose rotation may be in unidentified columns.
+/// For positions whose rotation may be in unidentified columns.
 pub(super) fn rotation_not_checked(unread: &[String]) -> Outcome {
     const MAX_LISTED_COLUMNS: usize = 6;
     let shown = unread.iter().take(MAX_LISTED_COLUMNS).cloned().collect::<Vec<_>>().join(", ");
@@ -159,8 +152,7 @@ pub(super) fn rotation_not_checked(unread: &[String]) -> Outcome {
     ))
 }
 
-/// Outcome for bare numbers without a declared convention: one note with the inferred encoding, and no
-/// convention fault.
+/// For numbers without a declared convention: a note with the inferred encoding, never a fault.
 fn judge_undeclared(
     arm: &ArmEvidence,
     topic: &str,
@@ -218,7 +210,7 @@ fn judge_undeclared(
     }
 }
 
-/// Outcome for bare positions that match FK in a unit other than metres.
+/// For bare positions that match FK in another unit than metres.
 fn report_inferred_length(topic: &str, slip: &LengthUnitError) -> Outcome {
     let is = slip.is.words();
     Outcome::fail(Fault {
@@ -231,21 +223,19 @@ fn report_inferred_length(topic: &str, slip: &LengthUnitError) -> Outcome {
     })
 }
 
-/// Inferred units of lengths and angles in bare numbers.
 fn inferred_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length_unit.as_ref().ok().copied().flatten().map(|slip| slip.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)
 }
 
-/// Describes the inferred encoding, with vendors that use it: `mm, euler:ZYX in deg (as KUKA does)`.
+/// Inferred encoding and vendors that use it: `mm, euler:ZYX in deg (as KUKA does)`.
 fn describe_inferred(
     arm: &ArmEvidence,
     topic: &str,
     form: RotationEncoding,
     found: &PoseDiagnosis,
 ) -> String {
-    /// Maximum number of vendors listed.
     const MAX_LISTED_VENDORS: usize = 3;
     let (length, angle) = inferred_units(found);
     let is_three = matches!(form, RotationEncoding::Three(_));
@@ -253,7 +243,7 @@ fn describe_inferred(
         let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
         entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
-    // Vendors that occur in the names of the arm or topic come first.
+    // Vendors named by the arm or topic come first.
     let names = format!("{} {topic}", arm.name).to_lowercase();
     let is_other = |entry: &&str| {
         let first = entry.split_whitespace().next().unwrap_or_default().to_lowercase();
@@ -281,7 +271,6 @@ fn describe_inferred(
     format!("{length}, {form}{angles}{vendor_names}")
 }
 
-/// The `--declare` value for the inferred encoding.
 fn declare_value(form: RotationEncoding, found: &PoseDiagnosis) -> String {
     let (length, angle) = inferred_units(found);
     let is_degrees = matches!(form, RotationEncoding::Three(_)) && angle == AngleUnit::Degree;
@@ -317,13 +306,12 @@ fn fault(
     (Outcome::fail(fault), Some(estimate))
 }
 
-/// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
-/// absorbs the difference.
+/// Whether every encoding fits equally well because the orientation barely changes.
 fn is_undetermined(reading: &EncodingEstimate) -> bool {
     fault_kind(&reading.best).is_none() && !reading.is_inverted && !reading.is_determined
 }
 
-/// Whether the best encoding is clearly better than the stream as logged and the next best.
+/// Whether the best encoding clearly beats the stream as logged and the next best.
 fn is_clear(reading: &EncodingEstimate) -> bool {
     let best = reading.best_rad.max(Unit::Radian.noise_floor());
     let clear_of = |rad: f64| rad >= MIN_CLEAR_RATIO * best;
@@ -354,7 +342,7 @@ fn describe(reading: &PoseEncoding) -> String {
     }
 }
 
-/// Contract names of an encoding: actual, and as interpreted in the log.
+/// Names in the report's contract.
 pub fn encoding_names(reading: &PoseEncoding) -> Interpretation {
     let (is, read_as) = match reading {
         PoseEncoding::AsLogged => ("pose".to_owned(), "pose"),
@@ -375,12 +363,12 @@ pub fn encoding_names(reading: &PoseEncoding) -> Interpretation {
     Interpretation { is, read_as: read_as.to_owned() }
 }
 
-/// Contract names of a misinterpretation.
+/// Names in the report's contract.
 pub fn convention_names(misreading: &Misinterpretation) -> Interpretation {
     Interpretation { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
 }
 
-/// Actual order of quaternion components, and the order assumed by the reader.
+/// Actual and assumed order.
 pub fn quaternion_orders(slip: QuaternionOrderError) -> (&'static str, &'static str) {
     match slip {
         QuaternionOrderError::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
@@ -388,7 +376,6 @@ pub fn quaternion_orders(slip: QuaternionOrderError) -> (&'static str, &'static 
     }
 }
 
-/// Name of a convention for messages.
 pub fn describe_convention(convention: Convention) -> String {
     if convention == Convention::RPY {
         return "roll-pitch-yaw".to_owned();

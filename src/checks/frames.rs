@@ -1,4 +1,4 @@
-//! Shared by FRM002 and FRM003: each judges one constant frame of every pose stream.
+//! Shared by FRM002 and FRM003, which judge a constant frame of every pose stream.
 
 use serde_json::{Value, json};
 
@@ -14,36 +14,30 @@ use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
-/// Thresholds of the rules on frames.
 pub const THRESHOLDS: FrameThresholds = FrameThresholds {
     length: Threshold { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
     angle: Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
 };
 
-/// Motion that makes the frames observable.
 const SETTLE: &str = "turn the wrist through 60° about two axes, at several places";
 
-/// One end of a stream's transform, and how its rule reports an offset there.
+/// One end of a stream's transform, with its rule.
 pub struct FrameRule {
-    /// The rule.
     pub rule: &'static Rule,
-    /// Name of the estimate.
+    /// Of the estimate.
     pub name: &'static str,
-    /// Its estimate in a diagnosis.
     pub estimate: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
     /// Name of the frame.
     pub frame: fn(&StreamEvidence<PoseEvidence>) -> &str,
-    /// Reason why the offset of this stream is not judged, if it is not.
+    /// Reason for not judging this stream.
     pub not_judged: fn(&StreamEvidence<PoseEvidence>) -> Option<String>,
-    /// Changes during the run.
+    /// During the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
     pub is_confounder: fn(&Confounder, usize) -> bool,
-    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
-/// Judges one end of every pose stream.
 pub fn judge(case: &Case, end: &FrameRule) -> Vec<SubjectResult> {
     let streams = case.evidence.robots.iter().flat_map(|arm| {
         arm.poses.iter().enumerate().map(move |(index, stream)| (arm, index, stream))
@@ -136,7 +130,7 @@ fn undecided_reason(decision: &Decision, frame: &FrameEstimate) -> String {
     }
 }
 
-/// Joint offsets that are confounded with this end of stream `index`.
+/// Joint offsets confounded with this end of stream `index`.
 fn confounders<'a>(
     arm: &'a ArmEvidence,
     end: &FrameRule,
@@ -149,13 +143,12 @@ fn confounders<'a>(
     same.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
 }
 
-/// Formats both norms of a frame error with their intervals.
 pub fn show(frame: &FrameEstimate) -> String {
     let length = Unit::Metre.show_measured(&frame.translation_m);
     format!("{length} and {}", Unit::Radian.show_measured(&frame.rotation_rad))
 }
 
-/// Formats a pose: `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
+/// `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
 pub fn show_pose(pose: &Pose) -> String {
     let list = |numbers: [f64; 3], decimals: usize| {
         numbers.map(|number| rounded(number, decimals)).join(", ")
@@ -164,7 +157,6 @@ pub fn show_pose(pose: &Pose) -> String {
     format!("xyz ({}) m, rotation vector ({})°", list(xyz_of(pose), 4), list(degrees, 2))
 }
 
-/// A pose as JSON, as in reports.
 pub fn pose_json(pose: &Pose) -> Value {
     json!({ "xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation) })
 }

@@ -4,7 +4,7 @@ use crate::checks::SubjectResult;
 use crate::evidence::ArmEvidence;
 use crate::finding::Subject;
 
-/// Groups faults, given with their joint index, by equality. Groups are in the order of their first member.
+/// Groups (joint index, fault) pairs of equal fault, in the order of their first member.
 pub fn group_equal<T>(
     faults: Vec<(usize, T)>,
     is_same: impl Fn(&T, &T) -> bool,
@@ -20,7 +20,7 @@ pub fn group_equal<T>(
     groups
 }
 
-/// Subject of one finding: the joint, or the topic if there are several joints.
+/// The joint, or the topic if there are several joints.
 pub fn group_subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
     let topic = arm.topic(topic);
     match joints {
@@ -29,7 +29,7 @@ pub fn group_subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subjec
     }
 }
 
-/// Message prefix with the number of joints; empty for one joint, which is the subject.
+/// Number of joints; empty for one joint, which is the subject.
 pub fn group_prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
     match joints.len() {
         1 => String::new(),
@@ -38,7 +38,6 @@ pub fn group_prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
     }
 }
 
-/// Adds the names of several joints to the evidence.
 pub fn with_joint_names(
     judged: SubjectResult,
     arm: &ArmEvidence,

@@ -10,14 +10,14 @@ use crate::finding::{CheckRow, Status};
 pub struct SegmentEvaluation {
     /// The evaluation.
     pub evaluation: Evaluation,
-    /// Whether the segment is so short that its inconclusive checks are ignored.
+    /// Too short for its inconclusive checks to count.
     pub is_short: bool,
 }
 
-/// Merges the evaluations of a run's segments, given in order of time.
+/// Merges evaluations of segments in order of time.
 ///
 /// Keeps the most severe status per rule and subject, and all findings with their segment number. Findings
-/// about files are kept once, and observability is that of segment `main`.
+/// about files are kept once. Observability is that of segment `main`.
 pub fn merge_segments(parts: Vec<SegmentEvaluation>, main: usize) -> Evaluation {
     let count = parts.len();
     let mut whole = Evaluation::default();
@@ -68,14 +68,13 @@ pub fn merge_segments(parts: Vec<SegmentEvaluation>, main: usize) -> Evaluation 
     whole
 }
 
-/// Whether a rule judges the files, independently of segments.
+/// Rules on files are independent of segments.
 fn is_rule_on_files(code: &str) -> bool {
     // Unusable samples are counted in each segment.
     (code.starts_with("ING") && code != "ING003") || code.starts_with("META")
 }
 
-/// Rank of a row among those of one rule and subject; the highest is kept. An inconclusive row of a short
-/// segment ranks below a pass.
+/// The highest rank of a rule and subject is kept. Inconclusive in a short segment ranks below a pass.
 fn status_rank(row: &CheckRow, is_short: bool) -> u8 {
     match row.status {
         Status::Fail => 4,
@@ -86,8 +85,7 @@ fn status_rank(row: &CheckRow, is_short: bool) -> u8 {
     }
 }
 
-/// Drops whole-arm rows that only short segments leave inconclusive, if the rule was decided in another
-/// segment.
+/// Drops whole-arm rows that only short segments leave inconclusive if another segment decides the rule.
 fn drop_undecided_short_segments(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
     let decided: Vec<&str> =
         rows.iter().zip(ranks).filter(|(_, rank)| **rank > 1).map(|(row, _)| row.code).collect();
@@ -99,7 +97,7 @@ fn drop_undecided_short_segments(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
     });
 }
 
-/// Drops the skipped row without a subject if the rule had a subject in another segment.
+/// Drops the skipped row without a subject if another segment had a subject.
 fn drop_skipped_if_evaluated(rows: &mut Vec<CheckRow>) {
     let evaluated: Vec<&str> =
         rows.iter().filter(|row| row.status != Status::Skipped).map(|row| row.code).collect();

@@ -1,8 +1,7 @@
 //! The rules, one file each, and their registry.
 //!
-//! A rule turns estimates from `diagnosis` into verdicts and messages. Its documentation, code, name,
-//! thresholds and logic are in its file; everything that lists or explains rules reads the [`registry`].
-//! Nothing here estimates anything or reads files.
+//! A rule turns estimates from `diagnosis` into verdicts and messages. Everything that lists or explains
+//! rules reads the [`registry`].
 
 mod calibration;
 mod changes;
@@ -47,7 +46,7 @@ pub(crate) use resolving_motion::{is_blocked_by_residual, motion_description, re
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
 
-/// Declares a rule; its doc comment is the text printed by `explain`.
+/// Declares a rule. Its doc comment is printed by `explain`.
 macro_rules! rule {
     ($(#[doc = $line:literal])* $code:ident {
         limits: $limits:expr, $($field:ident: $value:expr),* $(,)?
@@ -79,7 +78,7 @@ mod topics;
 /// Rules on the same kind of stream.
 #[derive(Debug)]
 pub struct Family {
-    /// The kind of stream examined.
+    /// The kind of stream.
     pub examines: &'static str,
     /// Its rules.
     pub rules: &'static [&'static Rule],
@@ -99,14 +98,13 @@ pub static FAMILIES: &[&Family] = &[
     &commands::FAMILY,
 ];
 
-/// Evidence key of a row whose stream is computed from the joint states.
+/// Evidence key of a row whose stream is computed from joint states.
 pub(crate) const DERIVED: &str = "derived";
 
-/// Evidence key of an inconclusive row whose streams have an unknown world frame, which may absorb the
-/// fault.
+/// Evidence key of an inconclusive row whose unknown world frame may absorb the fault.
 pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
 
-/// All rules in the order of their codes, which is the order of evaluation.
+/// In the order of codes, which is that of evaluation.
 static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
     let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();
     rules.sort_by_key(|rule| rule.code);
@@ -121,7 +119,7 @@ pub fn registry() -> &'static [&'static Rule] {
 /// Returns the rule with this code, ignoring case.
 ///
 /// # Errors
-/// If there is no such rule, with the most similar codes.
+/// If there is none, with the most similar codes.
 pub fn find(code: &str) -> Result<&'static Rule, UnknownRule> {
     let found = REGISTRY.iter().find(|rule| rule.code.eq_ignore_ascii_case(code.trim()));
     found.copied().ok_or_else(|| UnknownRule::new(code))
@@ -130,35 +128,34 @@ pub fn find(code: &str) -> Result<&'static Rule, UnknownRule> {
 /// A rule: code, name, thresholds and check.
 #[derive(Debug)]
 pub struct Rule {
-    /// Code, which is never reused for another rule.
+    /// Never reused for another rule.
     pub code: &'static str,
-    /// Name in kebab-case.
+    /// In kebab-case.
     pub name: &'static str,
     /// Severity of its findings.
     pub grade: Grade,
-    /// Further limits that the caller can set.
+    /// Further limits.
     pub limits: &'static [Limit],
-    /// Whether a run cannot pass if this rule decides on none of its subjects. The [residual
+    /// Whether the rule must decide on a subject for a run to pass. The [residual
     /// check](Rule::is_residual_check) must decide on all of them.
     pub headline: bool,
-    /// Whether it needs a model of the robot.
+    /// Whether it needs a robot model.
     pub needs_model: bool,
-    /// Reason for skipping the rule if it has no subject in the log.
+    /// Reason for skipping if there is no subject.
     missing: &'static str,
-    /// Evaluates the rule on each of its subjects.
     check: fn(&Case) -> Vec<SubjectResult>,
-    /// Doc comment; each line keeps the space that follows `///`.
+    /// Each line keeps the space after `///`.
     doc: &'static str,
 }
 
 impl Rule {
-    /// The rule's text in Markdown: a title line, then its sections.
+    /// The rule's text in Markdown.
     pub fn doc(&self) -> String {
         let lines = self.doc.lines().map(|line| line.strip_prefix(' ').unwrap_or(line));
         lines.collect::<Vec<_>>().join("\n")
     }
 
-    /// Letters of the code, which name the rule's family.
+    /// Letters of the code.
     pub fn family(&self) -> &'static str {
         self.code.trim_end_matches(|c: char| c.is_ascii_digit())
     }
@@ -168,23 +165,23 @@ impl Rule {
         self.code == MDL001.code
     }
 
-    /// The title line of its text, without the period.
+    /// Title line without the period.
     pub fn summary(&self) -> &'static str {
         self.doc.lines().next().unwrap_or_default().trim().trim_end_matches('.')
     }
 }
 
-/// How a rule determines the severity of a finding.
+/// How a rule grades findings.
 #[derive(Clone, Copy, Debug)]
 pub enum Grade {
-    /// No threshold; the most severe that a finding can be.
+    /// The most severe grade, without thresholds.
     Fixed(Severity),
-    /// By thresholds; reaching any of them is enough.
+    /// Reaching any threshold is enough.
     From(&'static [Threshold]),
 }
 
 impl Grade {
-    /// Its thresholds; empty for [`Grade::Fixed`].
+    /// Empty for [`Grade::Fixed`].
     pub fn thresholds(&self) -> &'static [Threshold] {
         match self {
             Grade::Fixed(_) => &[],
@@ -192,7 +189,7 @@ impl Grade {
         }
     }
 
-    /// The most severe that a finding can be.
+    /// The most severe grade.
     pub fn max_severity(&self) -> Severity {
         match self {
             Grade::Fixed(severity) => *severity,
@@ -230,7 +227,6 @@ pub struct SubjectResult {
 }
 
 impl<T> StreamEvidence<T> {
-    /// Result of a rule on this subject and span.
     fn judged(&self, outcome: Outcome) -> SubjectResult {
         SubjectResult::new(self.subject.clone(), outcome).within(self.span)
     }
@@ -249,15 +245,14 @@ impl SubjectResult {
         Self { estimate: estimate.into(), ..self }
     }
 
-    /// Sets the cause of its fault, if it has one.
+    /// Sets the cause if it is a fault.
     fn caused_by(&mut self, cause: Cause) {
         if let Outcome::Evaluated(Ruling::Fail(fault)) = &mut self.outcome {
             fault.cause = cause;
         }
     }
 
-    /// Marks the row of a stream that is computed from the joint states, which is evidence for no other
-    /// stream.
+    /// A stream computed from joint states is evidence for no other stream.
     fn derived_if(self, is_derived: bool) -> Self {
         if is_derived { self.with_evidence(DERIVED, true) } else { self }
     }
@@ -271,35 +266,34 @@ impl SubjectResult {
 /// Result of all rules on a run.
 #[derive(Clone, Debug, Default)]
 pub struct Evaluation {
-    /// One row per selected rule and subject.
+    /// One per selected rule and subject.
     pub checks: Vec<CheckRow>,
-    /// Findings, by severity and then by effect at the arm's tip.
+    /// By severity, then by effect at the tip.
     pub findings: Vec<Finding>,
-    /// Findings exempted in the config, with the reason.
+    /// Exempted in the config.
     pub ignored: Vec<IgnoredFinding>,
-    /// What each pose stream does not observe.
+    /// Per pose stream.
     pub observability: Vec<StreamObservability>,
 }
 
-/// Input of the rules: the evidence on a run and the caller's thresholds.
+/// Input of the rules.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<'a> {
     /// Evidence on the run.
     pub evidence: &'a RunEvidence,
-    /// Thresholds that override those of the rules.
+    /// Overrides of the rules' thresholds.
     pub thresholds: &'a Thresholds,
-    /// Rules whose outcome must not be inconclusive.
+    /// Rules that must be conclusive.
     pub required: &'a [Selector],
 }
 
 impl Case<'_> {
-    /// Whether the caller requires a conclusive outcome of `rule`.
     fn requires(&self, rule: &Rule) -> bool {
         self.required.iter().any(|selector| selector.matches(rule.code))
     }
 }
 
-/// Evaluates every rule that `settings` select on each of its subjects.
+/// Evaluates every selected rule on each of its subjects.
 pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     let case = &Case { evidence, thresholds: &settings.thresholds, required: &settings.required };
     let mut evaluation = Evaluation::default();
@@ -324,8 +318,7 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     evaluation
 }
 
-/// Sorts a wrong model first, because other findings may follow from it; then by severity and effect at the
-/// tip.
+/// Sorts a wrong model first, because other findings may follow from it; then by severity and effect.
 fn rank(findings: &mut [Finding]) {
     findings.sort_by(|a, b| {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);

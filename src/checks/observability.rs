@@ -1,4 +1,4 @@
-//! Describes which causes a log's motion does not observe, and which motion would.
+//! Which causes a log's motion does not observe, and which motion would.
 
 use std::collections::HashMap;
 
@@ -11,15 +11,14 @@ use crate::diagnosis::{Observability, StreamParameter, WeakDirection};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
-/// A cause at its rule's first threshold is observable if it changes the log by at least this many standard
-/// deviations. The half-width of its 95 % interval is then within the threshold.
+/// A cause is observable if its rule's first threshold changes the log by this many standard deviations.
+/// The half-width of its 95 % interval is then within the threshold.
 const MIN_EFFECT_SIGMAS: f64 = 2.0;
 /// Motion below which a joint's zero offset is barely observable, rad and m.
 const MIN_TRAVEL_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
 
-/// Sentence on a joint whose zero offset is undetermined because the joint moved too little (`moved` in rad
-/// or m); `None` otherwise.
+/// Reports a joint that moved too little to observe its zero offset (`moved` in rad or m).
 pub(crate) fn unobservable_zero(
     joint: &str,
     unit: Unit,
@@ -77,19 +76,16 @@ pub struct DirectionComponent {
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub weight: f64,
-    /// Name of the cause without its axis.
     #[serde(skip)]
     cause: String,
-    /// Rule that judges it.
     #[serde(skip)]
     code: &'static str,
-    /// Joint, for causes that belong to one.
     #[serde(skip)]
     joint: Option<String>,
 }
 
 impl UnobservableDirection {
-    /// One sentence with the causes and the motion, for `topic`.
+    /// Causes and motion in one sentence.
     pub fn sentence(&self, topic: &str) -> String {
         let (causes, motion) = (self.causes(), &self.motion);
         match self.components_by_cause().len() {
@@ -98,7 +94,7 @@ impl UnobservableDirection {
         }
     }
 
-    /// Lists the causes: `zeros of a and b, reference frame and tool frame`.
+    /// `zeros of a and b, reference frame and tool frame`.
     fn causes(&self) -> String {
         let parts = self.components_by_cause();
         let joints: Vec<&str> = parts.iter().filter_map(|part| part.joint.as_deref()).collect();
@@ -113,7 +109,7 @@ impl UnobservableDirection {
         join_with_and(&zeros.as_deref().into_iter().chain(others).collect::<Vec<&str>>())
     }
 
-    /// The first part of each cause, ignoring axes.
+    /// First component of each cause.
     fn components_by_cause(&self) -> Vec<&DirectionComponent> {
         let mut causes: Vec<&DirectionComponent> = Vec::new();
         for part in &self.parameters {
@@ -131,7 +127,6 @@ impl UnobservableDirection {
     }
 }
 
-/// `a, b and c`.
 fn join_with_and(items: &[&str]) -> String {
     match items {
         [] => String::new(),
@@ -140,11 +135,10 @@ fn join_with_and(items: &[&str]) -> String {
     }
 }
 
-/// Computes the unobservable directions of each pose stream, and adds them as evidence to the checks that
-/// they make inconclusive.
+/// Finds the unobservable directions of each pose stream and adds them to the checks that they block.
 pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
     let mut streams = Vec::new();
-    // By topic: a log may have thousands of streams, each with its checks.
+    // A log may have thousands of streams.
     let mut rows_of: HashMap<Option<String>, Vec<usize>> = HashMap::new();
     let mut residuals: HashMap<Subject, bool> = HashMap::new();
     for (index, row) in checks.iter().enumerate() {
@@ -158,7 +152,6 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
         let is_model_doubtful = residual_attribution::model_doubt(arm, 0.0).is_some();
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
-            // Whether the residual of the stream is consistent with noise.
             let is_noise = residuals.get(&stream.subject).copied().unwrap_or(true);
             let found = seen
                 .weak_directions(|parameter| threshold(case, arm, parameter), MIN_EFFECT_SIGMAS);
@@ -200,8 +193,7 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
     streams
 }
 
-/// Whether a check on `stream` is inconclusive for lack of motion. A nominal or wrong model cannot be
-/// resolved by motion.
+/// Motion does not resolve a nominal or wrong model.
 fn is_resolvable_by_motion(
     row: &CheckRow,
     arm: &ArmEvidence,
@@ -216,7 +208,7 @@ fn is_resolvable_by_motion(
         && (row.code.starts_with("LAT") || !stream.diagnosis.is_nominal && !is_model_doubtful)
 }
 
-/// Merges directions that share a cause, because only combinations of their causes are observable.
+/// Merges directions that share a cause; only combinations of causes are observable.
 fn merge_by_cause(directions: Vec<WeakDirection>) -> Vec<WeakDirection> {
     let mut groups: Vec<WeakDirection> = Vec::new();
     for direction in directions {
@@ -259,7 +251,6 @@ fn cause_of(parameter: StreamParameter) -> StreamParameter {
     }
 }
 
-/// First threshold of the rule that judges a parameter.
 fn threshold(case: &Case, arm: &ArmEvidence, parameter: StreamParameter) -> f64 {
     let (code, unit) = match parameter {
         StreamParameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
@@ -329,7 +320,7 @@ fn direction_component(
     }
 }
 
-/// Motion that would observe a direction. `is_noise` if the residual of the poses is noise.
+/// `is_noise`: the residual of the poses is noise.
 fn motion(
     arm: &ArmEvidence,
     seen: &Observability,

@@ -11,32 +11,29 @@ use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{PoseDistance, TfProblemKind};
 
-/// An error up to this multiple of the sample-to-sample noise is consistent with noise.
+/// Errors up to this multiple of the sample-to-sample noise are noise.
 const MAX_NOISE_RATIO: f64 = 2.0;
-/// An error from this multiple on is significant: F = 9 has a probability of 0.001 for seven independent
-/// samples.
+/// Errors from this multiple on are significant: F = 9 has p = 0.001 for seven independent samples.
 const MIN_SIGNIFICANT_NOISE_RATIO: f64 = 3.0;
 
-/// Sag, backlash and encoder errors, each below its threshold, add up to at most this multiple of the
-/// thresholds at any sample …
+/// Sag, backlash and encoder errors, each below its threshold, sum to at most this multiple at any sample …
 const MAX_SUMMED_PEAK_RATIO: f64 = 2.0;
 /// … and to this multiple, rms, over a tenth of the run.
 const MAX_SUMMED_RMS_RATIO: f64 = 1.5;
 
-/// Tolerance on the distance between two publishers, because the samples of a run differ.
+/// On the distance between publishers, whose samples differ.
 const PUBLISHER_DISTANCE_TOLERANCE: f64 = 1.2;
-/// Rotations below this are rounding, rad.
+/// In rad.
 const MAX_ROUNDING_RAD: f64 = 1e-3;
 
-/// Outcomes of the rules that report causes.
+/// Outcomes of the rules on causes.
 pub(super) struct CauseOutcomes {
     judged: Vec<(&'static str, SubjectResult)>,
-    /// Topics with two conflicting publishers: distance between them, and number of transforms.
+    /// Topics with two conflicting publishers, and the number of transforms.
     doubled: Vec<(String, PoseDistance, usize)>,
 }
 
 impl CauseOutcomes {
-    /// Evaluates these rules.
     pub fn evaluate(case: &Case) -> Self {
         const CODES: [&str; 19] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
@@ -57,7 +54,7 @@ impl CauseOutcomes {
         Self { judged: judged.collect(), doubled: doubled.collect() }
     }
 
-    /// Outcomes of the rules in `codes` on a topic or joint of `arm`.
+    /// Outcomes of `codes` on a topic or joint of `arm`.
     fn on<'a>(
         &'a self,
         arm: &'a ArmEvidence,
@@ -72,8 +69,8 @@ impl CauseOutcomes {
         self.judged.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
     }
 
-    /// Whether `stream` is /tf and its residual is already reported: by FRM001, or by FRM004 as two
-    /// publishers whose distance exceeds the residual.
+    /// Whether the residual of /tf is already reported: by FRM001, or by FRM004 as two publishers that are
+    /// further apart.
     fn reports_tf_residual(
         &self,
         arm: &ArmEvidence,
@@ -97,7 +94,6 @@ impl CauseOutcomes {
     }
 }
 
-/// Whether a stream is the tip pose of `arm` from /tf.
 fn is_tf(arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>) -> bool {
     arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
 }
@@ -106,41 +102,37 @@ fn is_faulty(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Evaluated(Ruling::Fail(_)))
 }
 
-/// Attribution of one stream's error.
 pub(super) enum Attribution {
-    /// Below the thresholds as logged.
+    /// As logged.
     BelowThresholds,
-    /// Consistent with sample-to-sample noise.
     WithinNoise,
-    /// The residual after correction is below the thresholds or consistent with noise. `is_reported` if a rule
-    /// reports one of the corrected causes.
-    Explained { is_reported: bool },
-    /// The residual is below the thresholds in rms and slightly above them in places, as small errors of
-    /// every joint add up.
+    /// The residual is below the thresholds or noise. `is_reported` if a corrected cause is reported.
+    Explained {
+        is_reported: bool,
+    },
+    /// Below the thresholds in rms, slightly above in places: small errors of every joint add up.
     SmallErrors(ExceedingResidual),
-    /// Small deviations of many kinematic parameters explain the residual.
+    /// Small deviations of many kinematic parameters.
     NominalModel(FkError),
-    /// A significant residual remains.
+    /// The residual is significant.
     Unexplained(ExceedingResidual),
-    /// A residual above the thresholds that may be noise, or due to the rules with these codes, which are
-    /// inconclusive.
+    /// The residual may be noise, or due to these inconclusive rules.
     Undetermined(ExceedingResidual, Vec<&'static str>),
 }
 
-/// Residual that exceeds the thresholds.
 pub(super) struct ExceedingResidual {
     pub severity: Severity,
     pub error: FkError,
-    /// Part of the run with the largest error.
+    /// Part with the largest error.
     pub worst: PartError,
-    /// Parts of the run above the thresholds, in order of time.
+    /// Parts above the thresholds, in order of time.
     pub parts: Vec<PartError>,
 }
 
-/// Minimum residual of a nominal model that is reported, rms m.
+/// Of a nominal model, rms m.
 const MIN_NOMINAL_RESIDUAL_M: f64 = 0.3e-3;
 
-/// Attributes the error of a stream, given `thresholds`; `None` if the stream has no error estimate.
+/// `None` if the stream has no error estimate.
 pub(super) fn attribute_residual(
     outcomes: &CauseOutcomes,
     arm: &ArmEvidence,
@@ -151,7 +143,7 @@ pub(super) fn attribute_residual(
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
-    // A stream computed from the joint states has no noise of its own.
+    // A stream computed from the joint states has no noise.
     let noise_multiple = if is_tf(arm, stream) { 0.0 } else { MAX_NOISE_RATIO };
     let in_degrees = arm.diagnosis.encoding.as_ref().is_ok_and(|read| read.degrees.is_some());
     if is_tf(arm, stream)
@@ -173,11 +165,10 @@ pub(super) fn attribute_residual(
         return Some(Attribution::WithinNoise);
     }
     let residual = match ExceedingResidual::from_error(explained, thresholds, noise_multiple) {
-        // FRM001 already reports the whole residual of /tf.
         Some(residual) if outcomes.reports_tf_residual(arm, stream, &residual) => {
             return Some(Attribution::Explained { is_reported: true });
         }
-        // The error as logged is meaningless if the reference frame is unknown.
+        // Without a reference frame, the error as logged is meaningless.
         Some(residual) if proof.corrected.is_none() && !stream.reference_known => {
             return Some(Attribution::Undetermined(residual, vec!["ORD001"]));
         }
@@ -221,8 +212,8 @@ pub(super) fn attribute_residual(
     )
 }
 
-/// Effect of the corrections to the poses alone, if larger than several causes below their thresholds could
-/// produce. A rule must report it.
+/// Effect of correcting the poses alone, if too large for several causes below their thresholds. A rule
+/// must report it.
 fn unreported_pose_correction(
     proof: &ResidualCheck,
     thresholds: &FrameThresholds,
@@ -235,15 +226,15 @@ fn unreported_pose_correction(
     (residual.severity == Severity::Error).then_some(residual)
 }
 
-/// Whether the residual of /tf can come from degrees interpreted as radians, possibly together with two
-/// conflicting publishers. Such joints turn almost a full revolution between samples.
+/// Degrees read as radians turn joints almost a full revolution between samples; conflicting publishers may
+/// add to that.
 fn is_degrees_artifact(
     error: &FkError,
     outcomes: &CauseOutcomes,
     stream: &StreamEvidence<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
-    /// Maximum residual, in thresholds.
+    /// In thresholds.
     const MAX_RESIDUAL_RATIO: f64 = 5.0;
     let apart = outcomes.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart
@@ -254,7 +245,7 @@ fn is_degrees_artifact(
     })
 }
 
-/// Whether the residual repeats with the configuration, unlike noise, even if the noise is poorly known.
+/// Whether the residual repeats with the configuration, unlike noise.
 fn repeats_with_configuration(
     found: &PoseDiagnosis,
     thresholds: &FrameThresholds,
@@ -267,8 +258,7 @@ fn repeats_with_configuration(
 }
 
 impl ExceedingResidual {
-    /// Parts of `error` that reach the thresholds and exceed `noise_multiple` times the noise; `None` if there are
-    /// none.
+    /// Parts that reach the thresholds and exceed `noise_multiple` times the noise.
     fn from_error(
         error: &FkError,
         thresholds: &FrameThresholds,
@@ -291,12 +281,11 @@ impl ExceedingResidual {
         Some(Self { severity, error: error.clone(), worst, parts })
     }
 
-    /// Parts of `error` that reach the thresholds and are clearly above the noise.
     pub fn from_error_above_noise(error: &FkError, thresholds: &FrameThresholds) -> Option<Self> {
         Self::from_error(error, thresholds, MAX_NOISE_RATIO)
     }
 
-    /// Whether small errors of every joint, each below its threshold, can add up to it.
+    /// Whether errors of every joint, each below its threshold, can sum to it.
     fn is_sum_of_small_errors(&self, thresholds: &FrameThresholds) -> bool {
         let small = |amount: &ErrorMagnitude, warning: f64| {
             amount.rms < MAX_SUMMED_RMS_RATIO * warning
@@ -308,15 +297,13 @@ impl ExceedingResidual {
         })
     }
 
-    /// Whether the worst part is significantly above the noise.
     pub fn is_significant(&self) -> bool {
         self.worst.magnitude.noise.is_some_and(|noise| {
             self.worst.magnitude.rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms
         })
     }
 
-    /// Whether the rms over the whole run reaches its threshold, with a part significantly above the
-    /// measured noise.
+    /// Whether the rms over the run reaches its threshold and a part is significant.
     fn is_significant_over_run(&self, thresholds: &FrameThresholds) -> bool {
         let sure = |part: &PartError| {
             let ErrorMagnitude { rms, noise, .. } = part.magnitude;
@@ -327,7 +314,7 @@ impl ExceedingResidual {
         })
     }
 
-    /// Whether its worst part overlaps a part of `other` in time.
+    /// Whether its worst part overlaps one of `other`.
     pub fn overlaps(&self, other: &ExceedingResidual) -> bool {
         let meets = |a: &PartError, b: &PartError| a.from_s < b.to_s && b.from_s < a.to_s;
         other.parts.iter().any(|part| meets(part, &self.worst))
@@ -342,7 +329,7 @@ fn with_thresholds<'a>(
     std::iter::once((&error.length, &thresholds.length)).chain(angle)
 }
 
-/// Rules on a stream's causes that are inconclusive, and whether any cause is reported.
+/// Inconclusive rules on a stream's causes.
 struct InconclusiveCauses {
     joints: Vec<&'static str>,
     poses: Vec<&'static str>,
@@ -440,13 +427,12 @@ impl InconclusiveCauses {
     }
 }
 
-/// From this unexplained residual on, the model may be of a different arm, rms m.
+/// From this residual on, the model may be of a different arm, rms m.
 const MIN_UNEXPLAINED_M: f64 = 5e-3;
-/// A cause whose effect is this multiple of the unexplained residual is reported despite it.
+/// A cause is reported despite the residual if its effect is this multiple of it.
 const MIN_EFFECT_RATIO: f64 = 10.0;
 
-/// Reason why a cause with an effect of `effect_m` cannot be reported for `arm`: an unexplained residual of
-/// the model could produce it. `None` if it can.
+/// Reason for not reporting a cause of this effect: an unexplained residual of the model could produce it.
 pub(super) fn model_doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
     let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let residual_m = residual.map(|residual| residual.excess_m.value).fold(0.0, f64::max);

@@ -4,13 +4,12 @@ use super::poses::mdl001_unexplained_residual::MDL001;
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Status};
 
-/// Whether a row is inconclusive because of an unexplained residual (MDL001), which no motion resolves.
+/// No motion resolves an unexplained residual (MDL001).
 pub(crate) fn is_blocked_by_residual(row: &CheckRow) -> bool {
     let names_rule = |reason: &String| reason.contains(&format!("({})", MDL001.code));
     row.status == Status::Inconclusive && row.reason.as_ref().is_some_and(names_rule)
 }
 
-/// Describes the motion for a purpose.
 pub(crate) const fn motion_description(purpose: Purpose) -> &'static str {
     match purpose {
         Purpose::Zeros => {
@@ -24,8 +23,8 @@ pub(crate) const fn motion_description(purpose: Purpose) -> &'static str {
     }
 }
 
-/// Purpose of the motion that would resolve a row; `None` if no arm motion would. With a nominal model
-/// (`is_nominal`), single causes are observable only after all links are calibrated.
+/// `None` if no arm motion would resolve the row. With a nominal model, single causes are observable only
+/// after calibrating all links.
 pub(crate) fn resolving_motion(row: &CheckRow, is_nominal: bool) -> Option<Purpose> {
     if row.status != Status::Inconclusive || row.is_indistinguishable || is_blocked_by_residual(row)
     {

@@ -1,5 +1,4 @@
-//! Shared by LAT002 and ZER002: a scalar estimated on every stream, which is a fault only if the selected
-//! model contains it.
+//! Shared by LAT002 and ZER002: a scalar per stream, a fault only if the selected model contains it.
 
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
 use crate::checks::{Case, Rule, SubjectResult};
@@ -7,30 +6,24 @@ use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
-/// A scalar parameter and how its rule reports it.
 pub struct ScalarRule {
-    /// Name of the estimate.
+    /// Of the estimate.
     pub name: &'static str,
-    /// Thresholds for a warning and an error.
     pub threshold: Threshold,
-    /// The motion or topic that would make it observable.
+    /// Motion or topic that would make it observable.
     pub settle: &'static str,
-    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &StreamEvidence<StreamEstimate<'_>>, &Measured, Severity) -> Fault,
 }
 
-/// The estimate of a parameter on one stream.
 pub struct StreamEstimate<'a> {
-    /// The estimate.
     pub estimate: &'a EstimateResult<Measured>,
     /// Whether the selected model contains it.
     pub is_chosen: bool,
-    /// Why the estimate is not reliable on this stream, if it is not.
+    /// Why the estimate is unreliable.
     pub doubt: Option<String>,
 }
 
 impl ScalarRule {
-    /// Judges the parameter on one stream of `arm` for `rule`.
     pub fn judge(
         &self,
         rule: &Rule,

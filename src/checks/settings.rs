@@ -10,15 +10,15 @@ use crate::finding::{CheckRow, Finding, IgnoredFinding, Severity, Subject};
 /// Which rules to evaluate, and how.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
-    /// Rules to evaluate; empty for all.
+    /// Empty for all.
     pub select: Vec<Selector>,
-    /// Rules to leave out.
+    /// Left out.
     pub ignore: Vec<Selector>,
-    /// Rules whose outcome must not be inconclusive.
+    /// Rules that must be conclusive.
     pub required: Vec<Selector>,
-    /// Thresholds that override those of the rules.
+    /// Overrides of thresholds.
     pub thresholds: Thresholds,
-    /// Severity of a rule's findings, where overridden. `info` findings keep their severity.
+    /// Overrides of severities; `info` findings keep theirs.
     pub severities: Vec<(&'static str, Severity)>,
     /// Known findings that do not count.
     pub exemptions: Vec<Exemption>,
@@ -32,18 +32,17 @@ impl Settings {
         (self.select.is_empty() || named(&self.select)) && !named(&self.ignore)
     }
 
-    /// Severity to report for a fault that the rule graded `found`.
+    /// Severity of a fault graded `found`.
     pub(super) fn severity(&self, rule: &Rule, found: Severity) -> Severity {
         let set = self.severities.iter().find(|(code, _)| *code == rule.code);
         set.map_or(found, |(_, set)| if found == Severity::Info { found } else { *set })
     }
 
-    /// The first exemption that covers a row.
     pub(super) fn exemption(&self, row: &CheckRow) -> Option<&Exemption> {
         self.exemptions.iter().find(|exemption| exemption.covers(row))
     }
 
-    /// Exemptions that cover none of the rows.
+    /// Exemptions that cover no row.
     pub fn unused_exemptions<'a>(&'a self, rows: &[CheckRow]) -> Vec<&'a Exemption> {
         let is_unused = |exemption: &&Exemption| !rows.iter().any(|row| exemption.covers(row));
         self.exemptions.iter().filter(is_unused).collect()
@@ -55,21 +54,20 @@ impl Settings {
     }
 }
 
-/// A known finding that does not count, with the reason and the place of its definition.
+/// A known finding that does not count.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exemption {
-    /// Rules it covers.
+    /// Rules.
     pub rules: Selector,
-    /// Subject it covers; missing parts match any. The leading `/` of a topic or frame is optional.
+    /// Missing parts match any. The leading `/` is optional.
     pub subject: Subject,
-    /// The reason.
+    /// Reason.
     pub reason: String,
-    /// File and line of the definition.
+    /// File and line.
     pub place: String,
 }
 
 impl Exemption {
-    /// Whether it covers this row.
     fn covers(&self, row: &CheckRow) -> bool {
         let is = |wanted: &Option<String>, found: &Option<String>| match (wanted, found) {
             (None, _) => true,
@@ -108,12 +106,12 @@ impl fmt::Display for Exemption {
     }
 }
 
-/// A rule's code, or the leading letters of several codes.
+/// A code or the leading letters of several.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selector(String);
 
 impl Selector {
-    /// Whether it selects the rule with this code.
+    /// Whether it selects this code.
     pub fn matches(&self, code: &str) -> bool {
         code.starts_with(&self.0)
     }
@@ -140,9 +138,9 @@ impl FromStr for Selector {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no rule `{code}`; {}", self.remedy())]
 pub struct UnknownRule {
-    /// The requested code.
+    /// Requested code.
     pub code: String,
-    /// The most similar codes, best first.
+    /// Most similar codes, best first.
     pub nearest: Vec<&'static str>,
 }
 

@@ -1,4 +1,4 @@
-//! A fault-free run for tests, to be modified with faulty estimates.
+//! A fault-free run for tests.
 
 use std::sync::LazyLock;
 
@@ -31,23 +31,20 @@ pub const COMMANDS: &str = "/commanded_pose";
 
 const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
 
-/// An estimate with a negligible standard error.
 pub fn sure(value: f64) -> Measured {
     Measured { value, std_error: 1e-6, dof: 1e3 }
 }
 
-/// Norm of a vector: significant, unless `value` is zero.
+/// Significant, unless zero.
 pub fn length(value: f64) -> MeasuredLength {
     MeasuredLength { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
-/// The rules' input with default thresholds.
 pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
     static OWN: LazyLock<Thresholds> = LazyLock::new(Thresholds::default);
     Case { evidence, thresholds: &OWN, required: &[] }
 }
 
-/// Rows and findings of `rule` on `run`.
 pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
     let evaluation = evaluate(run, &Default::default());
     let (mut rows, mut findings) = (evaluation.checks, evaluation.findings);
@@ -56,7 +53,7 @@ pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
     (rows, findings)
 }
 
-/// An error of this size over the whole run, before and after correction, far above the noise.
+/// Error over the whole run, before and after correction, far above the noise.
 pub fn left(most_m: f64, most_rad: f64) -> ResidualCheck {
     let size = |most: f64| {
         let noise = Some(SampleNoise { rms: 1e-8, quantile_95: 2e-8, lag_samples: 1 });
@@ -76,7 +73,7 @@ pub fn left(most_m: f64, most_rad: f64) -> ResidualCheck {
     }
 }
 
-/// A fault-free arm with a pose stream, /tf, an IMU and three joints.
+/// An arm with a pose stream, /tf, an IMU and three joints.
 pub fn clean_run() -> RunEvidence {
     let still = PeakAcceleration {
         acceleration: 0.5,
@@ -188,7 +185,6 @@ pub fn clean_run() -> RunEvidence {
     }
 }
 
-/// A result on a topic of the arm.
 fn stream_evidence<T>(topic: &str, value: T) -> StreamEvidence<T> {
     let (robot, topic) = (Some(ARM.to_owned()), Some(topic.to_owned()));
     StreamEvidence {
@@ -198,7 +194,7 @@ fn stream_evidence<T>(topic: &str, value: T) -> StreamEvidence<T> {
     }
 }
 
-/// Commands that the arm follows, including a straight line, observed by FK and by a stream.
+/// The arm follows the commands, among them a straight line.
 fn commands() -> ReferenceEvidence {
     let witness = |name: &str, kind| TipPoseSource { name: name.to_owned(), kind };
     let kept = LineDeviation { distance_m: length(0.0), angle_rad: length(0.0) };
@@ -243,8 +239,7 @@ fn commands() -> ReferenceEvidence {
     }
 }
 
-/// A rest in which the command is off by `length_m` along the tool's x axis. The tool is turned by
-/// `turn_rad`.
+/// The command is off by `length_m` along the tool's x axis; the tool is turned by `turn_rad`.
 pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestError {
     let measured = pose([0.4, 0.1, 0.3], rotation_from_rotvec(Vec3::z() * turn_rad));
     RestError {
@@ -258,7 +253,7 @@ pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestError {
     }
 }
 
-/// A frame error of `length_m` along x, not in the selected model.
+/// Along x, not in the selected model.
 pub fn frame(length_m: f64) -> FrameEstimate {
     FrameEstimate {
         pose: Pose::translation(length_m, 0.0, 0.0),
@@ -344,7 +339,6 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
     }
 }
 
-/// A constant latency.
 pub fn steady() -> LatencyProfile {
     LatencyProfile {
         swing_s: sure(0.0),

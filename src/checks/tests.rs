@@ -33,7 +33,6 @@ fn a_clean_run_passes_every_rule_about_an_arm() {
     }
 }
 
-/// Statuses of a rule's rows.
 fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> {
     let select = vec![rule.code.parse().expect("the rule's own code")];
     let settings = Settings { select, ..settings.clone() };

@@ -1,22 +1,22 @@
-//! Thresholds and limits of rules: the defaults, unless the caller overrides them.
+//! Thresholds and limits of rules, with overrides.
 
 use super::{FrameThresholds, Rule, Threshold};
 use crate::finding::Unit;
 
-/// A limit of a rule in addition to its thresholds.
+/// A further limit of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Config key, in snake_case.
+    /// Config key in snake_case.
     pub key: &'static str,
     /// SI unit.
     pub unit: Unit,
-    /// Default value.
+    /// Default.
     pub value: f64,
-    /// Description, as a clause.
+    /// Clause that describes it.
     pub what: &'static str,
 }
 
-/// Thresholds and limits that override those of the rules.
+/// Overrides of thresholds and limits.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Thresholds {
     thresholds: Vec<(&'static str, Threshold)>,
@@ -24,25 +24,24 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
-    /// Overrides the threshold of `rule` in the unit of `threshold`.
+    /// Overrides the threshold in this unit.
     pub fn set(&mut self, rule: &Rule, threshold: Threshold) {
         self.thresholds.retain(|(code, set)| (*code, set.unit) != (rule.code, threshold.unit));
         self.thresholds.push((rule.code, threshold));
     }
 
-    /// Overrides a limit of `rule`.
+    /// Overrides a limit.
     pub fn set_limit(&mut self, rule: &Rule, limit: &Limit, value: f64) {
         self.limits.retain(|(code, key, _)| (*code, *key) != (rule.code, limit.key));
         self.limits.push((rule.code, limit.key, value));
     }
 
-    /// Threshold of `rule` in the unit of `own`, the default.
+    /// Threshold in the unit of `own`, the default.
     pub fn threshold(&self, rule: &Rule, own: Threshold) -> Threshold {
         let is_it = |(code, set): &&(&str, Threshold)| (*code, set.unit) == (rule.code, own.unit);
         self.thresholds.iter().find(is_it).map_or(own, |(_, set)| *set)
     }
 
-    /// Thresholds of a rule on frames; `own` are the defaults.
     pub(super) fn frame_thresholds(&self, rule: &Rule, own: FrameThresholds) -> FrameThresholds {
         FrameThresholds {
             length: self.threshold(rule, own.length),
@@ -50,7 +49,7 @@ impl Thresholds {
         }
     }
 
-    /// Value of a limit of `rule`.
+    /// Value of a limit.
     pub fn limit(&self, rule: &Rule, limit: &Limit) -> f64 {
         let is_it = |(code, key, _): &&(&str, &str, f64)| (*code, *key) == (rule.code, limit.key);
         self.limits.iter().find(is_it).map_or(limit.value, |(_, _, value)| *value)

@@ -3,11 +3,11 @@
 use crate::checks::{Case, Evaluation};
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
-/// Minimum ratio of a cause's effect to the unexplained residual for the cause to be reported; `None` if
-/// the residual does not affect it.
+/// Minimum ratio of a cause's effect to the unexplained residual. `None` if the residual does not affect
+/// it.
 ///
-/// An unmodelled error resembles a bit of every cause. A latency follows the profile of the motion, so it
-/// only has to exceed the residual. However, backlash can resemble a few milliseconds of latency.
+/// An unmodelled error resembles a bit of every cause. A latency follows the motion, so it only has to
+/// exceed the residual, but backlash can resemble a few milliseconds of it.
 fn min_effect_ratio(cause: &Cause) -> Option<f64> {
     match cause {
         Cause::Latency(_) | Cause::ClockSkew(_) => Some(1.0),
@@ -16,10 +16,9 @@ fn min_effect_ratio(cause: &Cause) -> Option<f64> {
     }
 }
 
-/// Minimum ratio of a joint's zero offset to the unexplained angle.
+/// Ratio of a joint's zero offset to the unexplained angle.
 const MIN_ZERO_ANGLE_RATIO: f64 = 5.0;
 
-/// Unexplained residual of a stream.
 struct UnexplainedResidual {
     subject: Subject,
     length_m: f64,
@@ -41,7 +40,7 @@ impl UnexplainedResidual {
         }
     }
 
-    /// Whether the residual could produce this finding on the same stream or on a joint.
+    /// Whether the residual could produce this finding on its stream or a joint.
     fn could_cause(&self, finding: &Finding) -> bool {
         let Subject { robot, topic, .. } = &finding.subject;
         let is_it =
@@ -61,7 +60,7 @@ impl UnexplainedResidual {
     }
 }
 
-/// Makes findings inconclusive whose effect is small compared with an unexplained residual.
+/// Makes findings inconclusive if their effect is small next to an unexplained residual.
 pub(super) fn withdraw_findings_within_residual(evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let unexplained: Vec<UnexplainedResidual> =
@@ -87,12 +86,12 @@ pub(super) fn withdraw_findings_within_residual(evaluation: &mut Evaluation) {
     });
 }
 
-/// Families of rules that compare poses with joint states.
+/// Rules that compare poses with joint states.
 const RULES_ON_POSES_AND_JOINTS: [&str; 7] =
     ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
 
-/// Makes those rules inconclusive if poses and joint states disagree for no known reason, or only because
-/// the robot model is wrong. Their findings are dropped.
+/// Makes those rules inconclusive if poses and joint states disagree for no known reason or because of a
+/// wrong model.
 pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {

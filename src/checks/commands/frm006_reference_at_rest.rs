@@ -15,26 +15,25 @@ rule! {
     /// Steady-state error between a command and the pose at rest.
     ///
     /// ## What it means
-    /// The command (a goal, a streamed pose or commanded joints) is constant, and the arm has settled.
-    /// Latency and following error have decayed, yet the tip is still off target. Commanded joints are
-    /// converted by forward kinematics.
+    /// The command (a goal, a streamed pose or commanded joints) is constant and the arm has settled, so
+    /// latency and following error have decayed. Yet the tip is off target. Commanded joints are converted
+    /// by forward kinematics.
     ///
     /// ## Why it matters
-    /// This is the error of every pick and place. If the goal and the measured pose come from different
-    /// chains of frames, it shows that the two chains differ.
+    /// This is the error of every pick and place. If goal and measured pose come from different chains of
+    /// frames, the two chains differ.
     ///
     /// ## Evidence
     /// The distance at the worst rest for streamed commands, and at the median rest for single goals.
-    /// `rests` is the number of rests, `beyond` the number above the thresholds, and `at_ns` the time.
-    /// `pose` is `tip_from_commanded`. `joints` lists the error of each commanded joint (`q_measured −
+    /// `rests` is the number of rests, `beyond` the number above the thresholds, `at_ns` the time. `pose`
+    /// is `tip_from_commanded`. `joints` lists the error of each commanded joint (`q_measured −
     /// q_commanded`).
     ///
     /// `measured_by` is the pose source nearest to the command, among FK and the pose streams, as logged
-    /// and corrected. `others` lists the errors according to the other sources; if the sources differ,
-    /// other rules report the cause. `not_reached` counts the `goals` near which the arm never came to rest
-    /// because it was stopped, redirected or did not try; this is not a fault. `following` describes how a
-    /// streamed command is followed: the delay, the rms error, and the residual after compensating the
-    /// delay.
+    /// and corrected. `others` lists the errors of the other sources; if sources differ, other rules report
+    /// the cause. `not_reached` counts the `goals` near which the arm never rested because it was stopped,
+    /// redirected or did not try; this is not a fault. `following` describes how a streamed command is
+    /// followed: delay, rms error, and residual after compensating the delay.
     ///
     /// ## How to fix
     /// Separate the chains first: express goal and measured pose in one frame, with the same tool and
@@ -43,9 +42,9 @@ rule! {
     ///
     /// ## When it misleads
     /// An offset that is constant in the tool frame at different orientations is probably a different
-    /// active TCP. It is `info` unless the commanded link was named. A single goal at which the arm was
-    /// stopped within 20 mm looks like a missed goal. If only FK is available, a nominal model of a
-    /// calibrated arm also differs by millimetres (MDL001).
+    /// active TCP; it is `info` unless the commanded link was named. A single goal at which the arm was
+    /// stopped within 20 mm looks like a missed goal. With FK alone, a nominal model of a calibrated arm
+    /// also differs by millimetres (MDL001).
     FRM006 {
         name: "reference-at-rest",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -56,13 +55,12 @@ rule! {
     }
 }
 
-/// Motion that makes the error observable.
 const SETTLE: &str = "let the arm rest for half a second at its goals";
-/// If all rests are alike, an offset above this may also be a tool or base frame offset, m.
+/// An equal offset above this at all rests may be a tool or base frame, m.
 const MIN_FRAME_OFFSET_M: f64 = 0.02;
-/// Maximum plausible steady-state error of an arm, m.
+/// Of an arm, m.
 const MAX_STEADY_STATE_ERROR_M: f64 = 0.1;
-/// Typical residual of a nominal model of a calibrated arm, m and rad.
+/// Of a calibrated arm, m and rad.
 const MAX_NOMINAL_RESIDUAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -72,15 +70,15 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// The rests according to one source of poses.
+/// Rests according to one source of poses.
 struct RestErrors<'a> {
-    /// Index of the source.
+    /// Source.
     witness: usize,
-    /// The rest to judge.
+    /// Judged rest.
     gap: &'a RestError,
     estimate: FrameEstimate,
     decision: Decision,
-    /// Number of rests above the thresholds.
+    /// Rests above the thresholds.
     beyond: usize,
 }
 
@@ -95,7 +93,7 @@ impl<'a> RestErrors<'a> {
         let at = if leads { gaps.len().checked_sub(1)? } else { gaps.len().checked_sub(1)? / 2 };
         let gap = *gaps.get(at)?;
         let beyond = gaps.iter().filter(|gap| size(gap) >= 1.0).count();
-        // Bonferroni correction: the worst of several rests is judged.
+        // Bonferroni correction for the worst of several rests.
         let tests = if leads { 2 * gaps.len() } else { 2 };
         let p_value = gap.distance_m.p_value.min(gap.angle_rad.p_value);
         let estimate = FrameEstimate {
@@ -110,7 +108,7 @@ impl<'a> RestErrors<'a> {
     }
 }
 
-/// Error at a rest in units of the warning thresholds.
+/// In units of the warning thresholds.
 fn relative_error(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     let length = gap.distance_m.norm.value / thresholds.length.warning;
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
@@ -213,7 +211,7 @@ fn sound(
     Outcome::pass_because(format!("{name} differs from it by {length} and {angle} at rest"))
 }
 
-/// Reason why no rest can be compared with a command.
+/// Reason why no rest can be compared.
 fn not_reached(found: &ReferenceDiagnosis) -> String {
     let why = match (found.goals, found.nearest_miss) {
         (0, _) => "the command is never constant".to_owned(),
@@ -321,14 +319,14 @@ fn fault(
     })
 }
 
-/// Whether the error is the same at all rests, within a tolerance relative to its size.
+/// Whether the error is alike at all rests, relative to its size.
 fn is_constant(
     gap: &RestError,
     (spread_m, spread_rad): (f64, f64),
     thresholds: &FrameThresholds,
 ) -> bool {
     const MAX_RELATIVE_SPREAD: f64 = 0.2;
-    /// In units of the warning thresholds.
+    /// In warning thresholds.
     const MIN_SPREAD_THRESHOLDS: f64 = 0.3;
     let allowed = |size: f64, threshold: f64| {
         (MAX_RELATIVE_SPREAD * size).max(MIN_SPREAD_THRESHOLDS * threshold)
@@ -337,7 +335,7 @@ fn is_constant(
         && spread_rad <= allowed(gap.angle_rad.norm.value, thresholds.angle.warning)
 }
 
-/// The commanded joint with the largest error, for messages.
+/// Commanded joint with the largest error.
 fn worst_joint(arm: &ArmEvidence, gap: &RestError) -> Option<String> {
     let (joint, off) =
         gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
@@ -345,7 +343,7 @@ fn worst_joint(arm: &ArmEvidence, gap: &RestError) -> Option<String> {
     Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(off)))
 }
 
-/// The largest joint error in the log's numbers, which were interpreted as degrees.
+/// Largest joint error in logged units, which were read as degrees.
 fn joint_error_as_logged(arm: &ArmEvidence, gap: &RestError) -> String {
     let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
     let joint =

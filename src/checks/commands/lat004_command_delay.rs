@@ -13,10 +13,10 @@ rule! {
     ///
     /// ## What it means
     /// The state follows a streamed command with this delay: the command at stamp *t* is reached at *t +
-    /// delay*. A negative delay means that the state leads its command, which is impossible, so one of the
-    /// stamps is wrong. Joint commands are judged per joint, and joints with the same delay are one finding
-    /// on their topic. Commanded poses are compared with FK of the joint states. Without an arm model,
-    /// commands are compared with the joint states of the same names.
+    /// delay*. A negative delay is impossible, so one of the stamps is wrong. Joint commands are judged per
+    /// joint; joints with the same delay are one finding on their topic. Commanded poses are compared with
+    /// FK of the joint states. Without an arm model, commands are compared with the joint states of the
+    /// same names.
     ///
     /// ## Why it matters
     /// A control loop closed over this delay oscillates. Visual servoing, teleoperation and force control
@@ -25,11 +25,11 @@ rule! {
     ///
     /// ## Evidence
     /// The delay at which changes of the command best explain changes of the state, over windows, with a
-    /// block-based interval. If a first-order low-pass explains much more than a delay, `low_pass_hz` is
-    /// its corner frequency. The delay then includes its time constant, and `pure_delay_s` excludes it.
-    /// `gain` is the motion of the state per unit of the command, `explained` the explained fraction of the
-    /// state's motion, and `command_period_s` the time between commands. A delay of one period is a
-    /// one-step shift. FRM006 reports differences at rest.
+    /// block-based interval. If a first-order low-pass explains much more, `low_pass_hz` is its corner
+    /// frequency; the delay then includes its time constant, `pure_delay_s` does not. `gain` is the motion
+    /// of the state per unit of the command, `explained` the explained fraction of the state's motion,
+    /// `command_period_s` the time between commands. A delay of one period is a one-step shift. FRM006
+    /// reports differences at rest.
     ///
     /// ## How to fix
     /// Look for smoothing or buffering of the trajectory: a look-ahead time, a low-pass on the set-points,
@@ -38,8 +38,8 @@ rule! {
     /// command.
     ///
     /// ## When it misleads
-    /// Goals do not show a delay, even if they are repeated, because the controller plans the path.
-    /// Periodic motion fits several delays. A command without a stamp is compared at its record time. The
+    /// Goals, even repeated ones, do not show a delay, because the controller plans the path. Periodic
+    /// motion fits several delays. A command without a stamp is compared at its record time. The
     /// `time_from_start` of trajectory points is not subtracted. Late joint states (LAT001) increase the
     /// delay.
     LAT004 {
@@ -53,7 +53,6 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 0.05, error: 0.2 };
-/// Motion that makes the delay observable.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -71,7 +70,6 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(of_arm).chain(unmodelled).collect()
 }
 
-/// A command stream, and the names of its joints.
 struct Commands<'a> {
     subject: &'a Subject,
     span: Option<Span>,
@@ -89,7 +87,6 @@ impl Commands<'_> {
     }
 }
 
-/// A delay above the threshold.
 #[derive(Clone, Copy)]
 struct ExcessiveDelay<'a> {
     of: &'a CommandDelay,
@@ -148,7 +145,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
     rows
 }
 
-/// Reason why commands that are goals do not show a delay; `None` if they are streamed.
+/// Reason why commands do not show a delay: they are goals.
 fn goals_reason(delays: &[CommandDelay]) -> Option<String> {
     let are = |why: &DelayFailure| {
         let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
@@ -172,7 +169,7 @@ fn no_delay_outcome(why: &DelayFailure) -> Outcome {
 }
 
 fn is_same(a: &Response, b: &Response) -> bool {
-    /// Delays closer than this are the same, s or relative.
+    /// Closer delays are the same, s or relative.
     const MAX_DELAY_DIFFERENCE_S: f64 = 5e-3;
     const MAX_RELATIVE_DIFFERENCE: f64 = 0.1;
     let apart_s = (a.delay_s.value - b.delay_s.value).abs();
@@ -183,7 +180,6 @@ fn is_same(a: &Response, b: &Response) -> bool {
             .max(known_s.min(0.05))
 }
 
-/// Finding for joints with the same delay, or for the poses.
 fn report_group(
     case: &Case,
     commands: &Commands,
@@ -225,7 +221,6 @@ fn report_group(
     if names.len() > 1 { judged.with_evidence("joints", names) } else { judged }
 }
 
-/// Describes the delay in a clause.
 fn describe_delay(of: &CommandDelay, response: &Response) -> String {
     let delay = &response.delay_s;
     let shown = Unit::Second.show_measured(&Measured { value: delay.value.abs(), ..*delay });
@@ -249,7 +244,6 @@ fn describe_delay(of: &CommandDelay, response: &Response) -> String {
     format!("state follows by {shown}{how}")
 }
 
-/// Whether a delay equals one command period.
 fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
     const MAX_PERIOD_DEVIATION: f64 = 0.1;
     (delay.value - of.period_s).abs() < MAX_PERIOD_DEVIATION * of.period_s

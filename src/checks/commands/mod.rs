@@ -1,5 +1,3 @@
-//! Rules that compare commands with the motion of the arm.
-
 pub(super) mod frm006_reference_at_rest;
 pub(super) mod lat004_command_delay;
 pub(super) mod mot004_line;

@@ -11,9 +11,9 @@ rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
     ///
     /// ## What it means
-    /// Streamed poses lead the tip along a straight line from one stop to the next, and the tip deviates
-    /// from it. Or the orientation along the line is not a slerp: a rotation about one axis, in step with
-    /// the translation, from one end to the other. The command itself may already deviate from the slerp.
+    /// Streamed poses lead the tip along a straight line between two stops, and the tip deviates from it.
+    /// Or the orientation along the line is not a slerp: a rotation about one axis, in step with the
+    /// translation. The command itself may already deviate from the slerp.
     ///
     /// ## Why it matters
     /// Gluing, welding, cutting and insertion follow the actual path of the tip. If Euler angles,
@@ -22,12 +22,11 @@ rule! {
     ///
     /// ## Evidence
     /// The largest distance from the line and the largest angle from the slerp, beyond the noise, on the
-    /// worst line. The measured path is compared with the line between the tip's rests before and after it,
-    /// so neither delay nor offset counts. `measured_by` is the source of poses with the smallest
-    /// deviation. `command_rad` is the deviation of the command itself from the slerp, and
-    /// `command_off_axis_rad` its component off the axis. `interpolated` names the components that were
-    /// interpolated instead, if identified. `lines` is the number of lines; `length_m`, `turn_rad` and the
-    /// start `at_ns` describe the worst one.
+    /// worst line. The reference is the line between the tip's rests before and after it, so delay and
+    /// offset do not count. `measured_by` is the source of poses with the smallest deviation. `command_rad`
+    /// is the command's own deviation from the slerp, `command_off_axis_rad` its component off the axis.
+    /// `interpolated` names the components that were interpolated instead, if identified. `lines` is the
+    /// number of lines; `length_m`, `turn_rad` and the start `at_ns` describe the worst one.
     ///
     /// ## How to fix
     /// Interpolate positions linearly and rotations by slerp, both with the same path parameter, and solve
@@ -35,9 +34,8 @@ rule! {
     /// errors, and slow down.
     ///
     /// ## When it misleads
-    /// Only lines in streamed poses are judged. Joint moves follow arcs and are not reported, and lines
-    /// that are not streamed are not visible. A planner that rotates about one axis with its own timing is
-    /// reported as `info`. A path that happens to be straight is treated as a line.
+    /// Only lines in streamed poses are judged; joint moves follow arcs. A planner that rotates about one
+    /// axis with its own timing is `info`. A path that happens to be straight is treated as a line.
     MOT004 {
         name: "line",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -53,7 +51,6 @@ const THRESHOLDS: FrameThresholds = FrameThresholds {
     angle: Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE },
 };
 
-/// Recording that makes the deviation observable.
 const SETTLE: &str =
     "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
@@ -65,8 +62,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// Deviation from a line in units of the warning thresholds. The angle is ignored if the command itself
-/// deviates.
+/// In units of the warning thresholds, without the angle if the command itself deviates.
 fn relative_deviation(
     line: &CommandedLine,
     witness: &LineDeviation,
@@ -83,7 +79,7 @@ fn is_command_deviating(line: &CommandedLine, thresholds: &FrameThresholds) -> b
     thresholds.angle.severity(line.command_rad).is_some()
 }
 
-/// The line with the largest deviation according to one source of poses.
+/// According to one source of poses.
 fn worst_line<'a>(
     lines: &'a [CommandedLine],
     witness: usize,
@@ -169,7 +165,6 @@ fn judge(
         .with_evidence("measured_by", measured_by)
 }
 
-/// Decides on the worst line.
 fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: usize) -> Decision {
     let (thresholds, subjects) =
         (case.thresholds.frame_thresholds(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
@@ -185,7 +180,7 @@ fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
     }
 }
 
-/// Outcome if the command is a slerp.
+/// If the command is a slerp.
 fn tip_outcome(
     case: &Case,
     line: &CommandedLine,
@@ -220,7 +215,7 @@ fn tip_outcome(
     }
 }
 
-/// Outcome if the command itself is not a slerp.
+/// If the command is not a slerp.
 fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
@@ -247,8 +242,7 @@ fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcom
     })
 }
 
-/// Same, with the distance of the tip from the line if that also fails. The severity is the higher of the
-/// two.
+/// Adds the distance of the tip from the line if that also fails; the severity is the higher one.
 fn with_distance(
     case: &Case,
     commanded: &CommandedLine,

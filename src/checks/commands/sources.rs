@@ -9,7 +9,7 @@ use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::Outcome;
 
-/// Diagnosis of a command stream; the rule's outcome if there is none.
+/// Diagnosis of a command stream, or the rule's outcome.
 pub fn reference_diagnosis<'a>(
     arm: &ArmEvidence,
     reference: &'a StreamEvidence<ReferenceEvidence>,
@@ -25,7 +25,7 @@ pub fn reference_diagnosis<'a>(
     }
 }
 
-/// Whether a finding makes the pose streams and FK of the joint states differ.
+/// Whether a finding makes pose streams and FK differ.
 pub fn is_fk_different(arm: &ArmEvidence) -> bool {
     let is_chosen = |offset: &JointOffset| offset.is_chosen;
     let differs = arm
@@ -35,7 +35,6 @@ pub fn is_fk_different(arm: &ArmEvidence) -> bool {
     differs || arm.diagnosis.offsets.iter().any(is_chosen)
 }
 
-/// Name of a source of tool poses, for messages.
 pub fn source_name(reference: &StreamEvidence<ReferenceEvidence>, index: usize) -> String {
     match reference.tip_poses.get(index) {
         Some(witness) if witness.kind == TipPoseKind::Corrected => {
@@ -46,7 +45,7 @@ pub fn source_name(reference: &StreamEvidence<ReferenceEvidence>, index: usize) 
     }
 }
 
-/// How the arm follows a streamed command, as JSON; null for single goals.
+/// How the arm follows a streamed command; null for goals.
 pub fn following_json(following: Option<&CommandTracking>) -> Value {
     let Some(following) = following else { return Value::Null };
     json!({

@@ -1,4 +1,4 @@
-//! Thresholds, evidence and messages shared by the hand-eye rules.
+//! Shared by the hand-eye rules.
 
 use serde_json::{Map, Value, json};
 
@@ -10,20 +10,19 @@ use crate::evidence::HandEyeEvidence;
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
 
-/// Thresholds for the closure residual and for the camera mount error.
+/// For the closure residual and the camera mount error.
 pub const THRESHOLDS: FrameThresholds = FrameThresholds {
     length: Threshold { unit: Unit::Metre, warning: 2e-3, error: 1e-2 },
     angle: Threshold { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
 };
 
-/// Minimum angle between two hand orientations for the chain to be solvable; a limit of HEC002.
+/// Between two hand orientations; a limit of HEC002.
 pub const MIN_ROTATION_SPAN: Limit = Limit {
     key: "span",
     unit: Unit::Radian,
     value: 30.0 * DEGREE,
     what: "minimum angle spanned by the hand's rotations",
 };
-/// Minimum spread of the rotation axes.
 pub const MIN_AXIS_SPREAD: Limit = Limit {
     key: "spread",
     unit: Unit::Radian,
@@ -31,17 +30,14 @@ pub const MIN_AXIS_SPREAD: Limit = Limit {
     what: "minimum angle between the hand's rotation axes",
 };
 
-/// The motion that makes a hand-eye chain observable.
 pub const SETTLE: &str =
     "rotate the hand by more than 30° about two or more axes while the camera sees the target";
 
-/// The target does not follow the hand if the rotation residual exceeds this fraction of the hand's
-/// rotation.
+/// The target does not follow the hand if the residual exceeds this fraction of the hand's rotation.
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
-/// Minimum ratio of the two mounts' residuals for the mount to be determined.
+/// Minimum ratio of the two mounts' residuals that determines the mount.
 const MIN_MOUNT_RATIO: f64 = 1.5;
 
-/// Describes the camera mount.
 pub fn describe_mount(mount: CameraMount) -> &'static str {
     match mount {
         CameraMount::InHand => "in the hand",
@@ -50,7 +46,6 @@ pub fn describe_mount(mount: CameraMount) -> &'static str {
 }
 
 impl CameraAxes {
-    /// Describes the axes.
     pub fn describe(self) -> &'static str {
         match self {
             CameraAxes::Optical => "z forward, x right",
@@ -59,13 +54,11 @@ impl CameraAxes {
     }
 }
 
-/// Whether the data determine if the camera is in the hand or fixed.
 pub fn is_mount_decided(solution: &HandEyeSolution) -> bool {
     solution.ratio >= MIN_MOUNT_RATIO
 }
 
-/// Explains why the residual says nothing about the chain. `None` if the target's rotation follows the
-/// hand's.
+/// Reason why the residual does not apply to the chain: the target's rotation does not follow the hand's.
 pub fn mismatch_reason(found: &HandEyeDiagnosis) -> Option<String> {
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     let residual_rad = found.best()?.closure.rms_rad;
@@ -79,7 +72,6 @@ pub fn mismatch_reason(found: &HandEyeDiagnosis) -> Option<String> {
     })
 }
 
-/// The outcome if there is no estimate.
 pub fn not_observable(why: &NotObservable) -> Outcome {
     Outcome::Inconclusive(match why {
         NotObservable::TooFewSamples { have, need } => {
@@ -90,7 +82,6 @@ pub fn not_observable(why: &NotObservable) -> Outcome {
     })
 }
 
-/// Adds the evidence on a solution that the hand-eye rules share.
 pub fn with_solution(
     judged: SubjectResult,
     facts: &HandEyeEvidence,
@@ -146,7 +137,7 @@ pub fn with_solution(
     all.into_iter().fold(judged, |judged, (key, value)| judged.with_evidence(&key, value))
 }
 
-/// The residuals of at most `MOST` evenly spaced poses.
+/// At evenly spaced poses.
 fn each(solution: &HandEyeSolution) -> Value {
     const MAX_LISTED_SAMPLES: usize = 200;
     let all = &solution.closure.each;

@@ -22,20 +22,18 @@ rule! {
     /// The robot misses what the camera sees by about the closure residual.
     ///
     /// ## Evidence
-    /// - `pose`: the camera pose in the frame `pose_in` (hand or base, by `mount`). `pose_half_width_m` and
-    ///   `pose_half_width_rad` are its 95 % half-widths along and about the camera's axes; null if not
-    ///   observable.
-    /// - `mount_ratio`: residual of the other mount divided by that of `mount`. `equivalent` is the setup
+    /// - `pose`: camera pose in the frame `pose_in` (hand or base, by `mount`). `pose_half_width_m` and
+    ///   `pose_half_width_rad`: 95 % half-widths along and about the camera's axes; null if not observable.
+    /// - `mount_ratio`: residual of the other mount divided by that of `mount`. `equivalent`: the setup
     ///   that no such log can distinguish from `mount`.
-    /// - `target_pose`: the constant target pose on the other side of the chain.
-    /// - `time_offset_s`: latency of the target's stamps relative to the hand's. It is compensated.
-    /// - The estimate is the distance from the camera pose in the log's frames (`mount error`). Without
-    ///   such a frame it is the rms residual beyond pose-to-pose noise (`closure`).
-    /// - `rms_m`, `rms_rad`, `median_m`, `median_rad`: residual including noise; `each` lists it pose by
-    ///   pose.
-    /// - `scale`: factor by which all target positions are too long (wrong tag size or unit).
-    ///   `depth_scale`: factor by which depth alone is too long (wrong focal length). Only one is given if
-    ///   it closes the chain as well as both.
+    /// - `target_pose`: constant target pose on the other side of the chain.
+    /// - `time_offset_s`: compensated latency of the target's stamps relative to the hand's.
+    /// - The estimate is the distance from the camera pose in the log's frames (`mount error`), or else the
+    ///   rms residual beyond pose-to-pose noise (`closure`).
+    /// - `rms_m`, `rms_rad`, `median_m`, `median_rad`: residual including noise; `each`: pose by pose.
+    /// - `scale`: factor by which target positions are too long (wrong tag size or unit). `depth_scale`:
+    ///   the same for depth alone (wrong focal length). Only one is given if it closes the chain as well as
+    ///   both.
     /// - `reading`: how the target poses must be read for the chain to close, if known.
     ///
     /// If the distance to the target barely changes, the camera pose absorbs a scale error. A pass
@@ -48,8 +46,8 @@ rule! {
     ///
     /// ## When it misleads
     /// Detector errors depend on the view and do not average out: a few millimetres at one metre are
-    /// normal. A loose target, or one moved by hand, opens the chain. A camera in the hand with inverted
-    /// poses (parent and child swapped) is indistinguishable from a fixed camera.
+    /// normal. A loose or moved target opens the chain. A camera in the hand with inverted poses (parent
+    /// and child swapped) is indistinguishable from a fixed camera.
     HEC001 {
         name: "hand-eye-closure",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -172,8 +170,8 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Sub
     })
 }
 
-/// Explains why an open chain does not indicate a hand-eye error. `None` if the arm's model, whose FK is
-/// the hand pose, is accurate enough.
+/// Reason why an open chain may not be a hand-eye error: the arm's model, whose FK is the hand pose, is too
+/// inaccurate.
 fn model_doubt(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     let left = |stream: &StreamEvidence<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
@@ -190,7 +188,6 @@ fn model_doubt(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     residual_attribution::model_doubt(arm, open_m)
 }
 
-/// The outcome of a chain that closes.
 fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
@@ -201,7 +198,7 @@ fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome 
     ))
 }
 
-/// The camera pose with its 95 % interval.
+/// With its 95 % interval.
 fn describe_camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
     let camera = &solution.camera;
     let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
@@ -220,7 +217,6 @@ fn describe_camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Strin
     format!("{parent}→camera: {} ({length}, {angle})", show_pose(&camera.pose))
 }
 
-/// Camera mount and latency of the target.
 fn describe_setup(solution: &HandEyeSolution) -> String {
     let mount = match is_mount_decided(solution) {
         true => match solution.mount {
@@ -305,7 +301,6 @@ fn other_mount(logged: CameraMount) -> Fault {
     }
 }
 
-/// How the target poses must be read.
 fn describe_reading(reading: &TargetEncoding) -> String {
     match reading {
         TargetEncoding::AsLogged => "read as logged".to_owned(),
@@ -326,8 +321,7 @@ fn describe_reading(reading: &TargetEncoding) -> String {
     }
 }
 
-/// Whether this rule reports the misinterpretation. HEC003 reports wrong axes; a wrong scale counts from
-/// the thresholds on.
+/// HEC003 reports wrong axes. A wrong scale counts from the thresholds on.
 fn is_fault(
     reading: &TargetEncoding,
     as_logged: &HandEyeSolution,
@@ -342,14 +336,12 @@ fn is_fault(
     }
 }
 
-/// The motion that determines the scale of a target's positions.
 const SETTLE_SCALE: &str = "the scale of the target positions (lens, target size) is undetermined: view the \
     target at distances that differ by a third";
 
-/// Target positions that are too long or too short, in a chain that closes because the camera pose absorbs
-/// the factor.
+/// Fault of a chain that closes because the camera pose absorbs a wrong scale.
 fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
-    /// Minimum ratio of the two factors' significances for them to be interchangeable.
+    /// Ratio of significances from which the two factors are interchangeable.
     const MIN_SIGNIFICANCE_RATIO: f64 = 0.7;
     let scale = &solution.scale;
     let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();
@@ -376,10 +368,9 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
     }
 }
 
-/// Example of a configured target size, mm, in the fix for a wrong one.
+/// Example in the fix, mm.
 const MIN_SHOWN_MM: f64 = 40.0;
 
-/// Describes the scale factors.
 fn describe_stretch(TargetScaleError { size, depth, .. }: &TargetScaleError) -> String {
     let factor = |of: &Measured| format!("{:.4} ± {:.4}", of.value, of.half_width(0.95));
     let size =
@@ -389,7 +380,7 @@ fn describe_stretch(TargetScaleError { size, depth, .. }: &TargetScaleError) -> 
     size.into_iter().chain(depth).collect::<Vec<String>>().join(" and ")
 }
 
-/// The setting of the detector or lens to correct.
+/// Setting of the detector or lens to correct.
 fn stretch_fix(TargetScaleError { size, depth, is_either, .. }: &TargetScaleError) -> String {
     let size_fix = size.as_ref().map(|size| match size.value {
         value if (value / 1e3 - 1.0).abs() < 0.02 => "publish positions in metres, not millimetres".to_owned(),

@@ -12,28 +12,27 @@ rule! {
     /// The hand rotates too little for hand-eye calibration.
     ///
     /// ## What it means
-    /// The camera's pose on the hand is observed through the hand's rotations. If they span less than 30°,
-    /// or share one axis, a part of that pose is undetermined: the camera may be anywhere along the common
-    /// axis.
+    /// The hand's rotations reveal the camera's pose on the hand. If they span less than 30° or share one
+    /// axis, part of that pose is undetermined: the camera may be anywhere along the common axis.
     ///
     /// ## Why it matters
-    /// A calibration from such a run fits the run itself and is off by centimetres as soon as the hand
-    /// tilts differently.
+    /// A calibration from such a run fits the run and is off by centimetres once the hand tilts
+    /// differently.
     ///
     /// ## Evidence
-    /// - `span_rad`: largest angle between two hand orientations while the target is visible.
+    /// - `span_rad`: largest angle between two hand orientations with the target visible.
     /// - `spread_rad`: spread of the rotation axes. 95 % of the rotations have an axis within this angle of
     ///   the most common one, `axis_in_hand`.
-    /// - `undetermined`: components of the camera pose whose uncertainty exceeds 2 mm or 0.2°.
+    /// - `undetermined`: components of the camera pose with an uncertainty above 2 mm or 0.2°.
     ///
     /// ## How to fix
     /// Record poses with the hand tilted by 30° or more about two perpendicular axes and the target in
     /// view. The finding names an axis to add.
     ///
     /// ## When it misleads
-    /// It describes what this run can show, not a fault: a cell that works tool-down never tilts its hand.
-    /// It is therefore `info`. It is a warning if hand-eye calibration is required of the log (`--require
-    /// HEC`, or `require` in the config).
+    /// It describes the run, not a fault: a cell that works tool-down never tilts its hand. It is therefore
+    /// `info`, or a warning if hand-eye calibration is required (`--require HEC`, or `require` in the
+    /// config).
     HEC002 {
         limits: &[MIN_ROTATION_SPAN, MIN_AXIS_SPREAD],
         name: "hand-eye-rotation",
@@ -45,7 +44,7 @@ rule! {
     }
 }
 
-/// A shorter run is not a calibration attempt, s.
+/// A shorter run is no calibration attempt, s.
 const MIN_DURATION_S: f64 = 3.0;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -98,7 +97,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> SubjectResult {
         .with_evidence("undetermined", undetermined)
 }
 
-/// An unobservable camera pose is a warning only if that pose is required.
+/// A warning only if the pose is required.
 fn severity(case: &Case) -> Severity {
     let required =
         [&hec001_hand_eye_closure::HEC001, &HEC002].into_iter().any(|rule| case.requires(rule));
@@ -133,9 +132,9 @@ fn fault(
     }
 }
 
-/// The motion to add.
+/// Motion to add.
 fn describe_motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -> String {
-    /// Rotation for a good hand-eye calibration, rad; recommended even if the limits are lower.
+    /// For a good calibration, rad, even if the limits are lower.
     const MIN_RECOMMENDED_RAD: f64 = 30.0 * DEGREE;
     let turn = Unit::Radian.show(least_span.max(least_spread).max(MIN_RECOMMENDED_RAD));
     if diversity.span_rad < 2.0 * DEGREE {
@@ -157,7 +156,7 @@ fn perpendicular_axes(axis: [f64; 3]) -> [&'static str; 2] {
     [named[0].0, named[1].0]
 }
 
-/// The camera axes along and about which the pose uncertainty exceeds the thresholds of HEC001.
+/// Camera axes whose uncertainty exceeds the thresholds of HEC001.
 fn undetermined_axes(case: &Case, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);

@@ -17,14 +17,13 @@ rule! {
     ///
     /// ## Why it matters
     /// A point ahead of the camera is interpreted as above it. If the whole pose is swapped, a calibration
-    /// of this camera's mount hides the error, but other users of the frame are affected.
+    /// of this mount hides the error, but other users of the frame are affected.
     ///
     /// ## Evidence
-    /// If positions and rotations have different axes, the chain does not close; `reading` is the
-    /// interpretation that closes it. A pose swapped as a whole is detected only with a reference for the
-    /// camera's orientation: static transforms from the hand or base to the camera, or a frame called
-    /// `optical` (or attached to one) whose target lies along x instead of z. `view` is the mean direction
-    /// to the target in camera axes.
+    /// If positions and rotations have different axes, the chain does not close; `reading` closes it. A
+    /// pose swapped as a whole is detected only with a reference for the camera's orientation: static
+    /// transforms from the hand or base to the camera, or a frame called `optical` (or attached to one)
+    /// whose target lies along x instead of z. `view` is the mean direction to the target in camera axes.
     ///
     /// ## How to fix
     /// Publish the target in the matching frame: `camera_link` is x forward, `camera_optical_frame` is z
@@ -32,7 +31,7 @@ rule! {
     ///
     /// ## When it misleads
     /// Without such frames, a pose swapped as a whole cannot be detected and the rule is skipped. A camera
-    /// physically rotated by exactly this rotation relative to its frame looks the same.
+    /// rotated by exactly this rotation relative to its frame looks the same.
     HEC003 {
         name: "camera-axes",
         grade: Grade::Fixed(Severity::Error),
@@ -43,20 +42,18 @@ rule! {
     }
 }
 
-/// Maximum deviation from the body–optical rotation for a mount error to be a swap, rad.
+/// From the body–optical rotation, rad.
 const MAX_SWAP_DEVIATION_RAD: f64 = 20.0 * DEGREE;
-/// Maximum angle between an axis and the direction to the target for the axis to be the view axis, rad.
+/// Between the view axis and the direction to the target, rad.
 const MAX_VIEW_ANGLE_RAD: f64 = 35.0 * DEGREE;
 
-/// How the camera axes are swapped.
 pub(super) enum AxisSwap {
-    /// Positions and rotations have different axes.
+    /// Positions and rotations differ.
     Within([(usize, f64); 3]),
-    /// The whole pose has these axes, and its frame name implies the others.
+    /// The whole pose has these axes, the frame name implies the others.
     Whole(CameraAxes),
 }
 
-/// The swap that the target poses show. `None` if they show none.
 pub(super) fn detect_swap(facts: &HandEyeEvidence) -> Option<AxisSwap> {
     let found = &facts.diagnosis;
     if let Some((TargetEncoding::Axes(axes), _)) = found.alternative {
@@ -93,7 +90,7 @@ fn body_from_optical() -> Rotation {
     rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2])
 }
 
-/// The convention in which a target in this direction is ahead.
+/// Convention in which a target in this direction is ahead.
 fn axes_of_view(view: [f64; 3]) -> Option<CameraAxes> {
     let view = Vec3::from(view);
     let along = |axis: Vec3| view.dot(&axis) > MAX_VIEW_ANGLE_RAD.cos() * view.norm().max(1e-9);
@@ -104,7 +101,7 @@ fn axes_of_view(view: [f64; 3]) -> Option<CameraAxes> {
     }
 }
 
-/// How to permute a position, for instance `(-y, -z, x)`.
+/// For instance `(-y, -z, x)`.
 pub(super) fn describe_axes(axes: &[(usize, f64); 3]) -> String {
     let named = axes.map(|(from, sign)| {
         let sign = if sign < 0.0 { "-" } else { "" };
@@ -139,7 +136,6 @@ fn judge(facts: &HandEyeEvidence) -> SubjectResult {
     }
 }
 
-/// The outcome if no swap was found.
 fn no_swap_outcome(facts: &HandEyeEvidence) -> Outcome {
     let found = &facts.diagnosis;
     if let Some(why) = mismatch_reason(found) {
@@ -166,7 +162,7 @@ fn no_swap_outcome(facts: &HandEyeEvidence) -> Outcome {
     }
 }
 
-/// The actual axes and the assumed ones.
+/// Actual and assumed axes.
 fn axes_names(swap: &AxisSwap) -> (&'static str, &'static str) {
     let (optical, body) = (CameraAxes::Optical.describe(), CameraAxes::Body.describe());
     match swap {

@@ -19,8 +19,8 @@ rule! {
     /// joint states are late, and the only finding is on them.
     ///
     /// ## Why it matters
-    /// A latency has no effect at rest. In motion it shifts every pose by speed times latency: 20 ms at 1
-    /// m/s is 20 mm. It scatters hand-eye calibrations and makes visual servoing oscillate.
+    /// In motion, a latency shifts every pose by speed times latency: 20 ms at 1 m/s is 20 mm. It scatters
+    /// hand-eye calibrations and makes visual servoing oscillate.
     ///
     /// ## Evidence
     /// The lag at which the stream best follows forward kinematics, with sub-sample resolution and an
@@ -28,23 +28,23 @@ rule! {
     /// chain closes best, fitted together with the camera's pose.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
-    /// of the two is off, the other one is listed in `indistinguishable`.
+    /// of the two is off, `indistinguishable` lists the other one.
     ///
     /// ## How to fix
-    /// Stamp samples at acquisition, not when they are published or received, and with a single clock. A
+    /// Stamp samples at acquisition, not when they are published or received, with a single clock. A
     /// constant latency can be corrected by shifting the stamps.
     ///
     /// ## When it misleads
     /// - A periodic motion fits several lags. An arm at rest, or a target seen only at rest (stop and go),
     ///   fits any lag. These are inconclusive.
-    /// - A filter on the stream also adds latency.
-    /// - Delays skewed to one side, as in a transport, have no single latency. The estimate is then their
-    ///   median, and `delays` also has the mean.
-    /// - /tf from robot_state_publisher copies the joint states' stamps, so it cannot show whether they are
+    /// - A filter on the stream adds latency.
+    /// - Delays skewed to one side, as in a transport, have no single latency. The estimate is their
+    ///   median; `delays` also has the mean.
+    /// - /tf from robot_state_publisher copies the joint states' stamps and cannot show whether they are
     ///   late.
     /// - Stamps truncated to the tick of a coarse clock are early by half a tick; the message reports it.
-    /// - A stream on another clock (TIM003) is first aligned by minimum delay. A constant transport delay
-    ///   is then not observable.
+    /// - A stream on another clock (TIM003) is first aligned by minimum delay, which hides a constant
+    ///   transport delay.
     LAT001 {
         name: "latency",
         grade: Grade::From(&[THRESHOLD]),
@@ -57,16 +57,14 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
 
-/// The motion that makes a latency observable.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
-/// The latency of a stream.
 #[derive(Clone, Copy)]
 struct StreamLatency<'a> {
-    /// Whether its stamps are independent of the joint states'.
+    /// Stamps independent of the joint states'.
     has_independent_stamps: bool,
     latency: &'a EstimateResult<Measured>,
-    /// Its delays if they are skewed; the latency is then their median.
+    /// Skewed delays, of which the latency is the median.
     delays: Option<&'a DelayJitter>,
 }
 
@@ -79,8 +77,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     rows
 }
 
-/// Keeps the first of the transforms on one topic whose latencies agree within `max_difference_s` as the finding:
-/// one program stamped them all.
+/// One program stamps the transforms of a topic: if their latencies agree within `max_difference_s`, only
+/// the first stays a finding.
 fn report_once_per_topic(rows: &mut [SubjectResult], max_difference_s: f64) {
     let is_late = |row: &SubjectResult| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
     for at in 1..rows.len() {
@@ -140,8 +138,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     }
 }
 
-/// Judges the latency of a target relative to a hand whose motion is not FK of joint states. Such a log
-/// does not determine which of the two is off.
+/// Latency of a target relative to a hand without joint states; which of the two is off is undetermined.
 fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<SubjectResult> {
     let latency = target.diagnosis.latency_s.as_ref().ok().filter(|_| !target.hand_is_of_joints)?;
     let thresholds = case.thresholds.threshold(&LAT001, THRESHOLD);
@@ -164,7 +161,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Subject
     )
 }
 
-/// Latency of the joint states, if two or more independent streams agree on it and none disagrees.
+/// If two or more independent streams agree on it and none disagrees.
 fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
     let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
@@ -173,7 +170,7 @@ fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -
         match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 witnesses.push(*latency);
-                // Several transforms on one topic count as one stream.
+                // Transforms on one topic count once.
                 topics.insert(stream.topic());
             }
             Decision::Undecided(_) => {}
@@ -189,8 +186,8 @@ fn estimate<'a>(stream: &StreamEvidence<StreamLatency<'a>>) -> Option<&'a Measur
     stream.latency.as_ref().ok()
 }
 
-/// Mean weighted by inverse variance. Its standard error is inflated if the values scatter more than their
-/// errors predict (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
+/// Mean weighted by inverse variance. The standard error is inflated if the values scatter more than
+/// predicted (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
 fn weighted_mean(parts: &[Measured]) -> Option<Measured> {
     let variance = |part: &Measured| part.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
     let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
@@ -202,7 +199,6 @@ fn weighted_mean(parts: &[Measured]) -> Option<Measured> {
     common.value.is_finite().then_some(common)
 }
 
-/// The only finding if the joint states are late.
 fn late_joint_states(
     case: &Case,
     arm: &ArmEvidence,
@@ -243,8 +239,7 @@ fn late_joint_states(
         .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
 }
 
-/// Judges a stream of an arm whose joint states are late. They explain the latency of an independent
-/// stream.
+/// Late joint states explain the latency of an independent stream.
 fn judge_with_late_joints(
     case: &Case,
     arm: &ArmEvidence,
@@ -321,7 +316,7 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
     format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
 }
 
-/// Suffix for a latency that is the median of skewed delays.
+/// For a latency that is the median of skewed delays.
 fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     let mean = |delays: &DelayJitter| {
         let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
@@ -331,15 +326,15 @@ fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     stream.delays.map(mean).unwrap_or_default()
 }
 
-/// Suffix for a latency of half the tick of a coarse clock to which stamps are truncated: those of the
-/// stream, which is then early, or those of the joint states.
+/// For a latency of half the tick to which the stamps of the stream (then early) or of the joint states are
+/// truncated.
 fn tick_suffix(
     case: &Case,
     arm: &ArmEvidence,
     stream: &StreamEvidence<StreamLatency>,
     latency: &Measured,
 ) -> String {
-    /// Tolerance of the comparison, in ticks.
+    /// In ticks.
     const MAX_TICK_DEVIATION: f64 = 0.1;
     let tick_s = |topic: &str| {
         let own = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
@@ -357,7 +352,7 @@ fn tick_suffix(
     cut(stream.topic(), -1.0).or_else(|| cut(&arm.joints_topic, 1.0)).unwrap_or_default()
 }
 
-/// The signed shift that corrects `latency`.
+/// Signed shift that corrects `latency`.
 fn shift(latency: &Measured) -> String {
     let sign = if latency.value > 0.0 { "-" } else { "+" };
     format!("{sign}{}", THRESHOLD.unit.show(latency.value.abs()))

@@ -10,11 +10,11 @@ rule! {
     ///
     /// ## What it means
     /// The latency of the stream relative to the joint states changes at this rate per second of stamp
-    /// time; positive if it grows. Clocks that are not synchronised behave like this.
+    /// time; positive if it grows. The clocks are probably not synchronised.
     ///
     /// ## Why it matters
-    /// A latency calibration is valid only briefly: at 200 ppm a stream is 12 ms later after a minute and
-    /// 0.7 s later after an hour.
+    /// A latency calibration expires: at 200 ppm a stream is 12 ms later after a minute and 0.7 s later
+    /// after an hour.
     ///
     /// ## Evidence
     /// The slope of the latency over the run, estimated together with the latency. `effect` is the total
@@ -61,7 +61,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     poses.chain(imus).collect()
 }
 
-/// A shorter stream, s, determines a rate only if the latency changes by at least `GROWS_S`.
+/// A shorter stream, s, determines a rate only if the latency changes by `GROWS_S`.
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
@@ -78,7 +78,7 @@ fn judge(
     skew.judged(Outcome::Skipped(why.to_owned()))
 }
 
-/// Explains why a rate from a short run is not reliable. `None` if it is.
+/// Reason why a rate from a short run is unreliable.
 fn doubt(skew: &EstimateResult<Measured>, seconds: f64) -> Option<String> {
     let skew = skew.as_ref().ok()?;
     let moved_s = skew.value.abs() * seconds;

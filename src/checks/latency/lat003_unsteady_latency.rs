@@ -11,23 +11,23 @@ rule! {
     ///
     /// ## What it means
     /// The stream's latency steps or drifts to another level, varies with the load, or wanders. Typical
-    /// causes are a clock that is set, a queue that fills, a busy network, or stamps made on receipt.
+    /// causes: a clock that is set, a queue that fills, a busy network, or stamps made on receipt.
     ///
     /// ## Why it matters
     /// No single shift corrects such a latency. A calibration is wrong after a step, and poses scatter by
     /// speed times step. A latency that depends on load is largest when the arm is fastest.
     ///
     /// ## Evidence
-    /// Changes of more than a few hundredths of a second are found first, from the lag between the stream's
-    /// speed and the arm's over time. The latency is then estimated in windows of 1 s, from the stream's
-    /// offset along the motion behind forward kinematics. For an IMU this uses its orientation, or its gyro
-    /// if it has none. `kind` is:
+    /// Changes above a few hundredths of a second are found first, from the lag between the stream's speed
+    /// and the arm's over time. The latency is then estimated in windows of 1 s, from the stream's offset
+    /// along the motion behind forward kinematics. An IMU's orientation is used, or its gyro if it has
+    /// none. `kind` is:
     ///
     /// - `step`: the estimate is the largest step, positive if the stream becomes later. `jumps` lists the
     ///   times.
     /// - `ramp`: from one level to another; the estimate is signed. `ramp` has the start and end time.
-    /// - `load`: it grows with joint or tool speed. The estimate is the difference between the highest and
-    ///   lowest speed of the run.
+    /// - `load`: it grows with joint or tool speed. The estimate is the difference between the run's
+    ///   highest and lowest speed.
     /// - `wander`: the estimate is the difference between maximum and minimum.
     ///
     /// A single step and a ramp also have `from` and `to`. The other rules judge the stream with this
@@ -41,8 +41,8 @@ rule! {
     /// ## When it misleads
     /// A latency that grows steadily is LAT002. If two or more independent streams step at the same time by
     /// the same latency and none is constant, the joint states stepped the other way, and the only finding
-    /// is on them. A single stream cannot show which of the two it was. At rest a latency has no effect, so
-    /// a step is dated to the next motion.
+    /// is on them. A single stream cannot show which of the two stepped. At rest a latency has no effect,
+    /// so a step is dated to the next motion.
     LAT003 {
         name: "unsteady-latency",
         grade: Grade::From(&[THRESHOLD]),
@@ -55,15 +55,13 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 5e-3, error: 20e-3 };
 
-/// The motion that makes the latency profile observable.
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
-/// The latency profile of a stream.
 struct StreamProfile<'a> {
-    /// Whether its stamps are independent of the joint states'.
+    /// Stamps independent of the joint states'.
     has_independent_stamps: bool,
     course: &'a EstimateResult<LatencyProfile>,
-    /// The latency after removing the profile.
+    /// After removing the profile.
     latency: Option<&'a Measured>,
 }
 
@@ -109,13 +107,12 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         .collect()
 }
 
-/// The latency profile of the joint states, if two or more independent streams step together and none is
-/// constant.
+/// If two or more independent streams step together and none is constant.
 fn joint_state_profile(
     case: &Case,
     streams: &[StreamEvidence<StreamProfile>],
 ) -> Option<LatencyProfile> {
-    /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
+    /// Between steps that count as one, s: each is dated to a window or to the next motion.
     const MAX_STEP_TIME_DIFFERENCE_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyProfile> = Vec::new();
     for course in streams
@@ -178,8 +175,7 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
     }
 }
 
-/// The latency before and after its single step or ramp, s, and the start and end of that change, s from
-/// the run's origin.
+/// Latency before and after a single step or ramp, s, with its start and end, s from the run's origin.
 fn levels_around_change(
     course: &LatencyProfile,
     latency: Option<&Measured>,

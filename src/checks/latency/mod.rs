@@ -1,5 +1,3 @@
-//! Latency of each stream relative to the joint states, and how it varies.
-
 pub(super) mod lat001_latency;
 pub(super) mod lat002_clock_skew;
 pub(super) mod lat003_unsteady_latency;

@@ -1,5 +1,3 @@
-//! Motion of the arm: vibration, abrupt stops, joint limits.
-
 pub(super) mod mot001_shake;
 pub(super) mod mot002_abrupt_stops;
 pub(super) mod mot003_limits_exceeded;

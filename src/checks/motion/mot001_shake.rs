@@ -11,12 +11,12 @@ rule! {
     /// ## What it means
     /// The rms of the tool's path above 10 Hz, beyond noise, in the 1.5 s in which it is largest. The path
     /// is FK of the joint states, or a pose stream. For a pose stream the band starts at the upper end of
-    /// the joint motion, but not below 4 Hz. A tone that the joints do not show is therefore also
-    /// vibration. White noise is estimated and subtracted.
+    /// the joint motion, but not below 4 Hz; a tone that the joints do not show is thus also vibration.
+    /// White noise is estimated and subtracted.
     ///
     /// ## Why it matters
-    /// Typical causes are a servo hunting in its dead band, a loose joint, an excessive gain, or a stepped
-    /// command. It blurs camera images and adds to every pose error.
+    /// It blurs camera images and adds to every pose error. Typical causes: a servo hunting in its dead
+    /// band, a loose joint, an excessive gain, a stepped command.
     ///
     /// ## Evidence
     /// - The estimate is the rms in metres.
@@ -26,8 +26,8 @@ rule! {
     ///
     /// ## How to fix
     /// Compare the streams: vibration in the joint states comes from the servos. Vibration only in an
-    /// independent pose stream comes from the structure or from the sensor. Widen the dead band, lower the
-    /// gain, or interpolate the command at the controller's rate.
+    /// independent pose stream comes from the structure or the sensor. Widen the dead band, lower the gain,
+    /// or interpolate the command at the controller's rate.
     ///
     /// ## When it misleads
     /// - Streams below 25 Hz are skipped. Vibration above half the sample rate appears at an aliased
@@ -36,8 +36,8 @@ rule! {
     ///   motion of one step.
     /// - Some tools, such as sanders, vibrate by design.
     /// - The ringing after an abrupt stop (MOT002) is shorter than the window.
-    /// - A single step in the path, for instance a slipping tool, is removed. Windows with a latency step
-    ///   (LAT003) are skipped.
+    /// - A single step in the path, as of a slipping tool, is removed. Windows with a latency step (LAT003)
+    ///   are skipped.
     MOT001 {
         name: "shake",
         grade: Grade::From(&[THRESHOLD]),
@@ -49,7 +49,6 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 };
-/// The log that makes vibration observable.
 const SETTLE: &str = "log evenly spaced samples at 100 Hz or more";
 
 fn check(case: &Case) -> Vec<SubjectResult> {

@@ -10,15 +10,15 @@ rule! {
     /// A joint stops or starts abruptly.
     ///
     /// ## What it means
-    /// The acceleration of a joint exceeds 20 rad/s² (5 m/s² for a prismatic joint). It is the slope of the
-    /// logged velocities if they agree with the positions, otherwise the second derivative of the
+    /// A joint accelerates by more than 20 rad/s² (5 m/s² if prismatic). The acceleration is the slope of
+    /// the logged velocities if they agree with the positions, otherwise the second derivative of the
     /// positions. Both are fitted over windows of 3 to 33 samples, once as stamped and once evenly spaced;
-    /// the smaller value counts. Of all windows, the one most significant beyond noise is reported.
+    /// the smaller value counts. The window most significant beyond noise is reported.
     ///
     /// ## Why it matters
     /// Such stops shake the arm and its payload and wear the gears. They are typical of protective stops,
-    /// emergency stops and commands without a velocity profile. Do not use data recorded during one for
-    /// calibration.
+    /// emergency stops and commands without a velocity profile. Do not calibrate with data recorded during
+    /// one.
     ///
     /// ## Evidence
     /// - `at_ns`: time; `window_s`: duration of the fitted window.
@@ -46,21 +46,20 @@ rule! {
     }
 }
 
-/// Largest acceleration of a revolute joint that is not abrupt.
+/// Of a revolute joint.
 const MAX_REVOLUTE_ACCELERATION: Limit = Limit {
     key: "turning",
     unit: Unit::RadianPerSecondSquared,
     value: 20.0,
     what: "acceleration above which a revolute joint stops abruptly",
 };
-/// The same for a prismatic joint.
+/// Of a prismatic joint.
 const MAX_PRISMATIC_ACCELERATION: Limit = Limit {
     key: "sliding",
     unit: Unit::MetrePerSecondSquared,
     value: 5.0,
     what: "acceleration above which a prismatic joint stops abruptly",
 };
-/// The log that makes abrupt stops observable.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -110,8 +109,8 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         .with_evidence("resolved", resolved.is_finite().then_some(resolved))
 }
 
-/// The acceleration with its interval: two of the six standard deviations in `noise`, and at least 1 %, the
-/// error of a fit over a few samples.
+/// The half-width is two of the six standard deviations in `noise`, and at least 1 %, the error of a fit
+/// over a few samples.
 fn estimate(found: &PeakAcceleration, unit: &'static str) -> Estimate {
     let half = (found.noise / 3.0).max(0.01 * found.acceleration);
     let ci95 = Some([found.acceleration - half, found.acceleration + half]);
@@ -125,7 +124,7 @@ fn estimate(found: &PeakAcceleration, unit: &'static str) -> Estimate {
     }
 }
 
-/// Larger accelerations are impossible for an arm, rad/s² or m/s².
+/// No arm accelerates more, rad/s² or m/s².
 const MIN_IMPOSSIBLE_ACCELERATION: f64 = 1e4;
 
 fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault {

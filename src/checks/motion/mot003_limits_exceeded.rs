@@ -11,12 +11,11 @@ rule! {
     /// ## What it means
     /// A joint exceeded a limit of the model (`<limit lower upper velocity>` in the URDF, or the
     /// catalogue's). All joint states of the run are checked. The finding is `info` if the excess is within
-    /// 1 % of the range or of the speed limit. For a continuous joint it is `info` up to twice the speed
-    /// limit.
+    /// 1 % of the range or of the speed limit, and up to twice the speed limit for a continuous joint.
     ///
     /// ## Why it matters
-    /// An arm cannot exceed its limits. Either the model's limits are not the arm's, and plans made with
-    /// them are wrong, or the positions are wrong: a different unit, another joint, or a whole-turn error.
+    /// An arm cannot exceed its limits. Either the model's limits and the plans made with them are wrong,
+    /// or the positions: a different unit, another joint, or a whole-turn error.
     ///
     /// ## Evidence
     /// `position` and `speed`, if exceeded: `limit`, the farthest `value` beyond it, `at_ns`, and the total
@@ -32,8 +31,7 @@ rule! {
     /// - Speeds are the logged ones if they agree with the positions, otherwise the slope of the positions.
     ///   A single sample beyond a speed limit is ignored as an outlier.
     /// - Some models deliberately use narrower limits than the arm's.
-    /// - Positions are checked as logged, in the detected unit, without adding zero offsets estimated by
-    ///   ZER001.
+    /// - Positions are checked as logged, in the detected unit, without the zero offsets of ZER001.
     MOT003 {
         name: "limits-exceeded",
         grade: Grade::Fixed(Severity::Warning),
@@ -44,9 +42,9 @@ rule! {
     }
 }
 
-/// An excess within this fraction of the range or limit is `info`.
+/// Of the range or limit; a smaller excess is `info`.
 const MAX_SLIGHT_EXCESS: f64 = 0.01;
-/// The same for the speed limit of a continuous joint.
+/// The same for the speed of a continuous joint.
 const MAX_ENDLESS_SPEED_EXCESS: f64 = 1.0;
 /// Encoder noise at a stop, rad or m, or rad/s or m/s.
 const MIN_EXCESS: f64 = 1e-4;
@@ -58,7 +56,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// Explains why joint states cannot be compared with limits or used as motion. `None` if they can.
+/// Reason why joint states cannot be compared with limits or used as motion.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
     encoding_doubt(arm).map(str::to_owned)
 }
@@ -77,13 +75,13 @@ pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Opti
     Some(motion_doubt(arm).unwrap_or_else(|| why.to_owned()))
 }
 
-/// Explains why the joint states are not motion in a known unit. `None` if they are.
+/// Reason why joint states are not motion in a known unit.
 pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
     let open = || arm.is_unit_undetermined().then(|| UNIT_UNDETERMINED.to_owned());
     doubt(arm).or_else(open)
 }
 
-/// The reason if the unit of the joint positions is inferred only from their size.
+/// The unit is inferred only from the size of the positions.
 pub(in crate::checks) const UNIT_UNDETERMINED: &str = "the joint positions are too large for rad, and without \
     poses they may be degrees, ticks or fractions of the range; log the tool pose too";
 
@@ -101,7 +99,6 @@ fn encoding_doubt(arm: &ArmEvidence) -> Option<&'static str> {
     Some(why)
 }
 
-/// An exceeded limit.
 struct ExceededLimit<'a> {
     what: &'static str,
     excess: &'a LimitViolation,
@@ -176,9 +173,9 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     judged
 }
 
-/// Whether a zero offset of the joint is too large for its positions to be compared with limits.
+/// Whether the zero offset is too large to compare positions with limits.
 fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
-    /// Smaller zero offsets barely change the excess, rad.
+    /// Smaller offsets barely change the excess, rad.
     const MIN_FAR_ZERO_RAD: f64 = 0.1;
     let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.is_chosen);
     let offset = named.and_then(|offset| offset.offset.as_ref().ok());
@@ -189,7 +186,7 @@ fn describe(case: &Case, exceeded: &ExceededLimit<'_>, unit: Unit) -> String {
     let LimitViolation { limit, value, at_s, seconds } = *exceeded.excess;
     let per = if exceeded.what == "speed" { "/s" } else { "" };
     let shown = |amount: f64| match unit {
-        // Not in mm, for comparison with the model's value.
+        // Not in mm, as in the model.
         Unit::Metre => format!("{amount:.3} m{per}"),
         unit => format!("{}{per}", unit.show(amount)),
     };

@@ -10,29 +10,27 @@ rule! {
     /// Quaternions are not unit-norm, or matrices not orthonormal.
     ///
     /// ## What it means
-    /// The logged rotations are not valid rotations: the maximum of `| |q| − 1 |` over all samples of a
-    /// stream, or of `max |RᵀR − I|` for matrices, reaches the threshold. All-zero quaternions were never
-    /// set; they are counted but not judged.
+    /// The maximum of `| |q| − 1 |`, or of `max |RᵀR − I|` for matrices, over all samples of a stream
+    /// reaches the threshold. All-zero quaternions were never set; they are counted but not judged.
     ///
     /// ## Why it matters
-    /// Consumers disagree on how to handle it: some normalise, some scale and shear, some throw. A norm
-    /// that dips between samples indicates component-wise interpolation of orientations; the angle is then
-    /// also wrong.
+    /// Consumers normalise, scale and shear, or throw. A norm that dips between samples indicates
+    /// component-wise interpolation of orientations; the angle is then also wrong.
     ///
     /// ## Evidence
     /// - `written`: `quaternion` or `matrix`.
     /// - `median`: median defect. It distinguishes a rough encoding from single bad samples.
     /// - `unset`: number of all-zero quaternions; `at_ns`: stamp of the largest defect.
-    /// - `frames`: the affected transforms of a TF topic, each with its largest defect.
+    /// - `frames`: affected transforms of a TF topic, each with its largest defect.
     ///
     /// ## How to fix
     /// Interpolate rotations along the arc (slerp), not their components or matrix entries, and normalise
-    /// before publishing. If all samples deviate equally, look for a fixed-point or single-precision
-    /// conversion, or for values printed with few digits.
+    /// before publishing. If all samples deviate equally, look for fixed-point or single-precision numbers,
+    /// or values printed with few digits.
     ///
     /// ## When it misleads
-    /// Quaternions printed with three decimals deviate by up to 1e-3. Components in the wrong order still
-    /// have unit norm; ORD002 detects them.
+    /// Quaternions printed with three decimals deviate by up to 1e-3. Components in the wrong order have
+    /// unit norm; ORD002 detects them.
     FRM005 {
         name: "not-a-rotation",
         grade: Grade::From(&[THRESHOLD]),
@@ -44,7 +42,7 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-2 };
-/// Maximum number of transforms in the evidence.
+/// In the evidence.
 const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<SubjectResult> {

@@ -12,8 +12,8 @@ rule! {
     /// from the first.
     ///
     /// ## Why it matters
-    /// The audit excludes such samples from all other checks. Consumers of the stream may not: one infinity
-    /// stays in a mean or a filter for good. The remaining samples may not cover the whole run.
+    /// Other checks exclude such samples. Consumers may not: one infinity stays in a mean or a filter for
+    /// good. The remaining samples may not cover the whole run.
     ///
     /// ## Evidence
     /// Of `samples` in total: `unusable` have such values, `unset` have no orientation, `misfits` have the
@@ -22,13 +22,12 @@ rule! {
     ///
     /// ## How to fix
     /// Check the publisher: a driver without a first measurement, a division by zero time, a diverged
-    /// filter, or an orientation that only some publishers set. Publish nothing while there is no valid
-    /// value.
+    /// filter, or an orientation that only some publishers set. Publish only valid values.
     ///
     /// ## When it misleads
     /// At most three samples, or one in a thousand, are `info`, because drivers often send NaN at startup.
-    /// For joint states only the joints of the arm count. A stream without any orientation is reported by
-    /// FRM007, one without any usable sample by TIM006.
+    /// For joint states only the joints of the arm count. FRM007 reports a stream without any orientation,
+    /// TIM006 one without any usable sample.
     ING003 {
         name: "unusable-samples",
         grade: Grade::Fixed(Severity::Warning),
@@ -39,7 +38,7 @@ rule! {
     }
 }
 
-/// Up to this number of samples, or this fraction of all, the finding is `info`.
+/// Up to this number or fraction of samples, the finding is `info`.
 const MAX_FEW_SAMPLES: u64 = 3;
 const MAX_FEW_FRACTION: f64 = 1e-3;
 

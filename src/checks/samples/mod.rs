@@ -1,5 +1,3 @@
-//! Samples: NaNs, outliers, repeats, invalid rotations.
-
 pub(super) mod frm005_not_a_rotation;
 pub(super) mod ing003_unusable_samples;
 pub(super) mod mot005_stray_samples;

@@ -14,23 +14,23 @@ rule! {
     /// moves like that.
     ///
     /// ## Why it matters
-    /// The audit excludes these samples from all other checks. Consumers of the stream do not: a controller
-    /// follows the jump, a filter smears it over a second, a map keeps it.
+    /// Other checks exclude these samples. Consumers do not: a controller follows the jump, a filter smears
+    /// it over a second, a map keeps it.
     ///
     /// ## Evidence
     /// - `count`: number of outliers.
-    /// - `length_m` (in the joint's own unit for a joint) and `angle_rad`: distance of the farthest;
-    ///   `at_ns`: its stamp.
-    /// - `parts`: the affected joints or transforms.
+    /// - `length_m` (in the joint's unit for a joint), `angle_rad`: distance of the farthest; `at_ns`: its
+    ///   stamp.
+    /// - `parts`: affected joints or transforms.
     /// - The estimate is the longest jump as logged, or the largest angle if no position jumps.
     ///
     /// ## How to fix
-    /// Check what is published at that time: a zero pose before the first measurement, a bit error between
-    /// encoder and driver, a tracker that locked on another target, or a second publisher. Drop such
-    /// samples, or repeat the last valid one, at the source.
+    /// Check what is published then: a zero pose before the first measurement, a bit error between encoder
+    /// and driver, a tracker that locked on another target, or a second publisher. Drop such samples, or
+    /// repeat the last valid one, at the source.
     ///
     /// ## When it misleads
-    /// - A jump that lasts longer than 0.25 s may be a motion and is not reported.
+    /// - A jump longer than 0.25 s may be a motion and is not reported.
     /// - If more than 5 % of the samples jump, outliers cannot be identified and the rule is inconclusive.
     ///   FRM004 reports two publishers of one transform.
     /// - Fewer than 20 samples are also inconclusive.
@@ -46,7 +46,7 @@ rule! {
     }
 }
 
-/// Maximum number of joints or transforms in the evidence.
+/// In the evidence.
 const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -100,7 +100,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
 }
 
 impl OutlierEvidence {
-    /// The jump of a part, with its unit.
+    /// Jump of a part.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
         let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
         match (turns, part.farthest.length_m) {

@@ -16,21 +16,21 @@ rule! {
     /// jump amid a motion.
     ///
     /// ## Why it matters
-    /// The stream looks alive: its rate and its stamps are normal. Consumers take an old pose for the
-    /// current one, with an error as large as the motion in the meantime.
+    /// Rate and stamps are normal, so consumers take an old pose for the current one. The error is as large
+    /// as the motion in the meantime.
     ///
     /// ## Evidence
     /// `times` lists each interval with its samples and the minimum motion of a joint in it. `count` is
     /// their number. The estimate is the longest, in seconds. All other rules ignore these samples.
     ///
     /// ## How to fix
-    /// Find the source that stopped while another node kept publishing its last value: a driver that lost
-    /// its connection, a tracker that lost its target, a filter that holds. Publish nothing in that case,
-    /// or mark the value as stale.
+    /// Find the source that stopped while another node repeated its last value: a driver that lost its
+    /// connection, a tracker that lost its target, a filter that holds. Then publish nothing, or mark the
+    /// value as stale.
     ///
     /// ## When it misleads
     /// - A source slower than 4 Hz in a fast stream looks the same; its stamps are then the fault.
-    /// - A stream frozen until the end of the log may also be late, and is not reported. The same applies
+    /// - A stream frozen until the end of the log may also be late and is not reported. The same applies
     ///   close to a rest of the arm, unless the stream's speeds determine its latency.
     /// - FRM001 checks transforms that do not move with the joints.
     /// - Joint states frozen until the end are indistinguishable from an arm at rest.
@@ -45,7 +45,7 @@ rule! {
     }
 }
 
-/// Maximum number of intervals in the evidence.
+/// In the evidence.
 const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<SubjectResult> {

@@ -8,9 +8,9 @@ rule! {
     /// Rows repeat values with new stamps while the arm moves.
     ///
     /// ## What it means
-    /// At least 5 % of the rows of a stream (joint states, poses, transforms or IMU) repeat the previous
-    /// row bit for bit under a new stamp while the arm moves. Typical causes are a script that polls faster
-    /// than values arrive, or a node that upsamples by repetition.
+    /// At least 5 % of a stream's rows (joint states, poses, transforms or IMU) repeat the previous row bit
+    /// for bit under a new stamp while the arm moves. Typical causes: a script that polls faster than
+    /// values arrive, or a node that upsamples by repetition.
     ///
     /// ## Why it matters
     /// The stamps claim new values, but each value is as old as it was held. Differentiation gives
@@ -19,7 +19,7 @@ rule! {
     ///
     /// ## Evidence
     /// - `repeated` of `rows` in motion repeat the previous row.
-    /// - `rows_hz`: row rate; `values_hz`: true rate, of new values.
+    /// - `rows_hz`: row rate; `values_hz`: rate of new values.
     /// - `mean_age_s`: mean age of a row's value.
     /// - The estimate is the fraction of repeated rows.
     ///
@@ -28,14 +28,13 @@ rule! {
     /// the mean age.
     ///
     /// ## How to fix
-    /// Subscribe instead of polling, or stamp a value when it is read and publish it once. If a consumer
-    /// needs a fixed rate, interpolate there.
+    /// Subscribe instead of polling, or stamp a value when it is read and publish it once. Interpolate in
+    /// the consumer that needs a fixed rate.
     ///
     /// ## When it misleads
-    /// An arm at rest repeats values, and so does a slow joint with a coarse encoder; neither is counted. A
-    /// topic whose name indicates latching is `info`. Rows repeated with their old stamp are sent twice,
-    /// which is not a fault (TIM004). Values repeated for 0.25 s or more while the arm moves are reported
-    /// by TIM007.
+    /// Repeats of an arm at rest, or of a slow joint with a coarse encoder, are not counted. A topic whose
+    /// name indicates latching is `info`. Rows repeated with their old stamp are sent twice, which is not a
+    /// fault (TIM004). TIM007 reports values repeated for 0.25 s or more while the arm moves.
     TIM008 {
         name: "repeated-rows",
         grade: Grade::From(&[THRESHOLD]),
