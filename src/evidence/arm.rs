@@ -1,5 +1,3 @@
-//! Evidence about one arm: estimates on its joints and streams.
-
 use std::borrow::Cow;
 
 use rayon::prelude::*;
@@ -21,33 +19,33 @@ use crate::stream::{Columns, Orientations};
 /// Robot with its streams.
 #[derive(Clone, Debug)]
 pub struct ArmEvidence {
-    /// Name of the robot.
+    /// Robot name.
     pub name: String,
     /// Topic of its joint states.
     pub joints_topic: String,
-    /// First and last stamp of its joint states.
+    /// First and last stamp of the joint states.
     pub span: Span,
-    /// Joints of its chain, indexed as in `diagnosis`.
+    /// Joints of the chain, as in `diagnosis`.
     pub joints: Vec<JointEvidence>,
-    /// Distance from base to tip at full stretch, m.
+    /// From base to tip at full stretch, m.
     pub reach_m: f64,
-    /// Different arm model that fits the poses far better than the declared one.
+    /// Other model that fits the poses far better.
     pub better_model: Option<CompetingModel>,
-    /// Other catalogue arms with different links that fit the log about as well as this one, which was guessed.
+    /// Other catalogue arms that fit about as well as this guess.
     pub indistinguishable_models: Vec<String>,
-    /// Declared DH convention and the evidence for it, if the model is a DH table.
+    /// Evidence for the DH convention, for DH tables.
     pub dh: Option<DhEvidence>,
     /// Diagnosis of its joint states.
     pub diagnosis: JointDiagnosis,
-    /// Pose streams, indexed as in the confounders of a joint offset.
+    /// Pose streams, as in the confounders of a joint offset.
     pub poses: Vec<StreamEvidence<PoseEvidence>>,
-    /// Tip pose from /tf, against FK of the recorded joint states.
+    /// Tip pose from /tf, against FK.
     pub tf: Option<StreamEvidence<PoseEvidence>>,
-    /// Vibration of the tip, from the joint states and from each pose stream.
+    /// From the joint states and each pose stream.
     pub vibrations: Vec<StreamEvidence<VibrationEvidence>>,
     /// IMUs on the arm.
     pub imus: Vec<StreamEvidence<ImuEvidence>>,
-    /// Whether joint positions were identified as degrees by their magnitude.
+    /// Joint positions were identified as degrees by magnitude.
     pub is_in_degrees_by_magnitude: bool,
     /// Command streams.
     pub references: Vec<StreamEvidence<ReferenceEvidence>>,
@@ -70,7 +68,7 @@ impl ArmEvidence {
         self.tf.iter().any(|tf| tf.topic() == stream.topic())
     }
 
-    /// Combined source of the pose streams: external if any is, controller if all are.
+    /// External if any pose stream is, controller if all are.
     pub fn pose_source_kind(&self) -> PoseSourceKind {
         let of = |witness: PoseSourceKind| {
             self.poses.iter().filter(move |s| s.source_kind == witness).count()
@@ -87,28 +85,28 @@ impl ArmEvidence {
         self.poses_and_tf().map(|stream| stream.diagnosis.top_speed_m_s).fold(0.0, f64::max)
     }
 
-    /// The robot as a subject.
+    /// The robot.
     pub fn subject(&self) -> Subject {
         Subject { robot: Some(self.name.clone()), ..Subject::default() }
     }
 
-    /// A topic of this robot as a subject.
+    /// A topic of this robot.
     pub fn topic(&self, topic: &str) -> Subject {
         Subject { topic: Some(topic.to_owned()), ..self.subject() }
     }
 
-    /// A frame in a topic of this robot as a subject.
+    /// A frame in a topic of this robot.
     pub fn frame(&self, topic: &str, frame: &str) -> Subject {
         Subject { frame: Some(frame.to_owned()), ..self.topic(topic) }
     }
 
-    /// A joint of this robot as a subject.
+    /// A joint of this robot.
     pub fn joint(&self, index: usize) -> Subject {
         let joint = self.joints.get(index).map(|joint| joint.name.clone());
         Subject { joint, ..self.subject() }
     }
 
-    /// A joint in the joint states topic as a subject.
+    /// A joint in the joint states topic.
     pub fn joint_states(&self, index: usize) -> Subject {
         Subject { topic: Some(self.joints_topic.clone()), ..self.joint(index) }
     }
@@ -118,7 +116,7 @@ impl ArmEvidence {
         self.diagnosis.scales.iter().find(|scale| scale.column == index)
     }
 
-    /// Whether joint positions were identified as degrees but no pose confirms it.
+    /// Joint positions were identified as degrees, but no pose confirms it.
     pub fn is_unit_undetermined(&self) -> bool {
         self.is_in_degrees_by_magnitude && self.diagnosis.encoding.is_err()
     }
@@ -132,7 +130,6 @@ impl ArmEvidence {
     }
 }
 
-/// Collects the evidence for arm `index` from its `diagnosis`.
 pub(super) fn arm_evidence(
     run: &Run,
     index: usize,

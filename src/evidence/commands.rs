@@ -1,5 +1,3 @@
-//! Comparison of commands with the motion of the arm.
-
 use super::poses::PoseEvidence;
 use super::{StreamEvidence, arm_stream_evidence, stream_span};
 use crate::diagnosis::{
@@ -15,25 +13,24 @@ use crate::stream::{Columns, JointColumn, JointColumns, JointTrack};
 /// One command stream.
 #[derive(Clone, Debug)]
 pub struct ReferenceEvidence {
-    /// Whether it commands joints rather than poses.
+    /// Commands joints rather than poses.
     pub is_of_joints: bool,
-    /// Whether the commanded link is declared; if not, it may be an active TCP.
+    /// The commanded link is declared; otherwise it may be an active TCP.
     pub is_tip_declared: bool,
-    /// Whether the frame of the commanded poses is declared.
+    /// The frame of the commanded poses is declared.
     pub is_frame_declared: bool,
-    /// Sources of the actual tip pose, one per entry of the gaps and of a line's observations.
+    /// Actual tip poses, one per entry of the gaps and of a line's observations.
     pub tip_poses: Vec<TipPoseSource>,
-    /// Diagnosis, or the reason why the commands cannot be compared with the arm.
+    /// Diagnosis, or why the commands cannot be compared with the arm.
     pub diagnosis: Result<EstimateResult<ReferenceDiagnosis>, String>,
-    /// Delay from command to state, per commanded joint or for the tip. Empty if the commands cannot be
-    /// compared with the arm.
+    /// From command to state, per commanded joint or for the tip. Empty if the commands cannot be compared.
     pub delays: Vec<CommandDelay>,
 }
 
 /// Source of the actual tip pose.
 #[derive(Clone, Debug)]
 pub struct TipPoseSource {
-    /// Display name: the topic of a stream.
+    /// Topic, or another display name.
     pub name: String,
     /// Kind of its poses.
     pub kind: TipPoseKind,
@@ -42,24 +39,23 @@ pub struct TipPoseSource {
 /// Kind of a source's poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TipPoseKind {
-    /// Forward kinematics of the recorded joint states.
+    /// FK of the joint states.
     Kinematics,
-    /// Pose stream after correcting its findings.
+    /// Pose stream after correction.
     Corrected,
     /// Pose stream as logged.
     AsLogged,
 }
 
-/// Joint commands of a log without an arm model, compared with the joint states of the same names.
+/// Joint commands without an arm model, compared with joint states of the same names.
 #[derive(Clone, Debug)]
 pub struct UnmodelledCommands {
     /// Joint names.
     pub joints: Vec<String>,
-    /// Delay from command to state, per joint.
+    /// From command to state, per joint.
     pub delays: Vec<CommandDelay>,
 }
 
-/// Delays from joint commands to joint states in a run without an arm model.
 pub(super) fn unmodelled_commands(
     run: &Run,
     most_lag_s: f64,
@@ -103,8 +99,7 @@ pub(super) fn unmodelled_commands(
     of_role(Role::Reference).filter_map(of).collect()
 }
 
-/// Strictly increasing times from the run's origin and row-major positions of the joints at `places`.
-/// `None` if there are none.
+/// Increasing times from the run's origin, and row-major positions of the joints at `places`.
 fn rows_of(
     run: &Run,
     stream: usize,
@@ -125,7 +120,6 @@ fn rows_of(
     (!q.is_empty()).then_some((t_s, q))
 }
 
-/// Diagnoses the commands to arm `index`, given the evidence for its pose streams.
 pub(super) fn references(
     run: &Run,
     index: usize,
@@ -154,7 +148,7 @@ pub(super) fn references(
             Ok(ReferenceContent::Joints { .. }) => (true, true, true),
             Err(_) => (false, false, false),
         };
-        // Joint commands are compared with the joint states only, because both have the same zeros.
+        // Joint commands are compared with joint states only: both have the same zeros.
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
         let (witnesses, series): (Vec<TipPoseSource>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
@@ -179,8 +173,7 @@ pub(super) fn references(
     found.collect()
 }
 
-/// Diagnosis of one command stream and the delays of the arm. The error is the reason why they cannot be
-/// compared.
+/// The error is the reason why they cannot be compared.
 fn diagnose(
     arm: &Arm,
     content: &ReferenceContent,
@@ -218,8 +211,7 @@ fn diagnose(
     }
 }
 
-/// Poses of the arm's tip in its base according to a stream, after correcting its findings and as logged.
-/// Both are corrected for latency.
+/// Tip poses in the base, corrected and as logged. Both are corrected for latency.
 fn tip_poses_of_stream(
     run: &Run,
     arm: &Arm,

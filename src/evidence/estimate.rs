@@ -1,5 +1,3 @@
-//! Runs the estimators on each arm of a run.
-
 use rayon::prelude::*;
 
 use crate::diagnosis::{
@@ -21,7 +19,6 @@ pub struct DhEvidence {
     pub estimate: DhComparison,
 }
 
-/// Diagnosis of one arm.
 pub(super) struct ArmStreamsDiagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
@@ -29,8 +26,7 @@ pub(super) struct ArmStreamsDiagnosis {
     pub dh: Option<DhEvidence>,
 }
 
-/// Diagnoses every arm of a run. If a DH table turns out to use the undeclared convention, the arm is
-/// replaced by that interpretation.
+/// Diagnoses every arm. Replaces an arm whose DH table uses the undeclared convention.
 pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<ArmStreamsDiagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
@@ -58,8 +54,8 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<ArmStreamsDiagnosi
     .collect()
 }
 
-/// Diagnosis under the undeclared DH convention, compared with `found` under the declared one. Skipped if
-/// the declared one explains the streams without a fault, or if positions alone rule out the other.
+/// Diagnosis under the undeclared DH convention. Skipped if `found`, under the declared one, explains the
+/// streams, or if positions alone rule out the other.
 fn diagnose_other_convention(
     run: &Run,
     arm: &Arm,
@@ -124,7 +120,7 @@ fn diagnose_other_convention(
     (estimate, Some((other, diagnosis)))
 }
 
-/// Factor from a stream's positions to m.
+/// To m.
 fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
@@ -154,7 +150,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
             found.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
         };
         let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
-        // The publisher of the log's transforms does not apply corrections.
+        // Transforms in the log were published without corrections.
         let as_recorded = arm
             .recorded
             .as_ref()
@@ -177,7 +173,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
         })
     };
     let imu = |source: &ImuSource| match &diagnosis.joints.encoding {
-        // Without a valid interpretation of the joint states, FK is meaningless.
+        // Without an interpretation of the joint states, FK is meaningless.
         Err(NotObservable::NotExcited) => ImuDiagnosis::not_observable(&NotObservable::RestsOn(
             "the order and the unit of the joint positions",
         )),
@@ -187,7 +183,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
     ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
-/// Corrected joint states of an arm. `None` if no interpretation of them fits its poses.
+/// Corrected joint states. `None` if no interpretation of them fits the poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
     let is_unread = matches!(found.joints.encoding, Err(NotObservable::NotExcited));
     (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))

@@ -1,5 +1,3 @@
-//! Hand-eye evidence: each target seen by a camera, compared with a hand.
-
 use crate::diagnosis::{
     CameraMount, HandEyeDiagnosis, HandEyeStreams, PoseSeries, diagnose_hand_eye,
     rotation_lag_peaks,
@@ -8,30 +6,30 @@ use crate::finding::{Span, Subject};
 use crate::run::{CameraAxes, HandKind, HandSource, Run, TargetSource};
 use crate::stream::JointTrack;
 
-/// Target seen by a camera, with a hand.
+/// Target seen by a camera, compared with a hand.
 #[derive(Clone, Debug)]
 pub struct HandEyeEvidence {
-    /// Robot to which the hand belongs, if any.
+    /// Robot of the hand, if any.
     pub robot: Option<String>,
     /// Topic of the target.
     pub topic: String,
     /// Camera frame.
     pub camera: String,
-    /// Target frame; empty if not declared.
+    /// Target frame; empty if undeclared.
     pub target: String,
     /// First and last stamp of the target.
     pub span: Option<Span>,
-    /// Display name of the hand: a topic, or a link and the source of its poses.
+    /// Topic of the hand, or link and source of its poses.
     pub hand: String,
-    /// Whether the hand's poses are FK of the joint states of `robot`, with their stamps.
+    /// The hand's poses are FK of the joint states, with their stamps.
     pub hand_is_of_joints: bool,
-    /// Hand frame; empty if not declared.
+    /// Hand frame; empty if undeclared.
     pub hand_frame: String,
-    /// Base frame of the hand's poses; empty if not declared.
+    /// Base frame; empty if undeclared.
     pub base: String,
-    /// Expected axes of the camera, if the log's frames determine them.
+    /// Camera axes according to the log's frames.
     pub axes: Option<CameraAxes>,
-    /// Mount of the camera according to the log's frames.
+    /// Mount according to the log's frames.
     pub logged: Option<CameraMount>,
     /// Diagnosis.
     pub diagnosis: HandEyeDiagnosis,
@@ -58,8 +56,8 @@ impl HandEyeEvidence {
     }
 }
 
-/// Diagnoses every target against its hand. `joints` returns the corrected joint states of an arm, or
-/// `None` if they cannot be interpreted.
+/// Diagnoses every target. `joints` returns corrected joint states, or `None` if they cannot be
+/// interpreted.
 pub(super) fn hand_eyes(
     run: &Run,
     joints: impl Fn(usize) -> Option<JointTrack>,
@@ -99,7 +97,7 @@ pub(super) fn hand_eyes(
     facts.collect()
 }
 
-/// Hand whose rotation correlates best with the target's, with its poses; the first if none rotates.
+/// Hand whose rotation correlates best with the target's; the first if none rotates.
 fn best_hand<'a>(
     target: &'a TargetSource,
     series: &PoseSeries,
@@ -124,14 +122,13 @@ fn best_hand<'a>(
     if hands.len() < 2 {
         return hands.pop();
     }
-    // `max_by` returns the last of equals, so reverse to prefer the first.
+    // `max_by` returns the last of equals.
     hands
         .into_iter()
         .rev()
         .max_by(|a, b| rotation_correlation(&a.1).total_cmp(&rotation_correlation(&b.1)))
 }
 
-/// Base frame.
 fn base_frame(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.base_name().to_owned(),
@@ -140,7 +137,6 @@ fn base_frame(run: &Run, kind: &HandKind) -> String {
     }
 }
 
-/// Hand frame.
 fn hand_frame_name(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.tip_name().to_owned(),
@@ -149,7 +145,6 @@ fn hand_frame_name(run: &Run, kind: &HandKind) -> String {
     }
 }
 
-/// Display name of the hand.
 fn hand_name(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => format!("{} by FK", chain.tip_name()),

@@ -1,5 +1,3 @@
-//! Joints of an arm, and their motion over all samples.
-
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
@@ -15,45 +13,42 @@ use crate::run::{Arm, JointSamples, JointStateCorrection, Run, Velocities};
 /// One joint of a chain.
 #[derive(Clone, Debug)]
 pub struct JointEvidence {
-    /// Name, as in the log.
+    /// Name in the log.
     pub name: String,
-    /// Whether it is prismatic.
+    /// Prismatic.
     pub is_prismatic: bool,
     /// Limits in the model.
     pub limits: Limits,
-    /// Motion over all samples.
+    /// Over all samples.
     pub motion: JointMotion,
-    /// Recorded velocities compared with recorded positions. `None` without velocities.
+    /// Recorded velocities against positions. `None` without velocities.
     pub velocity: Option<EstimateResult<VelocityDiagnosis>>,
-    /// Actual content of its positions, if the pose streams show it: index of the joint that they belong
-    /// to, and a factor.
+    /// Joint that its positions belong to according to the poses, and a factor.
     pub actual: Option<(usize, f64)>,
 }
 
 /// Motion of a joint over the run.
 #[derive(Clone, Debug, Default)]
 pub struct JointMotion {
-    /// Violation of its position limits.
+    /// Violation of the position limits.
     pub positions: Option<LimitViolation>,
-    /// Number of full turns by which it is beyond its limits throughout the run; positive beyond the upper
-    /// limit.
+    /// Full turns beyond its limits throughout the run; positive above the upper one.
     pub turns_beyond: Option<f64>,
-    /// Violation of its speed limit.
+    /// Violation of the speed limit.
     pub speeds: Option<LimitViolation>,
-    /// Largest acceleration. `None` if its samples do not allow an estimate.
+    /// Largest acceleration, if the samples allow an estimate.
     pub abruptness: Option<PeakAcceleration>,
-    /// Whether it rotates without limits, according to the model or the log.
+    /// Rotates without limits, according to model or log.
     pub is_endless: bool,
 }
 
-/// Corrections that turn the joint states into the actual positions, if names or units are wrong. Motion
-/// cannot be judged on wrong numbers.
+/// Corrections of wrong names or units: motion cannot be judged on wrong numbers.
 pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointStateCorrection> {
     let reading = found.encoding.as_ref().ok()?;
     if reading.is_as_logged() {
         return None;
     }
-    // The zero of an encoding such as ticks is part of the unit. All other zeros are estimates, and limits
+    // The zero of an encoding such as ticks is part of the unit. Other zeros are estimates, and limits
     // apply to logged positions.
     let coded_zero = |joint: usize| {
         let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
@@ -72,7 +67,6 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointStateCor
     Some(mending)
 }
 
-/// Evidence for one joint over all of its samples.
 pub(super) fn joint_evidence(
     run: &Run,
     arm: &Arm,
@@ -91,7 +85,7 @@ pub(super) fn joint_evidence(
             .any(|folded| folded.stream == source.stream && folded.joint == source.name);
         motion.is_endless =
             is_wrapped || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
-        // Positions wrapped to one turn cannot be compared with limits.
+        // Wrapped positions cannot be compared with limits.
         if !is_wrapped {
             motion.positions = position_violation(t_s, position, &limits);
             let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
@@ -113,13 +107,13 @@ pub(super) fn joint_evidence(
     JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
 }
 
-/// Number of full turns by which positions, rad, are beyond `limits` throughout, if subtracting them brings
-/// all within.
+/// Full turns by which positions, rad, are beyond `limits` throughout, if subtracting them brings all
+/// within.
 fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
-    /// Maximum number of turns an encoder counts.
+    /// Turns an encoder counts.
     const MAX_TURNS: f64 = 4.0;
-    /// Maximum excess, as a share of the range, at which the model's limit is as likely to be wrong
-    /// (MOT003's `info`).
+    /// Excess, as a share of the range, at which the model's limit is as likely to be wrong (MOT003's
+    /// `info`).
     const MAX_SLIGHT_EXCESS: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
     let finite = position.iter().copied().filter(|position| position.is_finite());
@@ -135,7 +129,7 @@ fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     (is_within && turns.abs() <= MAX_TURNS).then_some(turns)
 }
 
-/// Change points of each joint's positions, such as a lost zero.
+/// Change points of positions, such as a lost zero.
 pub(super) fn change_points(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
     let mut change_points = vec![Vec::new(); joints];
     for change in &found.changes {
@@ -147,13 +141,12 @@ pub(super) fn change_points(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f6
     change_points
 }
 
-/// Compares recorded velocities with recorded positions, per joint. `None` for joints without velocities.
-/// Positions change at each of `change_points`.
+/// Compares recorded velocities with positions, which change at `change_points`. `None` for joints without
+/// velocities.
 pub(super) fn velocities(
     recorded: &[JointSamples<'_>],
     change_points: &[Vec<f64>],
 ) -> Vec<Option<EstimateResult<VelocityDiagnosis>>> {
-    /// Maximum number of samples used.
     const MAX_SAMPLES: usize = 24_000;
     let some = |of: &[f64]| -> Vec<f64> {
         row_blocks(of.len(), MAX_SAMPLES).flat_map(|rows| of[rows].iter().copied()).collect()

@@ -1,5 +1,5 @@
-//! Evidence: everything estimated and counted in a run, per stream. Rules judge this. Each family of
-//! streams has a file with its types and the code that computes them from the run.
+//! Evidence: everything estimated and counted in a run, per stream, for the rules to judge. Each family of
+//! streams has a file.
 
 mod arm;
 mod commands;
@@ -37,48 +37,47 @@ pub use vibration::VibrationEvidence;
 /// All evidence about one run.
 #[derive(Clone, Debug, Default)]
 pub struct RunEvidence {
-    /// Robots with a model, each with its streams.
+    /// Robots with a model.
     pub robots: Vec<ArmEvidence>,
-    /// Reason why there is no robot, if so.
+    /// Why there is no robot.
     pub no_robot: Option<String>,
-    /// Joint commands, if there is no robot.
+    /// Joint commands, without a robot.
     pub unmodelled_commands: Vec<StreamEvidence<UnmodelledCommands>>,
-    /// Targets seen by cameras, each compared with a hand.
+    /// Targets seen by cameras.
     pub hand_eyes: Vec<HandEyeEvidence>,
-    /// Stamps of every stream with a role.
+    /// Of every stream with a role.
     pub stamps: Vec<StreamEvidence<StampEvidence>>,
-    /// Unusable samples of every audited stream.
+    /// Of every audited stream.
     pub unusable: Vec<StreamEvidence<UnusableSampleEvidence>>,
-    /// Sample timing of every stream with a role.
+    /// Of every stream with a role.
     pub rhythms: Vec<StreamEvidence<RhythmEvidence>>,
-    /// TF topics and the problems of their tree.
+    /// TF topics and their problems.
     pub tf: TfEvidence,
-    /// Deviation from rotations, for every stream whose rotations have more than three numbers.
+    /// Deviation from rotations, if those have more than three numbers.
     pub norms: Vec<StreamEvidence<Vec<Norms>>>,
-    /// Outliers of every stream of joint states, tool poses or transforms.
+    /// Of joint states, tool poses and transforms.
     pub outliers: Vec<StreamEvidence<OutlierEvidence>>,
-    /// Frozen intervals of every pose stream compared with the arm.
+    /// Of every stream compared with the arm.
     pub frozen_intervals: Vec<StreamEvidence<Vec<Frozen>>>,
     /// Streams that repeat values with new stamps.
     pub repeated_values: Vec<StreamEvidence<RepeatedValueEvidence>>,
-    /// Streams of joint states or tool poses, and streams declared as such, with the reasons why they are
-    /// not audited.
+    /// Streams that are, or are declared, joint states or tool poses, and why they are not audited.
     pub not_audited: Vec<StreamEvidence<Vec<NotAuditedReason>>>,
-    /// Pose streams that lead the arm, with the lead in seconds.
+    /// Pose streams that lead the arm, with the lead, s.
     pub leading_streams: Vec<StreamEvidence<f64>>,
-    /// Relevant topics without messages or without finite numbers.
+    /// Relevant topics without finite numbers.
     pub empty_streams: Vec<EmptyStreamEvidence>,
-    /// Expected topics that are missing, with the place where they are declared.
+    /// Missing topics, and where they are declared.
     pub missing_topics: Vec<(Subject, String)>,
-    /// First stamp of the run.
+    /// First stamp.
     pub start: Option<Stamp>,
-    /// Origin of all times in seconds.
+    /// Origin of times in seconds.
     pub origin: Stamp,
-    /// Whether the log contains `/clock`, which indicates simulation.
+    /// The log contains `/clock`: simulation.
     pub simulated: bool,
     /// Damage to the files.
     pub losses: Vec<Loss>,
-    /// Relevant topics that could not be decoded.
+    /// Relevant undecodable topics.
     pub undecodable: Vec<UndecodableTopic>,
     /// Contradictions between metadata and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
@@ -87,8 +86,7 @@ pub struct RunEvidence {
 }
 
 impl RunEvidence {
-    /// Collects the evidence for `run`. If a DH table turns out to use the undeclared convention, its arm
-    /// is replaced.
+    /// Collects the evidence. Replaces arms whose DH table uses the undeclared convention.
     pub fn collect(run: &mut Run, lost: &ReadLosses, options: &RunOptions) -> Self {
         let most_lag_s = options.max_latency_s;
         let diagnoses = estimate::diagnose(run, most_lag_s);
@@ -135,7 +133,7 @@ impl RunEvidence {
         }
     }
 
-    /// Number of subjects (streams and joints), for the multiple-comparison correction of intervals.
+    /// Number of streams and joints, for the multiple-comparison correction of intervals.
     pub fn subjects(&self) -> usize {
         let of_robots: usize = self.robots.iter().map(ArmEvidence::subjects).sum();
         (of_robots + self.hand_eyes.len()).max(1)
@@ -146,7 +144,7 @@ impl RunEvidence {
         self.losses.iter().any(|loss| loss.extent >= log::Extent::Messages)
     }
 
-    /// Formats a stamp as seconds from the start of the run.
+    /// A stamp as seconds from the start.
     pub fn moment(&self, stamp: Stamp) -> String {
         format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
     }
@@ -191,7 +189,6 @@ impl<T> StreamEvidence<T> {
         self.span.map_or(0.0, |span| span.seconds())
     }
 
-    /// Different evidence about the same stream.
     pub(crate) fn with_value<U>(&self, value: U) -> StreamEvidence<U> {
         StreamEvidence { subject: self.subject.clone(), span: self.span, value }
     }
@@ -211,20 +208,19 @@ impl<T> DerefMut for StreamEvidence<T> {
     }
 }
 
-/// Data lost or rejected while reading the files.
+/// Data lost or rejected while reading.
 #[derive(Clone, Debug, Default)]
 pub struct ReadLosses {
     /// Damage to the files.
     pub losses: Vec<Loss>,
-    /// Relevant topics that could not be decoded.
+    /// Relevant undecodable topics.
     pub undecodable: Vec<UndecodableTopic>,
     /// Contradictions between metadata and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
-    /// Duplicate or constant columns of tables. `None` without tables.
+    /// Duplicate or constant columns. `None` without tables.
     pub repeats: Option<Vec<Repeat>>,
 }
 
-/// Evidence about the stream `index`.
 fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
     let stream = &run.streams[index];
     let subject = Subject {
@@ -236,20 +232,19 @@ fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
     StreamEvidence { subject, span: stream_span(run, index), value }
 }
 
-/// Evidence about a stream of an arm, whose subject has no frame.
+/// The subject has no frame.
 fn arm_stream_evidence<T>(run: &Run, arm: &Arm, stream: usize, value: T) -> StreamEvidence<T> {
     let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
     let subject = Subject { robot, topic, ..Subject::default() };
     StreamEvidence { subject, span: Some(span_or_run(run, stream)), value }
 }
 
-/// First and last stamp of a stream.
 fn stream_span(run: &Run, stream: usize) -> Option<Span> {
     let stream = run.streams.get(stream)?;
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-/// First and last stamp of a stream; otherwise of the run.
+/// Span of a stream; otherwise of the run.
 fn span_or_run(run: &Run, stream: usize) -> Span {
     stream_span(run, stream).unwrap_or_else(|| {
         let (start, end) = run.span.unwrap_or((run.origin, run.origin));

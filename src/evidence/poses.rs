@@ -1,5 +1,3 @@
-//! Pose streams and IMUs of an arm.
-
 use crate::diagnosis::{
     EstimateResult, ImuDiagnosis, ImuResidualCheck, PoseDiagnosis, PoseEncoding, ResidualCheck,
     ToolSwitching,
@@ -13,69 +11,67 @@ use crate::time::Stamp;
 /// One pose stream.
 #[derive(Clone, Debug)]
 pub struct PoseEvidence {
-    /// Frame in which its poses are expressed.
+    /// Frame of its poses.
     pub reference: String,
-    /// Whether that frame is fixed to the robot; if not, its pose is estimated but not judged.
+    /// That frame is fixed to the robot; otherwise its pose is not judged.
     pub reference_known: bool,
     /// Frame whose poses it contains.
     pub tip: String,
-    /// Whether the tip is declared (`--tip`, the stream's child frame). If so, an offset from it is a fault
-    /// rather than the active TCP.
+    /// The tip is declared (`--tip`, child frame): an offset from it is a fault rather than the active TCP.
     pub is_tip_declared: bool,
     /// Source of the poses.
     pub source_kind: PoseSourceKind,
     /// Direct comparison with FK.
     pub proof: EstimateResult<ResidualCheck>,
-    /// Whether its stamps are independent rather than copies of the joints' stamps.
+    /// Stamps are not copies of the joints' stamps.
     pub has_independent_stamps: bool,
-    /// Whether its rotations are bare numbers, which may be degrees.
+    /// Rotations are bare numbers, possibly degrees.
     pub has_bare_numbers: bool,
-    /// Whether it contains bare numbers without a declaration, which cannot violate a convention.
+    /// Bare numbers without a declaration, which cannot violate a convention.
     pub is_undeclared: bool,
     /// Units declared by the caller.
     pub declared: Option<DeclaredUnits>,
-    /// Encoding of its rotations, if they are three bare numbers.
+    /// Rotation encoding, for three bare numbers.
     pub euler: Option<EulerEvidence>,
-    /// Rotation encoding according to the column names of a table.
+    /// Rotation encoding according to column names.
     pub labels: Option<RotationLabels>,
-    /// Whether it comes from table columns, which have no frame.
+    /// From table columns, which have no frame.
     pub is_of_table: bool,
-    /// Unidentified table columns next to positions, which may be their rotation.
+    /// Unidentified columns, possibly its rotation.
     pub unidentified_columns: Vec<String>,
-    /// Rigid bodies on the tool between which its poses alternate, if any. All other estimates refer to the
-    /// most frequent one.
+    /// Rigid bodies on the tool between which its poses alternate. Other estimates refer to the most
+    /// frequent one.
     pub alternation: Option<ToolSwitching>,
     /// Diagnosis.
     pub diagnosis: PoseDiagnosis,
 }
 
-/// Rotations encoded as three numbers.
+/// Rotations as three numbers.
 #[derive(Clone, Debug)]
 pub struct EulerEvidence {
-    /// Convention, as declared or as estimated. `None` if undetermined.
+    /// Declared or estimated convention, if determined.
     pub convention: Option<Convention>,
-    /// Distance from gimbal lock of every row with a stamp, rad. Empty if the convention has no gimbal
-    /// lock.
+    /// Distance of stamped rows from gimbal lock, rad. Empty if the convention has none.
     pub margins_rad: Vec<(Stamp, f64)>,
 }
 
-/// Units of a stream's numbers as declared by the caller.
+/// Units declared by the caller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeclaredUnits {
-    /// Angle unit, if the numbers contain angles.
+    /// Angle unit, if it contains angles.
     pub angles: Option<AngleUnit>,
-    /// Length unit of the positions.
+    /// Length unit.
     pub lengths: LengthScale,
 }
 
 /// One IMU.
 #[derive(Clone, Debug)]
 pub struct ImuEvidence {
-    /// Whether its stamps are independent rather than copies of the joints' stamps.
+    /// Stamps are not copies of the joints' stamps.
     pub has_independent_stamps: bool,
-    /// Link on which it is mounted.
+    /// Link of the IMU.
     pub link: String,
-    /// Its orientation in that link according to the log's frames, if given.
+    /// Orientation in that link according to the log's frames.
     pub link_from_imu: Option<Rotation>,
     /// Direct comparison with FK. `None` if it does not rotate with the arm.
     pub proof: Option<ImuResidualCheck>,
@@ -83,8 +79,7 @@ pub struct ImuEvidence {
     pub diagnosis: ImuDiagnosis,
 }
 
-/// Rotation encoding of a stream with six bare numbers, and the distance of its rows from gimbal lock.
-/// `None` for other streams.
+/// Rotation encoding of six bare numbers per row, and their distance from gimbal lock.
 pub(super) fn euler(
     run: &Run,
     source: &PoseSource,
@@ -123,7 +118,7 @@ pub(super) fn euler(
     })
 }
 
-/// Unidentified table columns that may be the rotation of positions without one.
+/// Unidentified columns that may be the rotation of positions without one.
 pub(super) fn unidentified_columns(run: &Run, source: &PoseSource) -> Vec<String> {
     if !run.streams[source.stream].holds_no_rotation() {
         return Vec::new();

@@ -1,5 +1,3 @@
-//! Sample defects: unusable numbers, outliers, repeated values and invalid rotations.
-
 use super::{StreamEvidence, stream_evidence};
 use crate::robot::JointKind;
 use crate::run::{Frozen, Norms, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
@@ -8,22 +6,22 @@ use crate::stream::Columns;
 /// Unusable samples of a stream.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct UnusableSampleEvidence {
-    /// Samples that are NaN, infinite or absurdly large.
+    /// NaN, infinite or absurdly large.
     pub unusable: u64,
-    /// Samples without an orientation, if others have one.
+    /// Without an orientation, if others have one.
     pub unset: u64,
-    /// Samples with a wrong number of values.
+    /// With a wrong number of values.
     pub misfits: u64,
-    /// Samples that list a joint twice with different positions.
+    /// List a joint twice with different positions.
     pub contradictory: u64,
-    /// Total number of samples.
+    /// All samples.
     pub samples: u64,
 }
 
 /// Outliers of a stream.
 #[derive(Clone, Debug)]
 pub struct OutlierEvidence {
-    /// Number of samples; if the stream has several poses, of the most frequent one.
+    /// Samples; of several poses, of the most frequent one.
     pub samples: usize,
     /// Joints or transforms with outliers.
     pub parts: Vec<Outliers>,
@@ -31,18 +29,18 @@ pub struct OutlierEvidence {
     pub sliding: Vec<String>,
 }
 
-/// Values that a stream repeats with new stamps while the arm moves.
+/// Values repeated with new stamps while the arm moves.
 #[derive(Clone, Debug)]
 pub struct RepeatedValueEvidence {
-    /// Repeated values of each transform, or of the whole stream.
+    /// Per transform, or of the stream.
     pub parts: Vec<RepeatedValues>,
-    /// Whether the topic name indicates deliberate repetition.
+    /// The topic name indicates deliberate repetition.
     pub is_latched: bool,
-    /// Whether it is computed from repeated joint states and has their stamps.
+    /// Computed from repeated joint states, with their stamps.
     pub is_of_joints: bool,
 }
 
-/// Norms of all streams with rotations, grouped by stream.
+/// Grouped by stream.
 pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<Norms>>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
@@ -52,9 +50,9 @@ pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<Norms>>> {
     for norms in &run.norms {
         let Some(stream) = run.streams.get(norms.stream) else { continue };
         let is_rotations = match &stream.columns {
-            // Four numbers of a bare array are a quaternion only if it is a pose.
+            // Only a pose has a quaternion as four bare numbers.
             Some(Columns::Array(_)) => stream.role == Role::Pose,
-            // Transforms are judged on their own topic.
+            // Judged on their own topic.
             Some(Columns::Poses(_)) => stream.role != Role::Ignored && !is_tf(&stream.topic),
             _ => true,
         };
@@ -70,7 +68,6 @@ pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<Norms>>> {
     streams
 }
 
-/// Unusable samples of the audited streams.
 pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>> {
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
@@ -98,7 +95,7 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
                 joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
             }
             Some(Columns::Poses(_) | Columns::Transforms(_)) => {
-                // If no orientation is set, the part has no rotations.
+                // Without any orientation, the part has no rotations.
                 let some = run.norms.iter().filter(|norms| norms.stream == index && norms.rows > 0);
                 facts.unset = some.map(|norms| norms.unset as u64).sum();
             }
@@ -115,14 +112,13 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
     streams.map(unusable).collect()
 }
 
-/// Outliers of the streams of joint states, tool poses and transforms.
 pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf => true,
-        // Transforms are judged on their own topic.
+        // Judged on their own topic.
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };
@@ -146,7 +142,7 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
     streams.map(strays).collect()
 }
 
-/// Frozen intervals of the pose and joint streams compared with an arm.
+/// Of streams compared with an arm.
 pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
@@ -161,14 +157,13 @@ pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
     joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
 }
 
-/// Repeated values of the streams that could have any.
 pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf | Role::Imu => true,
-        // Transforms are judged on their own topic.
+        // Judged on their own topic.
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };

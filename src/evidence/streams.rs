@@ -1,5 +1,3 @@
-//! Timing of a run's streams: stamps and regularity.
-
 use super::{StreamEvidence, stream_evidence};
 use crate::finding::Subject;
 use crate::run::{
@@ -14,14 +12,14 @@ pub enum ExpectedTiming {
     Always,
     /// At least while the arm moves: poses and transforms may be published on change.
     WhileMoving,
-    /// Unknown, because the stream is not identified.
+    /// The stream is not identified.
     Unknown,
-    /// Occasionally: commands, and targets seen by a camera.
+    /// Commands, and targets seen by a camera.
     Occasional,
 }
 
 impl ExpectedTiming {
-    /// Whether an audit depends on the stream, so it must be present.
+    /// Whether an audit depends on the stream.
     pub fn is_expected(self) -> bool {
         matches!(self, ExpectedTiming::Always | ExpectedTiming::WhileMoving)
     }
@@ -32,9 +30,9 @@ impl ExpectedTiming {
 pub struct StampEvidence {
     /// When samples are expected.
     pub due: ExpectedTiming,
-    /// Header stamps and the clock they come from.
+    /// Header stamps and their clock.
     pub clock: StreamClock,
-    /// Rounding of the stamps. `None` if there is none.
+    /// Rounding of the stamps, if any.
     pub rounded: Option<RoundedStamps>,
 }
 
@@ -45,22 +43,22 @@ pub struct RhythmEvidence {
     pub due: ExpectedTiming,
     /// Samples per second.
     pub rate_hz: Option<f64>,
-    /// Samples per second as declared by the caller.
+    /// Declared samples per second.
     pub declared_hz: Option<f64>,
-    /// Number of samples excluded because their numbers are unusable.
+    /// Samples with unusable numbers.
     pub unusable: u64,
-    /// Number of samples excluded because their stamps are invalid.
+    /// Samples with invalid stamps.
     pub unstamped: u64,
-    /// Number of samples of the topic in a different frame.
+    /// The topic's samples in other frames.
     pub in_other_frames: u64,
-    /// Timing of each sender or transform.
+    /// Per sender or transform.
     pub parts: Vec<Cadence>,
-    /// Extent in time relative to the other streams.
+    /// Relative to the other streams.
     pub extent: Option<Extent>,
 }
 
 impl StreamEvidence<RhythmEvidence> {
-    /// The stream as a subject, narrowed to one transform of a TF topic if only that is concerned.
+    /// The stream, or one transform of a TF topic if only that is concerned.
     pub fn subject_of(&self, concerned: &[&Cadence]) -> Subject {
         match concerned {
             [only] if self.parts.len() > 1 => {
@@ -76,7 +74,7 @@ impl StreamEvidence<RhythmEvidence> {
     }
 }
 
-/// When samples of a stream are expected. `None` if timing rules do not apply.
+/// `None` if timing rules do not apply.
 fn expected_timing(run: &Run, stream: &Stream) -> Option<ExpectedTiming> {
     match stream.role {
         Role::Joints | Role::Imu => Some(ExpectedTiming::Always),
@@ -89,9 +87,9 @@ fn expected_timing(run: &Run, stream: &Stream) -> Option<ExpectedTiming> {
     }
 }
 
-/// Frame whose poses a stream contains, if its topic has several streams.
+/// Frame of the stream's poses, if its topic has several streams.
 pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
-    // Most poses have no child frame, and a log may have thousands of them.
+    // Most poses have no child frame, and a log may have thousands.
     let of_topic = || run.streams.iter().filter(|other| other.topic == stream.topic);
     let is_one_of_several = !stream.child_frame_id.is_empty() && of_topic().nth(1).is_some();
     is_one_of_several.then(|| stream.child_frame_id.clone())
@@ -128,7 +126,6 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
     rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
 }
 
-/// Stamps of every stream with a role.
 pub(super) fn stamps(run: &Run) -> Vec<StreamEvidence<StampEvidence>> {
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;

@@ -1,5 +1,3 @@
-//! Topics and frames that are missing, unreadable or not audited, with reasons.
-
 use std::collections::{HashMap, HashSet};
 
 use super::{StreamEvidence, stream_evidence};
@@ -27,7 +25,7 @@ pub struct TfEvidence {
 pub struct EmptyStreamEvidence {
     /// The topic.
     pub subject: Subject,
-    /// Number of messages, none with finite numbers.
+    /// Messages, none with finite numbers.
     pub messages: u64,
 }
 
@@ -40,18 +38,18 @@ pub struct RepeatedColumnEvidence {
     pub kind: RepeatedColumnKind,
 }
 
-/// Consequence of duplicate or constant columns for the audit.
+/// Consequence of duplicate or constant columns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RepeatedColumnKind {
     /// Commands duplicate states, or vice versa.
     CommandEqualsState,
-    /// An external reference duplicates data of the robot.
+    /// External reference duplicates the robot's data.
     ReferenceEqualsRobot,
-    /// A joint duplicates another joint.
+    /// Joint duplicates another joint.
     IdenticalJoints,
-    /// A joint never moves while others do.
+    /// Joint never moves while others do.
     ConstantJoint,
-    /// A topic is constant while the arm moves.
+    /// Topic is constant while the arm moves.
     ConstantTopic,
     /// Two topics are identical.
     IdenticalTopics,
@@ -62,24 +60,23 @@ pub enum RepeatedColumnKind {
 pub struct UndecodableTopic {
     /// Topic name.
     pub topic: String,
-    /// Undecodable content: a message type as in the log, or a robot description.
+    /// Undecodable content.
     pub what: UndecodableContent,
-    /// Number of undecodable messages.
+    /// Undecodable messages.
     pub messages: u64,
-    /// Error of the first one.
+    /// First error.
     pub why: String,
 }
 
 /// Undecodable content of a topic.
 #[derive(Clone, Debug)]
 pub enum UndecodableContent {
-    /// Messages of this type.
+    /// Messages of this type, as logged.
     Messages(String),
-    /// The robot description they contain.
+    /// Their robot description.
     Description,
 }
 
-/// Undecodable messages and robot descriptions.
 pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<UndecodableTopic> {
     let description = |(topic, error): &(String, RobotError)| UndecodableTopic {
         topic: topic.clone(),
@@ -90,7 +87,6 @@ pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<Undec
     messages.iter().cloned().chain(run.unreadable.iter().map(description)).collect()
 }
 
-/// Topics with transforms, and the problems of their frames.
 pub(super) fn tf(run: &Run) -> TfEvidence {
     let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
     TfEvidence {
@@ -99,7 +95,7 @@ pub(super) fn tf(run: &Run) -> TfEvidence {
     }
 }
 
-/// Streams of an arm whose orientations are never set.
+/// Streams without any orientation.
 pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
@@ -110,13 +106,13 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudite
     unset.map(|(source, _)| NotAudited { stream: source.stream, why: why.clone() }).collect()
 }
 
-/// Topics with poses compared with the arm and further poses in frames not connected to it.
+/// Topics with further poses in frames not connected to the arm.
 pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     let sources = run.arms.iter().flat_map(|arm| &arm.poses);
     let tied: Vec<usize> =
         sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
     let is_tied: HashSet<usize> = tied.iter().copied().collect();
-    // Pose streams by topic and child frame, in any reference frame.
+    // By topic and child frame, in any reference frame.
     let mut groups: HashMap<(&str, &str), Vec<usize>> = HashMap::new();
     for (index, stream) in run.streams.iter().enumerate() {
         if matches!(stream.columns, Some(Columns::Poses(_))) {
@@ -148,7 +144,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     tied.iter().filter_map(|&index| of(index)).collect()
 }
 
-/// Audited or relevant streams, with the reasons why they are not audited or not used as declared.
+/// Streams not audited, or not used as declared, with reasons.
 pub(super) fn not_audited(
     run: &Run,
     unset: &[NotAudited],
@@ -165,7 +161,7 @@ pub(super) fn not_audited(
     run.streams.iter().enumerate().filter_map(why_not).collect()
 }
 
-/// Duplicate or constant columns that no other rule covers.
+/// Columns that no other rule covers.
 pub(super) fn repeated_columns(
     run: &Run,
     found: Option<&[Repeat]>,
@@ -179,7 +175,7 @@ pub(super) fn repeated_columns(
             (Some(_), Some(_)) => RepeatedColumnKind::IdenticalJoints,
             (Some(_), None) if is_command(own) => return None,
             (Some(_), None) => RepeatedColumnKind::ConstantJoint,
-            // A constant pose is FRM007, and a goal may be constant.
+            // A constant pose is FRM007; a goal may be constant.
             (None, None) if own.role != Role::Unassigned => return None,
             (None, None) => RepeatedColumnKind::ConstantTopic,
             (None, Some(of)) => {
@@ -200,7 +196,7 @@ pub(super) fn repeated_columns(
     found.map(|found| found.iter().filter_map(of).collect())
 }
 
-/// Relevant topics without content. Joint states and transforms are listed only if no other topic has them.
+/// Joint states and transforms are listed only if no other topic has them.
 pub(super) fn empty_streams(run: &Run) -> Vec<EmptyStreamEvidence> {
     let holds =
         |role: Role| run.streams.iter().any(|stream| stream.role == role && !stream.is_empty);
@@ -222,7 +218,7 @@ pub(super) fn empty_streams(run: &Run) -> Vec<EmptyStreamEvidence> {
     missed.chain(joints).collect()
 }
 
-/// Joints of an arm that a joint states topic lists without positions, if no other topic has them.
+/// Joints listed without positions, if no other topic has them.
 fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
     let Some(Columns::Joints(columns)) = &stream.columns else { return Vec::new() };
     if stream.role != Role::Joints {
@@ -240,7 +236,6 @@ fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
     columns.joints.iter().filter(is_silent).map(|joint| joint.name.clone()).collect()
 }
 
-/// Expected topics that are not in the log.
 pub(super) fn missing(run: &Run, topics: &[TopicSettings]) -> Vec<(Subject, String)> {
     let is_there = |said: &TopicSettings| {
         run.streams

@@ -1,5 +1,3 @@
-//! Vibration of the tip.
-
 use crate::diagnosis::{
     AlignedSamples, PoseDiagnosis, Vibration, VibrationFailure, encoder_step, estimate_vibration,
 };
@@ -10,26 +8,26 @@ use crate::stream::{JointTrack, PoseTrack};
 /// Vibration of the tip according to one stream.
 #[derive(Clone, Debug)]
 pub struct VibrationEvidence {
-    /// Whether its positions are in a wrong unit.
+    /// Positions are in a wrong unit.
     pub in_other_units: bool,
-    /// Vibration, or the reason why it cannot be estimated.
+    /// Vibration, or why it cannot be estimated.
     pub vibration: Result<Vibration, VibrationFailure>,
 }
 
-/// Vibration of the tip according to a pose stream, excluding the surroundings of latency steps, which also
-/// step the path. `joints` are the arm's joint states.
+/// Vibration according to a pose stream, excluding the surroundings of latency steps, which also step the
+/// path. `joints` are the arm's joint states.
 pub(super) fn vibration_of_poses(
     track: &PoseTrack,
     found: &PoseDiagnosis,
     joints: &JointTrack,
 ) -> Result<Vibration, VibrationFailure> {
-    /// Maximum interval of joint states that resolve the commanded motion, s.
+    /// Longest interval of joint states that resolves the commanded motion, s.
     const MAX_INTERVAL_S: f64 = 0.04;
     /// Rows closer to a latency step are excluded, s.
     const MIN_STEP_DISTANCE_S: f64 = 0.1;
     let AlignedSamples { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
     if found.is_inverted {
-        // In an inverted pose, rotations of the tool also move the position.
+        // In inverted poses, tool rotations move the position.
         let at = |poses: &[Pose], row: usize| {
             found.frame_correction.invert(&poses[row]).translation.vector
         };
@@ -41,7 +39,7 @@ pub(super) fn vibration_of_poses(
         |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > MIN_STEP_DISTANCE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
-    // Expected position of the stream by FK, at the nearest aligned sample.
+    // FK at the nearest aligned sample.
     let going = |row: usize| {
         let after = known_s.partition_point(|known_s| *known_s < t_s[row]);
         let nearest = after.min(known_s.len() - 1);
@@ -55,8 +53,7 @@ pub(super) fn vibration_of_poses(
     estimate_vibration(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
 }
 
-/// Vibration of the tip according to the joint states, or to the resampled track if joints have different
-/// stamps.
+/// Uses the resampled track if joints have different stamps.
 pub(super) fn vibration_of_joints(
     arm: &Arm,
     samples: &[JointSamples<'_>],
@@ -81,9 +78,8 @@ pub(super) fn vibration_of_joints(
     Ok(Vibration { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
 }
 
-/// Rms effect of the joint encoders' quantisation on the tip, m.
+/// Rms effect of encoder quantisation on the tip, m.
 fn encoder_noise_m(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f64 {
-    /// Number of configurations evaluated.
     const MAX_CONFIGURATIONS: usize = 50;
     let step = |column: &usize| samples.get(*column).map_or(0.0, |of| encoder_step(&of.position));
     let steps: Vec<f64> = arm.columns.iter().map(step).collect();
@@ -96,7 +92,7 @@ fn encoder_noise_m(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) 
         let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
         arm.chain.forward_with_jacobian(&q, &mut jacobian);
         let of_joint = |(column, step): (&[f64; 6], &f64)| {
-            // Variance of a uniform error of ± half a step.
+            // Uniform error of ± half a step.
             (column[0].powi(2) + column[1].powi(2) + column[2].powi(2)) * step * step / 12.0
         };
         jacobian.iter().zip(&steps).map(of_joint).sum::<f64>()

@@ -1,5 +1,5 @@
-//! Calibration tables: rows of joint positions and the pose measured there, without stamps. The order of
-//! the rows is the only information about time.
+//! Calibration tables: rows of joint positions and measured poses, without stamps. Only their order tells
+//! about time.
 
 use std::fs::File;
 use std::io::Read;
@@ -9,7 +9,7 @@ use csv::{ReaderBuilder, Trim};
 
 use super::{LogError, local};
 
-/// Maximum size of a calibration table in bytes and rows.
+/// Limits in bytes and rows.
 const MAX_BYTES: u64 = 1 << 26;
 const MAX_ROWS: usize = 100_000;
 
@@ -20,11 +20,11 @@ pub struct CalibrationTable {
     pub names: Vec<String>,
     /// Rows, each with one number per name.
     pub rows: Vec<Vec<f64>>,
-    /// Line numbers of rows with anything but finite numbers.
+    /// Line numbers of rows with non-finite cells.
     pub dropped: Vec<usize>,
-    /// Columns of the position: x, y, z.
+    /// Position columns: x, y, z.
     pub position: [usize; 3],
-    /// Columns of the rotation, if any.
+    /// Rotation columns, if any.
     pub rotation: RotationColumns,
 }
 
@@ -33,13 +33,13 @@ pub struct CalibrationTable {
 pub enum RotationColumns {
     /// Quaternion: x, y, z, w.
     Quaternion([usize; 4]),
-    /// Three numbers in any convention.
+    /// Three numbers, any convention.
     Numbers([usize; 3]),
     /// No rotation.
     None,
 }
 
-/// Prefixes and suffixes of x, y and z in position column names.
+/// Prefixes and suffixes of column names.
 const POSITIONS: [&str; 13] = [
     "",
     "p",
@@ -63,10 +63,10 @@ const TRIPLES: [[&str; 3]; 4] =
     [["roll", "pitch", "yaw"], ["a", "b", "c"], ["w", "p", "r"], ["alpha", "beta", "gamma"]];
 const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
 
-/// Reads the table at `path`. `None` if it is not a calibration table: a log, or without position columns.
+/// Reads the table at `path`. `None` if it is a log or has no position columns.
 ///
 /// # Errors
-/// Returns an error if the file cannot be opened.
+/// If the file cannot be opened.
 pub fn read_calibration_table(path: &Path) -> Result<Option<CalibrationTable>, LogError> {
     let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
     let mut bytes = Vec::new();
@@ -114,7 +114,6 @@ fn parse_table(bytes: &[u8]) -> Option<CalibrationTable> {
     Some(CalibrationTable { names, rows, dropped, position, rotation })
 }
 
-/// Columns of position and rotation, identified by common names.
 fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
     let lower: Vec<String> = names.iter().map(|name| name.to_lowercase()).collect();
     let at = |name: String| lower.iter().position(|own| *own == name);
@@ -152,8 +151,7 @@ fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
 }
 
 impl CalibrationTable {
-    /// Columns of the joints by these names, otherwise by number: `q1`, `joint_1`, `J1` and so on, from 0
-    /// or 1.
+    /// Columns of the joints by these names, otherwise by number, from 0 or 1: `q1`, `joint_1`, `J1`.
     pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
         const NUMBERED: [&str; 12] = [
             "q",

@@ -1,8 +1,6 @@
-//! Decompresses chunks in advance, on all cores an audit may use.
-//!
-//! Decompression depends only on the bytes of the chunk, so other threads do it. If the format allows, the
-//! same thread also parses the chunk's records into separate columns while they are in its cache. One
-//! thread collects the results in file order, as if nothing had been done in advance.
+//! Decompresses chunks in advance, on all cores an audit may use. If the format allows, the same thread
+//! also parses the chunk's records while they are in its cache. One thread collects the results in file
+//! order.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,17 +10,15 @@ use std::thread::{self, Scope};
 use super::part::{PartContent, PartParser};
 use super::unpack::{Packed, UnpackedChunk, Unpacker};
 
-/// Total size of decompressed waiting chunks, in bytes, above which no more are queued. Also the maximum
-/// for one of them.
+/// Maximum decompressed size of all waiting chunks, and of one, in bytes.
 const MAX_QUEUED_BYTES: u64 = 24 << 20;
 
-/// Maximum distance of the search for chunks beyond the current position, in bytes: a file may have none.
+/// Maximum distance of the search for chunks, in bytes: a file may have none.
 pub(super) const MAX_LOOKAHEAD_BYTES: usize = 64 << 20;
 
-/// Maximum number of decompressing threads. The thread that collects the results cannot keep up with more.
+/// Maximum number of threads. The thread that collects the results cannot keep up with more.
 const MAX_THREADS: usize = 6;
 
-/// Queued chunks per thread.
 const QUEUED_PER_THREAD: usize = 3;
 
 /// Chunks being decompressed, in file order.
@@ -32,15 +28,13 @@ pub(super) struct ChunkPool<'scope, 'env> {
     tasks: Option<SyncSender<Task<'env>>>,
     threads: usize,
     waiting: VecDeque<QueuedChunk<'env>>,
-    /// Decompressed size of the waiting chunks, in bytes.
+    /// Decompressed size of the waiting chunks.
     bytes: u64,
-    /// Reusable buffers.
     buffers: Vec<Vec<u8>>,
 }
 
-/// Chunk being decompressed by a thread.
 struct QueuedChunk<'env> {
-    /// Offset of its record in the file.
+    /// Offset of its record.
     offset: usize,
     packed: Packed<'env>,
     done: Receiver<ChunkResult>,
@@ -49,22 +43,18 @@ struct QueuedChunk<'env> {
 struct Task<'env> {
     offset: usize,
     packed: Packed<'env>,
-    /// Parser for its records, if they may be parsed in advance.
+    /// Parser, if records may be parsed in advance.
     records: Option<Arc<dyn PartParser>>,
     buffer: Vec<u8>,
     reply: SyncSender<ChunkResult>,
 }
 
-/// Result of a chunk.
 pub(super) enum ChunkResult {
-    /// Decompressed, or the error.
     Unpacked(UnpackedChunk),
-    /// Decompressed and parsed.
     Read(PartContent),
 }
 
 impl ChunkResult {
-    /// Decompressed content, unless it was also parsed.
     pub(super) fn unpacked(self) -> Option<UnpackedChunk> {
         match self {
             Self::Unpacked(unpacked) => Some(unpacked),
@@ -73,7 +63,6 @@ impl ChunkResult {
     }
 }
 
-/// Runs `read` with decompressing threads.
 pub(super) fn with_pool<'env, R>(
     read: impl for<'scope> FnOnce(&mut ChunkPool<'scope, 'env>) -> R,
 ) -> R {
@@ -91,15 +80,14 @@ pub(super) fn with_pool<'env, R>(
 }
 
 impl<'env> ChunkPool<'_, 'env> {
-    /// Whether another chunk may be queued.
     pub(super) fn has_room(&self) -> bool {
         self.threads > 1
             && self.bytes < MAX_QUEUED_BYTES
             && self.waiting.len() < QUEUED_PER_THREAD * self.threads
     }
 
-    /// Queues the chunk whose record is at `offset`, after all earlier ones. Chunks above the size limit
-    /// are decompressed when they are read. Records are also parsed if `records` is given.
+    /// Queues the chunk whose record is at `offset`, after all earlier ones. Larger chunks are decompressed
+    /// when they are read.
     pub(super) fn unpack(
         &mut self,
         offset: usize,
@@ -126,7 +114,7 @@ impl<'env> ChunkPool<'_, 'env> {
         }
     }
 
-    /// Result of the chunk whose record is at `offset`, if it was queued. Drops earlier ones.
+    /// Result of the chunk whose record is at `offset`, if queued. Drops earlier ones.
     pub(super) fn take_result(&mut self, offset: usize) -> Option<ChunkResult> {
         while self.waiting.front().is_some_and(|waiting| waiting.offset <= offset) {
             let waiting = self.waiting.pop_front()?;
@@ -138,16 +126,14 @@ impl<'env> ChunkPool<'_, 'env> {
         None
     }
 
-    /// Returns a buffer for reuse.
     pub(super) fn recycle(&mut self, unpacked: UnpackedChunk) {
         self.buffers.push(unpacked.buffer);
     }
 }
 
-/// Processes the queue until it is closed.
 fn run_worker(queue: &Mutex<Receiver<Task<'_>>>) {
     let mut unpacker = Unpacker::default();
-    // Buffer for chunks that are also parsed here.
+    // For chunks parsed here.
     let mut own = Vec::new();
     loop {
         // The lock is held while waiting: its owner gets the next chunk.
@@ -165,7 +151,6 @@ fn run_worker(queue: &Mutex<Receiver<Task<'_>>>) {
             }
             None => ChunkResult::Unpacked(unpacked),
         };
-        // Nobody waits for a skipped chunk.
         let _passed_over = reply.send(done);
     }
 }

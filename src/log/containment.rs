@@ -1,24 +1,22 @@
-//! Files of folder logs. Links out of the folder are not followed, so a downloaded log cannot expose other
-//! files of the machine.
+//! Files of folder logs. Links out of the folder are not followed: a downloaded log must not expose other
+//! files.
 
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Reason why such a link is not read; follows the file name.
+/// Follows the file name.
 pub(super) const LINK_LEADS_OUTSIDE: &str = "is a link out of the log folder and is not followed; copy its target \
     into the folder";
 
-/// Folder of a log.
 #[derive(Debug)]
 pub(super) struct Containment {
     root: Option<PathBuf>,
-    /// Cached results: whether a folder is inside.
+    /// Whether a folder is inside.
     folders: HashMap<PathBuf, bool>,
 }
 
 impl Containment {
-    /// Containment check for the log at `folder`.
     pub(super) fn new(folder: &Path) -> Self {
         let root = fs::canonicalize(folder).ok();
         let root = root.map(|root| hub_repository(&root).unwrap_or(root));
@@ -49,8 +47,8 @@ impl Containment {
     }
 }
 
-/// Repository folder in the Hugging Face hub cache, whose snapshots are links into `blobs`
-/// (huggingface_hub, "Understand caching").
+/// Repository folder in the Hugging Face hub cache, whose snapshots link into `blobs` (huggingface_hub,
+/// "Understand caching").
 fn hub_repository(snapshot: &Path) -> Option<PathBuf> {
     let snapshots = snapshot.parent().filter(|above| above.ends_with("snapshots"))?;
     let repository = snapshots.parent()?;

@@ -1,5 +1,3 @@
-//! Content read from the files of one run.
-
 use std::path::PathBuf;
 
 use ground::stream::Columns;
@@ -8,34 +6,34 @@ use ground::time::Stamp;
 /// Everything read from the files of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
-    /// Files, in the order given.
+    /// Files in the order given.
     pub files: Vec<LogFile>,
-    /// Topics of all files, sorted by name.
+    /// Topics, sorted by name.
     pub topics: Vec<Topic>,
-    /// Robot descriptions and calibrations from attachments and metadata.
+    /// From attachments and metadata.
     pub descriptions: Vec<Description>,
-    /// Number of messages read, of any type.
+    /// Messages read, of any type.
     pub messages: u64,
-    /// First and last log time; `None` without messages.
+    /// First and last log time.
     pub span: Option<(Stamp, Stamp)>,
-    /// Damage, in the order of files and offsets.
+    /// Damage, by file and offset.
     pub losses: Vec<Loss>,
-    /// Remarks about the files that are not damage.
+    /// Remarks other than damage.
     pub notes: Vec<Note>,
     /// Contradictions between declarations and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
     /// Duplicate or constant table columns. `None` without tables.
     pub repeats: Option<Vec<Repeat>>,
-    /// Robot type according to metadata.
+    /// Robot type in the metadata.
     pub robot_type: Option<String>,
-    /// Column of a table identified as times by its numbers.
+    /// Table column identified as times by its numbers.
     pub time_column: Option<String>,
-    /// Question about undetermined table columns, asked if no arm is found.
+    /// Question about undetermined columns, asked if no arm is found.
     pub question: Option<String>,
 }
 
 impl Log {
-    /// Whether the log contains `/clock`, which indicates simulation time.
+    /// Whether the log contains `/clock`, that is, simulation time.
     pub fn has_clock(&self) -> bool {
         self.topics.iter().any(|topic| topic.name.trim_start_matches('/') == "clock")
     }
@@ -44,13 +42,13 @@ impl Log {
 /// One file that was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogFile {
-    /// Path as given; for a file in a folder, the folder's path and its name.
+    /// Path as given, or the given folder's path and the file's name.
     pub path: PathBuf,
     /// Kind of file.
     pub container: Container,
-    /// Size of the file.
+    /// Size.
     pub bytes: u64,
-    /// Number of bytes fetched to read it. `None` for a local file.
+    /// Bytes fetched. `None` for a local file.
     pub fetched: Option<u64>,
     /// Checksum coverage of its messages.
     pub crc: Crc,
@@ -59,36 +57,36 @@ pub struct LogFile {
 /// Kind of a log file.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Container {
-    /// An MCAP file.
+    /// MCAP.
     Mcap,
-    /// A ROS 1 bag, version 2.0.
+    /// ROS 1 bag 2.0.
     RosBag1,
-    /// A rosbag2 SQLite database.
+    /// rosbag2 SQLite database.
     RosBag2Sqlite,
-    /// An MCAP file of a rosbag2 folder.
+    /// MCAP in a rosbag2 folder.
     RosBag2Mcap,
     /// Output of Universal Robots' RTDE client.
     RtdeCsv,
-    /// Any other text table.
+    /// Other text table.
     Csv,
-    /// A NumPy array.
+    /// NumPy array.
     Npy,
-    /// An archive of NumPy arrays.
+    /// Archive of NumPy arrays.
     Npz,
-    /// A Parquet file, from a LeRobot dataset or elsewhere.
+    /// Parquet, from LeRobot or elsewhere.
     Parquet,
-    /// An HDF5 file.
+    /// HDF5.
     Hdf5,
-    /// A Zarr store, as a folder or zip archive.
+    /// Zarr, folder or zip.
     Zarr,
     /// TFRecord with TensorFlow examples.
     TfRecord,
-    /// Packets of KUKA's Robot Sensor Interface.
+    /// KUKA Robot Sensor Interface.
     Rsi,
 }
 
 impl Container {
-    /// Name used in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Container::Mcap => "mcap",
@@ -108,19 +106,18 @@ impl Container {
     }
 }
 
-/// Share of a file's messages covered by a verified checksum.
+/// Share of a file's messages with a verified checksum.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Crc {
-    /// All messages read.
+    /// All.
     All,
-    /// Some of them.
+    /// Some.
     Partial,
-    /// None of them.
+    /// None.
     None,
 }
 
 impl Crc {
-    /// Coverage if checksums hold for `covered` of `read` messages.
     pub(super) fn from_counts(covered: u64, read: u64) -> Self {
         match covered {
             0 => Crc::None,
@@ -129,7 +126,7 @@ impl Crc {
         }
     }
 
-    /// Name used in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Crc::All => "all",
@@ -142,38 +139,38 @@ impl Crc {
 /// One topic over all files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Topic {
-    /// Topic name.
+    /// Name.
     pub name: String,
-    /// Type name as in the log, such as `sensor_msgs/msg/JointState`; empty without a schema.
+    /// Type as in the log, such as `sensor_msgs/msg/JointState`; empty without a schema.
     pub type_name: String,
-    /// Encoding of the messages, such as `cdr`.
+    /// Message encoding, such as `cdr`.
     pub encoding: String,
-    /// Number of messages read, decoded or not.
+    /// Messages read, decoded or not.
     pub messages: u64,
-    /// Decoded content. `None` for types that an audit does not use, or if no message could be decoded.
+    /// `None` for unused types, or if no message could be decoded.
     pub columns: Option<Columns>,
-    /// Undecodable messages of a type that an audit uses.
+    /// Undecodable messages of a used type.
     pub undecodable: Option<Undecodable>,
-    /// Reason why there are no columns although messages could be decoded.
+    /// Why there are no columns although messages could be decoded.
     pub unusable: Option<String>,
-    /// Interpretation of its columns, for tables without a schema.
+    /// Interpretation of a table's columns.
     pub read_as: Option<String>,
-    /// Table columns it consists of, in order.
+    /// Its table columns, in order.
     pub cells: Vec<TableCell>,
-    /// First and last log time; `None` without messages.
+    /// First and last log time.
     pub span: Option<(Stamp, Stamp)>,
 }
 
 /// One number in the rows of a table.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TableCell {
-    /// Index of its column in the table and of the number within the column.
+    /// Index of its column in the table, and within the column.
     pub at: (usize, usize),
     /// Name in `[columns]` of a config.
     pub name: String,
-    /// Encoding indicated by the names of its rotation, if it belongs to one.
+    /// Encoding indicated by its rotation's names.
     pub labels: Option<RotationLabels>,
-    /// Whether its name is meaningless and it is measured, with changing fractional values.
+    /// Whether its name is meaningless and its values are measured.
     pub is_unidentified: bool,
 }
 
@@ -184,31 +181,31 @@ pub enum RotationLabels {
     Quaternion,
     /// roll, pitch, yaw.
     RollPitchYaw,
-    /// A, B, C as used by KUKA, Doosan and others.
+    /// A, B, C, as KUKA.
     Abc,
     /// FANUC's W, P, R.
     Wpr,
     /// Kawasaki's O, A, T.
     Oat,
-    /// A rotation vector.
+    /// Rotation vector.
     RotationVector,
 }
 
-/// Messages of one topic that could not be decoded.
+/// Undecodable messages of one topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Undecodable {
     /// Number of messages.
     pub messages: u64,
-    /// Error of the first one, in one line.
+    /// First error, in one line.
     pub first: String,
 }
 
-/// Robot description or UR calibration in the log outside messages.
+/// Robot description or UR calibration outside messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Description {
     /// Name of the attachment or metadata entry.
     pub name: String,
-    /// Text: URDF XML or calibration YAML.
+    /// URDF XML or calibration YAML.
     pub text: String,
 }
 
@@ -217,13 +214,13 @@ pub struct Description {
 pub struct Loss {
     /// The file.
     pub file: PathBuf,
-    /// Offset of the damage in the file, in bytes. `None` if it has no single position.
+    /// Offset in bytes. `None` without a single position.
     pub offset: Option<u64>,
     /// Description, in one line.
     pub what: String,
-    /// Number of lost messages. `None` if unknown.
+    /// Lost messages, if known.
     pub messages: Option<u64>,
-    /// First and last log time of the lost content. `None` if unknown.
+    /// First and last log time of the lost content, if known.
     pub span: Option<(Stamp, Stamp)>,
     /// Kind of content lost.
     pub extent: Extent,
@@ -241,11 +238,11 @@ pub struct Note {
 /// Table columns that duplicate others bit by bit or never change.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Repeat {
-    /// Topic of the columns.
+    /// Their topic.
     pub topic: String,
-    /// The joint, if it is one of several numbers.
+    /// The joint, if one of several.
     pub number: Option<String>,
-    /// Topic or joint that it duplicates. `None` if it is constant.
+    /// Topic or joint it duplicates. `None` if constant.
     pub of: Option<String>,
 }
 
@@ -254,12 +251,12 @@ pub struct Repeat {
 pub enum Extent {
     /// Index, summary, footer or an attachment; no messages.
     Index,
-    /// End of the file within its last record, for example because the recorder was killed.
+    /// End of the file within its last record, for example after a killed recorder.
     Tail,
     /// Messages within the file.
     Messages,
-    /// Content that is skipped by default but not damaged.
+    /// Skipped by default, not damaged.
     Unread,
-    /// Messages that were read, but of a segment that cannot be audited.
+    /// Messages read, in a segment that cannot be audited.
     Unaudited,
 }

@@ -3,65 +3,64 @@ use std::path::{Path, PathBuf};
 
 use super::{Log, RemoteFault, SourceName};
 
-/// Supported formats.
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, \
      Zarr, TFRecord, LeRobot, KUKA RSI";
 
-/// Reason why nothing could be read from the given files.
+/// Reason why nothing could be read from the given files. Paths are as given.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file does not exist.
     #[error("{}: no such file", SourceName::from_path(path))]
     NotFound {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
     },
     /// The file is not readable.
     #[error("{}: permission denied", path.display())]
     Permission {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
     },
-    /// The path is a directory that does not contain exactly one recording.
+    /// Directory that does not contain exactly one recording.
     #[error("{}: is a directory {cause}; name the log files in it", path.display())]
     Directory {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
-        /// Reason why it is not read; follows "is a directory".
+        /// Reason; follows "is a directory".
         cause: &'static str,
     },
-    /// The same file is given more than once.
+    /// The same file is given twice.
     #[error("{}: is given twice{}; name it once", path.display(), same_as(path, first))]
     Twice {
-        /// The path as given the second time.
+        /// Second path.
         path: PathBuf,
-        /// The path as given the first time.
+        /// First path.
         first: PathBuf,
     },
-    /// The path is a pipe, a device or a socket.
+    /// A pipe, device or socket.
     #[error("{}: is not a regular file; save the log to a file first", path.display())]
     NotAFile {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
     },
     /// The operating system reported an error.
     #[error("{}: cannot be read: {source}", path.display())]
     Io {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
-        /// Error of the operating system.
+        /// Operating system error.
         source: io::Error,
     },
     /// The file has no bytes.
     #[error("{}: the file is empty (0 bytes); was the recording ever written?", path.display())]
     Empty {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
     },
-    /// The file has a known but unsupported format.
+    /// Known but unsupported format.
     #[error("{}: is {looks}, which is not supported; {instead}", path.display())]
     Unsupported {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
         /// Format with its article.
         looks: &'static str,
@@ -71,7 +70,7 @@ pub enum LogError {
     /// The file is not a log.
     #[error("{}: not a robot log: it looks like {looks}; expected {EXPECTED}", path.display())]
     NotALog {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
         /// Appearance of its first bytes.
         looks: &'static str,
@@ -79,15 +78,15 @@ pub enum LogError {
     /// Unpacked content cannot be stored in a temporary file.
     #[error("{}: cannot be stored in {}: {source}", path.display(), std::env::temp_dir().display())]
     Temporary {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
-        /// Error of the operating system.
+        /// Operating system error.
         source: io::Error,
     },
     /// An object in a store cannot be read.
     #[error("{}: {}; {}", url.display(), fault, fault.remedy())]
     Remote {
-        /// Its address without secrets.
+        /// Address without secrets.
         url: PathBuf,
         /// The reason.
         fault: RemoteFault,
@@ -95,7 +94,7 @@ pub enum LogError {
     /// The columns of a table are not identified.
     #[error("{}: {what}; declare it in [columns] of the config", path.display())]
     Columns {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
         /// The unidentified content.
         what: String,
@@ -106,23 +105,22 @@ pub enum LogError {
         path.display()
     )]
     Episodes {
-        /// The path as given.
+        /// Path.
         path: PathBuf,
         /// Maximum number of episodes.
         most: usize,
     },
-    /// The files are logs but contain no readable message.
+    /// Logs without a readable message.
     #[error("{}: no messages can be read: {cause}", path.display())]
     NoMessages {
-        /// The first of the files.
+        /// First of the files.
         path: PathBuf,
-        /// The first damage, or that nothing was recorded.
+        /// First damage, or that nothing was recorded.
         cause: String,
     },
 }
 
 impl LogError {
-    /// Converts an operating system error for `path`.
     pub(super) fn io(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {
@@ -132,7 +130,6 @@ impl LogError {
         }
     }
 
-    /// Error for a log without readable messages.
     pub(super) fn no_messages(log: &Log) -> Self {
         let path = log.files.first().map(|file| file.path.clone()).unwrap_or_default();
         match log.losses.first() {

@@ -4,31 +4,24 @@ use super::rtde;
 use super::tables::{self, HDF5_MAGIC, NPY_MAGIC};
 use super::unpack::ZSTD_MAGIC;
 
-/// Format of a file according to its first bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FileFormat {
-    /// An MCAP file.
     Mcap,
-    /// A ROS 1 bag, version 2.0.
     RosBag1,
-    /// A SQLite database.
     Sqlite,
-    /// A zstd archive with any content.
+    /// With any content.
     Zstd,
-    /// A table whose first line names RTDE fields.
+    /// Table whose first line names RTDE fields.
     Rtde,
-    /// A table of numbers.
     Table(tables::TableFormat),
-    /// A known but unsupported format.
+    /// Known but unsupported.
     Known {
-        /// Format with its article.
+        /// With its article.
         looks: &'static str,
         /// Suggested action.
         instead: &'static str,
     },
-    /// Anything else.
     Unknown {
-        /// Appearance.
         looks: &'static str,
     },
 }
@@ -36,7 +29,6 @@ pub(super) enum FileFormat {
 const TO_MCAP: &str = "convert it to MCAP first";
 const UNPACK: &str = "unpack it first";
 
-/// Magic bytes of known but unsupported formats.
 const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
     (b"#ROSBAG", "a ROS 1 bag of a version other than 2.0", "convert it with `rosbag fix` first"),
     (b"\x89MCAP", "an MCAP file of a version other than 0", "write it as MCAP version 0"),
@@ -52,7 +44,7 @@ const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
     (ZIP_MAGIC, "a zip archive", UNPACK),
 ];
 
-/// Magic bytes of the supported formats, besides MCAP.
+/// Besides MCAP.
 const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
     (b"#ROSBAG V2.0\n", FileFormat::RosBag1),
     (b"SQLite format 3\0", FileFormat::Sqlite),
@@ -66,10 +58,9 @@ const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 /// Offset of the first member's name in a zip archive.
 const ZIP_NAME: usize = 30;
 
-/// Number of bytes examined to distinguish text from binary data.
+/// Bytes examined to distinguish text from binary data.
 const GLANCE: usize = 4096;
 
-/// Format of `bytes`.
 pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if bytes.starts_with(mcap::MAGIC) {
         return FileFormat::Mcap;
@@ -111,14 +102,14 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     FileFormat::Unknown { looks }
 }
 
-/// Whether a zip archive is a NumPy archive, according to the name of its first member.
+/// According to the name of the first member.
 fn is_npz(bytes: &[u8]) -> bool {
     let length = bytes.get(26..28).map(|two| usize::from(two[0]) | usize::from(two[1]) << 8);
     let name = length.and_then(|length| bytes.get(ZIP_NAME..ZIP_NAME + length));
     bytes.starts_with(ZIP_MAGIC) && name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
-/// Whether `bytes` are UTF-8 text, possibly with a truncated last character.
+/// Accepts a truncated last character.
 fn is_text(bytes: &[u8]) -> bool {
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text,

@@ -10,30 +10,27 @@ use super::LogError;
 use super::mapped::MappedFile;
 use super::remote::Address;
 
-/// One file to read.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct LogInput {
-    /// Path; for an object in a store, its name in reports.
+    /// For an object in a store, its name in reports.
     pub(super) path: PathBuf,
-    /// Address, for an object in a store.
+    /// For an object in a store.
     pub(super) address: Option<Address>,
-    /// Content, if supplied by the caller.
+    /// If supplied by the caller.
     pub(super) given: Option<Bytes>,
-    /// Whether it is part of a rosbag2 folder.
+    /// Part of a rosbag2 folder.
     pub(super) in_bag: bool,
-    /// Number of messages according to the folder's `metadata.yaml`.
+    /// Messages according to the folder's `metadata.yaml`.
     pub(super) recorded: Option<u64>,
-    /// Name of the only wanted episode.
+    /// The only wanted episode.
     pub(super) episode: Option<String>,
 }
 
 impl LogInput {
-    /// A single local file.
     pub(super) fn local(path: PathBuf) -> Self {
         Self { path, address: None, given: None, in_bag: false, recorded: None, episode: None }
     }
 
-    /// A file of a rosbag2 folder without further information.
     pub(super) fn bag_file(path: PathBuf) -> Self {
         Self { in_bag: true, ..Self::local(path) }
     }
@@ -46,7 +43,6 @@ impl LogInput {
         }
     }
 
-    /// Its content.
     pub(super) fn open(&self) -> Result<MappedFile, LogError> {
         match &self.given {
             Some(content) => MappedFile::from_content(&self.path, content),
@@ -55,7 +51,7 @@ impl LogInput {
     }
 }
 
-/// Rejects a file given twice, under the same path or a different one, and copies of it.
+/// Rejects files given twice, under any path, and copies.
 pub(super) fn reject_duplicates(inputs: &[LogInput]) -> Result<(), LogError> {
     let mut by_size: HashMap<u64, Vec<&LogInput>> = HashMap::new();
     for input in inputs {
@@ -75,7 +71,6 @@ pub(super) fn reject_duplicates(inputs: &[LogInput]) -> Result<(), LogError> {
     Ok(())
 }
 
-/// Whether two files of equal size are the same file or copies.
 fn is_same(a: &LogInput, b: &LogInput) -> bool {
     if let (Ok(a), Ok(b)) = (fs::canonicalize(&a.path), fs::canonicalize(&b.path))
         && a == b

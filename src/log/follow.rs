@@ -11,39 +11,35 @@ use super::losses::Losses;
 use super::mcap::GrowingFile;
 use super::{Container, Crc, Log, LogError, LogFile, ReadOptions, mcap as container};
 
-/// Maximum number of bytes read at once.
 const MAX_READ_BYTES: u64 = 64 << 20;
 
-/// Number of bytes before the read position that are compared again: if they changed, the file was
-/// restarted.
+/// Bytes before the read position that are compared again: if they changed, the file was restarted.
 const COMPARED_BYTES: usize = 64;
 
-/// Change of a log since the last call.
+/// Change since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Growth {
     /// No further complete record.
     None,
     /// More records were read.
     More,
-    /// The file was replaced or truncated; earlier content is discarded.
+    /// Replaced or truncated; earlier content is discarded.
     Restarted,
-    /// The file is closed or damaged, so following it stops.
+    /// Closed or damaged; following stops.
     Ended,
 }
 
-/// MCAP file that is read while it is being written. Its content is kept as columns, plus the bytes of an
-/// incomplete record.
+/// MCAP file that is read while it is being written. Keeps columns, plus the bytes of an incomplete record.
 pub struct LogFollower {
     path: PathBuf,
     options: ReadOptions,
     state: FollowState,
 }
 
-/// Content read from one file.
 #[derive(Default)]
 struct FollowState {
     file: Option<u64>,
-    /// Bytes read; the last of them wait in `rest` for the end of their record.
+    /// Bytes read, including `rest`.
     read: u64,
     rest: Vec<u8>,
     compared: Vec<u8>,
@@ -59,7 +55,7 @@ impl LogFollower {
         Self { path: path.to_owned(), options: options.clone(), state: FollowState::default() }
     }
 
-    /// Whether the file at `path` starts like an MCAP file, the only format that can be followed.
+    /// Whether the file at `path` starts like an MCAP file, the only supported format.
     pub fn is_supported(path: &Path) -> bool {
         let mut head = [0; MAGIC.len()];
         let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
@@ -69,7 +65,7 @@ impl LogFollower {
     /// Reads the bytes written since the last call.
     ///
     /// # Errors
-    /// Returns an error if the file cannot be read.
+    /// If the file cannot be read.
     pub fn advance(&mut self) -> Result<Growth, LogError> {
         let failed = |path: &Path| {
             let path = path.to_owned();
@@ -101,7 +97,6 @@ impl LogFollower {
         Ok(self.add_records(metadata.len()))
     }
 
-    /// Adds complete records to the columns.
     fn add_records(&mut self, bytes: u64) -> Growth {
         let Self { path, options, state } = self;
         if !state.has_begun {
@@ -136,12 +131,11 @@ impl LogFollower {
         (self.state.intake.messages() > 0).then(|| self.state.intake.snapshot(vec![file]))
     }
 
-    /// Number of bytes read, each once.
+    /// Number of bytes read.
     pub fn read(&self) -> u64 {
         self.state.read
     }
 
-    /// Whether the content read before is unchanged.
     fn is_same(&self, file: &mut File, metadata: &Metadata) -> std::io::Result<bool> {
         let state = &self.state;
         if state.read == 0 {
@@ -157,7 +151,7 @@ impl LogFollower {
     }
 }
 
-/// Identity of a file, to detect replacement. `None` if the system does not provide one.
+/// Identity of a file, to detect replacement, if the system provides one.
 #[cfg(unix)]
 fn identity(metadata: &Metadata) -> Option<u64> {
     use std::os::unix::fs::MetadataExt;
@@ -176,7 +170,6 @@ mod tests {
     use super::*;
     use crate::testing::{self, Cdr, LogWriter};
 
-    /// Chunked log with `count` poses.
     fn poses(first: u64, count: u64) -> Vec<u8> {
         let mut log = LogWriter::default();
         let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -225,7 +218,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let (first, second) = (poses(100, 500), poses(9000, 700));
-        // Shorter, longer, and a different file of the same name.
         for (kept, is_new) in
             [(second.len() / 4, false), (second.len(), false), (second.len(), true)]
         {

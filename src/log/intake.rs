@@ -20,24 +20,21 @@ use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, To
 use ground::stream::Columns;
 use ground::time::Stamp;
 
-/// Maximum length of a robot description from an attachment or metadata, in bytes.
+/// Maximum length of a robot description, in bytes.
 const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
 
-/// Maximum number of distinct channels. The largest recordings have a few thousand, and an MCAP file
-/// supports half as many.
+/// Maximum number of distinct channels. The largest recordings have a few thousand; MCAP supports half as
+/// many.
 const MAX_CHANNELS: usize = 1 << 17;
 
 /// Maximum total size of the schemas of used channels, in bytes. Their compiled form takes several times as
 /// much.
 const MAX_SCHEMA_BYTES: usize = 32 << 20;
 
-/// Maximum number of robot descriptions.
 const MAX_DESCRIPTIONS: usize = 64;
 
-/// Maximum number of notes.
 const MAX_NOTES: usize = 100;
 
-/// Maximum number of messages in a batch.
 pub(super) const MAX_BATCH_MESSAGES: usize = 1 << 14;
 
 /// Collects topics, messages and damage over all files of a run.
@@ -47,9 +44,8 @@ pub(super) struct Intake {
     by_name: HashMap<(String, String), usize>,
     channels: Vec<ChannelLocation>,
     by_format: HashMap<FormatKey, ChannelId>,
-    /// Whether the channel limit was exceeded.
     is_full: bool,
-    /// Total size of the schemas of used channels, in bytes.
+    /// Of used channels, in bytes.
     schema_bytes: usize,
     messages: u64,
     descriptions: Vec<Description>,
@@ -59,21 +55,19 @@ pub(super) struct Intake {
     repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
     time_column: Option<String>,
-    /// Files started so far.
     files: Vec<PathBuf>,
     /// Decompression allowance of the current file.
     pub(super) allowance: Allowance,
     unpacker: Unpacker,
 }
 
-/// Identity of a channel: topic, encoding, type, and a hash of its schema.
+/// Topic, encoding, type and schema hash.
 type FormatKey = (String, String, String, u64);
 
-/// Channel known to an [`Intake`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct ChannelId(pub(super) usize);
 
-/// Location of a channel: its topic, and its index among the topic's channels.
+/// Topic, and index among the topic's channels.
 #[derive(Clone, Copy)]
 pub(super) struct ChannelLocation {
     pub(super) topic: usize,
@@ -87,8 +81,7 @@ impl Intake {
         self.allowance = Allowance::of(bytes, None);
     }
 
-    /// Adds a channel, or returns the existing one with the same topic and type. `None` if there are too
-    /// many.
+    /// Adds a channel, or returns the existing one with the same topic and type. `None` beyond the limit.
     pub(super) fn channel(&mut self, topic: &str, format: Format<'_>) -> Option<ChannelId> {
         let key = format_key(topic, format);
         if let Some(&known) = self.by_format.get(&key) {
@@ -123,7 +116,7 @@ impl Intake {
         Some(id)
     }
 
-    /// Reason why messages have no channel, as extent and text.
+    /// Why messages have no channel.
     pub(super) fn missing_channel_reason(&self) -> (Extent, String) {
         match self.is_full {
             true => (Extent::Unread, format!("beyond the limit of {MAX_CHANNELS}")),
@@ -131,7 +124,6 @@ impl Intake {
         }
     }
 
-    /// Index of the topic with this name and type.
     fn topic(&mut self, topic: &str, format: Format<'_>) -> usize {
         let key = (topic.to_owned(), decode::canonical(format.type_name).into_owned());
         *self.by_name.entry(key).or_insert_with(|| {
@@ -171,7 +163,7 @@ impl Intake {
         topic.message(place, &message, self.files.len());
     }
 
-    /// Processes the messages in `batch` in order, like [`Intake::message`], with topics in parallel.
+    /// Processes `batch` in order, like [`Intake::message`], with topics in parallel.
     pub(super) fn batch(&mut self, batch: &mut Vec<(ChannelId, Message<'_>)>) {
         /// Fewer messages are faster on one thread.
         const FEW: usize = 256;
@@ -199,10 +191,9 @@ impl Intake {
         batch.clear();
     }
 
-    /// Data for reading messages of the known channels in another thread. `None` if there are very many
-    /// channels.
+    /// Data for reading messages in another thread. `None` if there are very many channels.
     pub(super) fn known(&self) -> Option<ChannelSnapshot> {
-        /// Number of channels above which this copy takes longer than reading a small chunk.
+        /// With more channels, this copy takes longer than reading a small chunk.
         const MANY: usize = 1 << 9;
         (self.channels.len() <= MANY).then(|| {
             let topics = self.topics.iter().map(|topic| topic.content.template()).collect();
@@ -210,8 +201,7 @@ impl Intake {
         })
     }
 
-    /// Adds the messages of a part read in another thread, as if they were read now. Returns false and adds
-    /// nothing if that is not possible.
+    /// Adds a part read in another thread. Returns false and adds nothing if that is not possible.
     pub(super) fn join(&mut self, part: PartContent) -> bool {
         let fits =
             |(index, taken): &(usize, TopicContent)| self.topics[*index].content.can_join(taken);
@@ -241,19 +231,17 @@ impl Intake {
         }
     }
 
-    /// Sets the columns of a channel whose messages are only counted.
     pub(super) fn columns(&mut self, channel: ChannelId, columns: Columns) {
         let topic = self.channels[channel.0].topic;
         self.topics[topic].columns = Some(columns);
     }
 
-    /// Sets the interpretation and table cells of a channel's columns.
     pub(super) fn read_as(&mut self, channel: ChannelId, how: String, cells: Vec<TableCell>) {
         let topic = &mut self.topics[self.channels[channel.0].topic];
         (topic.read_as, topic.cells) = (Some(how), cells);
     }
 
-    /// Records a contradiction between a declaration of `file` and its numbers; once for all episodes.
+    /// Records a contradiction between `file`'s declaration and its numbers, once for all episodes.
     pub(super) fn contradiction(&mut self, file: &Path, what: String) {
         let known = self.contradictions.get_or_insert_default();
         if known.len() < MAX_NOTES && known.iter().all(|known| known.what != what) {
@@ -261,7 +249,6 @@ impl Intake {
         }
     }
 
-    /// Adds duplicate or constant table columns.
     pub(super) fn repeats(&mut self, found: Vec<Repeat>) {
         self.repeats.get_or_insert_default().extend(found);
     }
@@ -272,17 +259,16 @@ impl Intake {
         self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
     }
 
-    /// Records a table column identified as times despite its name, if any.
+    /// Sets the column identified as times despite its name.
     pub fn set_time_column(&mut self, column: Option<&str>) {
         self.time_column = self.time_column.take().or_else(|| column.map(str::to_owned));
     }
 
-    /// Number of messages so far.
     pub(super) fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Keeps a text from outside messages if it is a robot description or UR calibration.
+    /// Keeps a robot description or UR calibration from outside messages.
     pub(super) fn text(&mut self, name: &str, text: &[u8]) {
         if text.len() > MAX_DESCRIPTION_BYTES {
             return;
@@ -303,19 +289,17 @@ impl Intake {
         }
     }
 
-    /// Adds a remark about `file` that is not damage.
+    /// Adds a remark that is not damage.
     pub(super) fn note(&mut self, file: &Path, what: String) {
         if self.notes.len() < MAX_NOTES {
             self.notes.push(Note { file: file.to_owned(), what });
         }
     }
 
-    /// Adds the damage of a file.
     pub(super) fn losses(&mut self, losses: Losses) {
         self.losses.extend(losses.finish());
     }
 
-    /// Log of the content so far.
     pub(super) fn snapshot(&self, files: Vec<LogFile>) -> Log {
         let copy = Self {
             topics: self.topics.iter().map(TopicIntake::snapshot).collect(),
@@ -329,7 +313,6 @@ impl Intake {
         copy.finish(files)
     }
 
-    /// Log of all content of `files`.
     pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
         self.note_unrelated_files();
         let mut topics: Vec<Topic> =
@@ -351,7 +334,6 @@ impl Intake {
         }
     }
 
-    /// Adds notes about files that do not seem to belong to the same run.
     fn note_unrelated_files(&mut self) {
         let mut notes: Vec<(usize, String)> = Vec::new();
         let mut told = HashSet::new();
@@ -383,12 +365,11 @@ impl Intake {
         }
     }
 
-    /// Path of file number `number`, counted from 1.
+    /// `number` counts from 1.
     fn file(&self, number: usize) -> &Path {
         number.checked_sub(1).and_then(|index| self.files.get(index)).map_or(Path::new(""), |p| p)
     }
 
-    /// Span of each file, by number.
     fn file_spans(&self) -> Vec<(usize, Span)> {
         let mut spans: Vec<(usize, Span)> =
             self.topics.iter().flat_map(|topic| &topic.content.spans).copied().collect();

@@ -3,27 +3,24 @@ use std::path::{Path, PathBuf};
 use super::{Extent, Loss};
 use ground::time::Stamp;
 
-/// Maximum number of losses listed per file; further ones are merged into the last.
+/// Maximum number of losses per file; further ones are merged into the last.
 const MAX_LOSSES: usize = 100;
 
-/// Damage to one file, as found by a container.
 #[derive(Debug)]
 pub(super) struct Losses {
     file: PathBuf,
     list: Vec<Loss>,
-    /// If the list is full: messages lost by the earlier damage merged with the last entry.
+    /// If the list is full: messages lost by the damage merged with the last entry.
     before_last: Option<Option<u64>>,
     /// Messages lost by the latest damage.
     last: Option<u64>,
 }
 
 impl Losses {
-    /// Empty list of damage to `file`.
     pub(super) fn new(file: &Path) -> Self {
         Self { file: file.to_owned(), list: Vec::new(), before_last: None, last: None }
     }
 
-    /// The file.
     pub(super) fn file(&self) -> &Path {
         &self.file
     }
@@ -39,7 +36,6 @@ impl Losses {
         self.add_at(Some(offset as u64), extent, messages, what);
     }
 
-    /// Adds damage without a single position in the file.
     pub(super) fn add_unplaced(&mut self, extent: Extent, messages: Option<u64>, what: String) {
         self.add_at(None, extent, messages, what);
     }
@@ -47,7 +43,7 @@ impl Losses {
     fn add_at(&mut self, offset: Option<u64>, extent: Extent, messages: Option<u64>, what: String) {
         let file = self.file.clone();
         let loss = Loss { file, offset, what, messages, span: None, extent };
-        // All skipped content is one entry, regardless of its parts.
+        // All skipped content is one entry.
         let unread = loss.extent == Extent::Unread;
         let goes_on = unread && self.list.last().is_some_and(|last| last.extent == loss.extent);
         if self.list.len() < MAX_LOSSES && !goes_on {
@@ -65,7 +61,7 @@ impl Losses {
         }
     }
 
-    /// Increases the number of messages lost by the latest damage.
+    /// Adds messages to the latest damage.
     pub(super) fn add_to_last(&mut self, messages: u64) {
         self.last = Some(self.last.unwrap_or(0).saturating_add(messages));
         if let Some(last) = self.list.last_mut() {
@@ -91,7 +87,7 @@ impl Losses {
         }
     }
 
-    /// Infers unknown losses from the total: `witness` reports `recorded` messages, and `read` were read.
+    /// Infers unknown losses: `witness` reports `recorded` messages, `read` were read.
     pub(super) fn infer_missing(&mut self, witness: &str, recorded: u64, read: u64) {
         let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
         let missing = recorded.saturating_sub(read).saturating_sub(known);
@@ -113,12 +109,11 @@ impl Losses {
         }
     }
 
-    /// Whether there is no damage.
     pub(super) fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
 
-    /// Damage in order of offsets.
+    /// Damage by offset.
     pub(super) fn finish(mut self) -> Vec<Loss> {
         self.list.sort_by_key(|loss| loss.offset);
         self.list
@@ -133,7 +128,6 @@ pub(super) struct UnknownRecords {
 }
 
 impl UnknownRecords {
-    /// Counts a record of kind `code`.
     pub(super) fn add(&mut self, code: u8) {
         if self.count == 0 {
             self.first = code;
@@ -153,7 +147,7 @@ impl UnknownRecords {
     }
 }
 
-/// Sum of two losses; unknown if one is.
+/// Unknown if one is.
 fn sum(a: Option<u64>, b: Option<u64>) -> Option<u64> {
     Some(a?.saturating_add(b?))
 }

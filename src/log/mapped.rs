@@ -1,5 +1,3 @@
-//! Files in memory.
-
 #[cfg(not(target_arch = "wasm32"))]
 #[path = "mapped/disk.rs"]
 mod place;
@@ -27,7 +25,6 @@ impl AsRef<[u8]> for MappedFile {
 }
 
 impl MappedFile {
-    /// Maps a file into memory, or returns the reason why it cannot be read.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |source: io::Error| LogError::io(path, source);
         // Check before opening: a pipe would block.
@@ -42,7 +39,7 @@ impl MappedFile {
         place::map(&file, metadata.len()).map(Self).map_err(io_error)
     }
 
-    /// Content of the file at `path`, supplied by the caller.
+    /// Content supplied by the caller for `path`.
     pub(super) fn from_content(path: &Path, content: &Bytes) -> Result<Self, LogError> {
         match content.is_empty() {
             true => Err(LogError::Empty { path: path.to_owned() }),
@@ -50,7 +47,6 @@ impl MappedFile {
         }
     }
 
-    /// Content of a temporary file.
     pub(super) fn from_temporary(kept: &Temporary) -> io::Result<Self> {
         let mapped = place::kept(kept).map(Self)?;
         if mapped.bytes().is_empty() {
@@ -60,16 +56,14 @@ impl MappedFile {
         }
     }
 
-    /// Its content.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.0
     }
 }
 
-/// Access pattern of a file in memory.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum AccessPattern {
-    /// Single distant positions; the bytes between them should not be read from the disk.
+    /// Distant positions, without the bytes between them.
     Scattered,
     /// The whole file, soon.
     Whole,

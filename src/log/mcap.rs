@@ -1,8 +1,7 @@
 //! MCAP files, read from the first byte to the last, skipping damage.
 //!
-//! The summary is read first, because it repeats schemas and channels that a damaged chunk may have lost.
-//! Messages are then found by walking the records, so files with and without an index are read the same
-//! way.
+//! The summary is read first: it repeats schemas and channels that a damaged chunk may have lost. Messages
+//! are found by walking the records, with or without an index.
 
 mod advice;
 mod chunks;
@@ -41,11 +40,11 @@ pub(super) use self::survey::{Survey, survey};
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct MissingByte(pub(super) usize);
 
-/// Reads the file `bytes`, which start with [`MAGIC`], into `intake`. Accesses only the `present` bytes,
-/// which must cover those requested by [`survey`](survey::survey).
+/// Reads the file `bytes` into `intake`. Accesses only the `present` bytes, which must cover those
+/// requested by [`survey`](survey::survey).
 ///
 /// # Errors
-/// Returns an error if they do not; the partial result must be discarded.
+/// If they do not; the partial result must be discarded.
 pub(super) fn read(
     bytes: &[u8],
     present: &Present,
@@ -69,35 +68,30 @@ pub(super) fn read(
 
 struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
-    /// Available bytes.
     present: &'r Present,
-    /// First required byte that is not available.
+    /// First required byte that is absent.
     absent: Option<MissingByte>,
     options: &'r ReadOptions,
     intake: &'r mut Intake,
     losses: &'r mut Losses,
     ahead: &'r mut ChunkPool<'scope, 'a>,
-    /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
+    /// Offset up to which chunks are queued. `None` if no record follows.
     scanned: Option<usize>,
     definitions: Definitions,
-    /// Snapshot of the definitions for parallel parsing. `None` until requested.
+    /// Snapshot for parallel parsing, once requested.
     table: Option<Arc<DefinitionSnapshot>>,
     /// Number of snapshots.
     tables: u32,
-    /// Whether most of a chunk was skipped; the wanted parts of the following ones are then fetched
-    /// separately.
+    /// Most of a chunk was skipped: fetch the wanted parts of the following ones separately.
     is_scattered: bool,
-    /// Number of messages with a verified checksum.
+    /// Messages with a verified checksum.
     covered: u64,
-    /// Messages of undescribed channels: their number and the offset of the first.
+    /// Messages of undescribed channels: number, and offset of the first.
     orphans: Option<(u64, usize)>,
-    /// Records of unknown kinds.
     unknown: UnknownRecords,
-    /// Whether the previous record belongs to a lost chunk.
+    /// The previous record belongs to a lost chunk.
     in_lost_chunk: bool,
-    /// Whether a chunk was found.
     has_chunks: bool,
-    /// Start of trailing zeros, once computed.
     trailing_zeros_start: OnceCell<usize>,
 }
 
@@ -116,19 +110,16 @@ impl Definitions {
         self.channels.get(usize::from(channel_id))?.as_ref()?.id
     }
 
-    /// Whether a record's schema equals the known one.
     fn has_schema(&self, schema: &record::Schema<'_>) -> bool {
         self.schemas.get(&schema.id).is_some_and(|known| known.matches(schema))
     }
 
-    /// Whether a record's channel equals the known one.
     fn has_channel(&self, channel: &record::Channel<'_>) -> bool {
         let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
         known.is_some_and(|known| known.matches(channel))
     }
 }
 
-/// Latest version of a schema.
 struct Schema {
     name: String,
     encoding: String,
@@ -136,14 +127,12 @@ struct Schema {
 }
 
 impl Schema {
-    /// Whether it equals a record.
     fn matches(&self, schema: &record::Schema<'_>) -> bool {
         (self.name.as_str(), self.encoding.as_str(), self.data.as_slice())
             == (schema.name, schema.encoding, schema.data)
     }
 }
 
-/// Latest version of a channel.
 struct Channel {
     /// `None` if there are too many channels.
     id: Option<ChannelId>,
@@ -153,7 +142,6 @@ struct Channel {
 }
 
 impl Channel {
-    /// Whether it equals a record.
     fn matches(&self, channel: &record::Channel<'_>) -> bool {
         (self.schema_id, self.topic.as_str(), self.encoding.as_str())
             == (channel.schema_id, channel.topic, channel.encoding)
@@ -162,18 +150,18 @@ impl Channel {
 
 /// Information from the end of the file.
 enum Summary {
-    /// None: the file was not closed.
+    /// The file was not closed.
     Unclosed,
-    /// The file was closed; its messages may have been counted.
+    /// With the number of messages, if counted.
     Closed { messages: Option<u64> },
 }
 
 /// Usable content of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum ChunkUse {
-    /// Most of it, or unknown: it is decompressed and its checksum verified.
+    /// Most of it, or unknown: it is decompressed and verified.
     All,
-    /// Some messages between larger ones. The chunk is uncompressed, and the others are skipped.
+    /// Some messages of an uncompressed chunk, between larger ones.
     Some,
     /// Only the number of messages, from its index.
     Counts,
@@ -185,9 +173,9 @@ enum ChunkUse {
 enum DataEnd<'a> {
     /// At the record that closes it.
     Closed(Frame<'a>),
-    /// After a complete record, at the end of the file.
+    /// End of the file after a complete record.
     Open,
-    /// In damage, which was recorded.
+    /// Damage, which was recorded.
     Damaged,
 }
 
@@ -224,7 +212,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
 }
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Reads schemas and channels from the summary, if the file has one.
+    /// Reads schemas and channels from the summary, if any.
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
             let magic = self.bytes.len().saturating_sub(MAGIC.len());
@@ -255,7 +243,7 @@ impl<'a> Reader<'a, '_, '_> {
         if !self.is_present(start..footer_start) {
             return Summary::Unclosed;
         }
-        // The checksum also covers the footer, up to itself.
+        // The checksum covers the footer up to itself.
         let covered = &content[start..content.len() - size_of::<u32>()];
         if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {
             self.record_lost_summary(start, "the summary fails its checksum");
@@ -282,12 +270,10 @@ impl<'a> Reader<'a, '_, '_> {
         self.losses.add(offset, Extent::Index, Some(0), what.to_owned());
     }
 
-    /// Walks the records of the data section.
     fn walk(&mut self) -> DataEnd<'a> {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to search for the next chunk if no record starts at `offset`: the previous record may have
-        // a wrong length.
+        // Where to search for the next chunk: the previous record may have a wrong length.
         let mut sound = offset;
         while offset < self.bytes.len() {
             self.options.set_position(offset);
@@ -322,8 +308,8 @@ impl<'a> Reader<'a, '_, '_> {
         DataEnd::Open
     }
 
-    /// Offset at which to continue after damage, from `from` on. Chunks contain bytes that look like
-    /// messages, so messages are searched only in files without chunks.
+    /// Offset at which to continue after damage. Chunks contain bytes that look like messages, so messages
+    /// are searched only in files without chunks.
     fn next_record(&self, from: usize) -> Option<usize> {
         let channels = &self.definitions.channels;
         let is_known = |id: u16| matches!(channels.get(usize::from(id)), Some(Some(_)));
@@ -334,12 +320,12 @@ impl<'a> Reader<'a, '_, '_> {
         })
     }
 
-    /// Start of the trailing zeros, of which there may be gigabytes.
+    /// Start of the trailing zeros, possibly gigabytes.
     fn zeros_from(&self) -> usize {
         *self.trailing_zeros_start.get_or_init(|| record::trailing_zeros(self.bytes))
     }
 
-    /// Reads one record of the data section. Returns whether its length is reliable.
+    /// Reads one record. Returns whether its length is reliable.
     fn record(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
         match frame.opcode {
@@ -364,7 +350,7 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Reads a schema or channel, or a message, which is added to `batch`. `None` if it is malformed.
+    /// Reads a schema, channel or message, which is added to `batch`. `None` if malformed.
     fn content<'m>(
         &mut self,
         frame: &Frame<'m>,
@@ -431,7 +417,6 @@ impl<'a> Reader<'a, '_, '_> {
         self.losses.add(offset, extent, messages, what);
     }
 
-    /// Compares the messages read with the count at the end of the file.
     fn close(&mut self, summary: &Summary, end: DataEnd<'_>, read: u64) {
         if let Some(what) = self.unknown.note("opcode") {
             self.intake.note(self.losses.file(), what);
@@ -456,7 +441,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Verifies the checksum of the data section, which the record `end` closes.
+    /// Verifies the checksum in the closing record `end`.
     fn check_data(&mut self, end: &Frame<'_>, read: u64) {
         let crc = match end.opcode {
             op::DATA_END => record::data_crc(end.body).unwrap_or(0),

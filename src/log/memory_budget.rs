@@ -1,18 +1,15 @@
-//! Memory limit for numbers from tables.
-//!
-//! A few kilobytes of a table can declare gigabytes of numbers by compression, run lengths or missing
-//! chunks. Every table reader counts its numbers here before allocating memory.
+//! Memory limit for numbers from tables. A few kilobytes can declare gigabytes of numbers by compression,
+//! run lengths or missing chunks, so every table reader reserves memory here first.
 
 use super::Extent;
 
-/// Memory for the numbers of all files of a run.
+/// For all files of a run.
 #[derive(Debug)]
 pub(super) struct MemoryBudget {
     limit: u64,
     used: u64,
 }
 
-/// Numbers that are not read because they exceed the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{} MiB of numbers not read: the tables would need more than {} MiB; raise the limit with \
@@ -30,29 +27,24 @@ impl OutOfMemory {
 }
 
 impl MemoryBudget {
-    /// Base limit of a run regardless of file sizes: 4 million numbers. An audit needs up to seven times as
-    /// much in total.
+    /// Base limit of a run: 4 million numbers. An audit needs up to seven times as much.
     const BASE_BYTES: u64 = 32 << 20;
     /// Additional limit per byte of a file: 4 numbers. Episodes of LeRobot (Parquet) and robomimic (HDF5
     /// with gzip) need 1 to 4 bytes per number.
     const BYTES_PER_FILE_BYTE: u64 = 32;
 
-    /// Limit of a run, at least the requested GiB.
     pub(super) fn new(asked_gib: Option<u32>) -> Self {
         Self { limit: Self::BASE_BYTES.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
-    /// Increases the limit for a file of `bytes`.
     pub(super) fn add_file(&mut self, bytes: u64) {
         self.limit = self.limit.saturating_add(bytes.saturating_mul(Self::BYTES_PER_FILE_BYTE));
     }
 
-    /// Counts `numbers` to be kept.
     pub(super) fn reserve(&mut self, numbers: usize) -> Result<(), OutOfMemory> {
         self.reserve_bytes((numbers as u64).saturating_mul(8))
     }
 
-    /// Counts `bytes`.
     pub(super) fn reserve_bytes(&mut self, bytes: u64) -> Result<(), OutOfMemory> {
         let used = self.used.saturating_add(bytes);
         if used > self.limit {
@@ -70,12 +62,11 @@ impl MemoryBudget {
         }
     }
 
-    /// Remaining bytes.
     pub(super) fn remaining(&self) -> u64 {
         self.limit.saturating_sub(self.used)
     }
 
-    /// Releases memory counted for numbers that are not kept.
+    /// Releases numbers that are not kept.
     pub(super) fn release(&mut self, numbers: usize) {
         self.used = self.used.saturating_sub((numbers as u64).saturating_mul(8));
     }

@@ -1,12 +1,11 @@
 //! Reads log files into columns: containers, and decoding of messages by the schema in the log.
 //!
-//! [`open`] reads whole files. The format of a file is identified by its bytes, never by its name. Each
-//! container walks its records and passes schemas and messages to one `Intake`. The registry in `decode`
-//! lists the types with columns; all other topics are counted and listed.
+//! A file's format is identified by its bytes, never by its name. Each container passes schemas and
+//! messages to one `Intake`. The registry in `decode` lists the types with columns; all other topics are
+//! counted.
 //!
-//! Damage must not prevent reading the intact parts. It becomes a [`Loss`], and an undecodable topic
-//! becomes [`Undecodable`]. Only a file from which nothing can be read is a [`LogError`]. The meaning of a
-//! stream is determined elsewhere.
+//! Intact parts of a damaged file are read. Damage becomes a [`Loss`], an undecodable topic
+//! [`Undecodable`], and a file from which nothing can be read a [`LogError`].
 #![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "used by the database reader"))]
 
@@ -65,16 +64,16 @@ pub use self::tables::{
     split_episode, store_files,
 };
 
-/// Local file named by `path`, directly or as a `file://` URL. `None` for an object in a store.
+/// Local file named by `path` or a `file://` URL. `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {
     let is_url = is_url(path);
     (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
 }
 
-/// Number of leading bytes that [`looks_like_log`] needs.
+/// Leading bytes that [`looks_like_log`] needs.
 pub const HEAD_BYTES: u64 = 4096;
 
-/// Whether the file at `path` is a table, according to its first bytes.
+/// Whether the first bytes are those of a table.
 pub fn is_table(path: &Path) -> bool {
     is_store(path) || matches!(detect_file_format(path), Some(file_format::FileFormat::Table(_)))
 }
@@ -97,7 +96,7 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Format of the file at `path` from its first bytes. `None` if it cannot be read.
+/// `None` if it cannot be read.
 fn detect_file_format(path: &Path) -> Option<file_format::FileFormat> {
     let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();

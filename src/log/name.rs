@@ -1,20 +1,18 @@
-//! Display name of a log, without secrets.
-
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC};
 
-/// Name of a log in reports, tables and messages: its path, or its URL without secrets.
+/// Name of a log in reports and messages: its path, or its URL without secrets.
 ///
-/// Secrets are user and password before the host, and everything after `?` or `#`. They are also removed
-/// from texts that only look like a URL, for example with a misspelt scheme.
+/// Secrets are user and password before the host, and everything after `?` or `#`, even in texts that only
+/// look like a URL.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct SourceName(String);
 
 impl SourceName {
-    /// Name of the log at `path`, which may be a URL.
+    /// Name of the path or URL.
     pub fn from_path(path: &Path) -> Self {
         let text = path.to_string_lossy();
         Self(match text.split_once("://") {
@@ -46,7 +44,7 @@ impl From<SourceName> for PathBuf {
     }
 }
 
-/// Characters escaped in a path that becomes part of a URI.
+/// Characters escaped in the path of a URI.
 pub const ESCAPED: &AsciiSet =
     &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'_').remove(b'-').remove(b'~');
 
@@ -56,7 +54,7 @@ pub(super) fn is_scheme(text: &str) -> bool {
         && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"+-.".contains(&byte))
 }
 
-/// Removes secrets from the text after `://`.
+/// `rest` follows `://`.
 fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     let rest = match scheme {
         // `?` is an ordinary character in object keys.
@@ -65,7 +63,7 @@ fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     };
     let authority = rest.split('/').next().unwrap_or_default();
     match authority.rsplit_once('@') {
-        // In Azure URLs this is the container.
+        // In Azure URLs, the container.
         Some((container, _)) if scheme.starts_with("abfs") && !container.contains(':') => rest,
         Some((secret, _)) => &rest[secret.len() + 1..],
         // A password containing a slash.

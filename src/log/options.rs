@@ -1,5 +1,3 @@
-//! Options for reading.
-
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,15 +10,15 @@ use super::tables::ColumnSettings;
 /// Options for reading.
 #[derive(Clone, Debug, Default)]
 pub struct ReadOptions {
-    /// Verify every checksum, even if that takes another pass over the bytes.
+    /// Verify every checksum, even in another pass.
     pub verify: bool,
-    /// Decompression limit per file, GiB, if higher than the default.
+    /// Decompression limit per file, GiB, if above the default.
     pub max_unpacked_gib: Option<u32>,
-    /// Column mapping of tables, given by the caller.
+    /// Column mapping of tables.
     pub columns: ColumnSettings,
-    /// Files supplied by the caller: content by path. The disk is not accessed for these paths.
+    /// Content supplied by the caller, by path. The disk is not accessed for these paths.
     pub given: BTreeMap<PathBuf, Bytes>,
-    /// Progress, updated while files are read.
+    /// Updated while files are read.
     pub progress: Option<Arc<Progress>>,
 }
 
@@ -32,7 +30,6 @@ impl ReadOptions {
         }
     }
 
-    /// Sets the position in the current file.
     pub(super) fn set_position(&self, offset: usize) {
         if let Some(progress) = &self.progress {
             progress.set_position(offset as u64);

@@ -2,16 +2,16 @@ use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Callback for each step, needed if there are no threads.
+/// Needed if there are no threads.
 type StepCallback = Box<dyn Fn(&Progress) + Send + Sync>;
 
 /// Progress of an audit, readable from other threads.
 #[derive(Default)]
 pub struct Progress {
     total: AtomicU64,
-    /// Bytes of finished files.
+    /// Of finished files.
     before: AtomicU64,
-    /// Bytes read of the current file.
+    /// Of the current file.
     here: AtomicU64,
     doing: Mutex<&'static str>,
     callback: Option<StepCallback>,
@@ -24,7 +24,7 @@ impl fmt::Debug for Progress {
 }
 
 impl Progress {
-    /// Progress that calls `callback` at each step.
+    /// Calls `callback` at each step.
     pub fn with_callback(told: impl Fn(&Self) + Send + Sync + 'static) -> Self {
         Self { callback: Some(Box::new(told)), ..Self::default() }
     }
@@ -46,7 +46,7 @@ impl Progress {
         }
     }
 
-    /// Total bytes of all files; 0 until known.
+    /// Bytes of all files; 0 until known.
     pub fn total(&self) -> u64 {
         self.total.load(Ordering::Relaxed)
     }
@@ -57,25 +57,22 @@ impl Progress {
         read.min(self.total())
     }
 
-    /// Sets the total number of bytes.
     pub(super) fn set_total(&self, total: u64) {
         self.total.store(total, Ordering::Relaxed);
         self.set_activity("reading");
     }
 
-    /// Adds `bytes` to the total, for an object whose size was unknown before.
+    /// For an object whose size was unknown.
     #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
     pub(super) fn add_total(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Sets the position in the current file.
     pub(super) fn set_position(&self, offset: u64) {
         self.here.store(offset, Ordering::Relaxed);
         self.notify();
     }
 
-    /// Marks a file of `bytes` as finished.
     pub(super) fn finish_file(&self, bytes: u64) {
         self.here.store(0, Ordering::Relaxed);
         self.before.fetch_add(bytes, Ordering::Relaxed);

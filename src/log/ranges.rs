@@ -1,7 +1,5 @@
-//! Available byte ranges of a file.
-//!
-//! A local file is complete. An object in a store may have been fetched partially, and its temporary file
-//! has zeros between the fetched parts. Readers must check availability first.
+//! Available byte ranges of a file. The temporary file of a partially fetched object has zeros between the
+//! fetched parts, so readers must check availability first.
 #![cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
 
 use std::ops::Range;
@@ -11,7 +9,7 @@ use std::ops::Range;
 pub(super) struct Ranges(Vec<Range<usize>>);
 
 impl Ranges {
-    /// Normalises `ranges`; merges those separated by at most `gap` bytes.
+    /// Merges ranges separated by at most `gap` bytes.
     pub(super) fn new(mut ranges: Vec<Range<usize>>, gap: usize) -> Self {
         ranges.retain(|range| !range.is_empty());
         ranges.sort_by_key(|range| range.start);
@@ -25,7 +23,6 @@ impl Ranges {
         Self(ranges)
     }
 
-    /// Bytes before `end`; possibly none.
     pub(super) fn up_to(end: usize) -> Self {
         let whole = 0..end;
         Self::new(vec![whole], 0)
@@ -38,14 +35,12 @@ impl Ranges {
         range.is_empty() || last.is_some_and(|kept| range.end <= kept.end)
     }
 
-    /// Adds further ranges.
     pub(super) fn extend(&mut self, further: Self) {
         let mut all = std::mem::take(&mut self.0);
         all.extend(further.0);
         *self = Self::new(all, 0);
     }
 
-    /// Parts of `wanted` that are not included.
     pub(super) fn missing(&self, wanted: &Self) -> Self {
         let mut missing = Vec::new();
         for want in &wanted.0 {
@@ -60,12 +55,11 @@ impl Ranges {
         Self::new(missing, 0)
     }
 
-    /// Total number of bytes.
     pub(super) fn bytes(&self) -> usize {
         self.0.iter().map(Range::len).sum()
     }
 
-    /// Splits the ranges into pieces of at most `size` bytes.
+    /// Pieces of at most `size` bytes.
     pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
         self.0.iter().flat_map(move |range| {
             let end = range.end;
@@ -74,23 +68,18 @@ impl Ranges {
     }
 }
 
-/// Available part of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) enum Present {
-    /// Complete.
     #[default]
     Whole,
-    /// Only these parts.
     Parts(Ranges),
 }
 
 impl Present {
-    /// Availability of `ranges` in a file of `size` bytes.
     pub(super) fn of(ranges: Ranges, size: usize) -> Self {
         if ranges.holds(&(0..size)) { Present::Whole } else { Present::Parts(ranges) }
     }
 
-    /// Whether all bytes of `range` are available.
     pub(super) fn holds(&self, range: &Range<usize>) -> bool {
         match self {
             Present::Whole => true,
@@ -103,7 +92,6 @@ impl Present {
 mod tests {
     use super::*;
 
-    /// Individual bytes of `ranges`.
     fn bytes(ranges: &Ranges) -> Vec<usize> {
         ranges.0.iter().cloned().flatten().collect()
     }

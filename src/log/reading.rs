@@ -1,5 +1,3 @@
-//! Reads the given paths.
-
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -24,9 +22,8 @@ use ground::boundary::StagedFile;
 /// the same topic and type are appended in the order given.
 ///
 /// # Errors
-///
-/// Returns an error if a file cannot be opened or is not a supported log, if the same file is given twice,
-/// or if no message can be read. Partial damage is not an error: see [`Log::losses`].
+/// If a file cannot be opened, is not a supported log or is given twice, or if no message can be read.
+/// Partial damage is not an error: see [`Log::losses`].
 pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
@@ -80,7 +77,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     Ok(log)
 }
 
-/// Files for `paths`: a folder is replaced by the files of its recording.
+/// Replaces folders by the files of their recordings.
 fn inputs(
     paths: &[PathBuf],
     options: &ReadOptions,
@@ -117,7 +114,7 @@ fn inputs(
     Ok(inputs)
 }
 
-/// Files of the recording in `folder` except links out of it, which are recorded as losses.
+/// Files in `folder`; links out of it are recorded as losses.
 fn contained(
     folder: &Path,
     inputs: Vec<LogInput>,
@@ -138,7 +135,6 @@ fn contained(
     Ok(inside)
 }
 
-/// One file being read.
 struct FileReader<'a> {
     path: &'a Path,
     in_bag: bool,
@@ -149,16 +145,15 @@ struct FileReader<'a> {
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
     tables: &'a mut Tables,
-    /// Memory limit for the numbers of all tables.
+    /// For all tables.
     memory: &'a mut MemoryBudget,
-    /// Stored size of the file in bytes.
+    /// Stored size in bytes.
     size: u64,
-    /// Available part of the file.
     present: Present,
 }
 
 impl FileReader<'_> {
-    /// Reads the file; fetches it first if it is an object.
+    /// Fetches the file first if it is an object.
     fn read_file(&mut self, input: &LogInput) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
@@ -190,7 +185,6 @@ impl FileReader<'_> {
         Ok(LogFile { fetched: Some(bytes), ..self.read_whole(mapped.bytes(), named)? })
     }
 
-    /// Reads the store in a folder.
     fn read_store(&mut self, folder: &Path) -> Result<LogFile, LogError> {
         let sizes = tables::store_files(folder).into_iter().filter_map(|file| file.metadata().ok());
         let bytes = sizes.map(|metadata| metadata.len()).sum();
@@ -201,7 +195,7 @@ impl FileReader<'_> {
         Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
     }
 
-    /// Reads the `bytes` of a file, a temporary one if `read_named`.
+    /// Reads a file; `named` is the name of a temporary one.
     fn read_whole(&mut self, bytes: &[u8], named: Option<StagedFile>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.size = size;
@@ -214,7 +208,7 @@ impl FileReader<'_> {
         Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
     }
 
-    /// Reads the log compressed in `read_archive`.
+    /// Reads the log compressed in `archive`.
     fn read_archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
         let options = &self.options;
         let (Unpacked { file, path }, end) =
@@ -232,12 +226,12 @@ impl FileReader<'_> {
         let looks = "an empty zstd archive";
         let unpacked = MappedFile::from_temporary(&file)
             .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
-        // Progress refers to the archive, which has been read.
+        // Progress refers to the archive.
         self.options.progress = None;
         self.read_named(file_format::detect_format(unpacked.bytes()), unpacked.bytes(), path)
     }
 
-    /// Reads the `bytes` of a log, a temporary file if `read_named`.
+    /// Reads a log; `named` is the name of a temporary file.
     fn read_named(
         &mut self,
         kind: FileFormat,
@@ -246,7 +240,7 @@ impl FileReader<'_> {
     ) -> Result<(Container, Crc), LogError> {
         match named {
             None => self.read_content(kind, self.path, bytes, || ()),
-            // The name is removed once the file is open, or at the end on systems that cannot unlink open
+            // The name is removed once the file is open, or at the end if the system cannot unlink open
             // files.
             Some(path) => {
                 let place = path.to_path_buf();
@@ -256,8 +250,8 @@ impl FileReader<'_> {
         }
     }
 
-    /// Reads the `bytes` of a log located at `place`: its own path, or its temporary file. Calls `opened`
-    /// once the name is no longer needed.
+    /// Reads the log at `place`: its own path, or its temporary file. Calls `opened` once the name is no
+    /// longer needed.
     fn read_content(
         &mut self,
         kind: FileFormat,
@@ -423,7 +417,6 @@ mod tests {
         assert_eq!(poses[0].times.header[19], 209);
     }
 
-    /// File with ten poses at times from `first`.
     fn ten_poses(path: &Path, first: u64) {
         let mut log = LogWriter::default();
         let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -478,7 +471,6 @@ mod tests {
         let packed = zstd::bulk::compress(&bytes, 1).unwrap();
         let own = open_one(&path).unwrap();
         for content in [bytes.clone(), packed] {
-            // The file does not exist.
             let name = PathBuf::from("run");
             let given = [(name.clone(), content.into())].into();
             let options = ReadOptions { given, ..ReadOptions::default() };

@@ -1,7 +1,6 @@
-//! Logs in object storage, by URL.
-//!
-//! An object is represented by a temporary file of its size, into which bytes are fetched: the required
-//! ones of an indexed MCAP, otherwise all. Downloads run in parallel and resume after a broken connection.
+//! Logs in object storage, by URL. An object is represented by a temporary file of its size, into which
+//! bytes are fetched: the required ones of an indexed MCAP, otherwise all. Requests run in parallel and
+//! resume after a broken connection.
 
 #[cfg(feature = "cloud")]
 mod credentials;
@@ -29,7 +28,7 @@ use super::{LogError, ReadOptions};
 
 pub use self::fault::RemoteFault;
 
-/// URL of an object in a store, with its scheme in lower case.
+/// URL of an object, with its scheme in lower case.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct Address(String);
 
@@ -37,7 +36,7 @@ impl Address {
     /// Address of `path` if it is a URL of anything but a local file.
     ///
     /// # Errors
-    /// Returns an error if the URL scheme is not supported.
+    /// If the URL scheme is not supported.
     pub(super) fn from_path(path: &Path) -> Result<Option<Self>, LogError> {
         let Some((scheme, rest)) = scheme(path) else { return Ok(None) };
         if SCHEMES.contains(&scheme.as_str()) {
@@ -47,7 +46,6 @@ impl Address {
         Err(LogError::Remote { url, fault: RemoteFault::Scheme { scheme } })
     }
 
-    /// Name in reports.
     pub(super) fn shown(&self) -> PathBuf {
         SourceName::from_path(Path::new(&self.0)).into()
     }
@@ -59,16 +57,15 @@ impl fmt::Debug for Address {
     }
 }
 
-/// Supported URL schemes.
 const SCHEMES: &[&str] = &["s3", "s3a", "gs", "az", "abfs", "abfss", "http", "https"];
 
-/// Scheme of `path` in lower case and the text after `://`, if it is a URL.
+/// Scheme in lower case and the text after `://`.
 fn scheme(path: &Path) -> Option<(String, &str)> {
     let (scheme, rest) = path.to_str()?.split_once("://")?;
     is_scheme(scheme).then(|| (scheme.to_ascii_lowercase(), rest))
 }
 
-/// Local file for `path`, if it is a `file` URL.
+/// Local file of a `file` URL.
 pub(super) fn local(path: &Path) -> Option<PathBuf> {
     let (_, rest) = scheme(path).filter(|(scheme, _)| scheme == "file")?;
     let rest = rest.strip_prefix("localhost").unwrap_or(rest);
@@ -80,7 +77,7 @@ pub fn is_url(path: &Path) -> bool {
     scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme.as_str()))
 }
 
-/// `path`, with its scheme in lower case if it is a URL.
+/// `path`, with the scheme of a URL in lower case.
 pub fn normalize_url(path: &Path) -> PathBuf {
     match Address::from_path(path) {
         Ok(Some(Address(url))) => url.into(),
@@ -91,19 +88,19 @@ pub fn normalize_url(path: &Path) -> PathBuf {
 /// Object found by [`list`].
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub struct RemoteObject {
-    /// URL, as accepted by [`open`](super::open).
+    /// URL for [`open`](super::open).
     pub url: String,
-    /// Its size.
+    /// Size.
     pub bytes: u64,
-    /// Version identifier of the content: the store's entity tag, otherwise the modification time.
+    /// The store's entity tag, otherwise the modification time.
     pub version: String,
 }
 
 /// Objects whose URLs start with `url` and a `/`, sorted by name, or the object itself. A web server cannot
-/// list, so only the object itself is returned.
+/// list.
 ///
 /// # Errors
-/// Returns an error if there are none, or if the store does not list them.
+/// If there are none, or if the store does not list them.
 pub fn list(url: &Path) -> Result<Vec<RemoteObject>, LogError> {
     let Some(address) = Address::from_path(url)? else {
         return Err(LogError::NotFound { path: url.to_owned() });
@@ -118,21 +115,19 @@ pub fn list(url: &Path) -> Result<Vec<RemoteObject>, LogError> {
 
 /// Partially or completely fetched object.
 pub(super) struct Fetched {
-    /// Temporary file that represents it.
     pub(super) file: Unpacked,
-    /// Available part.
     pub(super) present: Present,
-    /// Number of bytes transferred.
+    /// Bytes transferred.
     pub(super) bytes: u64,
 }
 
-/// Fetches the required parts of the object at `address`; all of it if checksums are verified.
+/// Fetches the required parts; all of them if checksums are verified.
 #[cfg(feature = "cloud")]
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     fetch::fetch(address, options)
 }
 
-/// Returns an error: the feature is not built.
+/// The feature is not built.
 #[cfg(not(feature = "cloud"))]
 pub(super) fn fetch(_: &Address, _: &ReadOptions) -> Result<Fetched, RemoteFault> {
     Err(RemoteFault::NotBuilt)

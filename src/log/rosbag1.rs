@@ -1,7 +1,7 @@
 //! ROS 1 bags, version 2.0, read from the first byte to the last, skipping damage.
 //!
-//! The index is read first, because it repeats connections that a damaged chunk may have lost. Messages are
-//! then found by walking the records, so bags with an index and bags left by a crash are read the same way.
+//! The index is read first: it repeats connections that a damaged chunk may have lost. Messages are found
+//! by walking the records, with or without an index.
 
 mod chunks;
 mod record;
@@ -19,10 +19,8 @@ use super::topic::{Message, MessagePlace};
 use super::unpack::{Compression, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
-/// First bytes of a bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// Reads the bag `bytes`, which start with [`MAGIC`], into `intake`.
 pub(super) fn read(
     bytes: &[u8],
     options: &ReadOptions,
@@ -61,46 +59,44 @@ struct Reader<'a, 'r, 'scope> {
     losses: &'r mut Losses,
     intake: &'r mut Intake,
     ahead: &'r mut ChunkPool<'scope, 'a>,
-    /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
+    /// Offset up to which chunks are queued. `None` if no record follows.
     scanned: Option<usize>,
-    /// By number in the bag; the first record of a number counts.
+    /// By number; the first record of a number counts.
     connections: HashMap<u32, Sender>,
     index: Index,
-    /// Number of chunk infos read, and the messages they count.
+    /// Chunk infos read, and the messages they count.
     recorded: (u32, u64),
-    /// Number of messages with a verified checksum.
+    /// Messages with a verified checksum.
     covered: u64,
-    /// Messages of undescribed connections: their number and the offset of the first.
+    /// Messages of undescribed connections: number, and offset of the first.
     orphans: Option<(u64, usize)>,
-    /// Records of unknown kinds.
     unknown: UnknownRecords,
-    /// Whether the previous record belongs to a lost chunk.
+    /// The previous record belongs to a lost chunk.
     in_lost_chunk: bool,
-    /// Whether the last chunk is compressed: its data contain bytes that look like records.
+    /// The last chunk is compressed: its data contain bytes that look like records.
     in_packed: bool,
 }
 
-/// Connection registered with the intake.
 #[derive(Clone, Copy)]
 struct Sender {
     /// `None` if there are too many channels.
     channel: Option<ChannelId>,
     latching: bool,
-    /// Whether its messages start with a header, which starts with a sequence number.
+    /// Its messages start with a header, which starts with a sequence number.
     numbers: bool,
 }
 
-/// Index according to the bag's header.
+/// According to the bag's header.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Index {
-    /// Not written: the recording was not closed.
+    /// The recording was not closed.
     Missing,
-    /// At this byte, with this number of chunks; possibly truncated.
+    /// Possibly truncated.
     At { offset: usize, chunks: u32 },
 }
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Reads the connections from the index, if the bag has one.
+    /// Reads the connections from the index, if any.
     fn index(&mut self) {
         let Ok(header) = record::record(self.bytes, MAGIC.len()) else {
             return;
@@ -118,20 +114,18 @@ impl<'a> Reader<'a, '_, '_> {
                     self.connection(&record);
                     offset = record.end;
                 }
-                // Damage is recorded by the walk, which also reads these records.
+                // The walk records damage.
                 _ => return,
             }
         }
     }
 
-    /// Walks the records of the file.
     fn walk(&mut self) {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to search for the next record if none starts at `offset`: the previous record may have a
-        // wrong length.
+        // Where to search for the next record: the previous one may have a wrong length.
         let mut sound = offset;
-        // Chunk lengths are written when a chunk is full. After a crash the last one has length zero.
+        // Chunk lengths are written when a chunk is full; after a crash the last one is zero.
         let mut open: Option<Chunk<'a>> = None;
         while offset < self.bytes.len() {
             self.options.set_position(offset);
@@ -192,8 +186,7 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Reads a connection, or a message, which is added to `batch`; inside the chunk at `place` or outside
-    /// chunks.
+    /// Reads a connection, or a message, which is added to `batch`. `place` is the chunk's, if any.
     fn content<'m>(
         &mut self,
         record: &Record<'m>,
@@ -232,7 +225,7 @@ impl<'a> Reader<'a, '_, '_> {
             return None;
         };
         let number = data.first_chunk().copied().map(u32::from_le_bytes);
-        // A bag has one time per message, the receive time of the recorder.
+        // A bag has one time per message, the recorder's receive time.
         let message = Message {
             log_time: header.time,
             publish_time: header.time,
@@ -244,7 +237,7 @@ impl<'a> Reader<'a, '_, '_> {
         Some((channel, message))
     }
 
-    /// Adds a connection. Returns whether it is well formed.
+    /// Returns whether the connection is well formed.
     fn connection(&mut self, record: &Record<'_>) -> bool {
         let Some(connection) = Connection::of(record) else {
             return false;
@@ -306,7 +299,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Offset at which to continue after the `broken` record, from `from` on.
+    /// Offset at which to continue after the `broken` record.
     fn next_record(&self, from: usize, broken: Broken<'_>) -> Option<usize> {
         let chunk = match broken {
             Broken::Cut { op: op::CHUNK, header, length, data } => {
@@ -315,7 +308,7 @@ impl<'a> Reader<'a, '_, '_> {
             _ => None,
         };
         match chunk {
-            // Its two lengths agree, so the end of the file is missing.
+            // The lengths agree, so the end of the file is missing.
             Some((Chunk { compression: Some(Compression::None), size, .. }, length))
                 if size == length && !self.is_whole() =>
             {
@@ -329,12 +322,11 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Whether the file extends to its index, so nothing before it is cut off.
+    /// Whether the file extends to its index.
     fn is_whole(&self) -> bool {
         matches!(self.index, Index::At { offset, .. } if offset < self.bytes.len())
     }
 
-    /// Compares the messages read with the index.
     fn close(&mut self, read: u64) {
         if let Some(what) = self.unknown.note("op") {
             self.intake.note(self.losses.file(), what);

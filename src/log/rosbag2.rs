@@ -1,8 +1,7 @@
 //! rosbag2 recordings: folders of SQLite databases or MCAP files with a `metadata.yaml`, and single
 //! databases.
 //!
-//! Only the list of files and their message counts are used from `metadata.yaml`. Format and compression of
-//! a file are identified by its bytes.
+//! Only the list of files and their message counts are used from `metadata.yaml`.
 
 #[cfg(not(target_arch = "wasm32"))]
 mod batch;
@@ -32,10 +31,9 @@ pub(super) use self::database::read as read_database;
 
 const METADATA: &str = "metadata.yaml";
 
-/// Maximum size of `metadata.yaml`, in bytes.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// Used parts of `metadata.yaml`.
+/// Used parts.
 #[derive(Deserialize)]
 struct Document {
     rosbag2_bagfile_information: Information,
@@ -62,7 +60,7 @@ struct FileInformation {
 /// Files of the recording in `folder`. Missing files are recorded as losses.
 ///
 /// # Errors
-/// Returns an error if the folder contains no recording or more than one.
+/// If the folder contains no recording or more than one.
 pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<LogInput>, LogError> {
     let path = folder.join(METADATA);
     if !path.is_file() {
@@ -101,7 +99,7 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<LogInpu
     Ok(inputs)
 }
 
-/// Reads `metadata.yaml`, or returns a one-line reason why not.
+/// Reads `metadata.yaml`; errors are one line.
 fn information(path: &Path) -> Result<Information, String> {
     let bytes = fs::metadata(path).map_err(|error| error.to_string())?.len();
     if bytes > MAX_METADATA_BYTES {
@@ -113,12 +111,12 @@ fn information(path: &Path) -> Result<Information, String> {
     Ok(document.rosbag2_bagfile_information)
 }
 
-/// Files listed in `metadata.yaml` that exist.
+/// Listed files that exist.
 fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<LogInput> {
     let by_file = information.files.iter().map(|file| file.path.as_str());
     let by_path = information.relative_file_paths.iter().map(String::as_str);
     let mut names: Vec<&OsStr> = Vec::new();
-    // Old versions list paths relative to the folder's parent, but the files are in the folder.
+    // Old versions list paths relative to the folder's parent.
     for name in by_path.chain(by_file).filter_map(|path| Path::new(path).file_name()) {
         if !names.contains(&name) {
             names.push(name);
@@ -137,8 +135,7 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         if path.is_file() {
             inputs.push(LogInput { recorded: recorded(name), ..LogInput::bag_file(path) });
         } else if is_packed && unpacked.is_file() {
-            // The recorder was stopped before it compressed its last file, or the file was decompressed
-            // later.
+            // The last file was not compressed, or was decompressed later.
             inputs.push(LogInput { recorded: recorded(name), ..LogInput::bag_file(unpacked) });
         } else {
             let what =
@@ -149,7 +146,7 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
     inputs
 }
 
-/// Log files of a folder without a list. They must look like parts of one recording.
+/// Log files of a folder without a list, if they look like parts of one recording.
 fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
@@ -163,8 +160,8 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     Ok(paths.into_iter().map(LogInput::bag_file).collect())
 }
 
-/// Log files of a folder that are not in `inputs` but share a name with one of them except for the split
-/// number: the list may be truncated.
+/// Log files not in `inputs` that differ from one of them only in the split number: the list may be
+/// truncated.
 fn further_splits(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     let family = |path: &Path| {
         let name = path.file_name().and_then(OsStr::to_str)?;
@@ -179,14 +176,14 @@ fn further_splits(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     paths
 }
 
-/// Log files of a folder that are not in `inputs`.
+/// Log files not in `inputs`.
 fn unlisted(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     let mut paths = files_in(folder).unwrap_or_default();
     paths.retain(|path| !inputs.iter().any(|input| input.path == *path) && is_log(path));
     paths
 }
 
-/// Regular files of a folder, sorted by name.
+/// Regular files, sorted by name.
 fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -213,7 +210,7 @@ fn is_log(path: &Path) -> bool {
     })
 }
 
-/// Common part of the names of a recording's files, without extensions and split number.
+/// Common name of a recording's files, without extensions and split number.
 fn recording_name(path: &Path) -> &str {
     let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
     let name = name.strip_suffix(".zstd").unwrap_or(name);

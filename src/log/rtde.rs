@@ -1,9 +1,9 @@
 //! Tables of Universal Robots' RTDE client, written by its `record.py`.
 //!
-//! The first line contains the column names, each further line a sample. A vector has several columns,
-//! numbered from 0 (`actual_q_0` …). `timestamp` is the controller's uptime, s. Receive times are not
-//! recorded, so every time of a row is that stamp. Fields: Universal Robots, "Real-Time Data Exchange
-//! (RTDE) Guide", table of robot controller outputs; rad, and poses as m and rotation vector.
+//! The first line contains column names, each further line a sample. Elements of a vector are numbered from
+//! 0 (`actual_q_0` …). `timestamp` is the controller's uptime, s; receive times are not recorded. Fields:
+//! Universal Robots, "Real-Time Data Exchange (RTDE) Guide", robot controller outputs; rad, and poses as m
+//! and rotation vector.
 
 #[cfg(test)]
 mod tests;
@@ -23,7 +23,7 @@ use super::{Extent, ReadOptions};
 use ground::stream::{Columns, JointColumn, JointColumns, Times, is_usable};
 use ground::time;
 
-/// Joints of every UR arm, in controller order.
+/// In controller order.
 pub(super) const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -33,30 +33,29 @@ pub(super) const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
-/// Column of the controller's time, s.
+/// Controller time, s.
 const TIMESTAMP: &str = "timestamp";
 
-/// Maximum length of the first line that is examined.
+/// Of the first line.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Maximum line length. RTDE has a few hundred fields.
+/// RTDE has a few hundred fields.
 const MAX_LINE_BYTES: usize = 1 << 20;
 
-/// Maximum number of names listed per table.
+/// Names listed per table.
 const MAX_LISTED: usize = 1000;
 
 /// Meaning of a vector.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Meaning {
-    /// Joint positions, with the name of their velocity vector.
-    Positions { velocities: &'static str },
-    /// Joint velocities.
+    /// With the name of their velocity vector.
+    Positions {
+        velocities: &'static str,
+    },
     Velocities,
-    /// Bare numbers.
     Numbers,
 }
 
-/// Vector that is read.
 #[derive(Debug)]
 struct Vector {
     name: &'static str,
@@ -79,30 +78,27 @@ static VECTORS: [Vector; 8] = [
     vector("actual_tool_accelerometer", 3, Meaning::Numbers),
 ];
 
-/// Content of the first line of a text.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FirstLine {
     /// Column names, including RTDE's and the time.
     Names,
-    /// Anything else.
     Other,
 }
 
-/// Classifies the first line of the text `bytes`.
 pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     let line = header_line(bytes);
     let cells: Vec<&[u8]> = cells(line, delimiter(line)).collect();
     let known = |cell: &&[u8]| {
         VECTORS.iter().any(|vector| part(cell).is_some_and(|(stem, _)| stem == vector.name))
     };
-    // Without stamps it is treated like other tables, whose rate the caller may declare.
+    // Other tables' rate may be declared by the caller.
     match cells.iter().any(known) && cells.contains(&TIMESTAMP.as_bytes()) {
         true => FirstLine::Names,
         false => FirstLine::Other,
     }
 }
 
-/// First line without a byte order mark.
+/// Without byte order mark.
 fn header_line(bytes: &[u8]) -> &[u8] {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
@@ -110,7 +106,7 @@ fn header_line(bytes: &[u8]) -> &[u8] {
     &bytes[..end]
 }
 
-/// Delimiter of the names; a space if there is no other.
+/// A space if there is no other.
 pub(super) fn delimiter(header: &[u8]) -> u8 {
     let mut usual = [b';', b',', b'\t'].into_iter();
     usual.find(|delimiter| header.contains(delimiter)).unwrap_or(b' ')
@@ -120,7 +116,7 @@ pub(super) fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
     line.split(move |&byte| byte == delimiter).map(bare)
 }
 
-/// Cell without surrounding whitespace and quotes.
+/// Without whitespace and quotes.
 fn bare(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
@@ -132,7 +128,7 @@ fn part(name: &[u8]) -> Option<(&str, usize)> {
     number.parse().ok().map(|number| (stem, number))
 }
 
-/// Number in a cell. With `decimal_comma`, `1,5` is one and a half.
+/// With `decimal_comma`, `1,5` is one and a half.
 pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     let cell = std::str::from_utf8(bare(cell)).ok()?;
     if decimal_comma && cell.contains(',') {
@@ -163,16 +159,15 @@ impl Read for Lines<'_> {
 /// Samples of all tables of a run, whose columns may be in different files.
 #[derive(Default)]
 pub(super) struct Recording {
-    /// In the order of [`VECTORS`]. `None` if missing from all files.
+    /// In the order of [`VECTORS`].
     samples: [Option<Samples>; VECTORS.len()],
 }
 
-/// Samples of one vector.
 struct Samples {
     channel: ChannelId,
-    /// Nanoseconds since the controller started.
+    /// ns since the controller started.
     stamps: Vec<i64>,
-    /// Row-major, with the vector's width per row.
+    /// Row-major.
     values: Vec<f64>,
 }
 
@@ -180,14 +175,13 @@ struct Samples {
 struct Layout {
     columns: usize,
     timestamp: usize,
-    /// Index into [`VECTORS`], and the column of each of its numbers.
+    /// Index into [`VECTORS`], and the columns.
     vectors: Vec<(usize, Vec<usize>)>,
-    /// Columns that are only counted.
+    /// Only counted.
     others: Vec<ChannelId>,
 }
 
 impl Recording {
-    /// Reads a table.
     pub(super) fn read(
         &mut self,
         path: &Path,
@@ -203,7 +197,7 @@ impl Recording {
             let what = format!("no column is named `{TIMESTAMP}`; record it as well");
             return losses.add(0, Extent::Messages, None, what);
         };
-        // Numbers are not quoted; a stray quote must not swallow the following lines.
+        // Numbers are not quoted; a stray quote must not swallow lines.
         let mut reader = ReaderBuilder::new()
             .delimiter(delimiter)
             .quoting(false)
@@ -258,7 +252,7 @@ impl Recording {
         }
     }
 
-    /// Identifies the columns by their `names`. `None` without a time column.
+    /// Identifies columns by name. `None` without a time column.
     fn layout(&mut self, path: &Path, names: &[&[u8]], intake: &mut Intake) -> Option<Layout> {
         let timestamp = names.iter().position(|name| *name == TIMESTAMP.as_bytes())?;
         let mut by_name: HashMap<&[u8], usize> = HashMap::new();
@@ -325,7 +319,6 @@ impl Recording {
         }
     }
 
-    /// Passes the columns of all tables to `intake`.
     pub(super) fn hand_over(self, intake: &mut Intake) {
         for (vector, samples) in VECTORS.iter().zip(&self.samples) {
             let Some(samples) = samples else {
@@ -348,7 +341,6 @@ impl Recording {
     }
 }
 
-/// Buffers for one table.
 struct Table {
     layout: Layout,
     delimiter: u8,
@@ -356,15 +348,14 @@ struct Table {
     row: Vec<Vec<f64>>,
 }
 
-/// Reason why a row is dropped.
 enum Malformed {
-    /// It is the last row and incomplete.
+    /// The incomplete last row.
     Cut,
     Row(String),
 }
 
 impl Table {
-    /// Parses a row and returns its stamp in nanoseconds. `is_last` means that it has no line end.
+    /// Returns the row's stamp, ns. `is_last`: without a line end.
     fn parse(&mut self, record: &ByteRecord, is_last: bool) -> Result<i64, Malformed> {
         let Layout { columns, timestamp, ref vectors, .. } = self.layout;
         if record.len() != columns {
@@ -415,17 +406,17 @@ impl Table {
         Ok(time::nanos(seconds))
     }
 
-    /// Number of topics with a message in each row.
+    /// Topics with a message in each row.
     fn topics(&self) -> u64 {
         (self.layout.vectors.len() + self.layout.others.len()) as u64
     }
 }
 
-/// Maximum `timestamp` that nanoseconds can represent, s.
+/// Nanoseconds cannot represent more, s.
 const MAX_TIMESTAMP_S: f64 = 9e9;
 
 impl Samples {
-    /// Joint positions, with velocities of the same stamps.
+    /// With velocities of the same stamps.
     fn joints(&self, velocities: Option<&Samples>) -> JointColumns {
         let by_stamp: HashMap<i64, &[f64]> = velocities
             .into_iter()
@@ -461,12 +452,12 @@ impl Samples {
     }
 }
 
-/// `value`, or NaN if it is unusable.
+/// NaN if unusable.
 fn finite(value: f64) -> f64 {
     if is_usable(value) { value } else { f64::NAN }
 }
 
-/// Names of unused columns in order, with the parts of a vector combined.
+/// Names of unused columns in order; a vector is one name.
 fn others(names: &[&[u8]]) -> Vec<String> {
     let all: HashSet<&[u8]> = names.iter().copied().collect();
     let mut by_name: BTreeMap<String, usize> = BTreeMap::new();

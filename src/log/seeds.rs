@@ -1,5 +1,4 @@
-//! Seeds of the fuzz targets, in `fuzz/seeds/TARGET/`: small valid logs and messages of every kind, from
-//! the writers of these tests.
+//! Seeds of the fuzz targets, in `fuzz/seeds/TARGET/`: small valid logs and messages of every kind.
 
 use std::fs;
 use std::path::Path;
@@ -63,7 +62,7 @@ const METADATA: &[u8] = b"rosbag2_bagfile_information:\n  version: 9\n  storage_
     relative_file_paths:\n    - run_0.mcap\n  message_count: 2\n  compression_format: ''\n  files:\n    \
     - path: run_0.mcap\n      message_count: 2\n";
 
-/// Message preceded by its type and schema, as expected by the targets.
+/// Preceded by type and schema, as the targets expect.
 fn message(type_name: &str, schema: &[u8], data: &[u8]) -> Vec<u8> {
     let mut seed = vec![type_name.len() as u8];
     seed.extend(type_name.as_bytes());
@@ -73,7 +72,7 @@ fn message(type_name: &str, schema: &[u8], data: &[u8]) -> Vec<u8> {
     seed
 }
 
-/// All seeds: target and bytes.
+/// Target and bytes.
 fn all() -> Vec<(&'static str, Vec<u8>)> {
     let zstd = |bytes: &[u8]| zstd::bulk::compress(bytes, 1).unwrap();
     let idl = "module geometry_msgs { module msg { struct PoseStamped { \
@@ -102,7 +101,6 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
     seeds
 }
 
-/// Tables, as expected by their targets.
 fn tables() -> Vec<(&'static str, Vec<u8>)> {
     let behind_length =
         |first: &[u8], rest: &[u8]| [&(first.len() as u16).to_le_bytes(), first, rest].concat();
@@ -140,7 +138,7 @@ fn tables() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// If set, rewrites the seeds.
+/// Rewrites the seeds.
 const WRITE: &str = "POSEAUDIT_WRITE_SEEDS";
 
 #[test]
@@ -154,7 +152,7 @@ fn the_fuzzers_seeds_are_what_the_writers_make() {
             fs::write(&path, &bytes).unwrap();
         }
         let kept = fs::read(&path).unwrap();
-        // Different versions of a compressor or of SQLite may write different bytes for the same content.
+        // Versions of a compressor or of SQLite may write different bytes.
         let made = temporary.path().join("log");
         fs::write(&made, &bytes).unwrap();
         let topics = |path: &Path| {

@@ -1,12 +1,10 @@
-//! Time spans of the files and their relation.
-
 use ground::time::Stamp;
 
 /// First and last log time.
 pub(super) type Span = (Stamp, Stamp);
 
-/// Pairs of files (earlier start first) that overlap by more than the splits of one recording, with the
-/// overlap in s: more than a second, or more than half of the shorter one.
+/// Pairs of files (earlier start first) that overlap by more than a second, or more than half of the
+/// shorter one, with the overlap in s. Splits of one recording overlap less.
 pub(super) fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
     const SPLIT_S: f64 = 1.0;
     let length_s = |(first, last): Span| last.seconds_since(first);
@@ -18,7 +16,7 @@ pub(super) fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
         .collect()
 }
 
-/// Pairs of files with a gap of more than a day between them, in s.
+/// Pairs of files with a gap of more than a day, in s.
 pub(super) fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
     const DAY_S: f64 = 86_400.0;
     neighbours(spans)
@@ -27,7 +25,7 @@ pub(super) fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
         .collect()
 }
 
-/// Each file except the first, in order of start, paired with the latest-ending of the files before it.
+/// Each file except the first, by start, paired with the latest-ending one before it.
 pub(super) fn neighbours(
     spans: &[(usize, Span)],
 ) -> impl Iterator<Item = ((usize, Span), (usize, Span))> {
@@ -44,7 +42,6 @@ pub(super) fn neighbours(
     })
 }
 
-/// Span that covers both.
 pub(super) fn join(a: Span, b: Span) -> Span {
     (a.0.min(b.0), a.1.max(b.1))
 }

@@ -10,7 +10,7 @@ use mcap::{Compression, WriteOptions, Writer};
 const SEPARATOR: &str =
     "================================================================================";
 
-/// Appends `std_msgs/Header` and its nested types to a definition.
+/// Appends `std_msgs/Header` and its nested types.
 macro_rules! with_header {
     ($definition:literal) => {
         concat!(
@@ -61,7 +61,7 @@ pub(super) const IMU: &str = with_header!(
     MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
 );
 
-/// `definition` followed by the `nested` ones, as concatenated by rosbag2.
+/// With `nested` definitions, as concatenated by rosbag2.
 pub(super) fn schema(definition: &str, nested: &[(&str, &str)]) -> String {
     let mut schema = format!("{definition}\n");
     for (name, definition) in nested {
@@ -70,7 +70,6 @@ pub(super) fn schema(definition: &str, nested: &[(&str, &str)]) -> String {
     schema
 }
 
-/// CDR message being written.
 #[derive(Clone)]
 pub(super) struct Cdr {
     bytes: Vec<u8>,
@@ -159,7 +158,6 @@ impl Cdr {
     }
 }
 
-/// MCAP file being written.
 pub(super) struct LogWriter(Writer<Cursor<Vec<u8>>>);
 
 impl Default for LogWriter {
@@ -169,7 +167,7 @@ impl Default for LogWriter {
 }
 
 impl LogWriter {
-    /// File with small chunks.
+    /// With small chunks.
     pub(super) fn new(compression: Option<Compression>) -> Self {
         Self::with(WriteOptions::new().compression(compression).chunk_size(Some(1024)))
     }
@@ -209,20 +207,18 @@ impl LogWriter {
     }
 }
 
-/// ROS 1 bag being written.
 pub(super) struct BagWriter {
     bytes: Vec<u8>,
     compression: &'static str,
-    /// Records of the open chunk.
     chunk: Vec<u8>,
     connections: Vec<Vec<u8>>,
-    /// Time and offset of the open chunk's messages, by connection.
+    /// Time and offset, by connection.
     index: BTreeMap<u32, Vec<(u64, u32)>>,
     chunk_infos: Vec<Vec<u8>>,
 }
 
 impl BagWriter {
-    /// Bag with chunks compressed by `none`, `lz4` or `bz2`.
+    /// `none`, `lz4` or `bz2`.
     pub(super) fn new(compression: &'static str) -> Self {
         let mut bytes = super::rosbag1::MAGIC.to_vec();
         bytes.extend(Self::bag_header(0, 0, 0));
@@ -263,7 +259,7 @@ impl BagWriter {
             ("conn_count", &connections.to_le_bytes()),
             ("chunk_count", &chunks.to_le_bytes()),
         ];
-        // Recorders reserve 4096 bytes; fewer keep the tests small.
+        // Recorders reserve 4096 bytes.
         Self::record(&fields, &[b' '; 16])
     }
 
@@ -272,7 +268,7 @@ impl BagWriter {
         (u64::from(rest) << 32 | u64::from(seconds)).to_le_bytes()
     }
 
-    /// Writes the record of a connection and returns its number.
+    /// Returns the connection's number.
     pub(super) fn connection(&mut self, topic: &str, type_name: &str, definition: &str) -> u32 {
         let id = self.connections.len() as u32;
         let of_sender = Self::header(&[
@@ -329,7 +325,7 @@ impl BagWriter {
         ]
     }
 
-    /// Closes the chunk and returns its offset.
+    /// Returns the chunk's offset.
     pub(super) fn end_chunk(&mut self) -> usize {
         let place = self.bytes.len();
         let header = self.chunk_header(self.chunk.len() as u32);
@@ -365,7 +361,6 @@ impl BagWriter {
         place
     }
 
-    /// Closes the bag.
     pub(super) fn finish(mut self) -> Vec<u8> {
         if !self.chunk.is_empty() {
             self.end_chunk();
@@ -379,7 +374,7 @@ impl BagWriter {
         self.bytes
     }
 
-    /// Leaves the bag as a crash does: the last chunk has length zero, and there is no index.
+    /// Like a crash: the last chunk has length zero, and there is no index.
     pub(super) fn abandon(mut self) -> Vec<u8> {
         let header = self.chunk_header(0);
         let fields = header.each_ref().map(|(name, value)| (*name, value.as_slice()));
@@ -390,11 +385,10 @@ impl BagWriter {
     }
 }
 
-/// rosbag2 database being written.
 pub(super) struct DatabaseWriter(rusqlite::Connection);
 
 impl DatabaseWriter {
-    /// Database with schema version 4.
+    /// Schema version 4.
     pub(super) fn create(path: &Path) -> Self {
         let database = rusqlite::Connection::open(path).unwrap();
         let schema = "
@@ -416,7 +410,7 @@ impl DatabaseWriter {
         Self(database)
     }
 
-    /// Database with schema version 1.
+    /// Schema version 1.
     pub(super) fn create_old(path: &Path) -> Self {
         let database = rusqlite::Connection::open(path).unwrap();
         let schema = "
@@ -432,7 +426,7 @@ impl DatabaseWriter {
         &self.0
     }
 
-    /// Adds a topic of poses, with its definition if the schema version supports it.
+    /// With its definition if the schema version supports it.
     pub(super) fn poses(&self, id: i64, topic: &str) {
         let type_name = "geometry_msgs/msg/PoseStamped";
         let columns = "id, name, type, serialization_format";
@@ -455,7 +449,7 @@ impl DatabaseWriter {
         self.0.execute(insert, (topic, nanos, data)).unwrap();
     }
 
-    /// Writes `count` poses with x, time and stamp counting from `first`.
+    /// x, time and stamp count from `first`.
     pub(super) fn count_poses(&self, topic: i64, first: u32, count: u32) {
         self.0.execute_batch("BEGIN").unwrap();
         for n in first..first + count {

@@ -12,28 +12,24 @@ use super::{TableCell, Topic, Undecodable};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
-/// Maximum number of distinct messages remembered per latching channel.
+/// Distinct messages remembered per latching channel.
 const MAX_LATCHED: usize = 1 << 12;
 
-/// One message of a container.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Message<'a> {
     /// Receive time of the recorder, ns.
     pub(super) log_time: u64,
     /// Publish time of the sender, ns.
     pub(super) publish_time: u64,
-    /// Sequence number from the sender or recorder; 0 if there is none.
+    /// From the sender or recorder; 0 if there is none.
     pub(super) sequence: u32,
-    /// Encoded message.
     pub(super) data: &'a [u8],
-    /// Position of the message, or of its chunk, in the file.
+    /// Of the message or its chunk.
     pub(super) place: MessagePlace,
-    /// Whether it is latched: the sender repeats it for late subscribers, and a recorder at the start of
-    /// every file.
+    /// Latched: repeated for late subscribers, and by recorders at the start of every file.
     pub(super) latched: bool,
 }
 
-/// Position of a message in a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum MessagePlace {
     /// Byte offset.
@@ -51,14 +47,13 @@ impl fmt::Display for MessagePlace {
     }
 }
 
-/// Decoder of one channel.
 pub(super) struct ChannelDecoder {
     pub(super) decoding: Arc<Decoding>,
-    /// Separate per channel, so slots do not contain values of a different type.
+    /// Per channel, so slots do not contain values of another type.
     row: Option<Box<Row>>,
-    /// Whether messages may be zstd frames: a CDR message never starts like one.
+    /// Messages may be zstd frames: CDR never starts like one.
     may_be_packed: bool,
-    /// Hashes of the latched messages read so far.
+    /// Hashes of the latched messages read.
     latched: HashSet<u64>,
 }
 
@@ -77,35 +72,34 @@ pub(super) struct TopicIntake {
     pub(super) type_name: String,
     pub(super) encoding: String,
     pub(super) content: TopicContent,
-    /// Rows that were not decoded from messages.
+    /// Not decoded from messages.
     pub(super) columns: Option<Columns>,
     /// Interpretation of its columns.
     pub(super) read_as: Option<String>,
-    /// Table cells it consists of.
+    /// Table cells, if any.
     pub(super) cells: Vec<TableCell>,
-    /// Its messages in a batch: index of the channel and of the message.
+    /// Messages in a batch: index of channel and message.
     pub(super) waiting: Vec<(usize, usize)>,
 }
 
-/// Content read from a topic's messages, over all files or one chunk.
+/// Over all files or one chunk.
 #[derive(Default)]
 pub(super) struct TopicContent {
     pub(super) channels: Vec<ChannelDecoder>,
     pub(super) messages: u64,
     pub(super) builder: Option<Builder>,
     pub(super) undecodable: Option<Undecodable>,
-    /// Files that contain it, by number, with the span in each.
+    /// Files that contain it, by number, and its span.
     pub(super) spans: Vec<(usize, Span)>,
 }
 
-/// Template for reading messages of a topic into separate columns.
+/// For reading messages into separate columns.
 pub(super) struct TopicTemplate {
     channels: Vec<(Arc<Decoding>, bool)>,
     builder: Option<Builder>,
 }
 
 impl TopicTemplate {
-    /// Empty content.
     pub(super) fn new_content(&self) -> TopicContent {
         let channel = |(decoding, may_be_packed): &(Arc<Decoding>, bool)| {
             ChannelDecoder::new(Arc::clone(decoding), *may_be_packed)
@@ -119,7 +113,6 @@ impl TopicTemplate {
 }
 
 impl TopicContent {
-    /// The same channels and columns without content.
     pub(super) fn template(&self) -> TopicTemplate {
         let channel =
             |channel: &ChannelDecoder| (Arc::clone(&channel.decoding), channel.may_be_packed);
@@ -129,7 +122,7 @@ impl TopicContent {
         }
     }
 
-    /// Whether [`TopicContent::join`] with `later` is equivalent to reading its messages here.
+    /// Whether [`TopicContent::join`] with `later` equals reading its messages here.
     pub(super) fn can_join(&self, later: &Self) -> bool {
         match (&self.builder, &later.builder) {
             (Some(own), Some(later)) => own.can_join(later),
@@ -138,7 +131,6 @@ impl TopicContent {
         }
     }
 
-    /// Appends the content of `later` messages.
     pub(super) fn join(&mut self, later: Self) {
         self.messages += later.messages;
         if let (Some(builder), Some(later)) = (&mut self.builder, later.builder) {
@@ -181,7 +173,7 @@ impl TopicContent {
         }
     }
 
-    /// Records that file number `file` contains a message with log time `at`.
+    /// Extends the span of file number `file` to `at`.
     pub(super) fn record_span(&mut self, file: usize, at: Stamp) {
         match self.spans.last_mut() {
             Some((last, (first_at, last_at))) if *last == file => {
@@ -194,7 +186,7 @@ impl TopicContent {
 }
 
 impl TopicIntake {
-    /// Copy of the content so far, without the means to read more.
+    /// Cannot read more.
     pub(super) fn snapshot(&self) -> Self {
         Self {
             name: self.name.clone(),
@@ -235,7 +227,7 @@ impl TopicIntake {
             encoding: self.encoding.clone(),
             messages,
             columns,
-            // Reported once per message.
+            // Reported once.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             unusable: useless.clone(),
             read_as: self.read_as.clone(),
@@ -251,13 +243,13 @@ impl ChannelDecoder {
         Self { decoding, row: None, may_be_packed, latched: HashSet::new() }
     }
 
-    /// Whether a message is a zstd frame to be decompressed before decoding.
+    /// A zstd frame, decompressed before decoding.
     pub(super) fn is_packed(&self, data: &[u8]) -> bool {
         let is_decoded = matches!(*self.decoding, Decoding::By(_));
         is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)
     }
 
-    /// Whether a latched message of this channel was read before.
+    /// Whether this latched message was read before.
     pub(super) fn is_repeated(&mut self, data: &[u8]) -> bool {
         let mut hasher = DefaultHasher::new();
         data.hash(&mut hasher);
@@ -267,7 +259,6 @@ impl ChannelDecoder {
     }
 }
 
-/// Records that the message at `place` cannot be decoded.
 pub(super) fn record_undecodable(
     undecodable: &mut Option<Undecodable>,
     place: MessagePlace,

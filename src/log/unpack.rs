@@ -1,7 +1,5 @@
-//! Decompresses parts of files within limits.
-//!
-//! A few kilobytes can expand to terabytes. Decompressed sizes are therefore charged to an [`Allowance`]
-//! for the whole file, and no part may be larger than recorders write.
+//! Decompresses parts of files within limits. A few kilobytes can expand to terabytes, so decompressed
+//! sizes are charged to an [`Allowance`] for the whole file.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -10,35 +8,26 @@ use ground::boundary::StagedFile;
 use super::Extent;
 use super::mapped::{Temporary, temporary};
 
-/// First bytes of a zstd frame.
 pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
 
-/// First bytes of a SQLite database.
 pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Maximum decompressed size of a chunk. Recorders write chunks of a few megabytes.
+/// Recorders write chunks of a few megabytes.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-/// Maximum decompressed size of a message.
 const MAX_MESSAGE_BYTES: u64 = 64 << 20;
 
-/// Charge to an [`Allowance`] per byte that is slow to decompress or stored on disk.
+/// Charge per byte that is slow to decompress or stored on disk.
 const SLOW_OR_KEPT: u64 = 16;
 
-/// Compression of a part of a file.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Compression {
-    /// Uncompressed.
     None,
-    /// A zstd frame.
     Zstd,
-    /// An lz4 frame.
     Lz4,
-    /// A bzip2 stream.
     Bz2,
 }
 
-/// Reason why a part of a file cannot be decompressed.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnpackError {
     #[error("{part} of {size} bytes is larger than the limit of {limit}")]
@@ -57,7 +46,7 @@ pub(super) enum UnpackError {
 }
 
 impl UnpackError {
-    /// Consequence for the audit: damaged messages, or content skipped by default.
+    /// Damaged messages, or content skipped by default.
     pub(super) fn extent(&self) -> Extent {
         match self {
             Self::TooMuch { .. } => Extent::Unread,
@@ -68,21 +57,18 @@ impl UnpackError {
     }
 }
 
-/// Chunk as stored in a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Packed<'a> {
-    /// Compression.
     pub(super) compression: Compression,
-    /// Compressed bytes.
     pub(super) data: &'a [u8],
     /// Decompressed size according to its header.
     pub(super) size: u64,
-    /// Checksum of the decompressed bytes; 0 if there is none.
+    /// Of the decompressed bytes; 0 if absent.
     pub(super) crc: u32,
 }
 
 impl<'a> Packed<'a> {
-    /// Decompressed content, which is in `buffer` if the chunk is compressed.
+    /// In `buffer` if the chunk is compressed.
     fn content<'b>(&self, buffer: &'b [u8]) -> &'b [u8]
     where
         'a: 'b,
@@ -93,7 +79,7 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// Charge to an [`Allowance`]: the decompressed size, multiplied for bzip2 because it is slow.
+    /// Decompressed size, multiplied for bzip2 because it is slow.
     fn cost(&self) -> u64 {
         match self.compression {
             Compression::None => 0,
@@ -102,7 +88,6 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// Whether `content` matches the header.
     fn verify(&self, content: &[u8]) -> Result<(), UnpackError> {
         let found = content.len() as u64;
         if found != self.size {
@@ -125,19 +110,18 @@ pub(super) struct Allowance {
 }
 
 impl Allowance {
-    /// Base limit regardless of file size.
+    /// Regardless of file size.
     const BASE: u64 = 16 << 30;
-    /// Additional limit per byte of the file. Black images reach 1400. Chunks do not stay in memory, so
-    /// this only bounds time.
+    /// Per byte of the file. Black images reach 1400. Chunks do not stay in memory, so this only bounds
+    /// time.
     const RATIO: u64 = 2000;
 
-    /// Allowance of a file of `bytes`, at least the requested GiB.
+    /// At least the requested GiB.
     pub(super) fn of(bytes: u64, asked_gib: Option<u32>) -> Self {
         let unasked = bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE);
         Self { limit: unasked.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
-    /// Allowance of exactly `limit` bytes.
     #[cfg(test)]
     pub(super) fn exactly(limit: u64) -> Self {
         Self { limit, used: 0 }
@@ -158,7 +142,6 @@ impl Allowance {
         self.used = self.used.saturating_add(bytes).min(self.limit);
     }
 
-    /// Whether `packed` may be decompressed.
     pub(super) fn admit(&self, packed: &Packed<'_>) -> Result<(), UnpackError> {
         let (size, limit) = (packed.size, MAX_CHUNK_BYTES);
         match packed.compression {
@@ -168,23 +151,22 @@ impl Allowance {
         }
     }
 
-    /// Charges the cost of `packed`, even if decompression fails.
+    /// Charged even if decompression fails.
     pub(super) fn settle(&mut self, packed: &Packed<'_>) {
         self.take(packed.cost());
     }
 }
 
-/// Name of a chunk in errors.
 const CHUNK: &str = "chunk";
 
-/// Chunk decompressed into a separate buffer, or the error.
+/// Decompressed into a separate buffer.
 pub(super) struct UnpackedChunk {
     pub(super) buffer: Vec<u8>,
     outcome: Result<(), UnpackError>,
 }
 
 impl UnpackedChunk {
-    /// Content of `packed`, from which this was made. Charges the allowance.
+    /// Content of `packed`. Charges the allowance.
     pub(super) fn content<'a>(
         &'a mut self,
         packed: &Packed<'a>,
@@ -196,13 +178,13 @@ impl UnpackedChunk {
         Ok(packed.content(&self.buffer))
     }
 
-    /// The same without charging. `None` if there is an error.
+    /// Without charging. `None` if there is an error.
     pub(super) fn if_sound<'a>(&'a self, packed: &Packed<'a>) -> Option<&'a [u8]> {
         self.outcome.is_ok().then(|| packed.content(&self.buffer))
     }
 }
 
-/// Decompresses parts of a file one after another into the same buffer.
+/// Decompresses parts of a file into the same buffer.
 #[derive(Default)]
 pub(super) struct Unpacker {
     zstd: zstd::bulk::Decompressor<'static>,
@@ -210,7 +192,7 @@ pub(super) struct Unpacker {
 }
 
 impl Unpacker {
-    /// Content of a whole chunk, verified against the size and checksum in its header.
+    /// Verified against the size and checksum in its header.
     pub(super) fn chunk<'a>(
         &'a mut self,
         packed: &Packed<'a>,
@@ -222,14 +204,13 @@ impl Unpacker {
         Ok(packed.content(&self.buffer))
     }
 
-    /// The same in a separate buffer. The cost is charged when it is read.
+    /// In a separate buffer. The cost is charged when it is read.
     pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> UnpackedChunk {
         self.buffer = buffer;
         let outcome = self.fill(packed);
         UnpackedChunk { buffer: std::mem::take(&mut self.buffer), outcome }
     }
 
-    /// Decompresses a chunk into the buffer.
     fn fill(&mut self, packed: &Packed<'_>) -> Result<(), UnpackError> {
         let Packed { compression, data, size, .. } = *packed;
         if compression != Compression::None {
@@ -239,7 +220,7 @@ impl Unpacker {
         let buffer = &mut self.buffer;
         let unpacked = match compression {
             Compression::None => Ok(0),
-            // The capacity limits zstd's output, and only written bytes take memory.
+            // The capacity limits zstd's output; only written bytes take memory.
             Compression::Zstd => self.zstd.decompress_to_buffer(data, buffer),
             Compression::Lz4 => {
                 lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
@@ -252,7 +233,7 @@ impl Unpacker {
         packed.verify(packed.content(&self.buffer))
     }
 
-    /// Start of a truncated chunk, as far as it can be decompressed.
+    /// Start of a truncated chunk, as far as possible.
     pub(super) fn cut_chunk<'a>(
         &'a mut self,
         compression: Compression,
@@ -262,7 +243,7 @@ impl Unpacker {
         let buffer = &mut self.buffer;
         buffer.clear();
         let limit = allowance.left().min(MAX_CHUNK_BYTES);
-        // The error is expected; earlier output stays in the buffer.
+        // Earlier output stays in the buffer.
         let broken_off = match compression {
             Compression::None => return data,
             Compression::Zstd => zstd::stream::read::Decoder::with_buffer(data)
@@ -301,7 +282,6 @@ impl Unpacker {
         Ok(&self.buffer)
     }
 
-    /// Empties the buffer and reserves `size` bytes.
     fn make_room(&mut self, part: &'static str, size: u64, limit: u64) -> Result<(), UnpackError> {
         let too_large = || UnpackError::TooLarge { part, size, limit };
         if size > limit {
@@ -312,16 +292,14 @@ impl Unpacker {
     }
 }
 
-/// Decompressed archive.
 pub(super) struct Unpacked {
     pub(super) file: Temporary,
-    /// Path, if it has a name, because SQLite opens files by name only. An unnamed file disappears however
-    /// the process ends.
+    /// SQLite opens files by name only. An unnamed file disappears however the process ends.
     pub(super) path: Option<StagedFile>,
 }
 
 impl Unpacked {
-    /// Empty file for content that starts with `head`.
+    /// For content that starts with `head`.
     pub(super) fn of(head: &[u8]) -> io::Result<Self> {
         // SQLite cannot open files in memory either.
         #[cfg(not(target_arch = "wasm32"))]
@@ -332,7 +310,6 @@ impl Unpacked {
         Ok(Self { file: temporary()?, path: None })
     }
 
-    /// Empty file with a name.
     #[cfg(not(target_arch = "wasm32"))]
     fn named() -> io::Result<Self> {
         let path = StagedFile::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
@@ -341,11 +318,11 @@ impl Unpacked {
     }
 }
 
-/// Decompresses a zstd file of any size into a temporary file as far as possible; the inner error is the
-/// reason why it is incomplete. Reports the number of archive bytes read to `at`.
+/// Decompresses a zstd file of any size into a temporary file as far as possible; the inner error is why it
+/// is incomplete. Reports archive bytes read to `at`.
 ///
 /// # Errors
-/// Returns an error if the temporary file cannot be written.
+/// If the temporary file cannot be written.
 pub(super) fn file(
     archive: &[u8],
     allowance: &mut Allowance,
@@ -360,9 +337,9 @@ pub(super) fn file(
     let mut buffer = vec![0; 1 << 16];
     let mut unpacked = None;
     let end = loop {
-        // Pieces are as long as possible, so the first contains the file's whole magic.
+        // The first piece contains the file's whole magic.
         let (length, end) = fill(&mut stream, &mut buffer);
-        // It is written to disk, which is scarcer than time.
+        // Disk is scarcer than time.
         let cost = length as u64 * SLOW_OR_KEPT;
         if let Err(error) = allowance.check(PART, cost) {
             break Err(error);
@@ -385,7 +362,7 @@ pub(super) fn file(
     Ok((unpacked, end))
 }
 
-/// Reads until `buffer` is full or the input ends. Returns the length and the reason for stopping early.
+/// Reads until `buffer` is full or the input ends. Returns the length and why it stopped early.
 fn fill(stream: &mut impl Read, buffer: &mut [u8]) -> (usize, io::Result<()>) {
     let mut length = 0;
     while length < buffer.len() {

@@ -90,7 +90,6 @@ fn a_latched_message_that_is_repeated_is_counted_but_not_a_row() {
     assert_eq!(poses[0].times.log, [1, 2, 4]);
 }
 
-/// Notes on files with messages of one topic at these times.
 fn notes(files: &[(&str, &[u64])]) -> Vec<String> {
     let mut intake = Intake::default();
     for (name, times) in files {

@@ -9,34 +9,30 @@ use memmap2::MmapOptions;
 
 use super::AccessPattern;
 
-/// A temporary file, deleted with the process.
+/// Deleted with the process.
 pub(crate) type Temporary = File;
 
-/// Creates an empty temporary file.
 pub(crate) fn temporary() -> io::Result<Temporary> {
     tempfile::tempfile()
 }
 
-/// Maps a temporary file.
 pub(super) fn kept(file: &Temporary) -> io::Result<Bytes> {
     // SAFETY: the map is read-only, and no other process writes to the file.
     unsafe { MmapOptions::new().map(file) }.map(Bytes::from_owner)
 }
 
-/// Maps a file with `bytes` bytes.
 pub(super) fn map(file: &File, bytes: u64) -> io::Result<Bytes> {
     // SAFETY: the map is read-only and exists only while its file is decoded. If another process truncates
     // the file, this process ends with SIGBUS, as with any memory-mapped reader.
     unsafe { MmapOptions::new().len(worth_reading(file, bytes)).map(file) }.map(Bytes::from_owner)
 }
 
-/// Number of bytes to map. A sparse hole at the end may be very long and is shortened, but remains
-/// detectable as zeros.
+/// Number of bytes to map. A sparse hole at the end is shortened, but remains detectable as zeros.
 #[cfg(target_os = "linux")]
 fn worth_reading(file: &File, bytes: u64) -> usize {
     use std::os::fd::AsRawFd;
     const ZEROS: u64 = 1 << 20;
-    /// Maximum number of holes to examine.
+    /// Holes examined.
     const MOST: usize = 1000;
     let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
     // SAFETY: the call only moves the offset of the file, which is not used for reading.
@@ -62,7 +58,6 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
     usize::try_from(bytes).unwrap_or(usize::MAX)
 }
 
-/// Advises the system how `bytes` will be accessed; does not change them.
 #[cfg(target_os = "linux")]
 pub(crate) fn advise(bytes: &[u8], looks: AccessPattern) {
     /// The system rejects the advice if its pages are larger.

@@ -1,4 +1,4 @@
-//! Read-ahead advice: requests only the useful parts of uncompressed chunks with large unused messages.
+//! Read-ahead advice: only the useful parts of uncompressed chunks with large unused messages.
 
 use super::Reader;
 use super::record::{self, Frame};
@@ -6,8 +6,8 @@ use crate::mapped::{AccessPattern, advise};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Advises the system which parts of a chunk will be read, according to the message indexes after it.
-    /// If they are wrong, the parts are read on demand.
+    /// Advises the system which parts of a chunk will be read, according to its message indexes. If they
+    /// are wrong, parts are read on demand.
     pub(super) fn advise(&mut self, chunk: &Frame<'a>, packed: &Packed<'a>) {
         let wanted = match packed.compression {
             Compression::None => self.useful_parts(chunk, packed.data),
@@ -25,8 +25,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Parts of a chunk's records with useful messages; `None` unless unused messages make up most of its
-    /// bytes.
+    /// Parts of a chunk with useful messages. `None` unless unused messages make up most of its bytes.
     fn useful_parts(&self, chunk: &Frame<'a>, records: &'a [u8]) -> Option<Vec<&'a [u8]>> {
         if self.options.verify || !self.has_ignored_channels() {
             return None;
@@ -49,7 +48,7 @@ impl<'a> Reader<'a, '_, '_> {
         let first = messages.first().map_or(0, |(at, _)| *at);
         let mut runs: Vec<_> = std::iter::once(0..first).collect();
         for ((at, is_ignored), end) in parts {
-            // Unused messages are skipped, but their heads are read.
+            // Of unused messages only the heads are read.
             let end = if is_ignored { end.min(at + record::MESSAGE_HEAD) } else { end };
             match runs.last_mut().filter(|run| run.end == at) {
                 Some(run) => run.end = end,
@@ -75,7 +74,7 @@ mod tests {
     use crate::ranges::Present;
     use crate::testing::{self, Cdr, LogWriter};
 
-    /// 60 poses in one chunk, with an image of `image` bytes after every tenth.
+    /// An image of `image` bytes after every tenth pose.
     fn log(image: usize) -> Vec<u8> {
         let mut log = LogWriter::with(WriteOptions::new().compression(None));
         let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);

@@ -9,7 +9,7 @@ use crate::chunk_pool::{self, ChunkResult};
 use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
+    /// Submits further chunks for decompression.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -36,7 +36,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Determines which records of a chunk are needed.
     pub(super) fn chunk_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
         if !self.present.holds(&self.place(packed.data)) {
             return self.parts_use(frame, packed);
@@ -52,13 +51,12 @@ impl<'a> Reader<'a, '_, '_> {
         if self.is_ignored_by_index(frame) { ChunkUse::Counts } else { ChunkUse::All }
     }
 
-    /// Whether a known channel is unused.
     pub(super) fn has_ignored_channels(&self) -> bool {
         let mut known = self.definitions.channels.iter().flatten().filter_map(|channel| channel.id);
         known.any(|id| self.intake.ignores(id))
     }
 
-    /// Determines which records of an uncompressed chunk are needed; large unused messages can be skipped.
+    /// Needed records of an uncompressed chunk; large unused messages can be skipped.
     pub(super) fn records_use(&self, records: &[u8]) -> ChunkUse {
         let (mut ignored, mut frames) = (0, record::frames(records, 0));
         for frame in &mut frames {
@@ -79,7 +77,6 @@ impl<'a> Reader<'a, '_, '_> {
         if ignored > records.len() / 2 { ChunkUse::Some } else { ChunkUse::All }
     }
 
-    /// Message indexes after a chunk.
     pub(super) fn indexes_after(
         &self,
         chunk: &Frame<'a>,
@@ -89,7 +86,7 @@ impl<'a> Reader<'a, '_, '_> {
             .filter_map(|frame| record::MessageIndex::parse(frame.body))
     }
 
-    /// Reads the records of a chunk. Returns whether all could be read.
+    /// Returns whether all records could be read.
     pub(super) fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
         self.has_chunks = true;
@@ -159,7 +156,7 @@ impl<'a> Reader<'a, '_, '_> {
         is_sound
     }
 
-    /// Counts the messages of a chunk without decompressing it.
+    /// Counts messages without decompressing the chunk.
     pub(super) fn count(&mut self, chunk: &Frame<'a>) {
         for index in self.indexes_after(chunk) {
             if let Some((id, span)) =
@@ -170,7 +167,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Reads the records inside the chunk at `offset`.
     pub(super) fn chunk_records(&mut self, records: &[u8], offset: usize) {
         let mut batch = Vec::new();
         for frame in record::frames(records, 0) {
@@ -194,7 +190,6 @@ impl<'a> Reader<'a, '_, '_> {
         self.in_lost_chunk = true;
     }
 
-    /// Reads the complete records of a truncated chunk.
     pub(super) fn salvage_chunk(&mut self, records: &[u8], offset: usize) {
         let mut batch = Vec::new();
         for frame in record::frames(records, 0).flatten() {

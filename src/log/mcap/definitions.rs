@@ -9,7 +9,7 @@ use super::{Channel, Reader, Schema};
 use crate::decode::{Format, excerpt};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Stores a schema or a channel; `None` if it is malformed.
+    /// Stores a schema or a channel. `None` if it is malformed.
     pub(super) fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
         match frame.opcode {
             op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),
@@ -57,14 +57,13 @@ impl<'a> Reader<'a, '_, '_> {
         self.defined(before.is_some());
     }
 
-    /// Records a new or changed definition.
     fn defined(&mut self, changed: bool) {
         self.table = None;
         self.definitions.changes += u64::from(changed);
     }
 
     pub(super) fn attachment(&mut self, frame: &Frame<'_>) {
-        /// Maximum size of an attachment whose checksum is verified by default.
+        /// Larger attachments are verified on request only.
         const SMALL: usize = 16 << 20;
         let Some(attachment) = record::Attachment::parse(frame.body) else {
             return self.record_lost_summary(

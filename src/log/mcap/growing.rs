@@ -1,5 +1,3 @@
-//! Reads complete records of a file while it is written.
-
 use mcap::records::op;
 
 use super::record::Broken;
@@ -10,8 +8,8 @@ use crate::intake::Intake;
 use crate::losses::Losses;
 use crate::ranges::Present;
 
-/// Length of the complete records at the start of `bytes`, up to the end of the data, and whether that end
-/// or an invalid record was reached.
+/// Length of the complete records at the start of `bytes`, and whether the end of the data or an invalid
+/// record was reached.
 pub(crate) fn whole_records(bytes: &[u8]) -> (usize, bool) {
     let mut end = 0;
     for frame in record::frames(bytes, 0) {
@@ -32,8 +30,7 @@ pub(crate) struct GrowingFile {
 }
 
 impl GrowingFile {
-    /// Reads further complete records of the file, without the leading magic. Offsets in `losses` refer to
-    /// `bytes`.
+    /// Reads further complete records. Offsets in `losses` refer to `bytes`.
     pub(crate) fn read(
         &mut self,
         bytes: &[u8],

@@ -1,4 +1,4 @@
-//! Chunks that are read ahead with the definitions known at submission.
+//! Chunks read ahead with the definitions known at submission.
 
 use std::sync::Arc;
 
@@ -10,11 +10,9 @@ use crate::intake::Intake;
 use crate::part::{ChannelSnapshot, PartContent, PartParser};
 use crate::unpack::Packed;
 
-/// Maximum number of snapshots of the definitions. In valid files all definitions are in the summary or the
-/// first chunks.
+/// Maximum number of snapshots. In valid files all definitions are in the summary or the first chunks.
 const MAX_SNAPSHOTS: u32 = 1 << 8;
 
-/// Snapshot of the definitions and channels.
 pub(super) struct DefinitionSnapshot {
     definitions: Definitions,
     known: ChannelSnapshot,
@@ -51,7 +49,6 @@ impl PartParser for DefinitionSnapshot {
 }
 
 impl Reader<'_, '_, '_> {
-    /// Returns the snapshot for reading a chunk ahead.
     pub(super) fn snapshot(&mut self) -> Option<Arc<dyn PartParser>> {
         if self.table.is_none() && self.tables < MAX_SNAPSHOTS {
             self.tables += 1;
@@ -61,8 +58,7 @@ impl Reader<'_, '_, '_> {
         Some(table)
     }
 
-    /// Merges the result of reading the chunk `packed` ahead. Returns false if reading it now would give
-    /// another result.
+    /// Merges the chunk `packed`, read ahead. Returns false if reading it now would give another result.
     pub(super) fn join_part(&mut self, part: PartContent, packed: &Packed<'_>) -> bool {
         let before = self.intake.messages();
         let is_current = part.changes == self.definitions.changes;
@@ -87,15 +83,15 @@ mod tests {
     use crate::ReadOptions;
     use crate::ranges::Present;
 
-    /// Reads a file with this number of threads; formatted, because NaN differs from itself.
+    /// Reads with this number of threads; formatted, because NaN differs from itself.
     fn read_by(threads: usize, bytes: &[u8]) -> String {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let read = || read_present(bytes, &Present::Whole, ReadOptions::default()).unwrap();
         format!("{:?}", pool.install(read))
     }
 
-    /// Messages on `topics` that depend on previous ones: joints and frames appear and disappear, lengths
-    /// change, and some cannot be decoded.
+    /// Messages that depend on previous ones: joints and frames appear and disappear, lengths change, some
+    /// cannot be decoded.
     fn changing(options: WriteOptions, [joints, tf, array, text]: [&str; 4]) -> Vec<u8> {
         let mut log = LogWriter::with(options);
         let long = "x".repeat(300);

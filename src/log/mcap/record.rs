@@ -1,7 +1,5 @@
-//! MCAP records, borrowed from the bytes of the file.
-//!
-//! The record types of the `mcap` crate copy every string and assume that attachments are long enough;
-//! here, a record that is too short is `None`.
+//! MCAP records, borrowed from the bytes of the file. The `mcap` crate copies every string and assumes that
+//! attachments are long enough; here, a record that is too short is `None`.
 
 use std::ops::Range;
 
@@ -10,37 +8,29 @@ use mcap::records::op;
 use crate::topic;
 use crate::unpack::{Allowance, Compression, Packed, Unpacker};
 
-/// Size of opcode and length, which precede a record's body.
+/// Size of opcode and length.
 pub(super) const FRAME_HEADER: usize = 9;
 
-/// A record whose body is not parsed yet.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame<'a> {
-    /// Offset of the record.
     pub(super) offset: usize,
     /// One of [`op`].
     pub(super) opcode: u8,
-    /// The bytes after its length.
     pub(super) body: &'a [u8],
 }
 
 impl Frame<'_> {
-    /// Offset of the next record.
     pub(super) fn end(&self) -> usize {
         self.offset + FRAME_HEADER + self.body.len()
     }
 }
 
-/// Invalid data at the start of a record.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Broken<'a> {
-    /// Too few bytes for opcode and length.
     #[error("{left} bytes, too few for a record")]
     Stub { left: usize },
-    /// An invalid opcode.
     #[error("opcode 0, which is invalid")]
     Zero,
-    /// A record that is longer than the remaining bytes.
     #[error("a record (opcode {opcode:#04x}) of {length} bytes, only {} of them in the file", body.len())]
     Cut { opcode: u8, length: u64, body: &'a [u8] },
 }
@@ -62,7 +52,7 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Result<Frame<'_>, Broken<'_>
     }
 }
 
-/// Records of `bytes` from `offset` to the first invalid one, inclusive.
+/// Records from `offset` to the first invalid one, inclusive.
 pub(super) fn frames(
     bytes: &[u8],
     mut offset: usize,
@@ -77,10 +67,8 @@ pub(super) fn frames(
     })
 }
 
-/// Offset of the next complete chunk in the range `within`.
-///
-/// A chunk states its length twice, in the record and with its compressed data. Random data does not match
-/// both and a known compression.
+/// Offset of the next complete chunk in the range `within`. A chunk states its length in the record and
+/// with its compressed data; random data does not match both and a known compression.
 pub(super) fn find_chunk(bytes: &[u8], within: Range<usize>) -> Option<usize> {
     starts(bytes, within, op::CHUNK).find(|&offset| {
         let Ok(frame) = frame(bytes, offset) else {
@@ -96,8 +84,8 @@ pub(super) fn find_chunk(bytes: &[u8], within: Range<usize>) -> Option<usize> {
     })
 }
 
-/// Offset of the next message outside of chunks in the range `within`. Its channel must satisfy `is_known`,
-/// and a record or the end must follow.
+/// Offset of the next message outside of chunks in the range `within`. Its channel satisfies `is_known`,
+/// and a record or the end follows.
 pub(super) fn find_message(
     bytes: &[u8],
     within: Range<usize>,
@@ -113,7 +101,6 @@ pub(super) fn find_message(
     })
 }
 
-/// Candidate offsets of records with this opcode.
 fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item = usize> {
     let from = within.start;
     let within = bytes.get(within).unwrap_or_default();
@@ -121,7 +108,6 @@ fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item 
     found.map(move |(offset, _)| from + offset)
 }
 
-/// Offset of the trailing zeros of `bytes`.
 pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
     const BLOCK: usize = 1 << 12;
     let mut end = bytes.len();
@@ -131,10 +117,10 @@ pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
     bytes[..end].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)
 }
 
-/// Maximum plausible length of a compression name.
+/// Longest plausible compression name.
 const MAX_COMPRESSION_NAME: u32 = 16;
 
-/// Size of a chunk's fields without compression name and data.
+/// Without compression name and data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
 /// Maximum size of a chunk's record before its data.
@@ -199,7 +185,7 @@ impl<'a> Message<'a> {
         Some(Self { channel_id, sequence, log_time, publish_time, data: fields.0 })
     }
 
-    /// Converts the message; `offset` is the file offset of its chunk, or of the message outside of chunks.
+    /// `offset` is the file offset of its chunk, or of the message outside of chunks.
     pub(super) fn at(self, offset: usize) -> topic::Message<'a> {
         topic::Message {
             log_time: self.log_time,
@@ -214,17 +200,17 @@ impl<'a> Message<'a> {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chunk<'a> {
-    /// Log times of the first and the last message, ns.
+    /// Log times, ns.
     pub(super) first_time: u64,
     pub(super) last_time: u64,
-    /// Uncompressed size of the records.
+    /// Uncompressed.
     pub(super) size: u64,
     /// Checksum of the uncompressed records; 0 if absent.
     pub(super) crc: u32,
     pub(super) compression: &'a str,
     /// Declared length of `data`.
     compressed_size: u64,
-    /// The compressed records, possibly truncated.
+    /// Compressed records, possibly truncated.
     pub(super) data: &'a [u8],
 }
 
@@ -253,13 +239,13 @@ impl<'a> Chunk<'a> {
         }
     }
 
-    /// The compressed records; `None` if the compression is unknown.
+    /// `None` if the compression is unknown.
     pub(super) fn packed(&self) -> Option<Packed<'a>> {
         let compression = self.compression()?;
         Some(Packed { compression, data: self.data, size: self.size, crc: self.crc })
     }
 
-    /// Decompresses the leading records of a truncated chunk as far as possible.
+    /// Decompresses the leading records of a truncated chunk.
     pub(super) fn cut_records<'b>(
         &'b self,
         unpacker: &'b mut Unpacker,
@@ -269,13 +255,11 @@ impl<'a> Chunk<'a> {
         compression.map_or(&[], |compression| unpacker.cut_chunk(compression, self.data, allowance))
     }
 
-    /// Whether the compressed records are complete.
     pub(super) fn is_whole(&self) -> bool {
         self.data.len() as u64 == self.compressed_size
     }
 }
 
-/// Index of the messages of one channel in a chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageIndex<'a> {
     pub(super) channel_id: u16,
@@ -291,12 +275,11 @@ impl<'a> MessageIndex<'a> {
         Some(Self { channel_id, entries })
     }
 
-    /// Number of messages.
     pub(super) fn count(&self) -> u64 {
         self.entries.len() as u64
     }
 
-    /// Offset of each message in the records of the chunk.
+    /// Offset of each message in the chunk's records.
     pub(super) fn offsets(&self) -> impl Iterator<Item = u64> + use<'a> {
         self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
     }
@@ -313,9 +296,9 @@ impl<'a> MessageIndex<'a> {
 pub(super) struct Attachment<'a> {
     pub(super) name: &'a str,
     pub(super) data: &'a [u8],
-    /// The bytes covered by the checksum.
+    /// Bytes covered by the checksum.
     pub(super) covered: &'a [u8],
-    /// Checksum; 0 if absent.
+    /// 0 if absent.
     pub(super) crc: u32,
 }
 
@@ -332,7 +315,7 @@ impl<'a> Attachment<'a> {
     }
 }
 
-/// Parses the name and the key-value pairs of a metadata record.
+/// Name and key-value pairs.
 pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str, &str)>)> {
     let mut fields = Fields(body);
     let name = fields.text()?;
@@ -341,7 +324,7 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str,
     Some((name, std::iter::from_fn(move || pairs.text().zip(pairs.text()))))
 }
 
-/// Range of a chunk according to its index in the summary.
+/// Range of a chunk according to the summary.
 #[cfg(feature = "cloud")]
 pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     let mut fields = Fields(body);
@@ -351,26 +334,24 @@ pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     Some(start..start.checked_add(length)?)
 }
 
-/// Number of messages in the statistics.
 pub(super) fn recorded_messages(body: &[u8]) -> Option<u64> {
     Fields(body).u64()
 }
 
-/// Checksum of a data end record; 0 if absent.
+/// 0 if absent.
 pub(super) fn data_crc(body: &[u8]) -> Option<u32> {
     Fields(body).u32()
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footer {
-    /// Start of the summary; 0 if absent.
+    /// 0 if absent.
     pub(super) summary_start: u64,
-    /// Checksum of the summary and the preceding footer fields; 0 if absent.
+    /// Covers the summary and the preceding footer fields; 0 if absent.
     pub(super) summary_crc: u32,
 }
 
 impl Footer {
-    /// Size of a footer record.
     pub(super) const SIZE: usize = FRAME_HEADER + 20;
 
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
@@ -381,7 +362,6 @@ impl Footer {
     }
 }
 
-/// The remaining fields of a record.
 #[derive(Clone, Copy)]
 struct Fields<'a>(&'a [u8]);
 

@@ -9,7 +9,7 @@ use super::{ChunkUse, MissingByte, Reader};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Whether all bytes of `range` are present; stores the first missing one.
+    /// Whether `range` is present; stores the first missing byte.
     pub(super) fn is_present(&mut self, range: Range<usize>) -> bool {
         let is_there = self.present.holds(&range);
         if !is_there {
@@ -18,7 +18,7 @@ impl<'a> Reader<'a, '_, '_> {
         is_there
     }
 
-    /// Determines which records of a partially present chunk are needed.
+    /// Needed records of a partially present chunk.
     pub(super) fn parts_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
         let is_open =
             packed.compression == Compression::None && packed.data.len() as u64 == packed.size;
@@ -37,7 +37,7 @@ impl<'a> Reader<'a, '_, '_> {
         start..start + part.len()
     }
 
-    /// Whether the indexes after a chunk name only messages that are counted.
+    /// Whether a chunk's indexes name only messages that are counted.
     pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
         let mut indexes = self.indexes_after(chunk).peekable();
         let is_ignored = |index: record::MessageIndex<'_>| {
@@ -78,7 +78,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(ignored)
     }
 
-    /// Number of skipped bytes of a message; `None` if its channel is unknown.
+    /// `None` if its channel is unknown.
     fn skipped_bytes(&self, body: &'a [u8]) -> Option<usize> {
         let message = record::Message::parse(body)?;
         let id = self.definitions.channel_of(message.channel_id)?;

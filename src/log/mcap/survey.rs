@@ -1,9 +1,7 @@
 //! Determines which ranges of a partially fetched file are needed.
 //!
-//! The summary at the end lists the chunks, and the index after each chunk lists its messages. The survey
-//! walks the file like the reader. At a missing byte it requests the range, and restarts after it is
-//! fetched. A file that does not match its indexes is requested completely, so the reader handles damage as
-//! in any other file.
+//! The survey walks the file like the reader, requests missing ranges, and restarts after they are fetched.
+//! A file that does not match its indexes is requested completely.
 
 #[cfg(test)]
 mod tests;
@@ -22,18 +20,16 @@ use crate::losses::Losses;
 use crate::ranges::Present;
 use crate::unpack::Compression;
 
-/// Missing ranges of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Survey {
-    /// All needed ranges are present.
     Nothing,
-    /// At least these ranges.
+    /// At least these.
     Parts(Vec<Range<usize>>),
-    /// The rest of the file: it has no index, or does not match it.
+    /// No index, or the file does not match it.
     Rest,
 }
 
-/// Determines the missing ranges of the file `bytes`, given the ranges in `present`.
+/// Missing ranges of the file `bytes`, given those in `present`.
 pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     let options = ReadOptions::default();
     let mut losses = Losses::new("".as_ref());
@@ -43,7 +39,6 @@ pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     })
 }
 
-/// The file does not match its index and must be fetched completely.
 struct IndexMismatch;
 
 impl<'a> Reader<'a, '_, '_> {
@@ -58,7 +53,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Missing ranges of footer and summary.
     fn missing_summary(&self) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let size = self.bytes.len();
         let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(IndexMismatch)?;
@@ -71,7 +65,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(if self.present.holds(&summary) { Vec::new() } else { vec![summary] })
     }
 
-    /// Start of the summary according to the footer, if there is one.
+    /// Start of the summary according to the footer.
     fn summary_start(&self) -> Option<usize> {
         let content = self.bytes.strip_suffix(MAGIC)?;
         let frame = record::frame(content, content.len() - record::Footer::SIZE).ok()?;
@@ -100,7 +94,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Ranges outside the chunks, up to the summary at `end`, according to the chunk indexes.
+    /// Ranges outside the chunks, up to the summary at `end`.
     fn outside_of_chunks(&self, end: usize) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let records = record::frames(self.bytes, end).map_while(Result::ok);
         let indexes = records.filter(|frame| frame.opcode == op::CHUNK_INDEX);
@@ -121,7 +115,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(outside)
     }
 
-    /// Missing ranges of the needed chunks, and the number of messages in the indexes.
+    /// Also returns the number of messages in the indexes.
     fn missing_in_chunks(&mut self) -> Result<(Vec<Range<usize>>, u64), IndexMismatch> {
         let (mut missing, mut messages) = (Vec::new(), 0);
         let mut offset = MAGIC.len();
@@ -179,10 +173,10 @@ impl<'a> Reader<'a, '_, '_> {
             return Ok(parts);
         }
         Ok(match self.check_parts(packed.data) {
-            // A chunk that the reader would read and verify completely is fetched completely.
+            // A chunk that the reader verifies completely is fetched completely.
             Ok(ignored) if ignored > packed.data.len() / 2 => Vec::new(),
             Ok(_) => vec![data],
-            // A record that no index lists: requests everything up to the next listed one.
+            // No index lists this record: requests everything up to the next listed one.
             Err(Some(missing)) => {
                 let next = parts.iter().map(|part| part.start).find(|next| *next > missing.start);
                 let up_to_next = missing.start..missing.end.max(next.unwrap_or(data.end));
@@ -207,9 +201,9 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Needed ranges of the messages in a chunk with `length` bytes of records, according to the indexes
-    /// after it: needed messages completely, others only their heads. `None` if a channel is unknown or an
-    /// index points outside the chunk.
+    /// Needed ranges of the messages in a chunk with `length` bytes of records, according to its indexes:
+    /// needed messages completely, others only their heads. `None` if a channel is unknown or an index
+    /// points outside the chunk.
     fn messages_of(&self, chunk: &Frame<'a>, length: usize) -> Option<Vec<Range<usize>>> {
         let mut starts = Vec::new();
         for index in self.indexes_after(chunk) {
@@ -231,7 +225,6 @@ impl<'a> Reader<'a, '_, '_> {
         Some(parts)
     }
 
-    /// What of `ranges` is not there.
     fn missing_of(&self, mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
         ranges.retain(|range| !self.present.holds(range));
         ranges

@@ -1,5 +1,3 @@
-//! Valid and damaged files.
-
 use std::borrow::Cow;
 use std::io;
 use std::path::Path;
@@ -17,7 +15,7 @@ use ground::time::{Clock, Stamp};
 
 const MESSAGES: u64 = 100;
 
-/// A file of poses at log times 0, 1, 2, ….
+/// Poses at log times 0, 1, 2, ….
 pub(super) fn poses(mut log: LogWriter) -> Vec<u8> {
     let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
     for time in 0..MESSAGES {
@@ -31,7 +29,6 @@ fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
     read_present(bytes, &Present::Whole, options).unwrap()
 }
 
-/// Reads a partially present file.
 pub(super) fn read_present(
     bytes: &[u8],
     present: &Present,
@@ -63,7 +60,7 @@ fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
     log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
 }
 
-/// Offsets of the records with this opcode in a valid file.
+/// Offsets in a valid file.
 fn records(bytes: &[u8], opcode: u8) -> Vec<usize> {
     let frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
     frames.filter(|frame| frame.opcode == opcode).map(|frame| frame.offset).collect()
@@ -92,7 +89,7 @@ fn every_compression_gives_the_same_rows() {
     }
 }
 
-/// Poses with two images after every tenth; images fill separate chunks.
+/// Two images after every tenth pose; images fill separate chunks.
 pub(super) fn with_images(compression: Option<Compression>) -> Vec<u8> {
     let mut log = LogWriter::new(compression);
     let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -133,7 +130,7 @@ fn images_are_counted_and_passed_over() {
 fn a_damaged_image_is_found_where_all_is_checked() {
     for compression in [None, Some(Compression::Zstd)] {
         let mut bytes = with_images(compression);
-        // A chunk that contains only one image.
+        // A chunk with only one image.
         let images = chunks(&bytes).into_iter().find(|&chunk| {
             let behind = record::frame(&bytes, record::frame(&bytes, chunk).unwrap().end());
             let index = record::MessageIndex::parse(behind.unwrap().body);
@@ -244,7 +241,7 @@ fn without_chunks_the_messages_after_damage_are_read() {
     let mut bytes = poses(LogWriter::with(plain));
     let damaged = records(&bytes, op::MESSAGE)[MESSAGES as usize / 2];
     for garbage in [0x7f, 0xff] {
-        // The fourth byte of the record's length.
+        // Fourth byte of the record's length.
         bytes[damaged + 4] = garbage;
         let log = read_all(&bytes);
         let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
@@ -300,7 +297,7 @@ fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
     let whole = poses(LogWriter::default());
     let mut file = tempfile::NamedTempFile::new().unwrap();
     io::Write::write_all(&mut file, &whole[..chunks(&whole)[1]]).unwrap();
-    // A sparse file, which needs no disk space.
+    // Sparse: needs no disk space.
     file.as_file().set_len(4 << 30).unwrap();
     let start = Instant::now();
     let mapped = MappedFile::open(file.path()).unwrap();

@@ -1,5 +1,5 @@
 //! Detects credentials in the environment. Without them, a store's client would query the machine's
-//! metadata service; this requires a setting.
+//! metadata service, which requires a setting.
 
 use std::path::Path;
 
@@ -7,13 +7,12 @@ use object_store::aws::AmazonS3ConfigKey as S3;
 use object_store::azure::AzureConfigKey as Azure;
 use object_store::gcp::GoogleConfigKey as Google;
 
-/// Setting that permits the metadata service.
+/// Permits the metadata service.
 const METADATA_SERVICE: &str = "POSEAUDIT_METADATA_SERVICE";
 
-/// Credentials file of `gcloud auth`, relative to the home folder.
+/// Relative to the home folder.
 const GCLOUD: &str = ".config/gcloud/application_default_credentials.json";
 
-/// Whether an S3 client finds credentials.
 pub(super) fn has_s3_credentials(value: impl Fn(S3) -> Option<String>) -> bool {
     use S3::{
         AccessKeyId, ContainerAuthorizationTokenFile, ContainerCredentialsFullUri,
@@ -30,7 +29,6 @@ pub(super) fn has_s3_credentials(value: impl Fn(S3) -> Option<String>) -> bool {
     has_credentials(&sets, &[SkipSignature], value)
 }
 
-/// Whether a Google Cloud Storage client finds credentials.
 pub(super) fn has_google_credentials(value: impl Fn(Google) -> Option<String>) -> bool {
     use Google::{ApplicationCredentials, ServiceAccount, ServiceAccountKey, SkipSignature};
     let sets: [&[Google]; 3] = [&[ServiceAccount], &[ServiceAccountKey], &[ApplicationCredentials]];
@@ -39,7 +37,6 @@ pub(super) fn has_google_credentials(value: impl Fn(Google) -> Option<String>) -
     has_credentials(&sets, &[SkipSignature], value) || is_logged_in()
 }
 
-/// Whether an Azure client finds credentials.
 pub(super) fn has_azure_credentials(value: impl Fn(Azure) -> Option<String>) -> bool {
     use Azure::{
         AccessKey, AuthorityId, ClientId, ClientSecret, FabricClusterIdentifier,

@@ -1,5 +1,3 @@
-//! Converts errors of a store's client to one-line faults.
-
 use std::error::Error;
 
 use object_store::client::{HttpError, HttpErrorKind};
@@ -9,7 +7,6 @@ use super::fault::{RemoteFault, Store};
 /// Maximum length of a server's answer in a message, characters.
 const MAX_ANSWER_CHARS: usize = 200;
 
-/// Converts an error of a client of `store`.
 pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteFault {
     let said = error.to_string();
     let cause = || describe_response(&said).unwrap_or_else(|| innermost_cause(error));
@@ -20,7 +17,7 @@ pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteF
         | object_store::Error::Unauthenticated { .. } => {
             RemoteFault::Denied { store, cause: cause() }
         }
-        // The request went to the metadata service, to obtain credentials.
+        // Credentials were requested from the metadata service.
         _ if mentions_metadata_service(&said) => RemoteFault::NoCredentials {
             store,
             cause: format!("{} at {METADATA}", innermost_cause(error)),
@@ -34,12 +31,11 @@ pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteF
     }
 }
 
-/// Whether the server reports that the range starts after the end, so the object is empty.
+/// The range starts after the end: the object is empty.
 pub(super) fn is_range_beyond_end(error: &object_store::Error) -> bool {
     status(&error.to_string()).is_some_and(|status| status.starts_with("416"))
 }
 
-/// Service that supplies credentials to a cloud machine.
 const METADATA: &str = "the machine's metadata service";
 
 fn mentions_metadata_service(said: &str) -> bool {
@@ -54,12 +50,11 @@ fn is_bucket(said: &str) -> bool {
         .any(|code| said.contains(code))
 }
 
-/// Kind of the transport error, if it is one.
 fn transport_error(error: &object_store::Error) -> Option<HttpErrorKind> {
     causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
 }
 
-/// Status of the server's answer, with the error code of the store if there is one.
+/// Status of the answer, with the store's error code if any.
 fn describe_response(said: &str) -> Option<String> {
     let status = status(said)?;
     let between = |tag: &str| {
@@ -73,13 +68,13 @@ fn describe_response(said: &str) -> Option<String> {
     })
 }
 
-/// Status of an answer, such as `403 Forbidden`.
+/// For example `403 Forbidden`.
 fn status(said: &str) -> Option<&str> {
     let (_, rest) = said.split_once("non-2xx status code: ")?;
     rest.split(':').next().map(str::trim)
 }
 
-/// Innermost cause in one line. Outer errors repeat it with the URL.
+/// Innermost cause; outer errors repeat it with the URL.
 pub(super) fn innermost_cause(error: &(dyn Error + 'static)) -> String {
     causes(error).last().map(|cause| line(&cause.to_string())).unwrap_or_default()
 }
@@ -88,7 +83,6 @@ fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a (dyn
     std::iter::successors(Some(error), |&error| error.source())
 }
 
-/// Start of a text, in one line.
 fn line(text: &str) -> String {
     let words: Vec<&str> = text.split_whitespace().collect();
     let text = words.join(" ");

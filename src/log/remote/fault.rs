@@ -1,57 +1,55 @@
-//! Faults of reading an object, with their remedies.
-
 use std::io;
 
 /// Fault of reading an object in a store.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteFault {
-    /// The program was built without clients for stores.
+    /// Built without clients for stores.
     #[error("this build cannot read object storage")]
     NotBuilt,
     /// Unsupported URL scheme.
     #[error("unsupported URL scheme {scheme}://")]
     Scheme {
-        /// The text before `://`.
+        /// Text before `://`.
         scheme: String,
     },
     /// Invalid URL or setting in the environment.
     #[error("invalid address: {cause}")]
     Address {
-        /// The reason.
+        /// Reason.
         cause: String,
     },
-    /// The object does not exist.
+    /// No such object.
     #[error("no such object")]
     NoObject,
-    /// The bucket or container does not exist.
+    /// No such bucket or container.
     #[error("no such bucket")]
     NoBucket,
     /// Missing credentials.
     #[error("no credentials for {store}: {cause}")]
     NoCredentials {
-        /// The store.
+        /// Store.
         store: Store,
-        /// The last source tried, and its answer.
+        /// Last source tried, and its answer.
         cause: String,
     },
-    /// The store rejects the credentials, or they lack permission.
+    /// Credentials rejected or insufficient.
     #[error("{store} refuses: {cause}")]
     Denied {
-        /// The store.
+        /// Store.
         store: Store,
         /// Its answer.
         cause: String,
     },
-    /// The address cannot be reached.
+    /// Address cannot be reached.
     #[error("cannot be reached: {cause}")]
     Unreachable {
-        /// The reason.
+        /// Reason.
         cause: String,
     },
     /// No data within a time limit.
     #[error("no answer within {seconds} s")]
     Silent {
-        /// The limit, s.
+        /// Limit, s.
         seconds: u64,
     },
     /// Too little data within a time limit.
@@ -64,30 +62,30 @@ pub enum RemoteFault {
         /// Minimum rate, bytes per second.
         rate: usize,
     },
-    /// The connection broke off, and again on every retry.
+    /// The connection broke off on every attempt.
     #[error("the connection broke off at byte {byte}, and again on every retry: {cause}")]
     BrokenOff {
         /// First missing byte.
         byte: u64,
-        /// The last error.
+        /// Last error.
         cause: String,
     },
-    /// The object was rewritten during the download.
+    /// Object rewritten during the download.
     #[error("the object changed while it was read")]
     Changed,
-    /// Any other answer of the store.
+    /// Any other answer.
     #[error("the server answered: {cause}")]
     Refused {
-        /// The answer.
+        /// Answer.
         cause: String,
     },
     /// The temporary file cannot be written.
     #[error("cannot be stored in {}: {source}", std::env::temp_dir().display())]
     Disk {
-        /// Error of the operating system.
+        /// Operating system error.
         source: io::Error,
     },
-    /// The index of the file is incomplete, so the reader needs data that was not fetched.
+    /// Incomplete index: the reader needs data that was not fetched.
     #[error("its index omits data that is needed at byte {byte}")]
     Contradiction {
         /// Offset of the missing data.
@@ -98,13 +96,13 @@ pub enum RemoteFault {
 /// Kind of store.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Store {
-    /// Amazon S3 or a compatible store.
+    /// Amazon S3 or compatible.
     S3,
     /// Google Cloud Storage.
     Google,
     /// Azure Blob Storage.
     Azure,
-    /// A web server.
+    /// Web server.
     Web,
 }
 
@@ -166,7 +164,7 @@ impl RemoteFault {
         }
     }
 
-    /// Whether the call is wrong, rather than the log or the connection.
+    /// Whether the call is wrong, not the log or the connection.
     pub fn is_of_the_call(&self) -> bool {
         matches!(
             self,

@@ -1,5 +1,3 @@
-//! Downloads an object to a temporary file.
-
 use std::cell::Cell;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -23,40 +21,37 @@ use crate::ranges::{Present, Ranges};
 use crate::unpack::Unpacked;
 use crate::{Progress, ReadOptions};
 
-/// Size of the first request, which also returns the size of the object.
+/// First request, which also returns the size of the object.
 const HEAD_BYTES: usize = 64 << 10;
 
-/// Size of the first request at the end of an MCAP file; contains all or most of the summary.
+/// First request at the end of an MCAP file; contains most of the summary.
 const TAIL_BYTES: usize = 64 << 10;
 
-/// Objects up to this size are downloaded completely, which is faster than requesting parts.
+/// Objects up to this size are downloaded completely, which is faster.
 const MAX_WHOLE_BYTES: usize = 1 << 20;
 
 /// Maximum gap that is downloaded with its neighbours, which is faster than another request.
 const MAX_GAP_BYTES: usize = 16 << 10;
 
-/// Maximum size of a request.
 const MAX_REQUEST_BYTES: usize = 8 << 20;
 
-/// Maximum number of concurrent requests.
 const MAX_CONCURRENT_REQUESTS: usize = 32;
 
-/// Maximum number of survey rounds. Summary, indexes, messages and the gaps between them need four.
+/// Summary, indexes, messages and the gaps between them need four.
 const MAX_SURVEY_ROUNDS: usize = 64;
 
-/// Maximum number of attempts for a request whose connection breaks off.
+/// For a request whose connection breaks off.
 const MAX_ATTEMPTS: u32 = 5;
 
-/// Pause before the first retry; doubled for each further one.
+/// Doubled for each further retry.
 const FIRST_RETRY_DELAY: Duration = Duration::from_millis(200);
 
-/// Maximum time until an answer, including the client's retries.
+/// Includes the client's retries.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(50);
 
-/// Maximum time between two parts of an answer before the rest is requested again.
+/// Maximum time between two parts of an answer.
 const STALL_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Downloads the parts of the object at `address` that are needed, or all of it for verification.
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     let source = Source::of(address)?;
     let came = Rc::clone(&source.came);
@@ -79,7 +74,7 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched,
     runtime()?.block_on(patience.watch(&came, work))
 }
 
-/// Runtime of the clients, on the current thread.
+/// Runs on the current thread.
 pub(super) fn runtime() -> Result<Runtime, RemoteFault> {
     Builder::new_current_thread().enable_all().build().map_err(disk_error)
 }
@@ -88,10 +83,11 @@ fn disk_error(source: io::Error) -> RemoteFault {
     RemoteFault::Disk { source }
 }
 
-/// Result of the first request.
 enum Head {
-    /// The first bytes.
-    Part { meta: ObjectMeta, bytes: Vec<u8> },
+    Part {
+        meta: ObjectMeta,
+        bytes: Vec<u8>,
+    },
     /// The server does not support ranges.
     Whole,
 }
@@ -125,8 +121,8 @@ async fn fetch_head(source: &Source) -> Result<Head, RemoteFault> {
     .await
 }
 
-/// Downloads a complete object, for servers without ranges. `is_told` stores whether its size was reported
-/// as progress.
+/// Downloads a complete object from a server without ranges. `is_told` stores whether its size was
+/// reported.
 async fn fetch_whole(
     source: &Source,
     options: &ReadOptions,
@@ -154,25 +150,23 @@ async fn fetch_whole(
     Ok(Fetched { file, present: Present::Whole, bytes: at.get() as u64 })
 }
 
-/// An object during its download.
 struct Object {
     source: Source,
-    /// Entity tag in the first answer.
+    /// Of the first answer.
     e_tag: Option<String>,
     size: usize,
     kind: FileFormat,
     file: Unpacked,
-    /// Ranges that are in the file.
+    /// Ranges in the file.
     present: Ranges,
-    /// Bytes received, including repeated ones.
+    /// Including repeated ones.
     fetched: Cell<usize>,
-    /// Total number of bytes planned so far.
+    /// Bytes planned so far.
     planned: usize,
     progress: Option<Arc<Progress>>,
 }
 
 impl Object {
-    /// Creates the file from the first bytes, `fetch_head`.
     fn create(
         source: Source,
         meta: ObjectMeta,
@@ -208,7 +202,7 @@ impl Object {
         Fetched { file: self.file, present, bytes: self.fetched.get() as u64 }
     }
 
-    /// Downloads the ranges that the MCAP reader needs; all of it if there is no index.
+    /// Downloads what the MCAP reader needs; all if there is no index.
     async fn fetch_needed(&mut self) -> Result<(), RemoteFault> {
         let tail = self.size.saturating_sub(TAIL_BYTES)..self.size;
         self.fetch(Ranges::new(vec![tail], MAX_GAP_BYTES)).await?;
@@ -227,7 +221,6 @@ impl Object {
         self.fetch(Ranges::up_to(self.size)).await
     }
 
-    /// Downloads the missing parts of `wanted`.
     async fn fetch(&mut self, wanted: Ranges) -> Result<(), RemoteFault> {
         let missing = self.present.missing(&wanted);
         self.planned = self.fetched.get() + missing.bytes();
@@ -241,7 +234,7 @@ impl Object {
         Ok(())
     }
 
-    /// Downloads one piece; if the connection breaks off, continues with the rest.
+    /// If the connection breaks off, continues with the rest.
     async fn fetch_piece(&self, piece: Range<usize>) -> Result<(), RemoteFault> {
         let at = Cell::new(piece.start);
         with_retries(async || {
@@ -256,7 +249,6 @@ impl Object {
         .await
     }
 
-    /// Writes received bytes at offset `set_position`.
     fn write_at(&self, at: usize, part: &[u8]) -> Result<(), RemoteFault> {
         let mut file = &self.file.file;
         file.seek(SeekFrom::Start(at as u64))
@@ -265,14 +257,14 @@ impl Object {
         self.fetched.update(|fetched| fetched + part.len());
         if let Some(progress) = &self.progress {
             let share = self.fetched.get() as f64 / self.planned as f64;
-            // The progress is only complete after the last request.
+            // Complete only after the last request.
             progress.set_position((self.size as f64 * share.min(0.99)) as u64);
         }
         Ok(())
     }
 }
 
-/// Requests a range of an object, or all of it.
+/// All of an object without a range.
 async fn send_request(
     source: &Source,
     range: Option<Range<usize>>,
@@ -282,13 +274,12 @@ async fn send_request(
     with_timeout(source.client.get_opts(&source.key, options)).await
 }
 
-/// Waits for an answer, up to the time limit.
 pub(super) async fn with_timeout<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
     let silent = |_| RemoteFault::Silent { seconds: ANSWER_TIMEOUT.as_secs() };
     timeout(ANSWER_TIMEOUT, answer).await.map_err(silent)
 }
 
-/// Passes the parts of an answer to `write_at`; `set_position` is the current offset.
+/// Writes the parts of an answer; `at` is the current offset.
 async fn read(
     answer: GetResult,
     source: &Source,
@@ -317,7 +308,7 @@ async fn read(
     }
 }
 
-/// Runs `attempt`, and retries after a pause if the connection broke off or stalled.
+/// Retries `attempt` after a pause if the connection broke off or stalled.
 async fn with_retries<T>(
     mut attempt: impl AsyncFnMut() -> Result<T, RemoteFault>,
 ) -> Result<T, RemoteFault> {

@@ -1,5 +1,3 @@
-//! Lists the objects of a store.
-
 use futures_util::StreamExt;
 use object_store::{GetOptions, ObjectMeta};
 
@@ -7,7 +5,7 @@ use super::fault::{RemoteFault, Store};
 use super::store::Source;
 use super::{Address, RemoteObject, error_cause, fetch};
 
-/// Objects below `address`, by name; the object itself if it is one.
+/// Objects below `address`, by name, or the object itself.
 pub(super) fn list(address: &Address) -> Result<Vec<RemoteObject>, RemoteFault> {
     let source = Source::of(address)?;
     let fault = |error| error_cause::remote_fault(&error, source.store);

@@ -1,5 +1,3 @@
-//! Minimum download rate.
-
 use std::cell::Cell;
 use std::env;
 use std::pin::pin;
@@ -11,16 +9,16 @@ use tokio::time::sleep;
 
 use super::fault::RemoteFault;
 
-/// Setting: minimum rate in bytes per second.
+/// In bytes per second.
 const RATE: &str = "POSEAUDIT_LEAST_RATE";
 
-/// Setting: averaging time in seconds.
+/// Averaging time, s.
 const SECONDS: &str = "POSEAUDIT_PATIENCE";
 
-/// Minimum rate of a download, averaged over all its requests.
+/// Averaged over all requests of a download.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct MinimumRate {
-    /// Minimum rate in bytes per second; 0 for no minimum.
+    /// Bytes per second; 0 for no minimum.
     rate: usize,
     /// Averaging time, s.
     seconds: u64,
@@ -34,8 +32,6 @@ impl Default for MinimumRate {
 }
 
 impl MinimumRate {
-    /// Reads the settings from the environment.
-    ///
     /// # Errors
     /// If a setting is not a whole number.
     pub fn from_environment() -> Result<Self, RemoteFault> {
@@ -43,10 +39,10 @@ impl MinimumRate {
         Ok(Self { rate: setting(RATE, usual.rate)?, seconds: setting(SECONDS, usual.seconds)? })
     }
 
-    /// Runs `work`, which counts received bytes in `came`, while the rate is sufficient.
+    /// Runs `work`, which counts received bytes in `came`.
     ///
     /// # Errors
-    /// The error of `work`, or if the rate is too low.
+    /// That of `work`, or if the rate is too low.
     pub async fn watch<T>(
         self,
         came: &Cell<usize>,
@@ -58,12 +54,11 @@ impl MinimumRate {
         }
     }
 
-    /// Waits until the rate is too low.
     async fn wait_until_slow(self, came: &Cell<usize>) -> RemoteFault {
         let Self { rate, seconds } = self;
         loop {
             let before = came.get();
-            // In steps of one second, so the time this thread spends on the data does not count.
+            // In steps of one second: time spent on the data does not count.
             for _ in 0..seconds.max(1) {
                 sleep(Duration::from_secs(1)).await;
             }

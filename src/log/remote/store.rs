@@ -1,4 +1,4 @@
-//! Creates the client for a URL. Credentials and endpoints come from the environment.
+//! Clients. Credentials and endpoints come from the environment.
 
 use std::cell::Cell;
 use std::iter;
@@ -20,13 +20,12 @@ use percent_encoding::percent_decode_str;
 use super::fault::{RemoteFault, Store};
 use super::{Address, credentials, error_cause};
 
-/// Maximum time to establish a connection.
 const CONNECT: Duration = Duration::from_secs(5);
 
-/// Maximum number of retries of a request after a server error or without an answer.
+/// After a server error or without an answer.
 const RETRIES: usize = 5;
 
-/// Maximum time for all retries of a request.
+/// For all retries of a request.
 const RETRIES_END: Duration = Duration::from_secs(30);
 
 /// An object and the client of its store.
@@ -34,14 +33,13 @@ pub(super) struct Source {
     pub(super) client: Arc<dyn ObjectStore>,
     pub(super) key: Key,
     pub(super) store: Store,
-    /// The URL up to the key.
+    /// URL up to the key.
     pub(super) root: String,
     /// Bytes received, for the minimum rate.
     pub(super) came: Rc<Cell<usize>>,
 }
 
 impl Source {
-    /// Creates the client for the object at `address`.
     pub(super) fn of(Address(url): &Address) -> Result<Self, RemoteFault> {
         let (scheme, rest) = url.split_once("://").unwrap_or_default();
         let (host, key) = rest.split_once('/').unwrap_or((rest, ""));
@@ -62,7 +60,7 @@ impl Source {
         }
         let root = format!("{scheme}://{host}/");
         let key = match store {
-            // The whole URL is the root of the client, so it is not re-encoded.
+            // The whole URL is the client's root, so it is not re-encoded.
             Store::Web => Key::default(),
             _ => Key::parse(key).map_err(|error| invalid(error.to_string()))?,
         };
@@ -124,7 +122,7 @@ impl Source {
     }
 }
 
-/// Splits a web address into the URL without user and password, and the header with them.
+/// Moves user and password from the URL to a header.
 fn login(url: &str) -> (String, HeaderMap) {
     let mut headers = HeaderMap::new();
     let (scheme, rest) = url.split_once("://").unwrap_or_default();
@@ -143,12 +141,12 @@ fn login(url: &str) -> (String, HeaderMap) {
     (format!("{scheme}://{host}{}", &rest[end..]), headers)
 }
 
-/// Connection options. Bodies have no time limit here; the code that reads them detects stalls.
+/// No time limit for bodies: their reader detects stalls.
 fn plain_options() -> ClientOptions {
     ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT)
 }
 
-/// The same options with the variables that start with `prefix`, such as `AWS_ALLOW_HTTP`.
+/// Adds variables that start with `prefix`, such as `AWS_ALLOW_HTTP`.
 fn options(prefix: &str) -> ClientOptions {
     std::env::vars_os().fold(plain_options(), |options, (name, value)| {
         let name = name.to_str().and_then(|name| name.strip_prefix(prefix));

@@ -8,7 +8,7 @@ use crate::decode::excerpt;
 use crate::unpack::{Compression, UnpackError, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
+    /// Submits further chunks for decompression.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -32,7 +32,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Connections in a chunk with their message indexes, according to the index records after it.
+    /// Connections in a chunk with their message indexes.
     pub(super) fn indexed(
         &self,
         chunk: &Record<'a>,
@@ -45,7 +45,7 @@ impl<'a> Reader<'a, '_, '_> {
         })
     }
 
-    /// Whether the index records of a chunk list only unused messages.
+    /// Whether a chunk's index lists only unused messages.
     pub(super) fn is_ignored(&self, chunk: &Record<'a>) -> bool {
         let is_ignored = |(id, _): (u32, MessageIndex<'_>)| {
             let channel = self.connections.get(&id).and_then(|sender| sender.channel);
@@ -56,7 +56,7 @@ impl<'a> Reader<'a, '_, '_> {
         !self.options.verify && has_index && indexed.all(is_ignored)
     }
 
-    /// Counts the messages of a chunk without decompressing it.
+    /// Counts messages without decompressing the chunk.
     pub(super) fn count(&mut self, chunk: &Record<'a>) {
         for (id, index) in self.indexed(chunk) {
             let channel = self.connections.get(&id).and_then(|sender| sender.channel);
@@ -66,7 +66,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Reads the records of a chunk. Returns whether its length is certain.
+    /// Returns whether the chunk's length is certain.
     pub(super) fn chunk(
         &mut self,
         record: &Record<'a>,
@@ -141,7 +141,7 @@ impl<'a> Reader<'a, '_, '_> {
         let goes_on =
             record.end == self.bytes.len() || record::record(self.bytes, record.end).is_ok();
         if !goes_on {
-            // The search for the next record will find its records; reading them here would duplicate them.
+            // The search for the next record finds its records; reading them here would duplicate them.
             self.lose_chunk(record.offset, "chunk has two different lengths".to_owned());
             return false;
         }
@@ -153,7 +153,7 @@ impl<'a> Reader<'a, '_, '_> {
         true
     }
 
-    /// Records a chunk with a wrong size, `read` of whose messages were read.
+    /// Records a chunk of a wrong size with `read` readable messages.
     pub(super) fn misstated_chunk(&mut self, offset: usize, error: &UnpackError, read: u64) {
         let (extent, messages) = match error {
             UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),
@@ -163,7 +163,6 @@ impl<'a> Reader<'a, '_, '_> {
         self.losses.add(offset, extent, messages, what);
     }
 
-    /// Reads the records inside the chunk at `place`.
     pub(super) fn chunk_records(&mut self, records: &[u8], place: usize) {
         let (mut offset, mut sound) = (0, 0);
         let mut batch = Vec::new();
@@ -185,7 +184,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.intake.batch(&mut batch);
     }
 
-    /// Reads the rest of a truncated chunk; returns the number of messages.
+    /// Reads a truncated chunk; returns the number of messages.
     pub(super) fn cut_chunk(
         &mut self,
         chunk: &Chunk<'_>,
@@ -209,7 +208,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.intake.messages() - before
     }
 
-    /// Reads the last chunk of an unclosed bag; its data extend to the end of the file.
+    /// Reads the last chunk of an unclosed bag, up to the end of the file.
     pub(super) fn open_chunk(&mut self, chunk: Chunk<'a>, offset: usize, unpacker: &mut Unpacker) {
         let saved = self.cut_chunk(&chunk, &self.bytes[offset..], offset, unpacker);
         self.lose_tail(offset, "within a chunk", saved);

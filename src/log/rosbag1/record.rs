@@ -1,11 +1,10 @@
-//! Records of a ROS 1 bag of version 2.0, borrowed from the bytes of the file.
+//! Records of a ROS 1 bag, version 2.0, borrowed from the bytes of the file.
 //!
-//! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header, which is a list of named fields,
-//! and data, each preceded by its length. The field `op` is the kind of the record.
+//! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header of named fields, and data, each
+//! preceded by its length. The field `op` is its kind.
 
 use crate::unpack::{Compression, Packed};
 
-/// Kinds of records.
 pub(super) mod op {
     pub(in super::super) const MESSAGE: u8 = 0x02;
     pub(in super::super) const BAG: u8 = 0x03;
@@ -15,12 +14,11 @@ pub(super) mod op {
     pub(in super::super) const CONNECTION: u8 = 0x07;
 }
 
-/// Maximum plausible length of a header; its longest field is a topic name.
+/// Longest plausible header; its longest field is a topic name.
 const MAX_HEADER_BYTES: usize = 1 << 14;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record<'a> {
-    /// Offset of the record.
     pub(super) offset: usize,
     /// One of [`op`].
     pub(super) op: u8,
@@ -30,16 +28,13 @@ pub(super) struct Record<'a> {
     pub(super) end: usize,
 }
 
-/// Invalid data at the start of a record.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Broken<'a> {
-    /// Too few bytes for a header.
     #[error("{left} bytes, too few for a record")]
     Stub { left: usize },
     /// Not a header of named fields with an `op`.
     #[error("something else")]
     NoHeader,
-    /// A record that is longer than the remaining bytes.
     #[error("a record (op {op:#04x}) of {length} bytes, only {} of them in the file", data.len())]
     Cut { op: u8, header: Header<'a>, length: u32, data: &'a [u8] },
 }
@@ -64,16 +59,14 @@ pub(super) fn record(bytes: &[u8], offset: usize) -> Result<Record<'_>, Broken<'
     }
 }
 
-/// Offset of the next record at or after `from`; with `only`, of the next record of that kind.
-///
-/// Random data does not form a header filled by valid fields that include `op` and all fields required for
-/// the kind.
+/// Offset of the next record at or after `from`, of the kind `only` if given. Random data does not form a
+/// header of valid fields that include `op` and all fields required for the kind.
 pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option<usize> {
-    /// A field of four bytes that starts with `op=`.
+    /// Four bytes that start with `op=`.
     const OP: &[u8] = b"\x04\0\0\0op=";
     /// Maximum length of the fields before it.
     const BEFORE: usize = 256;
-    /// The search ends after this number of candidates.
+    /// Candidates.
     const MOST: usize = 10_000;
     let rest = bytes.get(from..)?;
     let fields = rest.windows(OP.len()).enumerate().filter(|(_, window)| *window == OP);
@@ -84,8 +77,7 @@ pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option
     })
 }
 
-/// Whether a valid record of the kind `only` starts at `start`, with a header that includes the byte
-/// `field`.
+/// Whether a record of the kind `only` starts at `start`, with a header that includes the byte `field`.
 fn is_record(bytes: &[u8], start: usize, field: usize, only: Option<u8>) -> bool {
     let Some((length, _)) = split(&bytes[start..]) else {
         return false;
@@ -104,12 +96,12 @@ fn is_record(bytes: &[u8], start: usize, field: usize, only: Option<u8>) -> bool
         })
 }
 
-/// Fields of a header or of a connection's data: each a length, a name, `=` and a value.
+/// Fields of a header or a connection: each a length, a name, `=` and a value.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Header<'a>(&'a [u8]);
 
 impl<'a> Header<'a> {
-    /// Name and value of each field; ends with `None` at an invalid field.
+    /// Ends with `None` at an invalid field.
     fn fields(self) -> impl Iterator<Item = Option<(&'a [u8], &'a [u8])>> {
         let mut rest = self.0;
         std::iter::from_fn(move || {
@@ -129,7 +121,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// The field `op`, if all fields are valid.
+    /// If all fields are valid.
     fn op(self) -> Option<u8> {
         let mut op = None;
         for field in self.fields() {
@@ -145,7 +137,7 @@ impl<'a> Header<'a> {
         fields.find(|(found, _)| *found == name.as_bytes()).map(|(_, value)| value)
     }
 
-    /// The text of a field, if it is UTF-8.
+    /// If it is UTF-8.
     pub(super) fn text(self, name: &str) -> Option<&'a str> {
         std::str::from_utf8(self.bytes(name)?).ok()
     }
@@ -158,13 +150,13 @@ impl<'a> Header<'a> {
         self.bytes(name)?.try_into().ok().map(u64::from_le_bytes)
     }
 
-    /// A time, ns.
+    /// In ns.
     fn time(self, name: &str) -> Option<u64> {
         self.bytes(name)?.try_into().ok().map(time)
     }
 }
 
-/// A connection: a topic of one sender.
+/// A topic of one sender.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Connection<'a> {
     pub(super) id: u32,
@@ -172,7 +164,7 @@ pub(super) struct Connection<'a> {
     /// For example `sensor_msgs/JointState`.
     pub(super) type_name: &'a str,
     pub(super) definition: &'a [u8],
-    /// Whether the sender repeats its last message to new subscribers.
+    /// The sender repeats its last message to new subscribers.
     pub(super) latching: bool,
 }
 
@@ -190,7 +182,7 @@ impl<'a> Connection<'a> {
 }
 
 impl Connection<'_> {
-    /// Whether the first field of its messages is a `std_msgs/Header`, which starts with `seq`.
+    /// Whether its messages start with a `std_msgs/Header`, which starts with `seq`.
     pub(super) fn begins_with_header(&self) -> bool {
         let Ok(text) = std::str::from_utf8(self.definition) else {
             return false;
@@ -202,7 +194,6 @@ impl Connection<'_> {
     }
 }
 
-/// The header of a message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Message {
     pub(super) connection: u32,
@@ -218,9 +209,9 @@ impl Message {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chunk<'a> {
-    /// `None` if the compression is unknown.
+    /// `None` if unknown.
     pub(super) compression: Option<Compression>,
-    /// Uncompressed size of the records.
+    /// Uncompressed.
     pub(super) size: u32,
     pub(super) data: &'a [u8],
 }
@@ -236,16 +227,15 @@ impl<'a> Chunk<'a> {
         Some(Self { compression, size: header.u32("size")?, data })
     }
 
-    /// The compressed records; `None` if the compression is unknown.
+    /// `None` if the compression is unknown.
     pub(super) fn packed(&self) -> Option<Packed<'a>> {
-        // Checksums, if any, are part of the compressed data.
+        // Checksums are part of the compressed data.
         let (compression, size) = (self.compression?, self.size.into());
         Some(Packed { compression, data: self.data, size, crc: 0 })
     }
 
-    /// Whether the compressed data include a checksum of the content.
     pub(super) fn has_checksum(&self) -> bool {
-        /// Index of the flags in an lz4 frame, and the flag of a content checksum.
+        /// Flags of an lz4 frame: index, and flag of a content checksum.
         const LZ4_FLAGS: (usize, u8) = (4, 0x04);
         match self.compression {
             Some(Compression::Bz2) => true,
@@ -257,7 +247,7 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// Number of messages in a chunk info record: the sum of the counts of all connections.
+/// Sum over all connections.
 pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
     const ENTRY: usize = 8;
     record
@@ -268,7 +258,6 @@ pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
         .sum()
 }
 
-/// Index of the messages of one connection in a chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageIndex<'a> {
     /// Time and offset of each message.
@@ -276,13 +265,12 @@ pub(super) struct MessageIndex<'a> {
 }
 
 impl<'a> MessageIndex<'a> {
-    /// Parses the connection and its index.
+    /// The connection and its index.
     pub(super) fn of(record: &Record<'a>) -> Option<(u32, Self)> {
         let (entries, _) = record.data.as_chunks();
         Some((record.header.u32("conn")?, Self { entries }))
     }
 
-    /// Number of messages.
     pub(super) fn count(&self) -> u64 {
         self.entries.len() as u64
     }
@@ -294,7 +282,7 @@ impl<'a> MessageIndex<'a> {
     }
 }
 
-/// Converts seconds and nanoseconds to nanoseconds.
+/// From seconds and nanoseconds, ns.
 fn time(value: &[u8; 8]) -> u64 {
     let [seconds, nanoseconds] = [&value[..4], &value[4..]]
         .map(|part| part.try_into().map_or(0, u32::from_le_bytes))
@@ -302,13 +290,12 @@ fn time(value: &[u8; 8]) -> u64 {
     seconds * 1_000_000_000 + nanoseconds
 }
 
-/// Offset of the chunk of a chunk info record, and the times of its first and last message, ns.
+/// Offset of the chunk, and its first and last time, ns.
 pub(super) fn chunk_info_times(record: &Record<'_>) -> Option<(usize, u64, u64)> {
     let chunk = record.header.u64("chunk_pos")?.try_into().ok()?;
     Some((chunk, record.header.time("start_time")?, record.header.time("end_time")?))
 }
 
-/// Splits a length from the remaining bytes.
 fn split(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (&length, rest) = bytes.split_first_chunk()?;
     Some((u32::from_le_bytes(length), rest))

@@ -1,5 +1,3 @@
-//! Valid and damaged bags.
-
 use std::path::Path;
 
 use super::super::testing::BagWriter;
@@ -12,12 +10,12 @@ const MESSAGES: u64 = 60;
 const A_CHUNK: u64 = 20;
 const COMPRESSIONS: [&str; 3] = ["none", "lz4", "bz2"];
 
-/// A message whose bytes vary and do not form a record.
+/// Bytes vary and do not form a record.
 fn content(n: u64) -> Vec<u8> {
     (0..40).map(|i| (n * 37 + i * 11) as u8).collect()
 }
 
-/// A bag with messages at times 1, 2, 3, … ns, and the offsets of its chunks.
+/// Messages at times 1, 2, 3, … ns, and the offsets of the chunks.
 fn bag(compression: &'static str) -> (Vec<u8>, Vec<usize>) {
     let (bag, chunks) = unfinished(compression, MESSAGES);
     (bag.finish(), chunks)
@@ -37,7 +35,7 @@ fn unfinished(compression: &'static str, messages: u64) -> (BagWriter, Vec<usize
     (bag, chunks)
 }
 
-/// Reads with verification, so chunks with unused messages are decompressed too.
+/// Verification also decompresses chunks of unused messages.
 fn read_bag(bytes: &[u8]) -> Log {
     read_bag_with(bytes, &ReadOptions { verify: true, ..ReadOptions::default() })
 }
@@ -157,7 +155,7 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
 #[test]
 fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
     let (mut bytes, chunks) = bag("none");
-    // The length of a message in the second chunk; no other field has the value 40.
+    // Only a message's length has the value 40.
     let length = 40u32.to_le_bytes();
     let at = bytes[chunks[1]..].windows(4).position(|window| window == length).unwrap();
     for wrong in [[200, 0, 0, 0], [0xff; 4]] {
@@ -173,7 +171,7 @@ fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
 fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
     for compression in COMPRESSIONS {
         let (mut bytes, chunks) = bag(compression);
-        // The length of the data follows the header's length and the header.
+        // The data's length follows the header.
         let header = u32::from_le_bytes(bytes[chunks[1]..][..4].try_into().unwrap()) as usize;
         let length = chunks[1] + 4 + header;
         for wrong in [0xff, 0x7f, 0x00] {
@@ -192,7 +190,6 @@ fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
 fn no_flipped_byte_stops_the_reading() {
     for compression in COMPRESSIONS {
         let (mut bytes, _) = bag(compression);
-        // All compressed bytes are equivalent to the reader.
         let step = if compression == "none" { 1 } else { 3 };
         for index in (MAGIC.len()..bytes.len()).step_by(step) {
             bytes[index] ^= 0xff;

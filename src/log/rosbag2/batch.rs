@@ -1,4 +1,4 @@
-//! Batches of database rows, copied for a thread that decodes them. SQLite invalidates a row when it reads
+//! Batches of database rows, copied for a thread that decodes them: SQLite invalidates a row when it reads
 //! the next.
 
 use std::ops::Range;
@@ -8,13 +8,10 @@ use std::thread;
 use crate::intake::{ChannelId, Intake, MAX_BATCH_MESSAGES};
 use crate::topic::{Message, MessagePlace};
 
-/// Size at which a batch is full, bytes.
 const BATCH_BYTES: usize = 1 << 20;
 
-/// Maximum number of batches that wait for decoding.
 const MAX_QUEUED_BATCHES: usize = 3;
 
-/// Copied rows.
 #[derive(Default)]
 struct Batch {
     bytes: Vec<u8>,
@@ -55,14 +52,15 @@ pub(super) struct Batches<'a> {
 
 /// Destination of full batches.
 enum Sink<'a> {
-    /// Decoded immediately.
     Here(&'a mut Intake),
     /// Decoded by another thread, which returns them empty.
-    Beside { full: SyncSender<Batch>, empty: Receiver<Batch> },
+    Beside {
+        full: SyncSender<Batch>,
+        empty: Receiver<Batch>,
+    },
 }
 
 impl Batches<'_> {
-    /// Adds a row.
     pub(super) fn add(&mut self, channel: ChannelId, id: i64, time: u64, data: &[u8]) {
         let Batch { bytes, rows } = &mut self.filling;
         let from = bytes.len();
@@ -85,8 +83,7 @@ impl Batches<'_> {
     }
 }
 
-/// Runs `read` and decodes the rows it adds into `intake`, in order. Uses another thread if threads are
-/// available.
+/// Runs `read` and decodes its rows into `intake`, in order, in another thread if possible.
 pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>) -> R) -> R {
     let through = |sink: Sink<'_>| {
         let mut batches = Batches { filling: Batch::default(), sink };
@@ -103,7 +100,7 @@ pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>
         scope.spawn(move || {
             for mut batch in waiting {
                 batch.decode(intake);
-                // After the last row, empty batches are not needed.
+                // After the last row, nobody needs empty batches.
                 let _at_the_end = done.try_send(batch);
             }
         });

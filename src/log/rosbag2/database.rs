@@ -1,7 +1,7 @@
 //! SQLite databases of rosbag2, schema versions 1 to 4.
 //!
-//! All versions have the tables `topics` and `messages`; since version 4, `message_definitions` contains
-//! the schemas. Databases are opened read-only, and no file is created next to them.
+//! All have the tables `topics` and `messages`; version 4 adds `message_definitions`, the schemas.
+//! Databases are opened read-only, and no file is created next to them.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -21,17 +21,17 @@ use crate::intake::{ChannelId, Intake};
 use crate::losses::Losses;
 use crate::{ESCAPED, Extent, ReadOptions};
 
-/// Maximum number of damaged places that are skipped.
+/// Damaged places that are skipped.
 const MAX_BREAKS: usize = 1000;
 
-/// Maximum number of topics and definitions.
+/// Topics and definitions.
 const MAX_TOPICS: usize = 1 << 20;
 
-/// Maximum size of a row. SQLite allocates a whole row before its content is known.
+/// SQLite allocates a whole row before its content is known.
 const MAX_ROW_BYTES: i32 = 256 << 20;
 
-/// Reads the database at `path` into `intake`. Returns false if it is valid but does not have rosbag2's
-/// tables. Calls `opened` when the file name is no longer needed.
+/// Reads the database at `path`. Returns false if it is valid but does not have rosbag2's tables. Calls
+/// `opened` when the file name is no longer needed.
 pub(crate) fn read(
     path: &Path,
     options: &ReadOptions,
@@ -93,7 +93,6 @@ pub(crate) fn read(
     true
 }
 
-/// Requirements on a database.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Strictness {
     Sound,
@@ -142,8 +141,7 @@ fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     let database = Connection::open_with_flags(uri(&path, mode), flags)?;
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_ROW_BYTES)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-    // SQLite reads a damaged database only if its schema is writable. The file is still opened read-only,
-    // and only table rows are read.
+    // SQLite reads a damaged database only if its schema is writable; the file is still read-only.
     let is_sound = strictness == Strictness::Sound;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, is_sound)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_WRITABLE_SCHEMA, !is_sound)?;
@@ -151,19 +149,18 @@ fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     if has_wal {
         database.query_row("PRAGMA locking_mode = EXCLUSIVE", [], |_| Ok(()))?;
     }
-    // SQLite does not copy pages that it maps.
+    // SQLite does not copy mapped pages.
     database.pragma_update(None, "mmap_size", i64::from(i32::MAX))?;
     Ok(database)
 }
 
-/// Path of SQLite's companion file with this suffix.
+/// SQLite's companion file with this suffix.
 fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
     name.into()
 }
 
-/// `path` as a URI with a parameter.
 fn uri(path: &Path, parameter: &str) -> String {
     let path = percent_encode(path.as_os_str().as_encoded_bytes(), ESCAPED);
     format!("file:{path}?mode=ro&{parameter}")
@@ -174,7 +171,6 @@ fn lose(losses: &mut Losses, messages: Option<u64>, what: &str, error: &rusqlite
     losses.add_unplaced(Extent::Messages, messages, format!("{what}: {cause}"));
 }
 
-/// The tables of rosbag2 in a database.
 #[derive(Clone, Copy, Default)]
 struct Tables {
     topics: bool,
@@ -183,8 +179,7 @@ struct Tables {
 }
 
 impl Tables {
-    /// Detects the tables. Excludes views, virtual tables and computed columns, because reading them would
-    /// execute untrusted SQL.
+    /// Excludes views, virtual tables and computed columns: reading them would execute untrusted SQL.
     fn of(database: &Connection) -> rusqlite::Result<Self> {
         let has = |name: &str| -> rusqlite::Result<bool> {
             database.query_row(
@@ -208,25 +203,24 @@ struct Reader<'a> {
     database: &'a Connection,
     options: &'a ReadOptions,
     losses: &'a mut Losses,
-    /// Channel of each topic number in the database; `None` if there are too many channels.
+    /// By topic number; `None` if there are too many channels.
     topics: HashMap<i64, Option<ChannelId>>,
     /// Size of the messages read, bytes.
     bytes: usize,
-    /// Number of messages of topics that the database does not list.
+    /// Messages of unlisted topics.
     orphans: u64,
-    /// Number of messages with a negative time.
+    /// Messages with a negative time.
     before_1970: u64,
-    /// Number of rows that are not in ascending order.
+    /// Rows out of order.
     strays: usize,
-    /// Number of them since the last row in order.
+    /// Of these, since the last row in order.
     strays_here: u64,
     /// The first of them, and the row before it.
     first_stray: (i64, i64),
-    /// Whether lost rows at the end were already reported.
+    /// Lost rows at the end are already reported.
     is_cut: bool,
 }
 
-/// A schema with its encoding.
 struct Definition {
     encoding: String,
     text: Vec<u8>,
@@ -251,7 +245,7 @@ impl Reader<'_> {
         });
         for (id, name, type_name, encoding) in &listed {
             let definition = definitions.get(type_name);
-            // The definition is empty if the recorder did not find it.
+            // Empty if the recorder did not find it.
             let definition = definition.filter(|definition| !definition.text.is_empty());
             let format = Format {
                 encoding,
@@ -263,7 +257,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Passes each row of a short table to `take`; records read errors.
+    /// Passes rows to `take`; records read errors.
     fn rows(&mut self, query: &str, mut take: impl FnMut(&Row<'_>) -> rusqlite::Result<()>) {
         let read = self.database.prepare(query).and_then(|mut statement| {
             let mut rows = statement.query([])?;
@@ -280,7 +274,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads the messages in the order of recording, and skips damaged parts.
+    /// Reads messages in the order of recording, skipping damage.
     fn messages(&mut self, intake: &mut Intake) {
         let mut from = self.first_row();
         let mut breaks = 0;
@@ -309,7 +303,7 @@ impl Reader<'_> {
                 break;
             };
             let lost = u64::try_from(next.saturating_sub(from)).ok();
-            // Rows that appeared out of order are already counted.
+            // Rows out of order are already counted.
             let lost = lost.map(|lost| lost.saturating_sub(self.strays_here));
             let last = next.saturating_sub(1);
             let what = format!("rows {from} to {last} of the table `messages` are unreadable");
@@ -338,7 +332,7 @@ impl Reader<'_> {
         }
     }
 
-    /// First row number. Recorders start at 1, other programs may not.
+    /// Recorders start at 1, other programs may not.
     fn first_row(&self) -> i64 {
         let first = self
             .database
@@ -346,7 +340,7 @@ impl Reader<'_> {
         first.ok().flatten().map_or(1, |first| first.min(1))
     }
 
-    /// Reads the messages from row `from` on, and advances `from`.
+    /// Reads messages from row `from` on, and advances `from`.
     fn messages_from(
         &mut self,
         from: &mut i64,
@@ -360,7 +354,7 @@ impl Reader<'_> {
         let mut rows = statement.query([*from])?;
         while let Some(row) = rows.next()? {
             let id: i64 = row.get(0)?;
-            // A page that is referenced twice, or an overwritten number. Such rows could repeat forever.
+            // A page referenced twice, or an overwritten number. Such rows could repeat forever.
             if id < *from {
                 self.stray(id, *from)?;
                 continue;
@@ -388,10 +382,10 @@ impl Reader<'_> {
         Err(rusqlite::Error::SqliteFailure(code, Some(what)))
     }
 
-    /// SQL expression for the content of messages: empty for unused topics, so the pages of large messages
-    /// are not read.
+    /// SQL expression for message content: empty for unused topics, so the pages of large messages are not
+    /// read.
     fn content(&self, intake: &Intake) -> String {
-        /// Maximum number of topics in the list.
+        /// Topics in the list.
         const MANY: usize = 1000;
         let is_used =
             |channel: &Option<ChannelId>| channel.is_some_and(|channel| !intake.ignores(channel));
@@ -419,13 +413,13 @@ impl Reader<'_> {
             self.orphans += 1;
             return;
         };
-        // The database stores one time per message, the receive time.
+        // The database stores the receive time only.
         self.before_1970 += u64::from(time < 0);
         let time = u64::try_from(time).unwrap_or(0);
         batches.add(*channel, id, time, data);
     }
 
-    /// Finds the next readable row after `lost` by exponential and binary search.
+    /// Next readable row after `lost`, by exponential and binary search.
     fn next_sound(&self, mut lost: i64) -> Option<i64> {
         let mut step: i64 = 1;
         let mut sound = loop {
@@ -445,7 +439,7 @@ impl Reader<'_> {
         self.row_from(sound).ok().flatten()
     }
 
-    /// The first row from `id` on, if its content can be read.
+    /// First row from `id` on, if readable.
     fn row_from(&self, id: i64) -> rusqlite::Result<Option<i64>> {
         let mut statement = self
             .database
@@ -461,7 +455,7 @@ impl Reader<'_> {
     }
 }
 
-/// A text; empty if the column has none.
+/// Empty if the column has no text.
 fn text(row: &Row<'_>, column: usize) -> rusqlite::Result<String> {
     Ok(match row.get_ref(column)? {
         ValueRef::Text(text) | ValueRef::Blob(text) => String::from_utf8_lossy(text).into_owned(),

@@ -1,5 +1,3 @@
-//! Valid and damaged databases and folders.
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -25,14 +23,12 @@ fn rows(log: &Log) -> &PoseColumns {
     }
 }
 
-/// A database with `count` poses from `first` on.
 fn database(path: &Path, first: u32, count: u32) {
     let database = DatabaseWriter::create(path);
     database.poses(1, "/pose");
     database.count_poses(1, first, count);
 }
 
-/// An MCAP file with `count` poses from `first` on.
 fn mcap(path: &Path, first: u32, count: u32) {
     let mut log = LogWriter::default();
     let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", POSE_STAMPED);
@@ -43,7 +39,7 @@ fn mcap(path: &Path, first: u32, count: u32) {
     fs::write(path, log.finish()).unwrap();
 }
 
-/// A `metadata.yaml` that lists files and their numbers of messages.
+/// Lists files and their numbers of messages.
 fn metadata(folder: &Path, files: &[(&str, u64)]) {
     let mut text = "rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: sqlite3\n  \
                     custom_data: ~\n  relative_file_paths:\n"
@@ -70,7 +66,7 @@ fn names_in(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn a_database_gives_its_rows() {
     let folder = folder();
-    // A name that a URI must escape, with a misleading extension.
+    // Must be escaped in a URI; misleading extension.
     let path = folder.path().join("a b?#%.mcap");
     database(&path, 5, 100);
     let log = read(&path);
@@ -132,7 +128,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
     let after: Vec<Vec<u8>> = [&copy, &beside(&copy)].map(|path| fs::read(path).unwrap()).into();
     assert!(before == after);
 
-    // Each frame has 1048 bytes; each transaction has several frames.
+    // Frames have 1048 bytes; transactions have several.
     let [whole, wal] = [&before[0], &before[1]];
     let mut leftover = wal.clone();
     let frame = leftover[32..32 + 1048].to_vec();
@@ -161,7 +157,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
         assert!(log.losses.iter().all(|loss| loss.extent == Extent::Messages));
     }
 
-    /// Continues the database at `path`, so 30 messages are only in its write-ahead log.
+    /// 30 messages are only in the write-ahead log.
     #[expect(non_snake_case, reason = "they are named as ROS names them")]
     fn DatabaseWriter(path: &Path) -> rusqlite::Connection {
         let database = rusqlite::Connection::open(path).unwrap();
@@ -185,7 +181,7 @@ fn a_damaged_page_costs_its_own_messages() {
     let path = folder.path().join("run.db3");
     database(&path, 0, 400);
     let mut bytes = fs::read(&path).unwrap();
-    // A leaf page of the table of messages (0x0d) inside the file.
+    // A leaf page (0x0d) of the messages inside the file.
     let page = (30..).find(|page| bytes[page * 1024] == 0x0d).unwrap();
     bytes[page * 1024..(page + 1) * 1024].fill(0xaa);
     fs::write(&path, &bytes).unwrap();
@@ -213,7 +209,7 @@ fn a_cut_database_is_read_up_to_where_it_ends() {
     assert_eq!(cut.extent, Extent::Messages);
 }
 
-/// Offsets of the cells of a table page in the file.
+/// Offsets of a table page's cells in the file.
 fn cells(bytes: &[u8], page: usize, header: usize) -> Vec<usize> {
     let two = |at: usize| usize::from(bytes[at]) << 8 | usize::from(bytes[at + 1]);
     let page = page * 1024;
@@ -227,7 +223,7 @@ fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
     database(&path, 0, 4000);
     let whole = fs::read(&path).unwrap();
     let pages = |kind: u8| (30..whole.len() / 1024).filter(move |&page| whole[page * 1024] == kind);
-    // The row number follows the length of the content, each with one or two bytes.
+    // The row number follows the length of the content; each has one or two bytes.
     let whole = fs::read(&path).unwrap();
     let mut bytes = whole.clone();
     let cell = cells(&bytes, pages(0x0d).nth(20).unwrap(), 8)[1];
@@ -243,7 +239,6 @@ fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
     );
     assert_eq!((loss.messages, log.messages), (Some(1), 3999));
 
-    // All child pointers refer to the same page.
     let mut bytes = whole.clone();
     let page = (2..).find(|&page| bytes[page * 1024] == 0x05).unwrap();
     let ways = cells(&bytes, page, 12);

@@ -1,5 +1,5 @@
-//! Integrity check of a database's write-ahead log. SQLite reads the log up to the first invalid checksum
-//! and does not report the rest.
+//! Integrity of a database's write-ahead log. SQLite reads it up to the first invalid checksum and does not
+//! report the rest.
 //!
 //! Format: <https://www.sqlite.org/fileformat2.html#walformat>.
 
@@ -11,8 +11,8 @@ const HEADER_BYTES: u64 = 32;
 const FRAME_HEADER_BYTES: u64 = 24;
 const LARGEST_PAGE: u32 = 1 << 16;
 
-/// Offset and description of damage to the log at `path`; `None` if all frames are readable and belong to
-/// completed transactions.
+/// Offset and description of damage; `None` if all frames are readable and belong to completed
+/// transactions.
 pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
     let file = File::open(path)?;
     let length = file.metadata()?.len();
@@ -27,7 +27,7 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
         bytes[at..at + 4].iter().fold(0_u32, |word, byte| word << 8 | u32::from(*byte))
     };
     let page_bytes = word(&header, 8);
-    // The lowest bit of the magic number selects the byte order of the checksum.
+    // The lowest bit of the magic number selects the byte order.
     let sum = |mut sum: [u32; 2], bytes: &[u8]| {
         let is_big = header[3] & 1 == 1;
         for pair in bytes.chunks_exact(8) {
@@ -54,7 +54,7 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
     let (mut sound, mut ended) = (0, 0);
     for index in 0..frames {
         file.read_exact(&mut frame)?;
-        // Frames with another salt remain from transactions that are already in the database.
+        // Frames with another salt are of transactions already in the database.
         if frame[8..16] != header[16..24] {
             continue;
         }

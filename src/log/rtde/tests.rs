@@ -1,5 +1,3 @@
-//! Valid and damaged tables.
-
 use std::fs;
 use std::path::PathBuf;
 
@@ -7,7 +5,6 @@ use super::super::{Container, Extent, Log, LogError, ReadOptions, open};
 use super::*;
 use ground::stream::ArrayColumns;
 
-/// A header with numbered columns.
 fn names(vectors: &[(&str, usize)], delimiter: &str) -> String {
     let mut names = vec![TIMESTAMP.to_owned()];
     for (name, width) in vectors {
@@ -16,14 +13,13 @@ fn names(vectors: &[(&str, usize)], delimiter: &str) -> String {
     names.join(delimiter)
 }
 
-/// A row of `width` numbers that start at `seconds`.
 fn row(seconds: f64, width: usize, delimiter: &str) -> String {
     let numbers: Vec<String> =
         (0..=width).map(|part| format!("{:.4}", seconds + part as f64 * 0.25)).collect();
     numbers.join(delimiter)
 }
 
-/// A table of joint positions and a pose, with `rows` rows 0.008 s apart.
+/// Joint positions and a pose, every 0.008 s.
 fn table(delimiter: &str, line_end: &str, rows: usize) -> String {
     let mut text = names(&[("actual_q", 6), ("actual_TCP_pose", 6)], delimiter) + line_end;
     for n in 0..rows {
@@ -100,7 +96,7 @@ fn every_spelling_of_a_table_gives_the_same_columns() {
     ] {
         let log = read(&spelled);
         assert_eq!(log.losses, [], "{spelled}");
-        // Velocities are NaN, which differs from itself.
+        // NaN velocities differ from themselves.
         assert_eq!(format!("{:?}", log.topics), format!("{:?}", plain.topics), "{spelled}");
     }
 }
@@ -120,7 +116,6 @@ fn tables_with_different_columns_are_merged() {
     assert!(velocity[1].is_nan());
     let listed = log.topics.iter().find(|topic| topic.name == "joint_temperatures").unwrap();
     assert_eq!((listed.messages, &listed.columns), (10, &None));
-    // The order of the files does not matter.
     let turned = read_tables(&[velocities.as_bytes(), positions.as_bytes()]).unwrap();
     let same = joints(&turned, "actual_q").joints[0].velocity.iter().zip(velocity);
     assert!(same.into_iter().all(|(a, b)| a.to_bits() == b.to_bits()));
@@ -135,7 +130,6 @@ fn a_table_of_another_time_with_the_same_columns_goes_on() {
     let log = read_tables(&[first.as_bytes(), later.as_bytes()]).unwrap();
     assert_eq!(log.notes, []);
     assert_eq!(joints(&log, "actual_q").times.len(), 400);
-    // Overlapping times are reported.
     let overlapping = second.replace("100.0000,", "100.0001,");
     let log = read_tables(&[first.as_bytes(), overlapping.as_bytes()]).unwrap();
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };

@@ -1,5 +1,3 @@
-//! Files of which only the requested ranges are present.
-
 use std::collections::BTreeMap;
 
 use mcap::{Compression, WriteOptions};
@@ -12,7 +10,7 @@ use crate::ranges::Ranges;
 use crate::testing::{self, Cdr, LogWriter};
 use crate::{Log, Topic};
 
-/// The fetched file; bytes that were not requested have the value `hole`.
+/// Bytes that were not requested have the value `hole`.
 fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
     let mut file = vec![hole; bytes.len()];
     let mut present = Ranges::default();
@@ -42,12 +40,11 @@ fn read(bytes: &[u8], present: &Present) -> Log {
     read_present(bytes, present, ReadOptions::default()).expect("all needed ranges are present")
 }
 
-/// The topic with this name, unless damage removed it.
 fn topic<'l>(log: &'l Log, name: &str) -> Option<&'l Topic> {
     log.topics.iter().find(|topic| topic.name == name)
 }
 
-/// Poses and a camera with about nineteen times their bytes, in the same chunks.
+/// Poses and a camera with nineteen times their bytes, in the same chunks.
 fn mixed(compression: Option<Compression>) -> Vec<u8> {
     let mut log =
         LogWriter::with(WriteOptions::new().compression(compression).chunk_size(Some(100_000)));
@@ -55,7 +52,7 @@ fn mixed(compression: Option<Compression>) -> Vec<u8> {
     for time in 0..400 {
         let message = Cdr::pose_stamped(0, time as u32, "base", [time as f64, 0.5, 0.25]);
         log.message(pose, time, &message);
-        // Channels without messages, defined inside a chunk.
+        // Channels without messages.
         if time % 100 == 50 {
             log.channel(&format!("/late/{time}"), "std_msgs/msg/String", "string data\n");
         }
@@ -90,7 +87,7 @@ fn messages_without_a_use_are_not_asked_for() {
     let share = |bytes: &[u8]| fetched(bytes, 0).2 as f64 / bytes.len() as f64;
     assert!(share(&mixed(None)) < 0.1, "{}", share(&mixed(None)));
     assert!(share(&with_images(None)) < 0.5);
-    // In a compressed chunk, a message can only be read after the previous ones.
+    // In a compressed chunk, messages can only be read in order.
     assert_eq!(fetched(&mixed(Some(Compression::Zstd)), 0).1, Present::Whole);
 }
 
@@ -136,7 +133,6 @@ fn no_hole_is_read_as_damage_whatever_the_bytes() {
         for _ in 0..300 {
             let mut damaged = bytes.clone();
             for _ in 0..1 + random.next_u32() % 3 {
-                // At the heads of chunks, or anywhere.
                 let any = random.next_u32() as usize % bytes.len();
                 let near = ends[random.next_u32() as usize % ends.len()] + any % 200;
                 let at = if random.next_u32() % 2 == 0 { any } else { near.min(bytes.len() - 1) };
@@ -146,7 +142,7 @@ fn no_hole_is_read_as_damage_whatever_the_bytes() {
             sparse += u32::from(present != Present::Whole);
             let whole = read(&damaged, &Present::Whole);
             let log = read(&file, &present);
-            // Damage to skipped ranges is not detected; no additional losses may be reported.
+            // Damage to skipped ranges is not detected.
             let unheard: Vec<_> =
                 log.losses.iter().filter(|loss| !whole.losses.contains(loss)).collect();
             assert!(unheard.is_empty(), "{unheard:?} but not {:?}", whole.losses);
@@ -163,7 +159,6 @@ fn what_is_not_there_is_refused_and_not_guessed() {
     let bytes = mixed(None);
     let (file, present, _) = fetched(&bytes, 0);
     let Present::Parts(ranges) = &present else { panic!("in parts") };
-    // Each requested range is needed.
     for piece in ranges.pieces(usize::MAX) {
         let rest = ranges.pieces(usize::MAX).filter(|other| *other != piece).collect();
         let present = Present::Parts(Ranges::new(rest, 0));
