@@ -1,7 +1,7 @@
 //! The config of an audit, `poseaudit.toml`: the robot, its topics and the thresholds of the rules.
 //!
 //! An audit reads only the file that the caller names, so the same call gives the same report everywhere.
-//! With `--config auto` it uses the nearest `poseaudit.toml` in the log's folder or above.
+//! `--config auto` uses the nearest `poseaudit.toml` in the log's folder or above.
 
 mod file;
 mod quantity;
@@ -45,14 +45,13 @@ impl Config {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// If it cannot be read or parsed; with the line.
+    /// With the line, if it cannot be read or parsed.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let text = read::text_of(path)?;
         Self::from_text(text, path)
     }
 
-    /// The config in the folder of `log` (or in `log` itself, if it is a folder), else in the nearest
-    /// folder above.
+    /// The nearest config in the folder of `log` (or in `log`) or above.
     pub fn nearest_to(log: &Path) -> Option<PathBuf> {
         let parent = || log.parent().filter(|parent| *parent != Path::new(""));
         let folder = if log.is_dir() { log } else { parent().unwrap_or(Path::new(".")) };
@@ -63,7 +62,7 @@ impl Config {
     /// Parses the text of the file at `path`.
     ///
     /// # Errors
-    /// If it cannot be parsed; with the line.
+    /// With the line, if it cannot be parsed.
     pub fn from_text(text: String, path: &Path) -> Result<Self, Trouble> {
         let file = read::parsed(&text, path)?;
         let config = Self { file, path: path.to_owned(), text };
@@ -71,7 +70,7 @@ impl Config {
         Ok(config)
     }
 
-    /// Options for an audit; keys that are not set keep their defaults.
+    /// Options for an audit; unset keys keep their defaults.
     pub fn options(&self) -> Options {
         let File { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
         let mut run = RunOptions {
@@ -103,12 +102,12 @@ impl Config {
         Options { read, run, policy, config: Some(self.path.clone()), ..Options::default() }
     }
 
-    /// File and line of byte `at`.
+    /// File and line.
     fn place(&self, at: usize) -> String {
         read::place(&self.path, &self.text, at)
     }
 
-    /// Resolves a path relative to the config file.
+    /// Paths are relative to the config file.
     fn beside(&self, path: &str) -> PathBuf {
         match self.path.parent() {
             Some(folder) if folder != Path::new("") => folder.join(path),
@@ -116,7 +115,7 @@ impl Config {
         }
     }
 
-    /// Path of a robot's file; `None` if `model` is a catalogue name.
+    /// `None` if `model` is a catalogue name.
     fn robot_file(&self, model: &str) -> Option<PathBuf> {
         let path = self.beside(model);
         let is_path =
@@ -201,7 +200,7 @@ impl Config {
                 of_columns: false,
             };
         let mut topics: Vec<TopicSettings> = streams.map(topic).collect();
-        // Columns declared as a pose are audited as one, even if they do not follow the arm.
+        // Audited as poses even if they do not follow the arm.
         for (topic, key) in self.file.columns.poses() {
             let columns = TopicSettings {
                 topic,

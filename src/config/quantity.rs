@@ -14,7 +14,7 @@ pub(super) enum Quantity {
     Text(String),
 }
 
-/// Spellings of units with their SI factors.
+/// With SI factors.
 fn spellings(unit: Unit) -> &'static [(&'static str, f64)] {
     use std::f64::consts::PI;
     const DEGREE: f64 = PI / 180.0;
@@ -40,10 +40,10 @@ fn spellings(unit: Unit) -> &'static [(&'static str, f64)] {
 }
 
 impl Quantity {
-    /// The value in SI if its unit matches `unit` and it is above zero.
+    /// SI value, if its unit matches and it is above zero.
     ///
     /// # Errors
-    /// What is wrong with it, and what to write.
+    /// What to write instead.
     pub fn amount(&self, unit: Unit) -> Result<f64, String> {
         let known = spellings(unit);
         let names: Vec<&str> =
@@ -79,10 +79,10 @@ impl Quantity {
         }
     }
 
-    /// The first of `units` that matches, with the value in SI.
+    /// First matching unit, with the SI value.
     ///
     /// # Errors
-    /// What is wrong with it, and what to write.
+    /// What to write instead.
     pub fn one_of(&self, units: &[Unit]) -> Result<(Unit, f64), String> {
         let mut refused = Vec::new();
         for &unit in units {
@@ -110,7 +110,7 @@ impl Quantity {
     }
 }
 
-/// Joins names: `a, b or c`.
+/// As in `a, b or c`.
 fn either(names: &[&str]) -> String {
     match names {
         [] => "no unit".to_owned(),

@@ -1,5 +1,5 @@
-//! Config template written by `poseaudit init`: the settings found in a log, and all others as comments
-//! with their defaults.
+//! Config template of `poseaudit init`: the settings found in a log, and all others as comments with their
+//! defaults.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,9 +10,7 @@ use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
 use crate::run::RoleSetting;
 
-/// A config with which the log of `report` is audited as without a config.
-///
-/// Its active settings do not change the audit of this log, but later logs are checked against them.
+/// Config that does not change the audit of the log of `report`; later logs are checked against it.
 /// Settings that would change it (naming a tip is a claim) are comments.
 pub fn template(report: &Report) -> String {
     let mut out = Template::default();
@@ -26,20 +24,19 @@ pub fn template(report: &Report) -> String {
     out.0
 }
 
-/// Keys of `[columns]`.
+/// In `[columns]`.
 const COLUMN_KEYS: [&str; 4] = ["joints", "joint_commands", "pose", "pose_commands"];
 
 #[derive(Default)]
 struct Template(String);
 
 impl Template {
-    /// Appends one or several lines.
     fn line(&mut self, text: &str) {
         self.0 += text;
         self.0.push('\n');
     }
 
-    /// Appends `key = value` with a remark.
+    /// With a remark.
     fn set(&mut self, key: &str, value: &str, remark: &str) {
         let setting = format!("{key} = {value}");
         match remark.is_empty() {
@@ -51,7 +48,7 @@ impl Template {
         }
     }
 
-    /// Same, commented out.
+    /// Commented out.
     fn unset(&mut self, key: &str, value: &str, remark: &str) {
         self.set(&format!("# {key}"), value, remark);
     }
@@ -119,7 +116,6 @@ impl Template {
         self.unset("select", "[\"LAT\", \"ZER001\"]", "evaluate only these rules; default: all");
     }
 
-    /// Appends the columns of a table.
     fn columns(&mut self, report: &Report) {
         let told = || report.streams.iter().filter(|stream| !stream.columns.is_empty());
         if told().next().is_none() {
@@ -260,7 +256,6 @@ fn amounts(thresholds: &[Threshold], of: fn(&Threshold) -> f64) -> String {
     }
 }
 
-/// Formats a value for the file.
 fn amount(unit: Unit, value: f64) -> String {
     match unit {
         Unit::One => format!("{value}"),
@@ -268,7 +263,7 @@ fn amount(unit: Unit, value: f64) -> String {
     }
 }
 
-/// Rounds a rate to three digits.
+/// To three digits.
 fn rounded(rate_hz: f64) -> String {
     let digits = 2 - rate_hz.log10().floor() as i32;
     let step = 10f64.powi(-digits);
@@ -276,7 +271,7 @@ fn rounded(rate_hz: f64) -> String {
     format!("{rounded:.*}", usize::try_from(digits.max(1)).unwrap_or(1))
 }
 
-/// Replaces line breaks and control characters.
+/// Without line breaks and control characters.
 fn one_line(text: &str) -> String {
     tame(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }

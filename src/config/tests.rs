@@ -171,7 +171,6 @@ fn a_config_that_is_too_large_is_refused() {
     assert!(config(&comment(256 << 10)).is_ok());
     let trouble = config(&comment((256 << 10) + 1)).expect_err("refused");
     assert!(trouble.what.contains("maximum of 262144 bytes"), "{}", trouble.what);
-    // A message repeats little of a long line.
     let trouble = config(&format!("robot = {}", "x".repeat(100_000))).expect_err("refused");
     let length = trouble.what.len() + trouble.place.len() + trouble.remedy.len();
     assert!(length < 1000, "{length} bytes");

@@ -1,4 +1,4 @@
-//! Applies corrections to a log: latencies to its stamps, everything else to the streams of a run.
+//! Applies corrections: latencies to the stamps of a log, everything else to the streams of a run.
 
 use std::path::Path;
 
@@ -16,7 +16,6 @@ use crate::run::{Arm, JointStateCorrection, PoseSource, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
-/// Corrections with the file they come from.
 #[derive(Clone, Copy)]
 pub(crate) struct GivenCorrections<'a> {
     pub corrections: &'a Corrections,
@@ -34,10 +33,10 @@ impl GivenCorrections<'_> {
         }
     }
 
-    /// Subtracts the latencies from header and receive stamps of `log`, so clock alignment is unaffected.
+    /// Subtracts latencies from header and receive stamps, so clock alignment is unaffected.
     ///
     /// # Errors
-    /// Returns an error if a topic is not in the log.
+    /// If a topic is not in the log.
     pub fn correct_stamps(&self, log: &mut Log) -> Result<(), Trouble> {
         for correction in &self.corrections.topics {
             let name = &correction.name;
@@ -60,10 +59,10 @@ impl GivenCorrections<'_> {
         Ok(())
     }
 
-    /// Applies all corrections except latencies to the streams of `run`.
+    /// Applies all corrections except latencies.
     ///
     /// # Errors
-    /// Returns an error if no arm has a joint, or if a correction does not apply to its topic.
+    /// If no arm has a joint, or if a correction does not apply to its topic.
     pub fn apply(&self, run: &mut Run, most_lag_s: f64) -> Result<(), Trouble> {
         self.correct_joints(run)?;
         for correction in &self.corrections.topics {
@@ -119,7 +118,6 @@ impl GivenCorrections<'_> {
         Ok(())
     }
 
-    /// Collects the joint corrections of an arm.
     fn joint_correction(
         &self,
         arm: &Arm,
@@ -177,7 +175,6 @@ impl GivenCorrections<'_> {
         Ok(joint_correction)
     }
 
-    /// Describes the corrections, for the report.
     pub fn notes(&self) -> Vec<String> {
         let joints = self.corrections.joints.iter().map(|joint| {
             let turned = joint.offset_rad.map(|rad| Unit::Radian.show(rad));
@@ -195,7 +192,7 @@ impl GivenCorrections<'_> {
 }
 
 impl TopicCorrection {
-    /// Intended encoding of the poses, if it differs from the logged one.
+    /// Encoding of the poses, if it differs from the logged one.
     fn intended_encoding(&self) -> Option<IntendedEncoding> {
         let reading = self.rotation.and_then(encoding_of_slip);
         let inverted = self.inverse == Some(true);
@@ -210,7 +207,6 @@ impl TopicCorrection {
         })
     }
 
-    /// Lists the corrected parts as text.
     fn parts(&self) -> Vec<String> {
         let frames = [
             (self.link_from_imu_xyzw.is_some(), "mount"),
@@ -237,7 +233,7 @@ impl TopicCorrection {
     }
 }
 
-/// Parts of a topic's correction that have not been applied yet.
+/// Parts of a topic's correction to be applied.
 struct UnappliedParts(Vec<&'static str>);
 
 impl UnappliedParts {

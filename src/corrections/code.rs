@@ -7,7 +7,6 @@ use crate::geometry::{
 /// One line per entry of [`LIBRARIES`].
 pub(super) type Lines = Vec<CodeLine>;
 
-/// Libraries with a line for every correction.
 const LIBRARIES: [&str; 4] = ["SciPy", "tf2 (C++)", "Eigen", "nalgebra"];
 
 fn lines(by_library: [&str; 4]) -> Lines {
@@ -15,7 +14,7 @@ fn lines(by_library: [&str; 4]) -> Lines {
     LIBRARIES.into_iter().zip(by_library).map(line).collect()
 }
 
-/// Variable names for three numbers of a convention, in logged order.
+/// For the numbers in logged order.
 pub(super) fn variable_names(convention: Convention) -> [&'static str; 3] {
     match convention.is_by_axis() {
         true => ["rx", "ry", "rz"],
@@ -23,12 +22,11 @@ pub(super) fn variable_names(convention: Convention) -> [&'static str; 3] {
     }
 }
 
-/// Decodes three numbers of `convention`, named by [`labels`].
 pub(super) fn decode_numbers(convention: Convention) -> Lines {
     retain_libraries(code_of_numbers(convention, variable_names(convention)))
 }
 
-/// Decodes a quaternion from four numbers `n` in logged order.
+/// From four numbers `n` in logged order.
 pub(super) fn decode_quaternion(slip: QuaternionOrderError) -> Lines {
     let xyzw = match slip {
         QuaternionOrderError::WxyzReadAsXyzw => [1, 2, 3, 0],
@@ -42,7 +40,7 @@ fn retain_libraries(mut lines: Lines) -> Lines {
     lines
 }
 
-/// Inverts a `rotation` but not the position.
+/// Not the position.
 pub(super) fn invert_rotation() -> Lines {
     lines([
         "rotation.inv()",
@@ -52,7 +50,6 @@ pub(super) fn invert_rotation() -> Lines {
     ])
 }
 
-/// Inverts a whole `pose`.
 pub(super) fn invert_pose() -> Lines {
     lines([
         "RigidTransform.from_components(xyz, rotation).inv()  # or rotation.inv(), -rotation.inv().apply(xyz)",
@@ -62,7 +59,7 @@ pub(super) fn invert_pose() -> Lines {
     ])
 }
 
-/// Scales angles by π/180 or its inverse.
+/// By π/180 or its inverse.
 pub(super) fn convert_angles(to_radians: bool) -> Lines {
     match to_radians {
         true => lines([
@@ -80,7 +77,6 @@ pub(super) fn convert_angles(to_radians: bool) -> Lines {
     }
 }
 
-/// Scales positions.
 pub(super) fn scale_lengths(factor: f64) -> Lines {
     let times = format!("xyz * {factor:?}");
     lines([&times; 4])

@@ -1,5 +1,3 @@
-//! Derives corrections from the findings of an audit.
-
 use super::code::{self, Lines};
 use super::context::{CorrectionContext, finding_label, no_value, slip_text, value_with_interval};
 use super::corrections_file::{
@@ -17,46 +15,43 @@ use crate::report::Report;
 use crate::run::{Arm, Run};
 use crate::stats::Measured;
 
-/// Corrections for the findings of an audit, and the findings that remain uncorrected.
+/// Corrections for the findings of an audit, and the findings without one.
 pub(crate) struct CorrectionPlan {
-    /// Corrections that an audit can apply.
+    /// For an audit.
     pub corrections: Corrections,
     pub(super) decodings: Vec<DecodingCode>,
     pub(super) frames: Vec<FixedFrame>,
     pub(super) models: Vec<PatchedModel>,
-    /// Python module that corrects the columns of a dataset.
+    /// For the columns of a dataset.
     pub(super) module: Option<String>,
-    /// Reasons why models with joint offsets are not patched.
+    /// Why models with joint offsets are not patched.
     pub(super) unpatched: Vec<String>,
     pub(super) corrected: Vec<CorrectedFinding>,
     pub(super) uncorrected: Vec<UncorrectedFinding>,
 }
 
-/// Code that decodes a topic correctly.
 pub(super) struct DecodingCode {
     pub finding: String,
     /// Description of the fault.
     pub what: String,
-    /// Variable names in the code for the logged numbers.
+    /// Variable names for the logged numbers.
     pub names: String,
     pub lines: Option<Lines>,
 }
 
-/// Text of a model before and after the patch.
+/// Before and after the patch.
 pub(super) struct PatchedModel {
     pub file: String,
     pub before: String,
     pub after: String,
 }
 
-/// Finding corrected by files.
 pub(super) struct CorrectedFinding {
     pub finding: String,
     pub what: String,
     pub files: Vec<&'static str>,
 }
 
-/// Finding that no file corrects.
 pub(super) struct UncorrectedFinding {
     pub finding: String,
     pub why: String,
@@ -64,23 +59,23 @@ pub(super) struct UncorrectedFinding {
 
 pub(super) const CORRECTIONS: &str = "corrections.toml";
 pub(super) const OFFSETS: &str = "joint_offsets.yaml";
-/// Python module that corrects the columns of a dataset.
+/// Corrects the columns of a dataset.
 pub(super) const MODULE: &str = "dataset_step.py";
 pub(super) const LATENCIES: &str = "latency.yaml";
 pub(super) const CONVENTIONS: &str = "conventions.md";
 pub(super) const TRANSFORMS: &str = "static_transforms.sh";
 pub(super) const JOINTS: &str = "fixed_joints.xml";
-/// Placeholder for the patched model, which is named after the original.
+/// Stands for the patched model, which is named after the original.
 pub(super) const MODEL: &str = "the patched model";
 
-/// Appended to corrections that belong in the publisher of /tf.
+/// For corrections in the publisher of /tf.
 const WHERE_PUBLISHED: &str = " (in the publisher of the transforms)";
 
-/// Description of a correction and its files, or the reason why there is none.
+/// Correction and its files, or why there is none.
 type CorrectionResult = Result<(String, Vec<&'static str>), String>;
 
 impl CorrectionPlan {
-    /// Derives corrections from `report`, which covers `run` or has it as segment `main`.
+    /// `report` covers `run` or has it as segment `main`.
     pub fn from_findings(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
         let mut plan = Self {
             corrections: Corrections::default(),
@@ -113,7 +108,6 @@ impl CorrectionPlan {
         plan
     }
 
-    /// Adds the correction for the cause of a finding.
     fn add_correction(
         &mut self,
         context: &CorrectionContext<'_>,
@@ -273,7 +267,7 @@ impl CorrectionPlan {
         Ok((what, vec![LATENCIES, CORRECTIONS]))
     }
 
-    /// Adds the encoding of bare numbers, needed to apply frames to them.
+    /// Frames cannot be applied to bare numbers without it.
     fn add_encoding(
         &mut self,
         context: &CorrectionContext<'_>,
@@ -337,7 +331,7 @@ impl CorrectionPlan {
         }
         let correction = self.corrections.topic(&topic);
         match (slip, correction.rotation) {
-            // A pose that is also inverted is inverted after decoding.
+            // Inverted after decoding.
             (RotationError::Inverted, Some(_)) => correction.inverse = Some(true),
             (slip, Some(RotationError::Inverted)) => {
                 (correction.rotation, correction.inverse) = (Some(slip), Some(true));
@@ -347,7 +341,7 @@ impl CorrectionPlan {
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    /// Adds a unit correction. The lines use the given names; `set` corrects the topic.
+    /// `set` corrects the topic.
     fn add_unit(
         &mut self,
         context: &CorrectionContext<'_>,
@@ -365,7 +359,7 @@ impl CorrectionPlan {
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    /// Adds a correction of the reference frame (`is_reference`) or the tool frame.
+    /// Corrects the reference frame (`is_reference`) or the tool frame.
     fn add_frame(
         &mut self,
         context: &CorrectionContext<'_>,
@@ -462,7 +456,6 @@ impl CorrectionPlan {
         self.decodings.push(DecodingCode { finding, what, names, lines });
     }
 
-    /// Applies the joint offsets to the models.
     fn patch_models(&mut self, run: &Run) {
         let mut done: Vec<&Arm> = Vec::new();
         for arm in &run.arms {
@@ -500,7 +493,7 @@ impl CorrectionPlan {
         }
     }
 
-    /// File name of a patched model: that of its source, if any.
+    /// That of its source, if any.
     fn model_name(&self, arm: &Arm, text: &str) -> String {
         let extension = if text.trim_start_matches('\u{feff}').trim_start().starts_with('<') {
             "urdf"

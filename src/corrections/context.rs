@@ -1,5 +1,3 @@
-//! Context from which corrections are derived.
-
 use super::corrections_file::rounded;
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::RunEvidence;
@@ -9,7 +7,7 @@ use crate::report::{Report, StreamRow};
 use crate::run::Run;
 use crate::stats::Measured;
 
-/// Report, run and evidence behind the findings.
+/// For deriving corrections.
 pub(super) struct CorrectionContext<'a> {
     pub report: &'a Report,
     pub run: &'a Run,
@@ -33,7 +31,7 @@ impl CorrectionContext<'_> {
         }
     }
 
-    /// Robot of a finding on a joint, if several robots have a joint of this name.
+    /// If several robots have a joint of this name.
     pub fn robot_of(&self, finding: &Finding, joint: &str) -> Option<String> {
         let arms =
             self.run.arms.iter().filter(|arm| arm.joint_names.iter().any(|own| own == joint));
@@ -44,7 +42,6 @@ impl CorrectionContext<'_> {
         self.stream_row(topic).is_some_and(|row| row.role == "tf")
     }
 
-    /// Estimated convention of a topic's bare numbers.
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
         let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
         match stream.diagnosis.encoding.as_ref().ok()?.best {
@@ -54,7 +51,6 @@ impl CorrectionContext<'_> {
     }
 }
 
-/// Code and subject of a finding.
 pub(super) fn finding_label(finding: &Finding) -> String {
     match finding.subject.label() {
         "" => finding.code.to_owned(),
@@ -66,7 +62,6 @@ pub(super) fn no_value() -> String {
     "the finding has no value that can be applied".to_owned()
 }
 
-/// Value in `unit` and its interval.
 pub(super) fn value_with_interval(
     unit: Unit,
     found: &Measured,
@@ -77,7 +72,6 @@ pub(super) fn value_with_interval(
     }
 }
 
-/// Slip of a finding as text.
 pub(super) fn slip_text(finding: &Finding) -> Result<String, String> {
     match &finding.estimate {
         Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),

@@ -19,10 +19,10 @@ use crate::report::{Trouble, TroubleKind};
 #[serde(deny_unknown_fields)]
 pub struct Corrections {
     schema: Schema,
-    /// Joints with a zero offset or a scale error.
+    /// With a zero offset or a scale error.
     #[serde(default, rename = "joint", skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointCorrection>,
-    /// Topics with all their corrections.
+    /// Topics.
     #[serde(default, rename = "topic", skip_serializing_if = "Vec::is_empty")]
     pub topics: Vec<TopicCorrection>,
 }
@@ -34,7 +34,7 @@ enum Schema {
     One,
 }
 
-/// Rounds to 1e-9 and avoids −0.
+/// To 1e-9, without −0.
 pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
@@ -43,30 +43,30 @@ pub(super) fn rounded(value: f64) -> f64 {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointCorrection {
-    /// Joint name.
+    /// Joint.
     pub name: String,
-    /// Robot name, if several robots have a joint of this name.
+    /// If several robots have a joint of this name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
-    /// Factor for positions and velocities.
+    /// For positions and velocities.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
     pub factor: Option<f64>,
-    /// 95 % interval of the factor.
+    /// 95 % interval.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factor_ci95: Option<[f64; 2]>,
-    /// Offset of a revolute joint, rad; at most one turn.
+    /// Revolute joint, rad; at most one turn.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "angle")]
     pub offset_rad: Option<f64>,
-    /// Offset of a prismatic joint, m; at most 10.
+    /// Prismatic joint, m; at most 10.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "length")]
     pub offset_m: Option<f64>,
-    /// 95 % interval of the offset, in its unit.
+    /// 95 % interval, in the offset's unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
 }
 
 impl JointCorrection {
-    /// Sets the offset of a revolute joint, rad, or a prismatic joint, m.
+    /// Offset in rad, or in m if it slides.
     pub(super) fn set_offset(&mut self, offset: f64, slides: bool) {
         (self.offset_rad, self.offset_m) =
             if slides { (None, Some(offset)) } else { (Some(offset), None) };
@@ -77,42 +77,42 @@ impl JointCorrection {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicCorrection {
-    /// Topic name.
+    /// Topic.
     pub name: String,
-    /// Latency, s: a sample stamped *t* was taken at *t − latency*. At most one hour.
+    /// s; at most one hour. A sample stamped *t* was taken at *t − latency*.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "latency")]
     pub latency_s: Option<f64>,
-    /// 95 % interval of the latency, s.
+    /// 95 % interval, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency_ci95: Option<[f64; 2]>,
     /// Growth of the latency per second of stamp, s/s; at most 0.1.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "skew")]
     pub skew: Option<f64>,
-    /// 95 % interval of the skew, s/s.
+    /// 95 % interval, s/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_ci95: Option<[f64; 2]>,
-    /// Time at which the latency is `latency_s`, s after the topic's first stamp.
+    /// When the latency is `latency_s`, s after the topic's first stamp.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
     pub skew_about_s: Option<f64>,
     /// Convention of bare rotation numbers, needed to apply frames to them.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "convention_name")]
     pub convention: Option<Convention>,
-    /// `link_from_imu`, x, y, z, w: orientation of the IMU in its link.
+    /// `link_from_imu`, x, y, z, w.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "quaternion")]
     pub link_from_imu_xyzw: Option<[f64; 4]>,
-    /// Actual length unit of positions, and the one they were read in.
+    /// Actual length unit, and the assumed one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_unit: Option<Misread<LengthScale>>,
-    /// The same for angles, or positions of revolute joints.
+    /// Same for angles, or positions of revolute joints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub angle_unit: Option<Misread<AngleUnit>>,
-    /// Joints whose positions are under different names.
+    /// Positions under other joints' names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_order: Option<JointOrder>,
-    /// Actual rotation encoding, and the one it was read as.
+    /// Actual rotation encoding, and the assumed one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation: Option<RotationError>,
-    /// Whether whole poses are inverted after decoding.
+    /// Whole poses are inverted after decoding.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inverse: Option<bool>,
     /// Axes of the numbers.
@@ -124,10 +124,10 @@ pub struct TopicCorrection {
     /// `tip_from_stream`, whose inverse is multiplied from the right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tip_from_stream: Option<FrameCorrection>,
-    /// Pose of a target's camera in the hand.
+    /// Camera in the hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hand_from_camera: Option<FrameCorrection>,
-    /// Pose of a target's camera in the base.
+    /// Camera in the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base_from_camera: Option<FrameCorrection>,
 }
@@ -136,9 +136,9 @@ pub struct TopicCorrection {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointOrder {
-    /// Joints in the order of the numbers.
+    /// In the order of the numbers.
     pub is: Vec<String>,
-    /// Joints in the order of the names.
+    /// In the order of the names.
     pub read_as: Vec<String>,
 }
 
@@ -146,10 +146,10 @@ pub struct JointOrder {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxesCorrection {
-    /// Axes of the positions.
+    /// Of positions.
     #[serde(with = "axes_name")]
     pub positions: Axes,
-    /// Axes of the rotations.
+    /// Of rotations.
     #[serde(with = "axes_name")]
     pub rotations: Axes,
 }
@@ -158,9 +158,9 @@ pub struct AxesCorrection {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameCorrection {
-    /// Translation, m.
+    /// In m.
     xyz: [f64; 3],
-    /// Rotation, x, y, z, w.
+    /// x, y, z, w.
     #[serde(deserialize_with = "unit_quaternion")]
     quaternion_xyzw: [f64; 4],
 }
@@ -179,7 +179,6 @@ impl FrameCorrection {
     }
 }
 
-/// Encoding that decodes rotations with this slip.
 pub(super) fn encoding_of_slip(slip: RotationError) -> Option<PoseEncoding> {
     Some(match slip {
         RotationError::Transposed => PoseEncoding::Transposed,
@@ -193,7 +192,6 @@ pub(super) fn encoding_of_slip(slip: RotationError) -> Option<PoseEncoding> {
     })
 }
 
-/// Axes as text.
 mod axes_name {
     use super::{Axes, Deserialize, Deserializer};
     use serde::Serializer;
@@ -208,7 +206,6 @@ mod axes_name {
     }
 }
 
-/// Name of a convention.
 mod convention_name {
     use super::{Convention, Deserialize, Deserializer};
     use serde::Serializer;
@@ -235,7 +232,7 @@ fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
     }
 }
 
-/// Parses a number with absolute value at most `most`.
+/// Absolute value at most `most`.
 fn deserialize_within<'de, D: Deserializer<'de>>(
     from: D,
     most: f64,
@@ -278,7 +275,6 @@ fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Er
     }
 }
 
-/// Header of a corrections file.
 const HEADER: &str = "\
 # Corrections, to be applied with `poseaudit audit LOG --corrections FILE`.
 # Joint: q_true = factor * q_reported + offset. Latency: a sample stamped t was taken at t - latency.
@@ -287,7 +283,7 @@ const HEADER: &str = "\
 ";
 
 impl Corrections {
-    /// Whether there are no corrections.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.joints.is_empty() && self.topics.is_empty()
     }
@@ -295,7 +291,7 @@ impl Corrections {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// Returns an error, with the line, if it cannot be read or has a different layout.
+    /// With the line, if it cannot be read or has a different layout.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let place = path.display().to_string();
         let text = fs::read_to_string(path).map_err(|error| Trouble {
@@ -307,10 +303,10 @@ impl Corrections {
         Self::from_text(&text, &place)
     }
 
-    /// Parses the text of a file; `source` names it in errors.
+    /// Parses a text; `source` names it in errors.
     ///
     /// # Errors
-    /// Returns an error, with the line, if it has a different layout.
+    /// With the line, if it has a different layout.
     pub fn from_text(text: &str, source: &str) -> Result<Self, Trouble> {
         let refuse = |place: String, what: String| Trouble {
             kind: TroubleKind::Call,
@@ -330,7 +326,7 @@ impl Corrections {
         }
     }
 
-    /// First inconsistency beyond the layout.
+    /// Beyond the layout.
     fn inconsistency(&self) -> Option<String> {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
@@ -389,7 +385,7 @@ impl Corrections {
         format!("{HEADER}{body}")
     }
 
-    /// Correction of a joint, created if missing.
+    /// Created if missing.
     pub(super) fn joint(&mut self, name: &str, robot: Option<String>) -> &mut JointCorrection {
         let at = self.joints.iter().position(|joint| joint.name == name && joint.robot == robot);
         let at = at.unwrap_or_else(|| {
@@ -400,7 +396,7 @@ impl Corrections {
         &mut self.joints[at]
     }
 
-    /// Correction of a topic, created if missing.
+    /// Created if missing.
     pub(super) fn topic(&mut self, name: &str) -> &mut TopicCorrection {
         let at = self.topics.iter().position(|topic| topic.name == name);
         let at = at.unwrap_or_else(|| {

@@ -1,4 +1,4 @@
-//! Corrections of a dataset's columns as a Python module, for loaders and as a LeRobot processor step.
+//! Python module that corrects a dataset's columns, for loaders and as a LeRobot processor step.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -8,20 +8,18 @@ use crate::report::{Report, quoted};
 use crate::run::{Role, Run};
 use crate::stream::Columns;
 
-/// Containers whose topics are whole columns under their own names.
+/// Topics of these containers are columns with the same name.
 const WHOLE_COLUMNS: [&str; 6] = ["npy", "npz", "parquet", "hdf5", "zarr", "tfrecord"];
 
-/// Corrections by column.
 #[derive(Default)]
 struct ColumnCorrections {
     /// Factor and offset per number, in the logged unit.
     numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
-    /// Latency of columns, s.
+    /// By column, s.
     latency_s: BTreeMap<String, f64>,
 }
 
-/// Module that corrects the columns of the files in `report`. `None` if they are not a dataset, or if a
-/// loader cannot correct any finding.
+/// `None` if the files are not a dataset, or if a loader cannot correct any finding.
 pub(super) fn python_module(
     report: &Report,
     run: &Run,
@@ -57,7 +55,7 @@ pub(super) fn python_module(
     columns.text()
 }
 
-/// Splits `NAME[AT]` into the column and the index in its rows.
+/// Splits `NAME[AT]`.
 fn split_index(cell: &str) -> Option<(String, usize)> {
     let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;
     Some((column.to_owned(), at.parse().ok()?))

@@ -1,5 +1,3 @@
-//! Writes the files with the corrections of a system.
-
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -18,11 +16,11 @@ use crate::report::{quoted, tame};
 /// Index of the other files.
 const INDEX: &str = "corrections.md";
 
-/// All files except those of the models.
+/// Except those of the models.
 pub(crate) const FIX_FILES: [&str; 8] =
     [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS, MODULE];
 
-/// Possible files of a patched copy of the model at `source`, with its patch.
+/// A patched copy of the model at `source`, with its patch.
 pub(crate) fn model_files(source: &Path) -> [String; 4] {
     let stem = model_stem(source);
     ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))

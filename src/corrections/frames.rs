@@ -1,5 +1,3 @@
-//! Constant frames as static transform commands and URDF joints.
-
 use std::path::Path;
 
 use super::corrections_file::rounded;
@@ -8,20 +6,17 @@ use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 /// Frame fixed in another frame.
 #[derive(Clone, Debug)]
 pub(super) struct FixedFrame {
-    /// Finding that it corrects, with its subject.
+    /// With its subject.
     pub finding: String,
-    /// Instruction for its use.
+    /// How to use it.
     pub comment: String,
-    /// Parent frame.
     pub parent: String,
-    /// Child frame.
     pub child: String,
     /// `parent_from_child`.
     pub pose: Pose,
 }
 
 impl FixedFrame {
-    /// Command that publishes it.
     pub fn command(&self) -> String {
         let [x, y, z] = xyz_of(&self.pose).map(number);
         let [qx, qy, qz, qw] = xyzw_from_rotation(&self.pose.rotation).map(number);
@@ -34,7 +29,6 @@ impl FixedFrame {
         )
     }
 
-    /// URDF joint.
     pub fn joint(&self) -> String {
         let [x, y, z] = xyz_of(&self.pose).map(number);
         let [roll, pitch, yaw] = Convention::RPY.numbers(&self.pose.rotation).map(number);
@@ -48,12 +42,12 @@ impl FixedFrame {
     }
 }
 
-/// Formats a number rounded to 1e-9.
+/// Rounded to 1e-9.
 fn number(value: f64) -> String {
     rounded(value).to_string()
 }
 
-/// Quotes a name for the shell if necessary.
+/// If necessary.
 fn shell_quoted(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     match !name.is_empty() && name.chars().all(is_plain) {
@@ -62,19 +56,19 @@ fn shell_quoted(name: &str) -> String {
     }
 }
 
-/// Escapes a text for an XML attribute or comment.
+/// For attributes and comments.
 pub(super) fn escape_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")
 }
 
-/// Converts a text to part of a file or frame name.
+/// For file and frame names.
 pub(super) fn slug(text: &str) -> String {
     let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
     plain.collect::<String>().trim_matches('_').to_owned()
 }
 
-/// File stem of a patched model: that of its source, if any.
+/// That of its source, if any.
 pub(super) fn model_stem(source: &Path) -> String {
     let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
     if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }

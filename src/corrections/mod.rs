@@ -1,8 +1,5 @@
-//! Corrections of the system on which a log was recorded.
-//!
-//! [`Corrections`] are derived from an audit's findings and written as files for people and drivers. An
-//! audit can apply them to the streams before the rules run. They contain values but no thresholds, and
-//! nothing here estimates.
+//! Corrections of the system on which a log was recorded, derived from an audit's findings and written as
+//! files for people and drivers. An audit can apply them before the rules run.
 
 mod apply;
 #[cfg(feature = "fix")]

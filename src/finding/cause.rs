@@ -1,95 +1,92 @@
-//! Causes of faults, with the values that correct them.
-
 use crate::geometry::{
     AngleUnit, Axes, LengthScale, Misread, Pose, Rotation, RotationEncoding, RotationError,
 };
 use crate::robot::DhConvention;
 use crate::stats::Measured;
 
-/// Cause named by a finding. Corrections and pictures match it exhaustively, so a new cause does not
-/// compile until each of them handles it.
+/// Cause of a finding. Corrections and pictures match it exhaustively.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Cause {
     /// Joint zero offset: `q_true = q_reported + offset`.
     JointZero {
-        /// The offset, rad or m.
+        /// In rad or m.
         offset: Measured,
-        /// Whether the joint is prismatic.
+        /// Prismatic.
         slides: bool,
     },
-    /// Joint compliance, whose size depends on the joint's motion or the arm's configuration.
+    /// Joint compliance, which depends on motion or configuration.
     Compliance,
-    /// Joint positions in the wrong unit; rad or m per logged unit.
+    /// Wrong unit of joint positions; rad or m per logged unit.
     JointUnit(f64),
-    /// Joints with a wrong scale, in the order of the chain.
+    /// Wrong scales, in the order of the chain.
     JointScale(Vec<JointScaleCorrection>),
-    /// Joint positions published under other joints' names.
+    /// Positions published under other joints' names.
     JointOrder {
-        /// Joints in the order of the numbers.
+        /// In the order of the numbers.
         is: Vec<String>,
-        /// Joints in the order of the names.
+        /// In the order of the names.
         read_as: Vec<String>,
     },
-    /// The DH table uses this convention, not the declared one.
+    /// Actual convention of the DH table.
     DhConvention(DhConvention),
-    /// Radial scale: position errors that grow with reach.
+    /// Position errors that grow with reach.
     RadialScale,
-    /// The log belongs to this robot, not to the given one.
+    /// The log belongs to this robot.
     OtherRobot(String),
     /// The kinematic model does not explain the log.
     UnexplainedResidual,
     /// No known cause reconciles poses and joint states.
     Disagreement {
-        /// Size of the disagreement, as a clause.
+        /// Its size, as a clause.
         said: String,
     },
     /// Latency, s: a sample stamped *t* was true at *t − latency*.
     Latency(Measured),
     /// Rate of change of the latency, s/s.
     ClockSkew(Measured),
-    /// A parameter of the arm or its poses changes during the run.
+    /// A parameter changes during the run.
     ParameterChange,
     /// The latency is not constant.
     VaryingLatency,
     /// Misinterpreted rotations or inverted poses.
     Rotation(RotationError),
-    /// Encoding that was inferred for bare numbers without a declaration.
+    /// Inferred encoding of bare numbers.
     InferredEncoding {
-        /// Encoding of the rotations.
+        /// Of the rotations.
         coding: RotationEncoding,
-        /// Unit of the positions.
+        /// Of the positions.
         length: LengthScale,
-        /// Unit of the angles.
+        /// Of the angles.
         angle: AngleUnit,
     },
-    /// Angles in a different unit from the one assumed.
+    /// Wrong angle unit.
     AngleUnit(Misread<AngleUnit>),
-    /// Positions in a different unit from the one assumed.
+    /// Wrong length unit.
     LengthUnit(Misread<LengthScale>),
-    /// Positions or rotations whose axes are not x forward, y left, z up.
+    /// Axes other than x forward, y left, z up.
     Axes {
-        /// Axes of the positions.
+        /// Of the positions.
         positions: Axes,
-        /// Axes of the rotations.
+        /// Of the rotations.
         rotations: Axes,
     },
-    /// Poses expressed in a different reference frame: `reference_from_stream`.
+    /// Other reference frame: `reference_from_stream`.
     ReferenceFrame(Pose),
-    /// Poses of a different tool frame: `tip_from_stream`.
+    /// Other tool frame: `tip_from_stream`.
     ToolFrame(Pose),
     /// /tf disagrees with FK of the joint states.
     TfDisagrees,
-    /// Yaw drift of an IMU against the arm, rad/s.
+    /// Yaw drift of an IMU, rad/s.
     YawDrift(Measured),
-    /// Yaw step of an IMU against the arm.
+    /// Yaw step of an IMU.
     YawJump,
-    /// Orientation of an IMU in its link: `link_from_imu`.
+    /// Mount of an IMU: `link_from_imu`.
     ImuMount(Rotation),
-    /// Pose of a camera in its parent, which differs from the log's frames.
+    /// Pose of a camera that differs from the log's frames.
     CameraMount {
-        /// Whether the camera is in the hand; `None` if the motion does not show it.
+        /// Camera in the hand; `None` if the motion does not show it.
         in_hand: Option<bool>,
-        /// Frame of the pose; `None` if the log does not name it.
+        /// Parent frame; `None` if the log does not name it.
         parent: Option<String>,
         /// `parent_from_camera`.
         pose: Pose,
@@ -98,23 +95,23 @@ pub enum Cause {
     FrameTree,
     /// Wrong stamps or rates.
     Stamps,
-    /// A fault without a correction, with the picture that shows it.
+    /// A fault with a picture but no correction.
     Pictured(Picture),
-    /// A fault without a correction or a picture; the value suffices.
+    /// A fault without correction or picture.
     #[default]
     Other,
 }
 
-/// Data that shows a fault in a picture.
+/// Data that shows a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Picture {
-    /// Spectrum of a path, and the path at its strongest vibration.
+    /// Spectrum and path of the strongest vibration.
     Vibration,
     /// Camera observations compared with the hand.
     HandEye,
-    /// The tip along a commanded line.
+    /// Tip along a commanded line.
     Line,
-    /// Goals, and the poses at rest.
+    /// Goals and poses at rest.
     RestError,
     /// Norms of rotations.
     RotationNorm,
@@ -122,23 +119,23 @@ pub enum Picture {
     ImuAxes,
     /// Gyro signal at rest.
     Gyro,
-    /// Up direction measured by an accelerometer at rest.
+    /// Up direction of an accelerometer at rest.
     Tilt,
     /// Positions and speeds of a joint.
     Joint,
-    /// Errors of a stream, and the times of its samples.
+    /// Errors and sample times of a stream.
     Stream,
 }
 
-/// Correction of a joint's scale: `q_true = factor · q_reported + offset`.
+/// Scale of a joint: `q_true = factor · q_reported + offset`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointScaleCorrection {
-    /// Name of the joint.
+    /// Joint.
     pub joint: String,
-    /// The factor.
+    /// Factor.
     pub factor: Measured,
-    /// The offset, rad or m, if the numbers have their own zero.
+    /// Offset, rad or m, if the numbers have their own zero.
     pub offset: Option<f64>,
-    /// Whether the joint is prismatic.
+    /// Prismatic.
     pub slides: bool,
 }

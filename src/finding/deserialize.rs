@@ -1,14 +1,12 @@
-//! Deserialisation of reports.
-
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Deserializer};
 
-/// A word from the program's vocabulary: a rule's code, the name of an estimate or a unit.
+/// A rule's code, an estimate's name or a unit.
 pub type Word = &'static str;
 
-/// Deserialises a word. Each distinct word is leaked once; reports contain few.
+/// Each distinct word is leaked once; reports contain few.
 pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error> {
     static KNOWN: Mutex<BTreeSet<Word>> = Mutex::new(BTreeSet::new());
     let text = String::deserialize(from)?;
@@ -18,14 +16,13 @@ pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error>
     Ok(word)
 }
 
-/// Same for an optional word.
 pub(crate) fn maybe_word<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Word>, D::Error> {
     #[derive(Deserialize)]
     struct Read(#[serde(deserialize_with = "word")] Word);
     Ok(Option::<Read>::deserialize(from)?.map(|read| read.0))
 }
 
-/// Deserialises a number; non-finite numbers are written as `null`.
+/// Non-finite numbers are written as `null`.
 pub(crate) fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
 }

@@ -1,4 +1,4 @@
-//! Results of an audit: findings, their estimates and the outcomes of rules.
+//! Findings, their estimates and the outcomes of rules.
 
 mod cause;
 mod deserialize;
@@ -62,14 +62,14 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// Short label of the subject (joint or topic); empty for the whole run.
+    /// Joint or topic; empty for the whole run.
     pub fn label(&self) -> &str {
         let first =
             [&self.joint, &self.topic, &self.frame, &self.robot].into_iter().flatten().next();
         first.map_or("", String::as_str)
     }
 
-    /// The label, with the robot's name if there are several robots.
+    /// With the robot's name if there are several.
     pub(crate) fn label_among(&self, several_robots: bool) -> String {
         match (&self.robot, self.label()) {
             (Some(robot), label) if several_robots && label != robot => format!("{robot} {label}"),
@@ -77,7 +77,7 @@ impl Subject {
         }
     }
 
-    /// The parts with their kinds, from robot to frame.
+    /// Parts with their kinds, from robot to frame.
     pub fn parts(&self) -> impl Iterator<Item = (&'static str, &str)> {
         let parts = [
             ("robot", &self.robot),
@@ -89,7 +89,7 @@ impl Subject {
     }
 }
 
-/// First and last stamp of the examined data.
+/// Span of the examined data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
     /// First stamp.
@@ -133,43 +133,40 @@ pub struct Evidence {
     pub more: Map<String, Value>,
 }
 
-/// A fault found by a rule on its subject.
+/// A fault found by a rule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
-    /// How grave it is.
+    /// Severity.
     pub severity: Severity,
-    /// The cause, with the values that correct it.
+    /// Cause, with the values that correct it.
     pub cause: Cause,
-    /// The fault in a few words, without values.
+    /// In a few words, without values.
     pub title: &'static str,
-    /// The fault in one clause: lower-case start, no final period, the value with its unit.
+    /// One clause: lower-case start, no final period, the value with its unit.
     pub message: String,
-    /// Evidence for it.
+    /// Evidence.
     pub evidence: Evidence,
     /// Recommended action.
     pub fix: String,
 }
 
-/// Outcome of a rule on a subject.
-///
-/// Only [`Outcome::Evaluated`] is a decision, so a rule that was not evaluated cannot be mistaken for a
-/// pass.
+/// Outcome of a rule on a subject. Only [`Outcome::Evaluated`] is a decision.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// The rule decided.
     Evaluated(Ruling),
-    /// Not observable in this log; the reason, and what would resolve it.
+    /// Not observable in this log; why, and what would resolve it.
     Inconclusive(String),
-    /// Indistinguishable from another cause in any such log; the cause.
+    /// Indistinguishable from this other cause in any such log.
     Indistinguishable(String),
-    /// The input is not in the log; the missing input.
+    /// The log lacks this input.
     Skipped(String),
 }
 
-/// Decision of a rule.
+/// Decision.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ruling {
-    /// No fault, with an optional remark.
+    /// With an optional remark.
     Pass(Option<String>),
     /// A fault.
     Fail(Box<Fault>),
@@ -181,7 +178,7 @@ impl Outcome {
         Outcome::Evaluated(Ruling::Pass(None))
     }
 
-    /// No fault, with a remark.
+    /// With a remark.
     pub fn pass_because(remark: impl Into<String>) -> Self {
         Outcome::Evaluated(Ruling::Pass(Some(remark.into())))
     }
@@ -207,10 +204,10 @@ pub struct Finding {
     pub message: String,
     /// The faulty subject.
     pub subject: Subject,
-    /// The cause, with the values that correct it.
+    /// Cause, with the values that correct it.
     #[serde(skip)]
     pub cause: Cause,
-    /// Index of the run's segment, from 0, if there are several.
+    /// Segment of the run, from 0, if there are several.
     #[serde(skip)]
     pub segment: Option<usize>,
     /// The estimated value.
@@ -291,10 +288,10 @@ pub struct CheckRow {
     /// Further evidence, if there is no finding to hold it.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub evidence: Map<String, Value>,
-    /// Whether no such log could decide it, so it does not affect the verdict.
+    /// No such log could decide it, so it does not affect the verdict.
     #[serde(skip)]
     pub is_indistinguishable: bool,
-    /// Whether it was evaluated but skipped because of an exemption.
+    /// Skipped because of an exemption.
     #[serde(skip)]
     pub is_exempt: bool,
 }

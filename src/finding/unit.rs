@@ -1,5 +1,3 @@
-//! Formats quantities with their units and significant digits.
-
 use std::f64::consts::PI;
 
 use crate::stats::Measured;
@@ -13,24 +11,24 @@ pub enum Unit {
     Radian,
     /// Seconds; shown in ms.
     Second,
-    /// Radians per second of a drift; shown in degrees per minute.
+    /// rad/s of a drift; shown in degrees per minute.
     RadianPerSecond,
-    /// Radians per second of a gyro; shown in degrees per second.
+    /// rad/s of a gyro; shown in degrees per second.
     GyroRate,
-    /// Seconds per second; shown in parts per million.
+    /// s/s; shown in ppm.
     SecondPerSecond,
-    /// Metres per metre; shown in millimetres per metre.
+    /// m/m; shown in mm/m.
     MetrePerMetre,
-    /// Radians per second squared.
+    /// rad/s².
     RadianPerSecondSquared,
-    /// Metres per second squared.
+    /// m/s².
     MetrePerSecondSquared,
     /// Dimensionless.
     One,
 }
 
 impl Unit {
-    /// SI symbol, as in the JSON report.
+    /// SI symbol in the JSON report.
     pub const fn symbol(self) -> &'static str {
         match self {
             Unit::Metre => "m",
@@ -45,7 +43,7 @@ impl Unit {
         }
     }
 
-    /// Unit of a report's estimate `name` with this symbol; `None` for an unknown symbol.
+    /// Unit of the estimate `name` with this symbol, if known.
     pub fn from_symbol(symbol: &str, name: &str) -> Option<Self> {
         match (symbol, name) {
             ("m", _) => Some(Unit::Metre),
@@ -62,7 +60,7 @@ impl Unit {
         }
     }
 
-    /// Values smaller than this are treated as zero.
+    /// Smaller values are zero.
     pub const fn noise_floor(self) -> f64 {
         match self {
             Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
@@ -72,21 +70,21 @@ impl Unit {
         }
     }
 
-    /// 95 % interval of `measured`, never narrower than the noise floor; `None` if it is unbounded.
+    /// 95 % interval, never below the noise floor; `None` if unbounded.
     pub fn interval95(self, measured: &Measured) -> Option<[f64; 2]> {
         let half = self.half_width(measured, 0.95);
         let interval = [measured.value - half, measured.value + half];
         interval.iter().all(|end| end.is_finite()).then_some(interval)
     }
 
-    /// Half-width of the interval at `confidence`, never below the noise floor. Infinite if it exceeds the
-    /// largest meaningful width.
+    /// Half-width at `confidence`, never below the noise floor. Infinite above the largest meaningful
+    /// width.
     pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
         let half = measured.half_width(confidence).max(self.noise_floor());
         if half <= self.max_half_width() { half } else { f64::INFINITY }
     }
 
-    /// Largest meaningful half-width: half a turn, or more than any arm, run or clock has.
+    /// Half a turn, or more than any arm, run or clock has.
     const fn max_half_width(self) -> f64 {
         match self {
             Unit::Radian => PI,
@@ -97,7 +95,7 @@ impl Unit {
         }
     }
 
-    /// Formats a value: `22.03 ms`, `0.5°`.
+    /// As in `22.03 ms`, `0.5°`.
     pub fn show(self, value: f64) -> String {
         let (factor, suffix) = self.everyday(value.abs());
         let shown = value * factor;
@@ -107,17 +105,17 @@ impl Unit {
         format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
     }
 
-    /// Formats a value with the half-width of its 95 % interval: `22.03 ± 0.02 ms`.
+    /// With its 95 % interval: `22.03 ± 0.02 ms`.
     pub fn show_measured(self, measured: &Measured) -> String {
         self.show_interval(measured.value, self.half_width(measured, 0.95), false)
     }
 
-    /// As [`Unit::show_measured`], always with a sign: `+0.500 ± 0.001°`.
+    /// Always with a sign: `+0.500 ± 0.001°`.
     pub fn show_signed(self, measured: &Measured) -> String {
         self.show_interval(measured.value, self.half_width(measured, 0.95), true)
     }
 
-    /// Formats the value of an [`Estimate`](super::Estimate) with the wider half of its interval, if any.
+    /// An [`Estimate`](super::Estimate) with the wider half of its interval.
     pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),
@@ -125,7 +123,7 @@ impl Unit {
         }
     }
 
-    /// As [`Unit::show_within`], always with a sign.
+    /// Always with a sign.
     pub fn show_signed_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), true),
@@ -134,7 +132,7 @@ impl Unit {
         }
     }
 
-    /// Formats a value with the half-width of its interval.
+    /// With the half-width of its interval.
     pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
         if !half.is_finite() {
             return format!("{} ± ?", self.show(value));
@@ -142,7 +140,7 @@ impl Unit {
         let (factor, suffix) = self.everyday(value.abs().max(half));
         let (value, half) = (value * factor, half * factor);
         let decimals = significant_decimals(half, 1).min(3);
-        // Round up so that the shown interval covers the actual one.
+        // The shown interval must cover the actual one.
         let ulp = 10f64.powi(-(decimals as i32));
         let half = ((half / ulp - 1e-9).ceil() * ulp).max(ulp);
         match signed {
@@ -151,7 +149,7 @@ impl Unit {
         }
     }
 
-    /// Factor and suffix of the everyday unit for a value of this size.
+    /// Factor and suffix for a value of this size.
     fn everyday(self, size: f64) -> (f64, &'static str) {
         match self {
             Unit::Metre if size >= 1.0 => (1.0, " m"),
@@ -172,10 +170,10 @@ impl Unit {
     }
 }
 
-/// Numbers from this on are shown in scientific notation.
+/// From here on, scientific notation.
 const MIN_SCIENTIFIC: f64 = 1e7;
 
-/// Number of decimals that show `digits` significant digits of `size`.
+/// Decimals that show `digits` significant digits of `size`.
 fn significant_decimals(size: f64, digits: i32) -> usize {
     if size <= 0.0 || !size.is_finite() {
         return 0;
@@ -184,7 +182,7 @@ fn significant_decimals(size: f64, digits: i32) -> usize {
     (digits - 1 - leading).clamp(0, 12) as usize
 }
 
-/// Removes the minus sign of a number that was rounded to zero.
+/// Of a number rounded to zero.
 fn unsigned_zero(text: String) -> String {
     let digits = |c: &char| c.is_ascii_digit() || *c == '.';
     match text.strip_prefix('-') {
@@ -193,12 +191,12 @@ fn unsigned_zero(text: String) -> String {
     }
 }
 
-/// Formats a number with this many decimals, without −0.
+/// With this many decimals, without −0.
 pub fn rounded(number: f64, decimals: usize) -> String {
     unsigned_zero(format!("{number:.decimals$}"))
 }
 
-/// Formats a number with at most `decimals` decimals, without trailing zeros.
+/// At most `decimals` decimals, without trailing zeros.
 fn trimmed(value: f64, decimals: usize) -> String {
     let text = rounded(value, decimals);
     if !text.contains('.') {
