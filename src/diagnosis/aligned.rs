@@ -1,48 +1,49 @@
-//! Samples of a stream aligned with forward kinematics, and their differences.
+//! Samples of a stream aligned with forward kinematics.
 
 use ground::geometry::{Pose, angle_between};
 
-/// Samples of a stream and FK at the same stamps, one entry per sample in each column.
+/// Poses of a stream and of FK, one entry per sample in each column.
 #[derive(Clone, Debug, Default)]
 pub struct AlignedSamples {
-    /// Stamp of the sample, s from the run's origin.
+    /// Stamp, s from the run's origin.
     pub t_s: Vec<f64>,
     /// `reference_from_child` as logged.
     pub logged: Vec<Pose>,
-    /// `reference_from_tip` from FK of the recorded joint states at the same stamp.
+    /// `reference_from_tip` from FK of the recorded joint states.
     pub fk: Vec<Pose>,
-    /// Logged pose with all findings corrected, comparable with `fk_at_truth`.
+    /// Logged pose with all findings corrected.
     pub corrected: Vec<Pose>,
-    /// `reference_from_tip` from FK with corrected joints, at the time of measurement.
+    /// `reference_from_tip` from FK of corrected joints at the time of measurement. Comparable with
+    /// `corrected`.
     pub fk_at_truth: Vec<Pose>,
 }
 
-/// Distances between pairs of poses, one entry per pair in each column.
+/// Distances between pairs of poses, one entry per pair.
 #[derive(Clone, Debug, Default)]
 pub struct PoseDistances {
-    /// Distance between the positions, m.
+    /// Position distance, m.
     pub m: Vec<f64>,
-    /// Angle between the orientations, rad.
+    /// Rotation angle, rad.
     pub rad: Vec<f64>,
 }
 
 impl AlignedSamples {
-    /// Logged poses against FK of the recorded joint states.
+    /// Logged poses against recorded FK.
     pub fn before(&self) -> PoseDistances {
         PoseDistances::between(&self.logged, &self.fk)
     }
 
-    /// Corrected poses against FK of the corrected joint states.
+    /// Corrected poses against corrected FK.
     pub fn after(&self) -> PoseDistances {
         PoseDistances::between(&self.corrected, &self.fk_at_truth)
     }
 
-    /// Middle of the stamps, s from the run's origin. 0 without samples.
+    /// Middle of the stamps, s. 0 without samples.
     pub(super) fn middle_s(&self) -> f64 {
         0.5 * (self.t_s.first().unwrap_or(&0.0) + self.t_s.last().unwrap_or(&0.0))
     }
 
-    /// Distance of the recorded FK position from the origin of the reference frame, m.
+    /// Distance of recorded FK from the reference origin, m.
     pub fn reach_m(&self) -> Vec<f64> {
         self.fk.iter().map(|fk| fk.translation.vector.norm()).collect()
     }

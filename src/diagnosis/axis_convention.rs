@@ -1,52 +1,47 @@
-//! Unit and axis convention of a stream's positions, and whether its poses are inverted. Uses positions
-//! only, which do not depend on the rotation encoding.
+//! Unit, axis convention and inversion of a stream, from positions only. They do not depend on the rotation
+//! encoding.
 //!
-//! `logged = turn · (s · (fk + R·tool)) + shift`, with FK's poses or their inverses. For each of the 48
-//! axis conventions this is linear, so all are tested. If the frame's rotation is free, the rotation and
-//! the rest are fitted alternately. Among the solutions with about the smallest residual, the simplest one
-//! comes first.
+//! `logged = turn · (s · (fk + R·tool)) + shift`, with FK's poses or their inverses. This is linear for
+//! each of the 48 axis conventions, so all are tested. If the frame's rotation is free, it is fitted
+//! alternately with the rest. The simplest of the best solutions comes first.
 
 use super::position_fit::{rigid_rotation, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Minimum motion of the tip as a fraction of the arm's reach.
+/// As a fraction of the arm's reach.
 const MIN_MOTION_SHARE: f64 = 0.01;
-/// If positions as logged have a residual below this fraction of the extent, nothing else is tested.
+/// Below this fraction of the extent, positions as logged are accepted without other tests.
 const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.003;
-/// Two layouts fit equally well if their residuals are within this factor, …
+/// Two solutions are equivalent if their residuals are within this factor, …
 const MAX_EQUIVALENT_RATIO: f64 = 5.0;
 /// … or if the residual is at most this fraction of the extent.
 const MAX_EQUIVALENT_RESIDUAL_SHARE: f64 = 0.002;
-/// Maximum residual of a unit, mirroring or inverse, as a fraction of the extent.
+/// For a unit, mirroring or inverse, as a fraction of the extent.
 const MAX_RESIDUAL_SHARE: f64 = 0.15;
-/// Limits for an unusual unit: maximum residual as a fraction of the extent, and minimum ratio of the
-/// residual with usual units to its own. They are strict because a free scale absorbs part of any other
-/// error.
+/// Limits for an unusual unit: residual as a fraction of the extent, and the usual units' residual divided
+/// by its own. Strict, because a free scale absorbs part of any other error.
 const MAX_UNUSUAL_RESIDUAL_SHARE: f64 = 0.003;
 const MIN_UNUSUAL_RATIO: f64 = 30.0;
-/// Maximum ratio of the motion of a marker to the motion of the tip. Derived for a marker 0.3 m from a tip
-/// that rotates by 1 rad and moves by 0.1 m.
+/// Maximum motion of a marker relative to the tip: 0.3 m from a tip that rotates by 1 rad and moves by 0.1
+/// m.
 const MAX_MARKER_MOTION_RATIO: f64 = 4.0;
-/// Scales at least this far from 1 (or its inverse) are units; closer ones are radial scale.
+/// Scales (or inverses) closer to 1 are radial scale, not units.
 const MIN_UNIT_SCALE: f64 = 1.25;
-/// Relative tolerance to identify a usual unit. The residual replaces it if larger.
+/// Relative tolerance to identify a usual unit, or the residual if larger.
 const UNIT_TOLERANCE: f64 = 0.02;
-/// Longest tool offset, and largest base distance of an inverted pose, m.
 const MAX_TOOL_M: f64 = 1.5;
 const MAX_BASE_DISTANCE_M: f64 = 20.0;
 
-/// Position encoding: unit, inversion and axes.
 #[derive(Clone, Debug)]
 pub(super) struct PositionEncoding {
     /// Unit of the track's numbers, m.
     pub metres: f64,
     /// Whether the poses are inverted.
     pub is_inverted: bool,
-    /// Axis convention, if the axes are parallel to the base's. `None` if the rotation of the frame is
-    /// free.
+    /// `None` if the rotation of the frame is free.
     pub axes: Option<Axes>,
-    /// Maps directions in the base to logged ones. A rotation, or a rotation with mirroring.
+    /// Maps base directions to logged ones. A rotation, possibly with mirroring.
     pub turn: Matrix3<f64>,
     /// Position residual, rms m.
     pub residual_m: f64,
@@ -56,12 +51,12 @@ pub(super) struct PositionEncoding {
 }
 
 impl PositionEncoding {
-    /// Returns whether the logged axes are left-handed.
+    /// Whether the logged axes are left-handed.
     pub fn is_mirrored(&self) -> bool {
         self.turn.determinant() < 0.0
     }
 
-    /// Returns whether only frames differ from the standard encoding.
+    /// Whether only frames differ from the standard encoding.
     pub fn is_standard(&self) -> bool {
         self.metres == 1.0 && !self.is_inverted && !self.is_mirrored()
     }
@@ -72,23 +67,22 @@ impl PositionEncoding {
     }
 }
 
-/// Positions of a stream.
 pub(super) struct StreamPositions<'a> {
     pub xyz: &'a [Vec3],
-    /// Index of a constant coordinate, if there is one. It is ignored.
+    /// Index of a constant coordinate to ignore.
     pub constant: Option<usize>,
-    /// Unit that was assumed when the track was read, m.
+    /// Unit assumed when reading the track, m.
     pub read_as_m: f64,
     /// Whether the frame is fixed relative to the base.
     pub reference_known: bool,
 }
 
-/// Returns whether the extent of a marker's positions is plausible for a tip with extent `by_fk`.
+/// Whether a marker's extent is plausible for a tip with extent `by_fk`.
 pub(super) fn is_plausible_extent(extent: f64, by_fk: f64) -> bool {
     (extent / by_fk).ln().abs() < MAX_MARKER_MOTION_RATIO.ln()
 }
 
-/// Layouts whose residual is close to the smallest, simplest first. Empty if the tip moves too little.
+/// Encodings with about the smallest residual, simplest first. Empty if the tip moves too little.
 pub(super) fn candidate_encodings(
     fk: &[Pose],
     reach_m: f64,
@@ -151,10 +145,10 @@ pub(super) fn candidate_encodings(
     kept
 }
 
-/// Normal matrix for scale (0), tool (1–3) and shift (4–6), which depends on FK only.
+/// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.
 struct EncodingSums {
     normal: DMatrix<f64>,
-    /// Row of a base axis that is ignored.
+    /// Ignored base axis.
     skipped: Option<usize>,
 }
 
@@ -162,21 +156,19 @@ struct EncodingSearch<'a> {
     fk: &'a [Pose],
     positions: &'a StreamPositions<'a>,
     is_inverted: bool,
-    /// Extent of FK's motion, m.
+    /// m.
     extent_m: f64,
-    /// One entry without an ignored row, or one for each base axis ignored.
+    /// One entry, or one for each base axis ignored.
     sums: Vec<EncodingSums>,
 }
 
-/// Solution for a given rotation.
 struct EncodingSolution {
     scale: f64,
-    /// Tool offset in the stream's unit.
+    /// In the stream's unit.
     tool: Vec3,
     residual_m: f64,
 }
 
-/// Whether tool and shift are free.
 #[derive(Clone, Copy)]
 struct FreeOffsets {
     tool: bool,
@@ -200,7 +192,7 @@ impl<'a> EncodingSearch<'a> {
         Self { fk, positions: written, is_inverted: false, extent_m, sums }
     }
 
-    /// Layouts with a given unit. Includes left-handed axes only if `any`.
+    /// Includes left-handed axes only if `any`.
     fn candidates(&self, metres: f64, any: bool) -> Vec<PositionEncoding> {
         let known = self.positions.reference_known;
         let mut found = Vec::new();
@@ -262,8 +254,8 @@ impl<'a> EncodingSearch<'a> {
         found
     }
 
-    /// Candidate units, in metres per number of the track. These are the usual units for which the extents
-    /// agree, one fitted to the arm, and one fitted to its mirror image.
+    /// Candidate units, in metres per number: usual units for which the extents agree, one fitted to the
+    /// arm, and one fitted to its mirror image.
     fn units(&self) -> Vec<f64> {
         let ratio = spread(self.positions.xyz) / self.extent_m;
         let may_be = |metres: &f64| {
@@ -276,7 +268,7 @@ impl<'a> EncodingSearch<'a> {
             let mut best: Option<EncodingSolution> = None;
             let mut consider = |solved: Option<EncodingSolution>| {
                 let Some(solved) = solved else { return };
-                // Prefer the fit without a tool. A tool can hide the scale of a motion about a point.
+                // Prefer the fit without a tool, which can hide the scale of a motion about a point.
                 let lead = if best.is_some() { 0.5 } else { 1.0 };
                 if best.as_ref().is_none_or(|best| solved.residual_m < lead * best.residual_m) {
                     best = Some(solved);
@@ -322,7 +314,6 @@ impl<'a> EncodingSearch<'a> {
         units
     }
 
-    /// Normal matrix that ignores the constant coordinate if positions are in `axes`.
     fn sums_of(&self, axes: Axes) -> &EncodingSums {
         let constant = self.positions.constant.and_then(|axis| {
             let along = axes.to_standard(Vec3::ith(axis, 1.0));
@@ -331,7 +322,6 @@ impl<'a> EncodingSearch<'a> {
         constant.unwrap_or(&self.sums[0])
     }
 
-    /// Right-hand side of the normal equations for one rotation.
     fn right_hand_side<'s>(
         &self,
         turn: &Matrix3<f64>,
@@ -356,7 +346,7 @@ impl<'a> EncodingSearch<'a> {
         RightHandSide { sums, right, square }
     }
 
-    /// Solves for the free parameters among scale, tool and shift. `None` if the result is implausible.
+    /// `None` if the result is implausible.
     fn solve(
         &self,
         right: &RightHandSide,
@@ -402,7 +392,6 @@ impl<'a> EncodingSearch<'a> {
         })
     }
 
-    /// Best rotation near `start` for a given handedness and unit.
     fn best_rotation(
         &self,
         start: Matrix3<f64>,
@@ -413,7 +402,6 @@ impl<'a> EncodingSearch<'a> {
         self.alternate_rotation(start, sign, Some(metres.recip()), free)
     }
 
-    /// Best rotation and scale near `start` for a given handedness.
     fn best_rotation_and_scale(
         &self,
         start: Matrix3<f64>,
@@ -430,7 +418,6 @@ impl<'a> EncodingSearch<'a> {
         scale: Option<f64>,
         free: FreeOffsets,
     ) -> Option<(Matrix3<f64>, EncodingSolution)> {
-        /// Maximum number of rounds, and minimum relative improvement per round.
         const MAX_ROUNDS: usize = 60;
         const MIN_RELATIVE_IMPROVEMENT: f64 = 1e-4;
         let mut turn = start;
@@ -479,7 +466,7 @@ impl EncodingSums {
     }
 }
 
-/// Matrix that maps directions in the base to directions in `axes`.
+/// Matrix from base directions to `axes`.
 pub(super) fn axes_matrix(axes: Axes) -> Matrix3<f64> {
     let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.convert_from_standard(unit));
     Matrix3::from_columns(&columns)

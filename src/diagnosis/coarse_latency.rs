@@ -1,8 +1,8 @@
-//! Large changes of a stream's latency, estimated from speeds alone before anything else. They are too
-//! large for [`super::latency_profile`], which requires small residuals.
+//! Large changes of a stream's latency, estimated from speeds alone. They are too large for
+//! [`super::latency_profile`], which requires small residuals.
 //!
-//! In each window of several seconds, the stream's speed matches the arm's at some lag. Over the windows
-//! these lags form steps ([`super::detect_steps`]) or a piecewise linear profile ([`super::ramp`]).
+//! In each window of several seconds, the stream's speed matches the arm's at some lag. These lags form
+//! steps ([`super::detect_steps`]) or a piecewise linear profile ([`super::ramp`]).
 
 use super::latency::{ArmSpeeds, SpeedSeries, angular_speed, lag_peaks, linear_speed, norm_series};
 use super::latency_ramp::{LatencyRamp, RampFit};
@@ -11,26 +11,24 @@ use super::{ImuStream, PoseStream};
 use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
-/// Minimum correlation of the speeds in a window.
 const MIN_CORRELATION: f64 = 0.85;
-/// A piecewise linear profile must reduce the residual of the simpler models to at most this fraction.
+/// A piecewise linear profile must reduce the residual of simpler models to this fraction.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
-/// Maximum number of samples to fit the profile.
 pub(super) const MAX_PROFILE_SAMPLES: usize = 4000;
-/// Maximum residual of the speeds after compensation, as a fraction of their variation.
+/// After compensation, as a fraction of the speeds' variation.
 pub(super) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
 
-/// Large change of latency within the run.
+/// Large latency change within the run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
-    /// Piecewise linear latency. Alternatively the steps, if the model fit rejects it.
+    /// Piecewise linear latency. The steps apply if the model fit rejects it.
     Ramp(LatencyRamp, Option<LatencySteps>),
 }
 
 impl CoarseLatencyChange {
-    /// Compensates the stamps `t_s`. Returns each with its row.
+    /// Compensated stamps, each with its row.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
             Self::Steps(steps) => steps.compensated(t_s),
@@ -38,7 +36,7 @@ impl CoarseLatencyChange {
         }
     }
 
-    /// The steps, if this is a step change.
+    /// The steps, if any.
     pub fn steps(&self) -> Option<&LatencySteps> {
         match self {
             Self::Steps(steps) => Some(steps),
@@ -46,7 +44,7 @@ impl CoarseLatencyChange {
         }
     }
 
-    /// The piecewise linear latency, if this is a gradual change.
+    /// The piecewise linear latency, if any.
     pub fn ramp(&self) -> Option<&LatencyRamp> {
         match self {
             Self::Steps(_) => None,
@@ -55,7 +53,7 @@ impl CoarseLatencyChange {
     }
 }
 
-/// Detects large latency changes of a pose stream. `None` if there are none.
+/// Detects large latency changes of a pose stream.
 pub fn detect_pose_latency_changes(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -74,13 +72,11 @@ pub fn detect_pose_latency_changes(
     detect_changes(&pairs, most_lag_s)
 }
 
-/// Removes spikes from a speed. They occur when stamps step back, so that distant positions have close
-/// stamps.
+/// Removes spikes, which occur where stamps step back and distant positions have close stamps.
 fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
-    /// Maximum ratio to the upper quantile.
     const MAX_QUANTILE_RATIO: f64 = 4.0;
     const SPEED_QUANTILE: f64 = 0.95;
-    /// Margin on the ratio of the arm's maximum speed to its upper quantile.
+    /// On the ratio of the arm's maximum speed to its quantile.
     const QUANTILE_MARGIN: f64 = 1.3;
     let nearly_all = |speed: &SpeedSeries| quantile(&mut speed.value.clone(), SPEED_QUANTILE);
     let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
@@ -92,7 +88,7 @@ fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
     SpeedSeries { t_s, value }
 }
 
-/// Detects large latency changes of an IMU from its angular speed.
+/// Same for an IMU, from its angular speed.
 pub fn detect_imu_latency_changes(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -102,17 +98,17 @@ pub fn detect_imu_latency_changes(
     detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
 }
 
-/// Time window with the lag at which the stream's speed correlates best.
+/// Window with the lag of the highest correlation.
 pub(super) struct LagWindow {
-    /// Middle of the window in the arm's time, s.
+    /// In the arm's time, s.
     pub middle_s: f64,
-    /// Latency of the stream, s.
+    /// Latency, s.
     pub lag_s: f64,
-    /// Correlation, −1 to 1.
+    /// −1 to 1.
     pub correlation: f64,
 }
 
-/// Detects latency changes from the pair of speeds (arm, stream) that correlates best.
+/// Uses the pair (arm, stream) that correlates best.
 fn detect_changes(
     pairs: &[(SpeedSeries, SpeedSeries)],
     most_lag_s: f64,
@@ -158,7 +154,6 @@ pub(super) fn monotonic_rows(straight_s: impl Iterator<Item = (usize, f64)>) -> 
     kept
 }
 
-/// Sum of squared speed differences at a latency.
 pub(super) fn squared_residual(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
@@ -167,7 +162,6 @@ pub(super) fn squared_residual(
     differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
 }
 
-/// Rows used to fit the profile.
 pub(super) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
     (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
 }
@@ -192,7 +186,7 @@ fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<
     while index < count {
         let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
         let Some(next_s) = arm.t_s.get(next) else { break };
-        // Skip windows in gaps, however long they are.
+        // Skip gaps, however long.
         let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
         index = index.max(reaching.saturating_sub(1));
         windows.extend(window(index));
@@ -206,21 +200,20 @@ fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
     SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
 }
 
-/// Sum of squared deviations of a speed from its mean.
 pub(super) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
     let values = || rows.iter().map(|&row| speed.value[row]);
     let mean = values().sum::<f64>() / rows.len().max(1) as f64;
     values().map(|value| (value - mean).powi(2)).sum()
 }
 
-/// Squared differences of the stream's speed from the arm's at a lag. 0 if the arm's speed is unknown.
+/// Squared differences of the two speeds at a lag. 0 if the arm's speed is unknown.
 pub(super) fn differences(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
     rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    /// Longest gap over which the arm's speed is interpolated, s.
+    /// For interpolation, s.
     const MAX_GAP_S: f64 = 0.5;
     let mut after = 0;
     let arm_at = |t_s: f64, after: &mut usize| {
@@ -243,7 +236,7 @@ pub(super) fn differences(
         })
         .collect();
     let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
-    // The stream may use another length unit, so compute the differences in its unit.
+    // The stream may use another length unit.
     let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
     let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
     pairs
@@ -260,7 +253,7 @@ pub(super) mod tests {
         (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
     }
 
-    /// 40 s of an arm's speed, and that of a stream with latency `late` at its stamps.
+    /// 40 s of speeds of an arm and of a stream with latency `late`.
     pub fn pair(late: impl Fn(f64) -> f64) -> (SpeedSeries, SpeedSeries) {
         let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
         let value = t_s.iter().map(|t_s| shape(*t_s)).collect();

@@ -1,4 +1,4 @@
-//! Fit of a competing model to the positions of a stream, without a search over causes.
+//! Fits competing models to the positions of a stream, without a search over causes.
 
 use super::PoseStream;
 use super::position_fit::FkColumns;
@@ -6,11 +6,11 @@ use super::sampling::slow_samples;
 use ground::geometry::Vec3;
 use ground::stream::{JointTrack, Orientations};
 
-/// Rms distance between the positions of `stream` and FK, m, with a constant tool offset and a moved
-/// reference frame fitted. `None` if the joint states cover too few samples.
+/// Rms distance of `stream` from FK after fitting a tool offset and a reference frame, m. `None` if the
+/// joint states cover too few samples.
 ///
-/// `scale` converts positions to m. `latency_s` is the stream's latency; it need not be exact because only
-/// slow samples are used. Inverse poses are tried as well.
+/// `scale` converts positions to m. `latency_s` may be approximate, because only slow samples are used.
+/// Inverse poses are tried as well.
 pub fn position_misfit_m(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -21,15 +21,13 @@ pub fn position_misfit_m(
     Some(as_logged.min(inverted))
 }
 
-/// Whether the positions of `stream` fit better as a fixed object seen from the tool than as the tool
-/// itself.
+/// Whether the positions fit better as a fixed object seen from the tool than as the tool.
 pub fn is_seen_from_tool(joints: &JointTrack, stream: &PoseStream, latency_s: f64) -> bool {
     let misfits = misfits_m(joints, stream, 1.0, latency_s);
     misfits.is_some_and(|(as_logged, inverted)| inverted < as_logged)
 }
 
-/// Misfit of a stream's positions and of the inverse poses, rms m. The second is infinite without
-/// rotations.
+/// Misfit of positions as logged and of inverse poses, rms m. The second is infinite without rotations.
 fn misfits_m(
     joints: &JointTrack,
     stream: &PoseStream,

@@ -1,11 +1,11 @@
-//! Constant frames between two series of rotations.
+//! Fits constant frames between two series of rotations.
 
 use ground::geometry::{
     Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec, rotvec_from_rotation,
 };
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
-/// Candidate true rotations of every sample under one encoding.
+/// Candidate rotations of every sample under one encoding.
 #[derive(Default)]
 pub(super) struct CandidateRotations {
     ends: Vec<usize>,
@@ -24,14 +24,14 @@ impl CandidateRotations {
         self.rotations.clear();
     }
 
-    /// Appends the candidates of the next sample.
+    /// Appends the next sample's candidates.
     pub fn push(&mut self, candidates: &[Rotation]) {
         self.rotations.extend_from_slice(candidates);
         self.ends.push(self.rotations.len());
     }
 }
 
-/// Candidate nearest to `expected`, with the cosine of half the angle between them.
+/// Nearest candidate, and the cosine of half its angle.
 pub(super) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
     candidates
         .iter()
@@ -45,10 +45,8 @@ pub(super) enum Side {
     Tool,
 }
 
-/// Constant frame that best maps FK to the true rotations.
-///
-/// Tries the candidates of several samples as anchors, because one of them may be on a wrong branch. Then
-/// averages over all samples.
+/// Constant frame that best maps FK to the candidates. Tries several samples as anchors, because one may be
+/// on a wrong branch.
 pub(super) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
     let frame_at = |truth: &Rotation, fk: &Rotation| match side {
         Side::Reference => truth * fk.inverse(),
@@ -90,12 +88,12 @@ pub(super) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: 
     frame
 }
 
-/// Estimates reference and tool rotation together. Relative rotations of the stream are those of FK rotated
-/// by the reference (`AX = XB`), so their axes determine it by Wahba's problem. The tool follows.
+/// Estimates reference and tool rotation together. The axes of relative rotations determine the reference
+/// by Wahba's problem (`AX = XB`); the tool follows.
 ///
-/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with the
-/// singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis, the rotation
-/// about it is determined by noise only. Gauss–Newton steps on all samples therefore follow.
+/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994; singular
+/// value solution by Markley 1988. With a single rotation axis, noise alone determines the angle about it,
+/// so Gauss–Newton steps on all samples follow.
 pub(super) fn fit_both_frames(
     truths: &CandidateRotations,
     fk: &[Rotation],
@@ -130,18 +128,16 @@ pub(super) fn fit_both_frames(
     refine_frames(&chosen, fk, reference, tool)
 }
 
-/// Refines both rotations by damped Gauss–Newton steps on the residuals of all samples.
 fn refine_frames(
     truths: &[Option<Rotation>],
     fk: &[Rotation],
     mut reference: Rotation,
     mut tool: Rotation,
 ) -> (Rotation, Rotation) {
-    /// Number of steps, and relative damping of the diagonal (Levenberg 1944). Rotations about one common
-    /// axis leave one direction unobservable.
+    /// Relative damping of the diagonal (Levenberg 1944): rotations about one axis leave a direction
+    /// unobservable.
     const MAX_STEPS: usize = 6;
     const DAMPING: f64 = 1e-6;
-    /// Convergence tolerance, rad.
     const CONVERGED_RAD: f64 = 1e-7;
     for _ in 0..MAX_STEPS {
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
@@ -170,7 +166,7 @@ fn refine_frames(
     (reference, tool)
 }
 
-/// Mean of similar rotations, by iteratively averaging rotation vectors.
+/// Mean of similar rotations, by averaging rotation vectors.
 pub(super) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
     let Some(first) = rotations.get(rotations.len() / 2) else {
         return Rotation::identity();

@@ -1,4 +1,4 @@
-//! Decodes a stream: position units, rotation encoding, and the branch of each ambiguous rotation.
+//! Decodes a stream: position unit, rotation encoding, and the branch of each ambiguous rotation.
 
 use std::borrow::Cow;
 
@@ -23,36 +23,36 @@ use super::{
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
-/// Minimum number of moving samples to estimate a latency.
+/// For a latency estimate.
 const MIN_MOVING_SAMPLES: usize = 10;
 
-/// Decoded stream, with the evidence for its encoding.
+/// Decoded stream with the evidence for its encoding.
 pub(super) struct DecodedStream<'a> {
     pub observations: PoseObservations<'a>,
-    /// Rotation encoding, if the stream has orientations.
+    /// Estimated if the stream has orientations.
     pub encoding: EstimateResult<EncodingEstimate>,
     pub degrees: Option<UnitResiduals>,
     pub metres: f64,
-    /// Axes of positions and rotations, if they are not standard.
+    /// Position and rotation axes, if not standard.
     pub axes: Option<AxesError>,
     /// Whether whole poses are inverted.
     pub is_inverted: bool,
     /// Constant coordinates.
     pub constant: [bool; 3],
-    /// Number of frames that must be rotated to match the rotations.
+    /// Frames that must be rotated to match the rotations.
     rotated_frames: u8,
     pub peaks: Vec<LagPeak>,
     pub moves: bool,
 }
 
 impl DecodedStream<'_> {
-    /// Whether rotations confirm the encoding fault, so that joint faults need not be considered. Without
-    /// rotations, no joint fault resembles an inverse.
+    /// Whether rotations confirm the encoding fault, so joint faults need no test. Without rotations, no
+    /// joint fault resembles an inverse.
     pub fn is_confirmed(&self) -> bool {
         let is_constant = self.constant.contains(&true);
         match &self.encoding {
             Ok(reading) if reading.best_rad <= MAX_ENCODING_RESIDUAL_RAD => {
-                // An arm read from tip to base moves much like an inverse between rotated frames.
+                // An arm read from tip to base resembles an inverse between rotated frames.
                 self.axes.is_some() || (self.is_inverted && self.rotated_frames < 2) || is_constant
             }
             Ok(_) => false,
@@ -61,7 +61,6 @@ impl DecodedStream<'_> {
     }
 }
 
-/// Determines the encoding and units of a stream and the rotation branch of each sample.
 pub(super) fn decode_stream<'a>(
     read_as: &'a CorrectedJoints,
     stream: &PoseStream<'a>,
@@ -171,9 +170,8 @@ pub(super) fn decode_stream<'a>(
     })
 }
 
-/// Whether orientations are set. They are not if they stay constant while FK's change.
+/// Whether orientations are set: they change, or FK's do not.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
-    /// Maximum change of a constant orientation, rad.
     const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-3;
     let stays = match logged {
         Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
@@ -183,20 +181,20 @@ fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
     !stays || !has_rotation(fk)
 }
 
-/// Whether rotations change by more than small joint errors could cause.
+/// Whether rotations change more than small joint errors explain.
 fn has_rotation(rotations: &[Rotation]) -> bool {
     const MIN_ROTATION_RAD: f64 = 0.2;
     max_angle(rotations) > MIN_ROTATION_RAD
 }
 
-/// Largest angle between the first rotation and any other, rad.
+/// rad, from the first rotation.
 fn max_angle(rotations: &[Rotation]) -> f64 {
     let from = rotations.first().copied().unwrap_or_default();
     rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
-/// Orientations in the angle unit that follows the arm, and the unit slip if that differs from the logged
-/// or declared one.
+/// Orientations in the detected angle unit, and the unit slip if it differs from the logged or declared
+/// one.
 fn in_detected_angle_unit<'a>(
     track: &'a PoseTrack,
     rows: &[usize],
@@ -235,7 +233,7 @@ fn in_detected_angle_unit<'a>(
     }
 }
 
-/// Whether the log has quaternions rather than three numbers declared to be a rotation.
+/// Whether the log has quaternions rather than three declared numbers.
 fn are_quaternions(track: &PoseTrack) -> bool {
     track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
 }
@@ -250,8 +248,8 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
     }
 }
 
-/// Decodes every sample, choosing the branch nearest to FK. Drops samples that the joint states do not
-/// cover. Without an encoding, FK's rotations are used.
+/// Chooses for each sample the branch nearest to FK. Drops samples without joint states. Without an
+/// encoding, uses FK's rotations.
 fn choose_branches(
     witness: &mut PoseObservations,
     logged: &LoggedRotations,

@@ -1,14 +1,12 @@
-//! Delay jitter with a skewed distribution, as caused by a transport or a busy machine.
-//!
-//! The latency is then not a single number: the mean exceeds the median, and a robust fit lies between them
-//! without estimating either. The delay of each sample is its error along the motion divided by the speed,
-//! if the speed is high enough.
+//! Delay jitter with a skewed distribution, caused by transport or CPU load. Mean and median delay then
+//! differ, and a robust fit estimates neither. The delay of a sample is its error along the motion divided
+//! by the speed, if the motion is fast.
 
 use super::{AlignedSamples, Measured};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 
-/// Skewed delays of a stream's samples.
+/// Skewed delays of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DelayJitter {
     /// Median, s.
@@ -17,20 +15,20 @@ pub struct DelayJitter {
     pub mean_s: Measured,
 }
 
-/// Lever that converts angles to lengths, m.
+/// Converts angles to lengths, m.
 const LEVER_M: f64 = 0.3;
-/// Number of blocks used for standard errors.
+/// For standard errors.
 const BLOCKS: usize = 20;
 
-/// Delay distribution of the `aligned` samples, whose fitted latency is `latency_s`. `None` if the delays
-/// do not scatter or are not skewed.
+/// Delays of `aligned` samples with fitted latency `latency_s`. `None` if they do not scatter or are not
+/// skewed.
 pub(super) fn estimate_delay_jitter(
     aligned: &AlignedSamples,
     latency_s: f64,
 ) -> Option<DelayJitter> {
-    /// Minimum ratio of the error along the motion to the error across it.
+    /// Error along the motion divided by the error across it.
     const MIN_ALONG_RATIO: f64 = 3.0;
-    /// Minimum difference between mean and median, in standard errors and in s.
+    /// Between mean and median, in standard errors and in s.
     const MIN_STD_ERRORS: f64 = 4.0;
     const MIN_DIFFERENCE_S: f64 = 1e-4;
     let all = sample_delays(aligned);
@@ -45,7 +43,7 @@ pub(super) fn estimate_delay_jitter(
     let across: f64 = all.iter().map(|delay| delay.across.powi(2)).sum();
     let steps = all.windows(2).map(|pair| (pair[1].delay_s - pair[0].delay_s).powi(2));
     let spread: f64 = all.iter().map(|delay| (delay.delay_s - middle_s).powi(2)).sum();
-    // In slow changes, successive differences are smaller than the overall variance (von Neumann 1941).
+    // Slow changes have small successive differences (von Neumann 1941).
     let is_scatter = steps.sum::<f64>() > spread;
     if along < MIN_ALONG_RATIO * MIN_ALONG_RATIO * across / 5.0 || !is_scatter {
         return None;
@@ -74,16 +72,15 @@ pub(super) fn estimate_delay_jitter(
     })
 }
 
-/// Delay of one sample relative to the fitted latency.
+/// Delay relative to the fitted latency.
 struct SampleDelay {
     delay_s: f64,
-    /// Speed, m/s.
+    /// m/s.
     speed: f64,
     /// Error across the motion, m.
     across: f64,
 }
 
-/// Delays of the samples with fast motion.
 fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let t = &aligned.t_s;
     let apart = |a: &Pose, b: &Pose| -> [Vec3; 2] {

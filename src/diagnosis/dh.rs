@@ -1,54 +1,52 @@
-//! Checks the declared convention of a DH table by the residual of the arm's streams under each convention.
+//! Checks the declared convention of a DH table by the residuals under each convention.
 
 use super::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use super::{ArmDiagnosis, PoseDiagnosis};
 
-/// Minimum ratio of the residuals under the two conventions.
+/// Between the two conventions.
 const MIN_RESIDUAL_RATIO: f64 = 10.0;
-/// Residuals below this do not distinguish the conventions, rms m.
+/// Smaller residuals do not distinguish conventions, rms m.
 const MIN_DISTINGUISHABLE_M: f64 = 1e-4;
 
-/// Excess residual of a stream under one convention.
+/// Excess residual under one convention. Infinite if the stream could not be decoded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DhResidual {
-    /// Position residual, rms m. Infinite if the stream could not be decoded.
+    /// Position residual, rms m.
     pub m: f64,
-    /// Rotation residual, rms rad. Infinite if the stream could not be decoded.
+    /// Rotation residual, rms rad.
     pub rad: f64,
 }
 
 /// Residuals of a stream under both conventions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DhStreamResiduals {
-    /// Residual under the declared convention.
+    /// Under the declared convention.
     pub declared: DhResidual,
-    /// Position residual under the declared convention after fitting constant frames, rms m. `None` if not
-    /// computed.
+    /// Declared convention with constant frames fitted, rms m. `None` if not computed.
     pub declared_positions_m: Option<f64>,
-    /// Residual under the other convention. `None` if not computed or if positions alone exclude it.
+    /// Under the other convention. `None` if not computed or excluded by positions.
     pub other: Option<DhResidual>,
 }
 
-/// Residuals of an arm's streams under both conventions.
+/// Residuals of an arm under both conventions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DhComparison {
-    /// Each pose stream.
+    /// One entry per pose stream.
     pub streams: Vec<DhStreamResiduals>,
-    /// Number of faults under the declared convention: misinterpretations, joint zeros, frames, radial
-    /// scale.
+    /// Faults under the declared convention: misinterpretations, joint zeros, frames, radial scale.
     pub declared_faults: usize,
-    /// Number of faults under the other convention.
+    /// Faults under the other convention.
     pub other_faults: usize,
 }
 
-/// Convention of a table, as determined from the streams.
+/// Convention of a table, determined from the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DhConventionResult {
     /// The declared convention.
     AsDeclared,
     /// The other convention.
     Other,
-    /// Undetermined: both explain the streams but the other one needs fewer faults, or each explains some.
+    /// Undetermined: the other needs fewer faults, or each explains some streams.
     Either,
     /// Neither convention explains a stream.
     Neither,
@@ -68,7 +66,7 @@ impl DhResidual {
         }
     }
 
-    /// Returns whether the residual is within what a nominal model of a calibrated arm has.
+    /// Whether the residual is normal for a calibrated arm with a nominal model.
     pub fn is_explained(&self) -> bool {
         self.m <= MAX_TIP_CHANGE_M && self.rad <= MAX_TIP_CHANGE_RAD
     }
@@ -90,12 +88,12 @@ pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
 }
 
 impl DhStreamResiduals {
-    /// Returns whether each convention explains the stream: declared, other.
+    /// Declared, other.
     fn explained_by(&self) -> [bool; 2] {
         [self.declared.is_explained(), self.other.is_some_and(|other| other.is_explained())]
     }
 
-    /// Returns whether only the other convention explains the stream, and clearly better.
+    /// Whether only the other convention explains the stream, and clearly better.
     pub fn supports_other(&self) -> bool {
         let is_clear = self.other.is_some_and(|other| {
             self.declared.m > MIN_RESIDUAL_RATIO * other.m.max(MIN_DISTINGUISHABLE_M)
@@ -105,8 +103,7 @@ impl DhStreamResiduals {
 }
 
 impl DhComparison {
-    /// Determines the convention. Streams that neither convention explains are ignored; they may belong to
-    /// another arm.
+    /// Determines the convention. Ignores streams that neither explains; they may belong to another arm.
     pub fn convention(&self) -> DhConventionResult {
         let count = |is: &dyn Fn(&DhStreamResiduals) -> bool| {
             self.streams.iter().filter(|one| is(one)).count()
@@ -136,7 +133,6 @@ mod tests {
     const DRAWING: [f64; 2] = [4e-3, 4e-3];
     const UNREAD: [f64; 2] = [f64::INFINITY, f64::INFINITY];
 
-    /// Determines the convention from the residuals under both and the numbers of faults.
     fn told(streams: &[([f64; 2], Option<[f64; 2]>)], faults: [usize; 2]) -> DhConventionResult {
         let left = |[m, rad]: [f64; 2]| DhResidual { m, rad };
         let streams = streams.iter().map(|&(declared, other)| DhStreamResiduals {

@@ -1,4 +1,4 @@
-//! Constant frame errors: initial guesses for the fit, and the resulting estimates.
+//! Constant frame errors: initial guesses and estimates.
 
 use super::constant::mean_rotation;
 use super::model::{PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of};
@@ -14,16 +14,15 @@ use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
 use std::sync::LazyLock;
 
-/// Number of samples for initial guesses.
 const INITIAL_GUESS_SAMPLES: usize = 120;
-/// If most deviations are below these, the fit needs no initial guess, rad and m.
+/// If most deviations are smaller, the fit needs no initial guess.
 const MAX_UNGUESSED_RAD: f64 = 0.06;
 const MAX_UNGUESSED_M: f64 = 0.03;
-/// Tolerance within which a rotation counts as a round one, rad.
+/// To identify a round rotation.
 const ROUND_TOLERANCE_RAD: f64 = 0.06;
 
-/// Starting states of a stream's fit, with joint offsets near `offsets`. The first has no frame error. If
-/// the stream is far from FK, adds closed-form solutions of simple frame errors, also as round errors.
+/// Starting states of a stream's fit, near joint offsets `offsets`. The first has no frame error. A stream
+/// far from FK adds closed-form frame errors, exact and round.
 pub(super) fn starting_states(
     witness: &PoseObservations,
     latency_s: f64,
@@ -79,7 +78,7 @@ pub(super) fn starting_states(
     starts
 }
 
-/// FK and logged poses at a subset of the samples.
+/// FK and logged poses of a subset of samples.
 fn pose_pairs(
     witness: &PoseObservations,
     state: &StreamState,
@@ -101,7 +100,6 @@ fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
     points.sum::<Vec3>() / n
 }
 
-/// Reference frame that best maps FK to the logged poses.
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let turns: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
@@ -110,7 +108,7 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
-/// Sets the reference and tool frames of `state` to those that positions determine at its latency.
+/// Sets both frames of `state` to those determined by positions at its latency.
 pub(super) fn with_frames_from_positions(
     witness: &PoseObservations,
     state: StreamState,
@@ -126,7 +124,6 @@ pub(super) fn with_frames_from_positions(
     StreamState { reference, tool, ..state }
 }
 
-/// Reference frame with the rotation that positions determine, and tool frame.
 fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
     let (reference, point) = FkColumns::from_poses(fk).fit_rigid_or_collinear(&xyz);
@@ -142,8 +139,7 @@ pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
 }
 
-/// Tool frame that best maps FK to a stream's poses, without a reference error. `None` if there are too few
-/// samples.
+/// Same for a stream without a reference error. `None` if there are too few samples.
 pub(super) fn tool_start(
     witness: &PoseObservations,
     state: &StreamState,
@@ -154,29 +150,24 @@ pub(super) fn tool_start(
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
-/// Assumed position noise for initial guesses, m, and the lever arm that converts rotation residuals to
-/// position residuals, m.
+/// Assumed position noise, and the lever arm that converts rotation to position residuals.
 const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
-/// Standard deviation of the prior on the marker's distance from the tip, m. The size of a hand with its
-/// tool. It keeps the marker near the tip in directions that the motion does not observe.
+/// Prior on the marker's distance from the tip: a hand with its tool. It bounds unobservable directions.
 const MARKER_PRIOR_M: f64 = 0.5;
-/// Maximum number of Levenberg–Marquardt iterations per start.
 const MAX_ITERATIONS: usize = 25;
-/// Relative decrease of the cost at which the iteration has converged.
 const CONVERGED_COST_DECREASE: f64 = 1e-6;
 
-/// Closed-form initial guess of reference and tool frame (`A X = X B`; Park and Martin 1994).
+/// Closed-form reference and tool frame (`A X = X B`; Park and Martin 1994).
 pub(super) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     frames_for_rotation(rotation_by_wahba(&relative_rotations(fk, logged)), fk, logged)
 }
 
 /// Fits reference and tool frame together.
 ///
-/// The cost has several minima if the hand rotates little or about one axis only. The fit therefore starts
-/// from several rotations of the reference. One is from relative rotations (Park and Martin 1994), one from
-/// positions (Kabsch 1976), and four align the common axis of the relative rotations. Returns the pair with
-/// the lowest cost.
+/// The cost has several minima if the hand rotates little or about one axis. Starts are one rotation from
+/// relative rotations (Park and Martin 1994), one from positions (Kabsch 1976), and four that align the
+/// common axis. Returns the best pair.
 fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let correlation = relative_rotations(fk, logged);
     let by_positions = frames_from_positions(fk, logged);
@@ -189,7 +180,7 @@ fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
         .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
 }
 
-/// Position and rotation residual after fitting constant reference and tool frames, rms m and rad.
+/// Residual after fitting constant frames, rms m and rad.
 pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     let (reference, tool) = fit_frames(fk, logged);
     let (mut squares_m, mut squares_rad) = (0.0, 0.0);
@@ -201,7 +192,7 @@ pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
 }
 
-/// Same for a stream with its latency and the given joint offsets.
+/// Same for a stream at its latency with joint offsets.
 pub(super) fn constant_frame_residual(
     witness: &PoseObservations,
     state: &StreamState,
@@ -213,7 +204,7 @@ pub(super) fn constant_frame_residual(
     misfit_of_frames(&fk, &logged)
 }
 
-/// Correlation `Σ stream·FKᵀ` of the relative rotation vectors of a stream and of FK.
+/// Correlation `Σ stream·FKᵀ` of relative rotation vectors.
 fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
     let n = fk.len();
     let stride = (n / 3).max(1);
@@ -226,8 +217,8 @@ fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
     (0..n).map(pair).sum()
 }
 
-/// Reference rotations consistent with the relative rotations: the least-squares solution, and four that
-/// align the common axis. The four are a quarter turn apart about the axis, starting nearest to `about`.
+/// Candidate reference rotations: the least-squares solution, and four that align the common axis, a
+/// quarter turn apart, starting nearest to `about`.
 fn candidate_reference_rotations(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
     let mut turns = vec![rotation_by_wahba(correlation)];
     let svd = correlation.svd(true, true);
@@ -244,12 +235,11 @@ fn candidate_reference_rotations(correlation: &Matrix3<f64>, about: &Rotation) -
     turns
 }
 
-/// Reference and tool frame for a given rotation of the reference.
 fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let tools: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
     let tool_turn = mean_rotation(&tools);
-    // p = t + turn·(p_fk + R_fk·c): linear in the reference's t and the tool's c.
+    // p = t + turn·(p_fk + R_fk·c): linear in t and c.
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
     for (fk, l) in fk.iter().zip(logged) {
@@ -269,10 +259,10 @@ fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, P
     (pose(xyz(0), turn), pose(xyz(3), tool_turn))
 }
 
-/// Normal equations of both frames: twelve parameters, reference first.
+/// Twelve parameters, reference first.
 type Frames12 = (SMatrix<f64, 12, 12>, SVector<f64, 12>);
 
-/// Predicted pose, and weighted position and rotation residuals of one sample.
+/// Predicted pose, weighted position residual, weighted rotation residual.
 fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, Vec3, Vec3) {
     let predicted = reference * fk * tool;
     let position = (logged.translation.vector - predicted.translation.vector) / START_NOISE_M;
@@ -280,7 +270,7 @@ fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, 
     (predicted, position, rotation * (START_LEVER_M / START_NOISE_M))
 }
 
-/// Sum of squares of all residuals, including the prior on the marker's distance.
+/// Includes the prior on the marker's distance.
 fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
     let square = |(fk, l): (&Pose, &Pose)| {
         let (_, position, rotation) = residuals(fk, l, reference, tool);
@@ -290,7 +280,6 @@ fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
     fk.iter().zip(logged).map(square).sum::<f64>() + prior
 }
 
-/// Normal equations at both frames.
 fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> Frames12 {
     let (mut normal, mut right) = (SMatrix::zeros(), SVector::zeros());
     let turn_weight = START_LEVER_M / START_NOISE_M;
@@ -320,7 +309,7 @@ fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose)
     (normal, right)
 }
 
-/// Refines both frames by Levenberg–Marquardt. Returns the cost first.
+/// Levenberg–Marquardt. Returns the cost first.
 fn refine_frames(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
     let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
     let mut damping = 1e-6;
@@ -354,7 +343,7 @@ fn refine_frames(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (
     best
 }
 
-/// Quarter-turn rotation within [`ROUND_TOLERANCE_RAD`] of `rotation`, excluding the identity.
+/// Nearest quarter turn within [`ROUND_TOLERANCE_RAD`], excluding the identity.
 fn round_rotation(rotation: &Rotation) -> Option<Pose> {
     static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
     QUARTER_TURNS
@@ -363,8 +352,7 @@ fn round_rotation(rotation: &Rotation) -> Option<Pose> {
         .map(|quarter| pose([0.0; 3], *quarter))
 }
 
-/// Round rotation error of a reference frame with error `frame`. The rotation is about its origin or the
-/// arm's first joint, in case the arm is mounted elsewhere in it. Returns the closer one.
+/// Round rotation nearest to `frame`, about its origin or the first joint, where the arm may be mounted.
 fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
     let away_m =
         |round: &Pose| (round.translation.vector - frame.translation.vector).norm_squared();
@@ -374,7 +362,7 @@ fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
     both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
 }
 
-/// The 23 rotations, excluding the identity, that map coordinate axes to coordinate axes.
+/// The 23 axis permutations without the identity.
 fn quarter_turns() -> Vec<Rotation> {
     let axes = [0usize, 1, 2];
     let signs = [1.0, -1.0];

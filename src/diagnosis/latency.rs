@@ -1,7 +1,6 @@
-//! Coarse latency: correlates the stream's speed with the arm's.
-//!
-//! The speed does not depend on the reference frame, so the lag can be found before anything else is known.
-//! It is coarse: a tool offset or a wrong convention biases it by milliseconds. The model fit refines it.
+//! Coarse latency, from the correlation of the stream's speed with the arm's. Speed does not depend on the
+//! reference frame, so nothing else need be known. A tool offset or wrong convention biases the lag by
+//! milliseconds; the model fit refines it.
 
 use std::cell::RefCell;
 
@@ -12,35 +11,34 @@ use ground::stats::median;
 use ground::stream::JointTrack;
 use realfft::RealFftPlanner;
 
-/// Candidate lag with its correlation.
+/// Candidate lag.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LagPeak {
-    /// Latency of the stream, s. Positive if the stream is late.
+    /// Latency, s. Positive if the stream is late.
     pub lag_s: f64,
-    /// Pearson correlation of the two speeds over the common span, −1 to 1.
+    /// Pearson correlation over the common span, −1 to 1.
     pub correlation: f64,
 }
 
-/// Speed as a time series with its own stamps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpeedSeries {
     pub t_s: Vec<f64>,
     pub value: Vec<f64>,
 }
 
-/// Speeds of an arm by FK at the joint stamps, decimated to at most 30 000.
+/// Speeds of an arm by FK at the joint stamps.
 pub(super) struct ArmSpeeds {
-    /// Linear speed of the chain's tip, m/s.
+    /// Tip, m/s.
     pub linear: SpeedSeries,
-    /// Angular speed of the chain's tip, rad/s.
+    /// Tip, rad/s.
     pub angular: SpeedSeries,
-    /// Linear speed of the base in the tip frame, m/s.
+    /// Base in the tip frame, m/s.
     inverse: SpeedSeries,
 }
 
 impl ArmSpeeds {
     pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
-        /// Maximum number of rows. More do not improve the correlation.
+        /// More do not improve the correlation.
         const MAX_ROWS: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
         let mut q = vec![0.0; columns.len()];
@@ -72,12 +70,12 @@ impl ArmSpeeds {
         Self { linear, angular, inverse }
     }
 
-    /// Maximum speed of the tip, m/s.
+    /// Maximum tip speed, m/s.
     pub fn top_m_s(&self) -> f64 {
         self.linear.value.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Candidate lags of a pose stream, from the speed (linear or angular) that correlates best.
+    /// Candidate lags from the speed (linear or angular) that correlates best.
     pub fn lag_peaks(
         &self,
         t_s: &[f64],
@@ -86,7 +84,7 @@ impl ArmSpeeds {
         most_s: f64,
     ) -> Vec<LagPeak> {
         let linear = linear_speed(t_s, xyz);
-        // Positions alone show whether poses are inverted, independent of the rotation encoding.
+        // Inverse poses can be identified without rotations.
         let mut found = vec![
             lag_peaks(&self.linear, &linear, most_s),
             lag_peaks(&self.inverse, &linear, most_s),
@@ -101,8 +99,7 @@ impl ArmSpeeds {
     }
 }
 
-/// Combined speed of all joints (root of the sum of squares) at the joint stamps. It is invariant to
-/// permuted joint names.
+/// Root of the sum of squared joint speeds. Invariant to permuted joint names.
 pub(super) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
     let value = joints
         .qd
@@ -112,7 +109,7 @@ pub(super) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
     SpeedSeries { t_s: joints.t_s.clone(), value }
 }
 
-/// Speed of a stream between samples `window_s` apart. `distance` returns the distance of two samples.
+/// Speed between samples `window_s` apart.
 pub(super) fn differenced_speed(
     t_s: &[f64],
     window_s: f64,
@@ -133,26 +130,25 @@ pub(super) fn differenced_speed(
     speed
 }
 
-/// Averaging time of a stream's speed, s: long relative to its noise, short relative to a motion.
+/// Averaging time, s: long relative to noise, short relative to a motion.
 fn window_s(t_s: &[f64]) -> f64 {
     (2.5 * median_period_s(t_s)).clamp(0.02, 0.2)
 }
 
-/// Median interval between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
-    /// Maximum number of intervals. More do not improve the median.
+    /// More do not improve the median.
     const MAX_INTERVALS: usize = 5_000;
     let stretches = row_blocks(t_s.len(), MAX_INTERVALS);
     let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
     median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
 }
 
-/// Speed of logged positions, in their unit per second.
+/// Position speed, in the logged unit per second.
 pub(super) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> SpeedSeries {
     differenced_speed(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
 }
 
-/// Speed of the origin of the *inverse* of logged poses, m/s.
+/// Speed of the origin of *inverse* poses, m/s.
 pub(super) fn inverse_linear_speed(
     t_s: &[f64],
     xyz: &[Vec3],
@@ -162,17 +158,16 @@ pub(super) fn inverse_linear_speed(
     differenced_speed(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
 }
 
-/// Speed of logged rotations, rad/s.
+/// rad/s.
 pub(super) fn angular_speed(t_s: &[f64], rotation: &[Rotation]) -> SpeedSeries {
     differenced_speed(t_s, window_s(t_s), |a, b| angle_between(&rotation[a], &rotation[b]))
 }
 
-/// Norms of a vector series, such as an IMU's angular rates.
 pub(super) fn norm_series(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
     SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
-/// Candidate lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
+/// Lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
 pub(super) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
     let by_lag = correlation_by_lag(arm, stream, most_s);
     let mut peaks: Vec<LagPeak> = by_lag
@@ -191,16 +186,14 @@ pub(super) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) ->
     peaks
 }
 
-/// Correlation of the speeds of `stream` and `arm` at evenly spaced lags within ±`most_s`. NaN if they
-/// cannot be compared. Empty without a common span.
-///
-/// Long gaps in the joint states split the arm's speed into pieces. Their sums are added.
+/// Correlation at evenly spaced lags within ±`most_s`. NaN if not comparable. Empty without a common span.
+/// Long gaps split the arm's speed into pieces, whose sums are added.
 pub(super) fn correlation_by_lag(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
     most_s: f64,
 ) -> Vec<LagPeak> {
-    /// Maximum number of steps of all pieces.
+    /// Over all pieces.
     const MAX_STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
     let silences = periods.map(max_gap_s);
@@ -226,18 +219,17 @@ pub(super) fn correlation_by_lag(
     correlations.map(|(at, correlation)| LagPeak { lag_s: lag_s(at), correlation }).collect()
 }
 
-/// Longest gap to interpolate, s, for a speed sampled every `period_s`.
+/// Longest gap to interpolate, s.
 fn max_gap_s(period_s: f64) -> f64 {
     (20.0 * period_s).max(2.0)
 }
 
-/// Start and end of each piece of a speed without gaps longer than `longest_s`.
+/// Start and end of each piece without long gaps.
 fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
     let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
     unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
 }
 
-/// Speed on an even grid, with a validity mask.
 struct SpeedGrid {
     /// 0 if invalid.
     value: Vec<f64>,
@@ -246,7 +238,7 @@ struct SpeedGrid {
 }
 
 impl SpeedGrid {
-    /// Samples `speed` every `step` from `start`. Interpolates linearly across gaps of up to `longest_s`.
+    /// Interpolates across gaps up to `longest_s`.
     fn resample(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
         let mut right = speed.t_s.partition_point(|&t| t < start);
         let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
@@ -269,22 +261,21 @@ impl SpeedGrid {
         grid
     }
 
-    /// Mask, value and squared value.
     fn powers(&self) -> [Vec<f64>; 3] {
         [self.known.clone(), self.value.clone(), self.value.iter().map(|v| v * v).collect()]
     }
 }
 
 thread_local! {
-    /// Caches plans, because planning a transform takes longer than computing it.
+    /// Planning a transform takes longer than computing it.
     static FFT_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
 }
 
 /// Sums for Pearson's correlation at every lag.
 struct CorrelationSums {
-    /// Number of common times, and sums over them of x, x², y, y² and xy.
+    /// Number of common times, and sums of x, x², y, y² and xy.
     sums: [Vec<f64>; 6],
-    /// Number of valid times of each speed.
+    /// Valid times of each speed.
     known: [f64; 2],
 }
 
@@ -295,8 +286,8 @@ impl CorrelationSums {
 
     /// Adds a piece. `stream` has one step more than `arm` for each lag after the first.
     ///
-    /// Sums of products at all lags are a product of Fourier transforms (Press et al., *Numerical Recipes*,
-    /// 3rd ed., §13.2). Multiplying by the masks restricts them to valid times.
+    /// Products at all lags by Fourier transforms (Press et al., *Numerical Recipes*, 3rd ed., §13.2). The
+    /// masks restrict them to valid times.
     fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
         let length = stream.value.len().next_power_of_two();
         let (forward, inverse) = FFT_PLANS.with_borrow_mut(|planner| {
@@ -305,7 +296,7 @@ impl CorrelationSums {
         let spectrum = |values: &Vec<f64>| {
             let (mut padded, mut spectrum) = (values.clone(), forward.make_output_vec());
             padded.resize(length, 0.0);
-            // Fails only if the lengths differ from those planned.
+            // Fails only if lengths differ from those planned.
             let done = forward.process(&mut padded, &mut spectrum);
             debug_assert!(done.is_ok());
             spectrum
@@ -318,7 +309,7 @@ impl CorrelationSums {
             let (mut product, mut lags): (Vec<_>, _) =
                 (product.collect(), inverse.make_output_vec());
             for end in [0, length / 2] {
-                // Real in theory, and the transform requires it.
+                // Real in theory; required by the transform.
                 product[end].im = 0.0;
             }
             let done = inverse.process(&mut product, &mut lags);
@@ -329,10 +320,9 @@ impl CorrelationSums {
         self.known[1] += stream.known.iter().sum::<f64>();
     }
 
-    /// Correlation at every lag. NaN if a speed is constant or if less than a third of the times are
-    /// common.
+    /// NaN if a speed is constant or less than a third of the times are common.
     fn correlations(&self) -> Vec<f64> {
-        /// Relative variance below which a speed is constant. Rounding of the transforms stays below it.
+        /// Speeds below this are constant; rounding stays below it.
         const MIN_RELATIVE_VARIANCE: f64 = 1e-10;
         let fewest = self.known[0].min(self.known[1]) / 3.0;
         let at = |lag: usize| {

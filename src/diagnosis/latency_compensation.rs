@@ -1,4 +1,4 @@
-//! Latency compensation: diagnoses streams with a variable latency after correcting their stamps.
+//! Diagnoses streams with a variable latency after correcting their stamps.
 
 use super::changes::{
     constant_frames_suffice, diagnose_with_changes, has_latency_steps, has_slow_residual,
@@ -13,11 +13,10 @@ use super::{
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
-/// Number of refinements of a large latency change.
 const MAX_REFINEMENTS: usize = 2;
 
-/// Diagnoses an arm's pose streams. If a stream's latency is not constant, it is compensated first, so its
-/// effects are not attributed to another cause.
+/// Diagnoses an arm's pose streams. Compensates a variable latency first, so its effects are not attributed
+/// to another cause.
 pub fn diagnose_with_latency_compensation(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -59,7 +58,7 @@ pub fn diagnose_with_latency_compensation(
     }
     let steps: Vec<_> =
         changes.iter().map(|change| change.as_ref().and_then(CoarseLatencyChange::steps)).collect();
-    // Ramps are part of the estimated latency profile; only steps are removed.
+    // Ramps stay in the estimated profile; only steps are removed.
     let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
         .zip(&steps)
@@ -82,7 +81,7 @@ pub fn diagnose_with_latency_compensation(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
-    // Profiles estimated on stamps with large errors are approximate, so refine them once.
+    // Profiles on stamps with large errors are approximate; refine once.
     let mut is_bettered = false;
     for s in 0..streams.len() {
         if steps[s].is_some() || tracks[s].is_none() {
@@ -101,7 +100,7 @@ pub fn diagnose_with_latency_compensation(
     if is_bettered {
         steady = diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s);
     }
-    // Profiles of large steps are already relative to the smallest level.
+    // Profiles of large steps are already relative to the lowest level.
     for ((course, stream), steps) in courses.iter_mut().zip(&streams).zip(&steps) {
         if let (Ok(unsteady), None) = (course.as_mut(), steps)
             && unsteady.is_unsteady
@@ -119,7 +118,7 @@ pub fn diagnose_with_latency_compensation(
     let is_enough = |bent: &ArmDiagnosis| {
         !bent.joints.compliance.is_empty() && !bent.streams.iter().any(has_slow_residual)
     };
-    // A joint with backlash that reverses a few times looks like a zero or frame that changes.
+    // Backlash with few reversals resembles a changing zero or frame.
     let most = if by_bend.as_ref().is_some_and(is_enough) { 1 } else { usize::MAX };
     let by_change = match is_within_links {
         true => None,
@@ -143,8 +142,8 @@ pub fn diagnose_with_latency_compensation(
     steady
 }
 
-/// Refines a latency ramp with the profile of the compensated stream. If that has no variation, the speeds
-/// differ for another reason. `None` if nothing changes.
+/// Refines a ramp with the profile of the compensated stream. If that is constant, the speeds differ for
+/// another reason. `None` if nothing changes.
 fn refine_ramp(
     change: &mut Option<CoarseLatencyChange>,
     course: &EstimateResult<LatencyProfile>,
@@ -157,7 +156,6 @@ fn refine_ramp(
     Some(())
 }
 
-/// Diagnosis of the streams after removing large latency changes.
 fn diagnose_without_coarse_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -176,7 +174,7 @@ fn diagnose_without_coarse_changes(
     diagnose_arm(joints, &streams, most_lag_s)
 }
 
-/// Replaces the tracks of streams for which a new one is given.
+/// Replaces the given tracks.
 fn with_tracks<'a>(
     streams: &[PoseStream<'a>],
     tracks: &'a [Option<PoseTrack>],
@@ -188,7 +186,7 @@ fn with_tracks<'a>(
     streams.iter().zip(tracks).map(with).collect()
 }
 
-/// Diagnoses an IMU. If its latency is not constant, it is compensated first.
+/// Same for an IMU.
 pub fn diagnose_imu_with_latency_compensation(
     joints: &JointTrack,
     stream: ImuStream,
@@ -217,7 +215,6 @@ pub fn diagnose_imu_with_latency_compensation(
     };
     let mut change = detect_imu_latency_changes(joints, &stream, most_lag_s);
     let mut found = unchanged(&change);
-    // Small ramps are refined like large ones.
     let small = found.latency_profile.as_ref().ok().filter(|course| course.is_unsteady);
     let small =
         small.and_then(LatencyRamp::from_profile).map(|it| CoarseLatencyChange::Ramp(it, None));
@@ -228,7 +225,7 @@ pub fn diagnose_imu_with_latency_compensation(
         }
         found = unchanged(&change);
     }
-    // Ramps are part of the estimated latency profile; only steps are removed.
+    // See above: only steps are removed.
     let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
     let stepping = steps.map(|steps| steps.profile(&found.latency_profile));
     let unsteady = found.latency_profile.as_ref().ok().filter(|course| course.is_unsteady);
@@ -239,7 +236,7 @@ pub fn diagnose_imu_with_latency_compensation(
     let unstepped = steps.map(|steps| steps.compensated(t_s));
     let rows = match &unstepped {
         None => course.compensated(t_s),
-        // The profile refers to stamps without the steps.
+        // The profile refers to unstepped stamps.
         Some(rows) => {
             let unstepped_s: Vec<f64> = rows.iter().map(|&(_, t_s)| t_s).collect();
             let straight = course.compensated(&unstepped_s).into_iter();
@@ -255,7 +252,7 @@ pub fn diagnose_imu_with_latency_compensation(
     ImuDiagnosis { latency_profile: Ok(told), ..steady }
 }
 
-/// Poses of a stream with stamps corrected to a constant latency. `None` if the latency is constant.
+/// Poses with stamps corrected to a constant latency. `None` if it is constant.
 pub fn compensate_latency(
     stream: &PoseStream,
     course: &EstimateResult<LatencyProfile>,
@@ -264,7 +261,7 @@ pub fn compensate_latency(
     Some(with_stamps(stream.track, &course.compensated(&stream.track.t_s)))
 }
 
-/// Selects rows of a pose track and replaces their stamps.
+/// Selects rows and replaces their stamps.
 pub(super) fn with_stamps(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared

@@ -1,9 +1,8 @@
 //! Latency profile of a stream over the run: steady, in steps, or wandering.
 //!
-//! After correcting everything found, an additional latency of δ shifts the stream against FK by −δ times
-//! its velocity. In each window of about a second, the position and rotation residuals are fitted jointly
-//! by `c − δ·v`. The constant `c` absorbs model error, which depends on the configuration and changes
-//! slowly.
+//! An additional latency of δ shifts the corrected stream against FK by −δ times its velocity. In each
+//! window, position and rotation residuals are fitted jointly by `c − δ·v`. The constant `c` absorbs model
+//! error, which changes slowly with the configuration.
 
 mod shapes;
 #[cfg(test)]
@@ -22,25 +21,21 @@ use windows::{
     LatencyWindow, NormalizedSample, chi2_beside_line, levels, samples, splits, windows,
 };
 
-/// Window length, s.
 const WINDOW_S: f64 = 1.0;
-/// Minimum number of samples in a window.
 const MIN_WINDOW_SAMPLES: usize = 10;
-/// Minimum number of windows.
 const MIN_WINDOWS: usize = 4;
-/// A window is ignored if its standard error exceeds this multiple of the typical one. The second value
-/// applies if a gradual latency, estimated from speeds alone, is already compensated.
+/// Windows with larger standard errors, relative to the typical one, are ignored. The second value applies
+/// after compensating a gradual latency estimated from speeds alone.
 const MAX_STD_ERROR_RATIO: [f64; 2] = [5.0, 100.0];
-/// Maximum number of latency steps.
 const MAX_STEPS: usize = 4;
-/// Minimum decrease of χ² per latency step, in units of the remaining χ² per window.
+/// Per latency step, in units of the remaining χ² per window.
 const MIN_CHI2_GAIN: f64 = 40.0;
-/// A swing is significant if it exceeds this many standard errors.
+/// For a significant swing.
 const MIN_STD_ERRORS: f64 = 6.0;
-/// A simpler profile is preferred if it explains all but this fraction of what the best profile explains.
-/// The second value applies if a gradual latency is already compensated.
+/// A simpler profile is preferred if it explains all but this fraction of what the best one does. The
+/// second value applies after compensating a gradual latency.
 const MAX_EXTRA_RESIDUAL: [f64; 2] = [0.03, 0.002];
-/// χ² per window above which a latency is not steady.
+/// χ² per window of an unsteady latency.
 const MIN_UNSTEADY_CHI2: f64 = 9.0;
 
 /// Kind of latency profile.
@@ -50,7 +45,7 @@ pub enum LatencyShape {
     Steady,
     /// Steps between constant levels.
     Steps,
-    /// Ramp from one level to another. Times are in s from the run's origin.
+    /// Ramp between two levels. Times are in s from the run's origin.
     Ramp {
         /// Start of the ramp.
         from_s: f64,
@@ -63,24 +58,23 @@ pub enum LatencyShape {
     WithLoad,
 }
 
-/// Latency profile of a stream over the run.
+/// Latency profile of a stream. Latencies are relative to the stream's estimated latency, in s; times are
+/// in s from the run's origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencyProfile {
-    /// Size of the variation, s: largest step or ramp, signed; range from minimum to maximum if it wanders
-    /// or depends on load; scatter beyond chance if it is steady.
+    /// Size of the variation, s: signed for steps (largest) and ramps; range if it wanders or depends on
+    /// load; scatter beyond chance if steady.
     pub swing_s: Measured,
     /// Whether the variation is significant.
     pub is_unsteady: bool,
     /// Kind of profile.
     pub shape: LatencyShape,
-    /// Latency steps in time order. Empty for other kinds.
+    /// In time order. Empty for other kinds.
     pub steps: Vec<LatencyStep>,
-    /// Latency relative to the stream's estimated latency, s, at times in s from the run's origin. Constant
-    /// from each time on if the profile has steps, else linear in between. If unsteady, the reference is
-    /// the latency estimated after compensation.
+    /// Time and latency. Constant from each time on if there are steps, else linear in between. If
+    /// unsteady, relative to the latency estimated after compensation.
     pub levels: Vec<(f64, f64)>,
-    /// Latency relative to the stream's estimated latency, s, in each window. Times are in s from the run's
-    /// origin.
+    /// Time and latency of each window.
     pub windows: Vec<(f64, Measured)>,
 }
 
@@ -94,7 +88,7 @@ pub struct LatencyStep {
 }
 
 impl LatencyProfile {
-    /// Builds the profile of a latency with steps between `levels`. `None` without a step.
+    /// Profile with steps between `levels`. `None` without a step.
     pub(super) fn from_steps(
         jumps: Vec<LatencyStep>,
         levels: Vec<(f64, f64)>,
@@ -112,30 +106,29 @@ impl LatencyProfile {
         })
     }
 
-    /// Compensates the stamps `t_s` for the deviation from the median level. Returns each with its row, and
-    /// drops rows that would precede an earlier one.
+    /// Stamps compensated for the deviation from the median level, each with its row. Drops rows that would
+    /// be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let usual = self.typical_s(t_s);
         let straight = |t_s: &f64| t_s - (self.relative_s(*t_s) - usual);
         monotonic_rows(t_s.iter().map(straight).enumerate())
     }
 
-    /// Median level at the stamps `t_s`, s.
+    /// Median level at the stamps, s.
     pub fn typical_s(&self, t_s: &[f64]) -> f64 {
         let mut beyond: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
         beyond.sort_by(f64::total_cmp);
         beyond.get(beyond.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// Same profile with its levels relative to the median level at the stamps `t_s`.
+    /// Makes the levels relative to the median at the stamps.
     pub(super) fn relative_to_typical(mut self, t_s: &[f64]) -> Self {
         let usual_s = self.typical_s(t_s);
         self.levels.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
         self
     }
 
-    /// Adds `rest`, the profile that remains after compensating this one. Applies to ramps, wandering and
-    /// load-dependent profiles.
+    /// Adds the profile that remains after compensating this one. Not for steps.
     pub(super) fn combined_with(mut self, rest: &Self) -> Self {
         let added: Option<Vec<f64>> = match self.shape {
             LatencyShape::WithLoad if rest.shape == self.shape && rest.is_unsteady => {
@@ -182,7 +175,7 @@ impl LatencyProfile {
         })
     }
 
-    /// Number of parameters of the profile, excluding a constant.
+    /// Number of parameters without the constant.
     pub(super) fn parameters(&self) -> usize {
         match self.shape {
             LatencyShape::Steady => 0,
@@ -196,7 +189,7 @@ impl LatencyProfile {
         }
     }
 
-    /// Latency relative to the stream's estimated latency at the stamp `t_s`, s.
+    /// Latency at a stamp, s.
     pub(super) fn relative_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
         let level = |index: usize| self.levels.get(index).copied();
@@ -211,21 +204,21 @@ impl LatencyProfile {
     }
 }
 
-/// Residual of a late stream at one stamp after correcting everything found, and the true velocity. Up to
-/// two kinds of vectors, such as position and rotation; a missing kind is zero.
+/// Corrected residual at one stamp, and the true velocity. Up to two kinds of vectors, such as position and
+/// rotation; a missing kind is zero.
 pub(super) struct LatencySample {
-    /// Stamp, s from the run's origin.
+    /// s from the run's origin.
     pub t_s: f64,
     pub residual: [Vec3; 2],
     pub velocity: [Vec3; 2],
-    /// Loads on which the latency may depend: joint speed, rad/s, and tool speed, m/s. 0 disables the test.
+    /// Joint speed, rad/s, and tool speed, m/s, on which the latency may depend. 0 disables the test.
     pub loads: [f64; 2],
-    /// Standard deviation of a component of the last kind of `residual` caused by joint noise. 0 if unknown.
+    /// Standard deviation of a component of the last kind caused by joint noise. 0 if unknown.
     pub joint_noise: f64,
 }
 
-/// Latency profile of the `aligned` samples of a stream. They are already compensated for `skew` and for
-/// the gradual latency `taken`. `speed` is the joint speed at the time of measurement of a stamp, rad/s.
+/// Latency profile of `aligned` samples, which are compensated for `skew` and the gradual latency `taken`.
+/// `speed` returns the joint speed at the time of measurement, rad/s.
 pub(super) fn latency_profile(
     aligned: &AlignedSamples,
     skew: f64,
@@ -235,8 +228,7 @@ pub(super) fn latency_profile(
     fit_profile(&latency_samples(aligned, speed), 2, skew, taken)
 }
 
-/// Latency profile from the residuals `latency_samples` of this many kinds. They are already compensated for `skew`
-/// and `taken`.
+/// Same from residuals of this many kinds.
 pub(super) fn fit_profile(
     lagging: &[LatencySample],
     kinds: usize,
@@ -262,13 +254,13 @@ pub(super) fn fit_profile(
     for window in &mut windows {
         window.delta_s += taken_s(window.t_s);
     }
-    // Linear growth is skew, which is reported separately.
+    // Linear growth is skew, reported separately.
     let steady = chi2_beside_line(&windows);
     let free = (windows.len() - 2) as f64;
     let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
     let loaded = if taken.is_none() { fit_load_dependence(&samples) } else { None };
-    // A ramp within the run resembles a line, and its deviation is small relative to the window errors.
-    // Test for it explicitly.
+    // A ramp resembles a line, and its deviation is small relative to window errors, so test for it
+    // explicitly.
     let is_bent = piecewise_chi2(&windows).is_some_and(|bent| {
         let left = (windows.len() as f64 - THREE_SEGMENT_PARAMETERS).max(1.0);
         steady - bent > MIN_CHI2_GAIN * (bent / left).max(1.0)
@@ -278,7 +270,6 @@ pub(super) fn fit_profile(
     }
     let splits = splits(&windows);
     let jumps = || stepped_profile(&samples, &windows, &splits, &taken_s);
-    // Samples without the compensation.
     let ungrown: Vec<NormalizedSample> = samples
         .iter()
         .map(|sample| {
@@ -293,11 +284,11 @@ pub(super) fn fit_profile(
         LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
         _ => false,
     };
-    // A piecewise linear fit exaggerates the swing of a small variation.
+    // A piecewise linear fit exaggerates small variations.
     let pieces = fit_piecewise_linear(&windows, &ungrown)
         .filter(|course| taken.is_some() || is_ramp(course));
-    // Latency that remains in `samples`. Only the load-dependent profile was fitted to them directly; the
-    // others include the compensated part.
+    // Latency that remains in `samples`. The load-dependent profile was fitted to them; the others include
+    // the compensated part.
     let untold_s = |course: &LatencyProfile, t_s: f64| match course.shape {
         LatencyShape::WithLoad => course.relative_s(t_s),
         _ => course.relative_s(t_s) - taken_s(t_s),
@@ -319,32 +310,32 @@ pub(super) fn fit_profile(
     let least = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
     let level_s = levels(&windows, &[]).0[0].value;
     let constant = residual_after(&samples, |row| level_s - taken_s(samples[row].t_s));
-    // The linearisation leaves a second-order residual that no simple profile explains.
+    // Linearisation leaves a second-order residual that no simple profile explains.
     let hardly_more = MAX_EXTRA_RESIDUAL[usize::from(taken.is_some())];
     let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
     let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
         return Err(NotObservable::NotExcited);
     };
-    // With many windows, noise alone has a range from minimum to maximum.
+    // With many windows, noise alone has a range.
     let is_told = course.swing_s.value.abs() > MIN_STD_ERRORS * course.swing_s.std_error;
     let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
     let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
     Ok(LatencyProfile { is_unsteady, windows: seen, ..course })
 }
 
-/// Returns whether replacing latency `without_s` by `with_s` explains most of the excess residual, without
-/// increasing the position or rotation residual. A model error can imitate a latency in one of these, but
-/// not in both.
+/// Whether replacing latency `without_s` by `with_s` explains most of the excess residual without
+/// increasing the position or rotation residual. A model error may imitate latency in one of them, not in
+/// both.
 fn explains(
     samples: &[NormalizedSample],
     without_s: impl Fn(f64) -> f64,
     with_s: impl Fn(f64) -> f64,
 ) -> bool {
-    /// Maximum remaining fraction of the excess residual.
+    /// Of the excess residual.
     const MAX_RESIDUAL_RATIO: f64 = 0.5;
-    /// Minimum excess residual relative to the noise.
+    /// Minimum excess relative to the noise.
     const MAX_REMAINING_SHARE: f64 = 0.1;
-    // The residuals are scaled by the noise, so noise contributes 1 per component.
+    // Residuals are scaled to unit noise.
     let noise = 3.0 * samples.len() as f64;
     let square = |kind: usize, late: bool| {
         let squares = samples.iter().map(|sample| {
@@ -362,7 +353,6 @@ fn explains(
         && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
 }
 
-/// Position and rotation residuals against FK.
 fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
@@ -389,7 +379,7 @@ fn constant_profile(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile
     let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
     let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
     let scatter = (scatter.sum::<f64>() / windows.len() as f64).max(0.0).sqrt();
-    // Inflate the error if windows scatter by more than their standard errors (Birge 1932).
+    // Inflate the error by excess scatter (Birge 1932).
     let std_error = typical_s.hypot(scatter);
     LatencyProfile {
         swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
@@ -436,7 +426,7 @@ fn stepped_profile(
             let parts = sample.residual.iter().zip(&sample.velocity);
             parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
         };
-        // Change of the squared residual if the step moves from before all samples to after each of them.
+        // Change of the squared residual as the step moves past each sample.
         let mut sum = 0.0;
         let (mut least, mut at_s) = (0.0, around.0);
         for sample in inside {

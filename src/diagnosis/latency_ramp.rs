@@ -4,14 +4,14 @@ use super::LatencyProfile;
 use super::coarse_latency::{LagWindow, monotonic_rows, squared_residual};
 use super::latency::SpeedSeries;
 
-/// Piecewise linear latency, as compensated in a stream's stamps.
+/// Piecewise linear latency of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencyRamp {
-    /// Stamps, s from the run's origin, and latency there, s. At least two.
+    /// Stamp, s from the run's origin, and latency, s. At least two.
     knots: Vec<(f64, f64)>,
 }
 
-/// Fitted latency, its squared speed residual, and that of a linear latency.
+/// Fitted latency with its squared speed residual, and the residual of a linear latency.
 pub(super) struct RampFit {
     pub ramp: LatencyRamp,
     pub residual: f64,
@@ -19,18 +19,17 @@ pub(super) struct RampFit {
 }
 
 impl LatencyRamp {
-    /// Fits the latency of a stream whose speed matches the arm's in `windows` at varying lags. Returns the
-    /// speed residuals of this fit and of the best line. `None` if the lags vary little.
+    /// Fits the lags of `windows`. Also returns the speed residuals of this fit and of the best line.
+    /// `None` if the lags vary little.
     pub(super) fn fit_windows(
         arm: &SpeedSeries,
         stream: &SpeedSeries,
         windows: &[&LagWindow],
     ) -> Option<RampFit> {
-        /// Minimum variation, s. A smaller one does not affect estimates over a second of motion.
+        /// Smaller variations do not affect estimates over a second of motion.
         const MIN_VARIATION_S: f64 = 0.035;
-        /// Minimum deviation from a line, s. A smaller one is skew.
+        /// Smaller deviations are skew.
         const MIN_LINE_DEVIATION_S: f64 = 0.005;
-        /// Minimum number of knots.
         const MIN_KNOTS: usize = 6;
         let (first, last) = (windows.first()?, windows.last()?);
         let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
@@ -49,7 +48,7 @@ impl LatencyRamp {
         let of_line = line.refine(arm, stream);
         let mut rough = Self { knots };
         rough.refine(arm, stream);
-        // The windows overlap, so add a knot between every two.
+        // Windows overlap, so add a knot between every two.
         let mut gradual = Self { knots: rough.with_midpoints() };
         let left = gradual.refine(arm, stream);
         let bends = gradual
@@ -63,7 +62,7 @@ impl LatencyRamp {
         })
     }
 
-    /// The latency of a piecewise linear profile. `None` for other profiles.
+    /// `None` if the profile is not piecewise linear.
     pub(super) fn from_profile(course: &LatencyProfile) -> Option<Self> {
         let knots = &course.levels;
         (course.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
@@ -76,19 +75,18 @@ impl LatencyRamp {
         a + (b - a) * ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)
     }
 
-    /// Compensates the stamps `t_s`. Returns each with its row, and drops rows that would precede an
-    /// earlier one.
+    /// Compensated stamps, each with its row. Drops rows that would be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         monotonic_rows(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
     }
 
-    /// Converts a compensated stamp back to the logged one, s.
+    /// Logged stamp of a compensated one, s.
     pub(super) fn logged_s(&self, t_s: f64) -> f64 {
-        // Fixed-point iteration. It converges because the latency changes slowly.
+        // Fixed-point iteration; converges because the latency changes slowly.
         (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
     }
 
-    /// Minimises the speed residual over the lag at each knot, with decreasing steps. Returns the residual.
+    /// Minimises the speed residual over the lag at each knot. Returns the residual.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
         let mut least = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
@@ -106,7 +104,6 @@ impl LatencyRamp {
         least
     }
 
-    /// Knots with an additional one in the middle of each segment.
     fn with_midpoints(&self) -> Vec<(f64, f64)> {
         let amid = self.knots.windows(2).flat_map(|two| {
             let ((a_s, a), (b_s, b)) = (two[0], two[1]);

@@ -4,26 +4,24 @@ use super::{PoseDiagnosis, PoseStream};
 use ground::geometry::angle_between;
 use ground::stream::JointTrack;
 
-/// Residual of a corrected stream at one latency.
+/// Residual at one latency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatencyResidual {
-    /// Latency, s.
+    /// s.
     pub latency_s: f64,
-    /// Position residual against FK, rms m.
+    /// Position residual, rms m.
     pub rms_m: f64,
-    /// Rotation residual against FK, rms rad.
+    /// Rotation residual, rms rad.
     pub rms_rad: f64,
 }
 
-/// Residuals of `stream` at latencies around the estimate in `found` and around zero. `joints` are the
-/// corrected joint states. Empty if no latency was estimated, or if too few samples have FK at all of these
-/// latencies.
+/// Residuals of `stream` against the corrected `joints`, at latencies around zero and the estimate in
+/// `found`. Empty if no latency was estimated or too few samples have FK at all latencies.
 pub fn residual_by_latency(
     joints: &JointTrack,
     stream: &PoseStream,
     found: &PoseDiagnosis,
 ) -> Vec<LatencyResidual> {
-    /// Maximum and minimum number of compared samples.
     const MAX_SAMPLES: usize = 400;
     const MIN_SAMPLES: usize = 20;
     let Ok(latency) = &found.latency_s else { return Vec::new() };
@@ -76,12 +74,10 @@ pub fn residual_by_latency(
         .collect()
 }
 
-/// Latencies to evaluate, s, ascending. They extend beyond the estimate and zero on both sides, and include
-/// the estimate.
+/// Ascending, s. Extends beyond the estimate and zero; includes the estimate.
 fn latencies_s(found_s: f64, half_width_s: f64) -> Vec<f64> {
-    /// Number of steps.
     const STEPS: usize = 120;
-    /// Minimum margin beyond the estimate and zero, s.
+    /// Beyond the estimate and zero.
     const MIN_MARGIN_S: f64 = 0.01;
     let beside_s = (0.6 * found_s.abs()).max(MIN_MARGIN_S).max(3.0 * half_width_s.min(1.0));
     let (low_s, high_s) = (found_s.min(0.0) - beside_s, found_s.max(0.0) + beside_s);

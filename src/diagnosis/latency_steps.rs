@@ -1,5 +1,5 @@
-//! Large latency steps: assigns one of the candidate lags to each time, minimising the speed difference
-//! plus a price per step (Viterbi 1967).
+//! Large latency steps: assigns a candidate lag to each time, minimising speed differences plus a price per
+//! step (Viterbi 1967).
 
 use super::coarse_latency::{
     LagWindow, MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows,
@@ -9,26 +9,23 @@ use super::latency::SpeedSeries;
 use super::latency_profile::{LatencyProfile, LatencyShape, LatencyStep};
 use super::{EstimateResult, Measured};
 
-/// Minimum separation of two candidate lags, s.
+/// Between two candidate lags.
 const MIN_LAG_SEPARATION_S: f64 = 0.015;
-/// Minimum duration of a level, s.
 const MIN_LEVEL_S: f64 = 1.5;
-/// Maximum number of candidate lags.
 const MAX_LAGS: usize = 8;
-/// Standard error of a lag from speeds alone, s.
+/// Standard error of a lag from speeds alone.
 const COARSE_STD_ERROR_S: f64 = 2e-3;
-/// Maximum speed difference after the steps, relative to the best constant lag.
+/// After the steps, relative to the best constant lag.
 const MAX_RESIDUAL_RATIO: f64 = 0.35;
 
 /// Levels of a latency with steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencySteps {
-    /// Start stamp, s from the run's origin, and latency, s, of each level. At least two; the first starts
-    /// at −∞.
+    /// Start stamp, s from the run's origin, and latency, s. At least two; the first starts at −∞.
     levels: Vec<(f64, f64)>,
 }
 
-/// Latency steps of a stream that follows the arm in these windows.
+/// Latency steps, from the lags in `windows`.
 pub(super) fn detect_steps(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
@@ -40,7 +37,7 @@ pub(super) fn detect_steps(
     Some(finer.unwrap_or(rough))
 }
 
-/// Candidate lags from the windows. Close lags are merged to the best correlated one.
+/// Lags of the windows. Close ones merge to the best correlated.
 fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     let mut all = windows.to_vec();
     all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
@@ -53,9 +50,8 @@ fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
     groups.into_iter().take(MAX_LAGS).filter_map(best).collect()
 }
 
-/// Assigns one of `candidate_lags` to each time.
 fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<LatencySteps> {
-    /// Price of a step, as the duration over which the smallest speed difference accumulates to it, s.
+    /// Price of a step, as a duration of the smallest speed difference.
     const STEP_PRICE_S: f64 = 10.0;
     let rows = fit_rows(stream);
     let costs: Vec<Vec<f64>> =
@@ -92,7 +88,7 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
             levels.push((stream.t_s[rows[row]], way[row]));
         }
     }
-    // Drop short levels: they are glitches in one of the speeds.
+    // Short levels are glitches in one of the speeds.
     let ends: Vec<f64> =
         levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
     let begin_s = stream.t_s[first];
@@ -122,9 +118,9 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
 }
 
 impl LatencySteps {
-    /// Refined lag of each level: the one with the smallest speed difference over its duration, s.
+    /// Lag with the smallest speed difference over each level, s.
     fn finer_lags(&self, arm: &SpeedSeries, stream: &SpeedSeries) -> Vec<f64> {
-        /// Search range and step around the coarse lag, s.
+        /// Around the coarse lag.
         const LAG_SEARCH_RANGE_S: f64 = 0.03;
         const LAG_SEARCH_STEP_S: f64 = 1e-3;
         let ends_s = self.levels.iter().skip(1).map(|level| level.0).chain([f64::INFINITY]);
@@ -155,7 +151,7 @@ impl LatencySteps {
         finer
     }
 
-    /// Lag retained when the steps are removed: the smallest in magnitude, s.
+    /// Lag that remains when the steps are removed: the smallest in magnitude, s.
     fn retained_lag_s(&self) -> f64 {
         let lags = self.levels.iter().map(|level| level.1);
         lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
@@ -171,15 +167,13 @@ impl LatencySteps {
         self.lag_s(t_s) - self.retained_lag_s()
     }
 
-    /// Whether a stamp is far enough from every step to belong to one level. Near a backward step, stamps
-    /// of both levels overlap.
+    /// Whether a stamp belongs to one level. Stamps of both overlap near a backward step.
     fn is_far_from_steps(&self, t_s: f64) -> bool {
         let mut steps = self.levels.windows(2);
         steps.all(|both| (t_s - both[1].0).abs() > (both[1].1 - both[0].1).abs())
     }
 
-    /// Stamps with the steps removed, each with its row. Skips rows near a step and rows that would be out
-    /// of order.
+    /// Stamps without the steps, each with its row. Skips rows near a step and rows out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_far_from_steps(**t_s));
         monotonic_rows(clear.map(|(row, t_s)| (row, t_s - self.relative_s(*t_s))))
@@ -188,7 +182,7 @@ impl LatencySteps {
     /// Latency profile of these steps, refined with the profile `found` on the stream without them, plus
     /// its additional jumps.
     pub fn profile(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
-        /// Maximum distance at which a jump of the remaining profile is merged with a step, s.
+        /// For merging a remaining jump with a step.
         const MAX_MERGE_DISTANCE_S: f64 = 2.0;
         let fine = found.as_ref().ok();
         let begins: Vec<f64> = self
@@ -244,9 +238,8 @@ impl LatencySteps {
     }
 }
 
-/// Weighted mean over windows, with a standard error scaled by their scatter.
+/// Weighted mean, with a standard error scaled by the scatter.
 pub(super) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
-    /// Lower bound of the standard error, s.
     const MIN_STD_ERROR_S: f64 = 2e-5;
     let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
     let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();

@@ -1,29 +1,26 @@
-//! Linear least squares under correlated noise: residuals and design matrix, weights, normal equations, and
-//! covariance.
+//! Linear least squares under correlated noise.
 
 use super::noise::Noise;
 use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
-/// Residuals and design matrix of a stream, linearised about a state.
-///
-/// Each sample has a residual of three components per kind: position and rotation of a pose, or only the
-/// rotation of an IMU.
+/// Residuals and design matrix of a stream, linearised about a state. Each sample has a three-component
+/// residual per kind: position and rotation of a pose, or the rotation of an IMU.
 pub(super) struct Linear {
     /// Number of parameters.
     pub width: usize,
-    /// Residuals indexed by kind and sample.
+    /// By kind and sample.
     pub residual: Vec<Vec<[f64; 3]>>,
     /// Minimum standard deviation of each kind, in its unit.
     floor: Vec<f64>,
     /// Derivatives: three rows of `width` per kind and sample.
     design: Vec<f64>,
-    /// `AᵀA` of each kind's rows, computed on first use.
+    /// `AᵀA` of each kind, computed on first use.
     squares: OnceLock<Vec<Triangle>>,
 }
 
-/// Lower triangle of a symmetric matrix, row by row.
+/// Lower triangle of a symmetric matrix, by rows.
 #[derive(Clone)]
 pub(super) struct Triangle(Vec<f64>);
 
@@ -37,7 +34,7 @@ impl Triangle {
         Self((0..matrix.nrows()).flat_map(row).collect())
     }
 
-    /// Adds `weight · Σ vᵀv` over rows of `width` numbers. Skips columns in which all rows are zero.
+    /// Adds `weight · Σ vᵀv`. Skips columns in which all rows are zero.
     pub fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
         let mut rest = self.0.as_mut_slice();
         for i in 0..rows[0].len() {
@@ -64,14 +61,13 @@ impl Triangle {
     }
 }
 
-/// Writable rows of one sample.
 pub(super) struct Rows<'a> {
     values: &'a mut [f64],
     width: usize,
 }
 
 impl Rows<'_> {
-    /// Sets the derivatives of the residual of `kind` with respect to parameter `column`.
+    /// Sets the derivatives of `kind` by parameter `column`.
     pub fn set(&mut self, kind: usize, column: usize, derivative: [f64; 3]) {
         for (axis, value) in derivative.into_iter().enumerate() {
             self.values[(kind * 3 + axis) * self.width + column] = value;
@@ -79,15 +75,14 @@ impl Rows<'_> {
     }
 }
 
-/// Weights of one kind of residual.
 pub(super) struct Weight {
     pub noise: Noise,
-    /// Huber weight of each sample, 0 to 1.
+    /// Huber weights, 0 to 1.
     robust: Vec<f64>,
 }
 
 impl Linear {
-    /// Creates an empty system of `width` parameters, with one kind for each entry of `floor`.
+    /// Empty system with one kind per entry of `floor`.
     pub fn new(width: usize, floor: &[f64]) -> Self {
         let residual = floor.iter().map(|_| Vec::new()).collect();
         Self {
@@ -99,7 +94,7 @@ impl Linear {
         }
     }
 
-    /// Appends a sample with its residual of each kind. Returns its derivatives, initially zero.
+    /// Appends a sample. Returns its derivatives, initially zero.
     pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
         for (column, residual) in self.residual.iter_mut().zip(residuals) {
             column.push(*residual);
@@ -128,7 +123,7 @@ impl Linear {
         self.residual[row / 3][sample][row % 3]
     }
 
-    /// Derivative with respect to one parameter, and residual, of every row.
+    /// Derivative by one parameter, and residual, of every row.
     pub fn along(&self, parameter: usize) -> impl Iterator<Item = (f64, f64)> {
         let rows = 3 * self.kinds();
         (0..self.len() * rows).map(move |i| {
@@ -137,7 +132,7 @@ impl Linear {
         })
     }
 
-    /// Residuals after a step of the parameters, by kind.
+    /// Residuals after a step, by kind.
     pub fn residuals_after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
         let remaining = |sample: usize, kind: usize| -> [f64; 3] {
             std::array::from_fn(|axis| {
@@ -163,7 +158,7 @@ impl Linear {
         part
     }
 
-    /// Initial weights from the spread of the residuals, assuming white noise.
+    /// Weights from the spread of the residuals, assuming white noise.
     pub fn first_weights(&self) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
             noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
@@ -187,7 +182,7 @@ impl Linear {
         self.residuals_after(step).into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
-    /// Row `row` of every sample as a matrix, and its transpose.
+    /// Row `row` of every sample, and its transpose.
     fn design_of(&self, row: usize) -> [DMatrixView<'_, f64, Dyn, Dyn>; 2] {
         let apart = 3 * self.kinds() * self.width;
         let own = self.design.get(row * self.width..).unwrap_or_default();
@@ -198,14 +193,11 @@ impl Linear {
         ]
     }
 
-    /// Rows of `kind` of one sample.
     fn rows_of(&self, sample: usize, kind: usize) -> [&[f64]; 3] {
         std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
     }
 
-    /// `Aᵀ W A` over all parameters.
-    ///
-    /// Most samples of a kind have the same weight, so their squares are summed once for all weights.
+    /// `Aᵀ W A`. Squares of the many samples with equal weight are summed once.
     fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
         let of_kind = |kind: usize| {
             let mut squares = DMatrix::zeros(self.width, self.width);
@@ -227,7 +219,7 @@ impl Linear {
         sum
     }
 
-    /// Adds this stream's normal equations to `normal`. `columns` maps its parameters.
+    /// Adds this stream to `normal`, with its parameters at `columns`.
     pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
         let mut right = vec![0.0; self.width];
         for sample in 0..self.len() {
@@ -256,16 +248,15 @@ impl Linear {
         DMatrix::from_fn(self.width, self.width, |i, j| squares.at(i, j))
     }
 
-    /// Adds the two parts of a sandwich covariance (White 1980). `Aᵀ W A` over the chosen parameters is
-    /// added to `information`, and the covariance of the score under the noise in `weights` to `scores`.
-    /// `columns` maps each parameter to its target, if any.
+    /// Adds the two parts of a sandwich covariance (White 1980): `Aᵀ W A` to `information`, and the
+    /// covariance of the score under the noise to `scores`. `columns` maps each parameter to its target, if
+    /// any.
     ///
-    /// The components of one sample are not independent: noise of one joint affects all six through its
-    /// Jacobian column, which depends on the configuration. As in White's estimator, the sample's whole
-    /// residual `u = W r` therefore represents its noise. The autocovariance over time is from [`Noise`],
-    /// which is more accurate than a truncated empirical one. The autoregressive part is a sum of
-    /// innovations, each of which affects later samples by powers of ρ. The covariance is therefore a sum
-    /// of squares,
+    /// Noise of one joint affects all six components of a sample, depending on the configuration. As in
+    /// White's estimator, the sample's whole residual `u = W r` therefore represents its noise. The
+    /// autocovariance is from [`Noise`], which is more accurate than a truncated empirical one. Its
+    /// autoregressive part is a sum of innovations that affect later samples by powers of ρ, so the
+    /// covariance is
     ///
     /// `Σ_j (1−share)·(A_jᵀu_j)² + share·(1−ρ²)·(P_jᵀu_j)²` with `P_j = Σ_{l≤j} ρ^(j−l) A_l`.
     pub fn accumulate_covariance(
@@ -296,9 +287,9 @@ impl Linear {
         }
     }
 
-    /// Computes the variance along `influence` (one number per target) as a sum of squares. Returns this
-    /// sum and its variance, which together give the effective degrees of freedom (Satterthwaite 1946). The
-    /// variance accounts for autocorrelation.
+    /// Variance along `influence` (one number per target) as a sum of squares, and the variance of that
+    /// sum, including autocorrelation. Together they give the effective degrees of freedom (Satterthwaite
+    /// 1946).
     pub fn squares_along(
         &self,
         weights: &[Weight],
@@ -316,13 +307,12 @@ impl Linear {
             fourth += square * square;
         });
         let lasts = weights.iter().map(|weight| weight.noise.inflation_of_squares());
-        // For a normal variable, the fourth moment is three times the squared variance, and the variance of
-        // the square is twice the squared variance.
+        // For a normal variable, the fourth moment is 3σ⁴ and the variance of the square 2σ⁴.
         (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
     }
 
-    /// Calls `visit` with the score of every sample over the `chosen` parameters. Returns the weights with
-    /// which each row of the design continues beyond the last sample.
+    /// Visits the score of every sample. Returns the weights with which each row continues beyond the last
+    /// sample.
     fn each_score(
         &self,
         weights: &[Weight],
@@ -357,20 +347,18 @@ impl Linear {
     }
 }
 
-/// Parameters that have a target, with that target.
 fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
     let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
     columns.iter().enumerate().filter_map(with_target).collect()
 }
 
-/// Contribution of one sample's residual to the score of each parameter, through white noise and through
-/// autocorrelated noise.
+/// Contribution of one sample to the score of each parameter, through white and autocorrelated noise.
 struct Score {
     white: Vec<f64>,
     lasting: Vec<f64>,
 }
 
-/// Adds `value` to a symmetric matrix.
+/// Symmetric.
 fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
     matrix[(row, column)] += value;
     if row != column {
@@ -379,24 +367,23 @@ fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
 }
 
 impl Weight {
-    /// Selects the weights of samples by index.
+    /// Selects samples by index.
     pub fn subset(&self, samples: &[usize]) -> Self {
         Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
     }
 
-    /// Weight of one residual component.
     fn component(&self, sample: usize) -> f64 {
         self.robust[sample] * self.base_weight()
     }
 
-    /// Weight of a component without the robust factor. It counts as `1 / inflation` independent
-    /// components, so that a kind with strong autocorrelation does not outvote the other.
+    /// Weight without the robust factor. A component counts as `1 / inflation` independent ones, so a
+    /// strongly autocorrelated kind does not outvote the other.
     pub fn base_weight(&self) -> f64 {
         1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
     }
 }
 
-/// Normal equations over all parameters of a model.
+/// Normal equations of a model.
 pub(super) struct Normal {
     /// `Aᵀ W A`.
     pub matrix: DMatrix<f64>,
@@ -409,7 +396,7 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    /// Normal equations without samples.
+    /// Without samples.
     pub fn zeros(width: usize) -> Self {
         Self {
             matrix: DMatrix::zeros(width, width),
@@ -419,8 +406,7 @@ impl Normal {
         }
     }
 
-    /// Step that minimises the cost over `free` and returns every other parameter, now at `values`, to
-    /// zero.
+    /// Step that minimises the cost over `free` and returns the other parameters to zero.
     pub fn step(&self, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
         let mut step = -values;
         for &parameter in free {
@@ -455,14 +441,13 @@ impl Normal {
         self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
     }
 
-    /// Minimum, over `parameters`, of the share of a parameter's effect that the preceding ones do not
-    /// explain.
+    /// Minimum share of a parameter's effect that the preceding ones do not explain.
     pub fn separation(&self, parameters: &[usize]) -> f64 {
         let cholesky = self.scaled(parameters).0.cholesky();
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
-    /// Same, where `beside` also count as preceding parameters.
+    /// Same, where `beside` also precede.
     pub fn separation_beside(&self, beside: &[usize], parameters: &[usize]) -> f64 {
         let all = [beside, parameters].concat();
         let cholesky = self.scaled(&all).0.cholesky();
@@ -473,7 +458,7 @@ impl Normal {
         if parameters.is_empty() { 1.0 } else { cholesky.map_or(0.0, share) }
     }
 
-    /// Submatrix of `parameters` scaled to a unit diagonal, and the scale.
+    /// Submatrix scaled to a unit diagonal, and the scale.
     fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
         let n = parameters.len();
         let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];

@@ -1,19 +1,19 @@
 //! Joint zeros of an arm whose links deviate from the nominal model.
 //!
-//! The links of a real arm deviate from the nominal model by hundredths of a millimetre and thousandths of
-//! a degree. A joint zero is reported only if it exceeds the effect of such deviations. The link deviations
-//! are therefore random effects with a prior N(0, s²), where 1 mm corresponds to 0.1°. The zeros are fixed
-//! effects (Patterson and Thompson, *Recovery of inter-block information*, Biometrika 58, 1971). The
-//! interval of a zero then includes the inaccuracy of the nominal model as well as the noise.
+//! Links of a real arm deviate by hundredths of a millimetre and thousandths of a degree. A joint zero is
+//! reported only if it exceeds their effect. Link deviations are therefore random effects with a prior N(0,
+//! s²), where 1 mm corresponds to 0.1°, and zeros are fixed effects (Patterson and Thompson, *Recovery of
+//! inter-block information*, Biometrika 58, 1971). The interval of a zero then includes the inaccuracy of
+//! the nominal model.
 //!
-//! A link deviation about or along its joint's axis is the zero of that joint. It is a random effect as
-//! well, because an offset that all joints share is not the fault of one of them.
+//! A link deviation about or along its joint's axis is that joint's zero. It is a random effect as well,
+//! because an offset that all joints share is no single joint's fault.
 //!
-//! Deviations differ in size between links. On one factory-new UR5, one link was rotated by 0.37°, the next
-//! worst by 0.1°, and no joint zero was off by 0.01°. So each link has its own s, and the zeros share one.
-//! These sizes scatter about the arm's s such that deviations follow Student's t with [`SIZE_PRIOR_DOF`] degrees of
-//! freedom. The sizes maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition
-//! and Machine Learning*, 2006, ch. 10.1 and 10.3).
+//! Deviations differ between links: on a factory-new UR5, one link was rotated by 0.37°, the next worst by
+//! 0.1°, and no zero was off by 0.01°. So each link has its own s, and the zeros share one. These sizes
+//! scatter such that deviations follow Student's t with [`SIZE_PRIOR_DOF`] degrees of freedom. They
+//! maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition and Machine
+//! Learning*, 2006, ch. 10.1 and 10.3).
 
 use super::linear::{Linear, Normal};
 use super::model::{PoseObservations, StreamState};
@@ -26,49 +26,43 @@ use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use nalgebra::{DMatrix, DVector};
 
-/// Ratio of angular to linear link deviations, rad/m: 0.1° per 1 mm.
+/// Angular to linear link deviations: 0.1° per mm.
 pub(super) const RAD_PER_M: f64 = 1.745;
-/// Grid of link deviations, m: minimum, maximum, ratio.
+/// Minimum, maximum, ratio.
 pub(super) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
-/// Prior standard deviation of a joint zero that is present, rad or m.
+/// Standard deviation of a present joint zero, rad or m.
 pub(super) const ZERO_PRIOR: f64 = 0.02;
-/// Prior standard deviation of a radial scale error that is present (millimetres per metre), and of an
-/// absent one.
+/// Standard deviations of a present and an absent radial scale error.
 const RADIAL_SCALE_PRIOR: f64 = 0.01;
 const ABSENT_RADIAL_SCALE_PRIOR: f64 = 1e-9;
-/// Threshold on twice the log-likelihood ratio to report a zero (a ratio of about fifty).
+/// On twice the log-likelihood ratio of a zero (a ratio of about fifty).
 const MIN_LOG_RATIO: f64 = 8.0;
-/// Another joint's zero is a confounder if twice its log-likelihood ratio is within this (a ratio of about
-/// twenty).
+/// Within this, another joint's zero is a confounder (a ratio of about twenty).
 const MAX_LOG_RATIO_CONFOUNDER: f64 = 6.0;
-/// A zero is not observable if its standard error exceeds this fraction of [`ZERO_PRIOR`].
+/// Zeros with a larger standard error, relative to [`ZERO_PRIOR`], are not observable.
 const MAX_STD_ERROR_SHARE: f64 = 0.5;
-/// Maximum number of reported zeros.
 const MAX_ZEROS: usize = 4;
-/// Maximum number of fitted samples.
 pub(super) const MAX_DEVIATION_SAMPLES: usize = 1000;
-/// Linearisation rounds. Zeros of several degrees are nonlinear.
+/// Zeros of several degrees are nonlinear.
 const LINEARIZATION_ROUNDS: usize = 4;
-/// Degrees of freedom of the Student's t prior: how similar the sizes of link deviations and zeros are.
+/// Of the Student's t prior: how similar the sizes are.
 const SIZE_PRIOR_DOF: f64 = 8.0;
-/// Maximum number of rounds to estimate the sizes, and the change of twice the log-likelihood at which they
-/// have converged.
+/// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
 
-/// Zeros of an arm's joints, estimated together with its link deviations.
+/// Joint zeros estimated together with link deviations.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDeviations {
-    /// Columns of the joints with a zero offset. For each, the zeros of other joints that could replace it.
+    /// Columns of joints with a zero offset, each with the zeros that could replace it.
     pub reported: Vec<(usize, Vec<Confounder>)>,
-    /// Zero of each joint of the track, rad or m. `None` if the joint is not in the chain or its zero is
-    /// not observable.
+    /// One per joint of the track, rad or m. `None` if not in the chain or not observable.
     pub zeros: Vec<Option<Measured>>,
-    /// Standard deviation of the link deviations from the nominal model, m.
+    /// Standard deviation of the links, m.
     pub link_m: f64,
 }
 
 impl LinkDeviations {
-    /// Joint offsets including the reported zeros.
+    /// Joint offsets plus the reported zeros.
     pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
         let mut with = offsets.to_vec();
         for &(column, _) in &self.reported {
@@ -77,14 +71,14 @@ impl LinkDeviations {
         with
     }
 
-    /// Confounders of the zero of the joint in `column`. `None` if that zero is not reported.
+    /// Confounders of a joint's zero. `None` if it is not reported.
     pub fn confounders(&self, column: usize) -> Option<&[Confounder]> {
         self.reported.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
     }
 }
 
-/// Estimates the likeliest zeros together with link deviations, linearised about `offsets`. `plain` is the
-/// stream's state without any cause that link deviations could imitate.
+/// Estimates the likeliest zeros and link deviations, linearised about `offsets`. `plain` excludes causes
+/// that link deviations imitate.
 pub(super) fn estimate_link_deviations(
     witness: &PoseObservations,
     plain: &StreamState,
@@ -109,18 +103,16 @@ pub(super) fn estimate_link_deviations(
     None
 }
 
-/// Kind of a parameter.
 #[derive(Clone, Copy, PartialEq)]
 enum DeviationParameter {
-    /// Parameter that the nominal model does not constrain.
+    /// Not constrained by the nominal model.
     Unconstrained,
-    /// Deviation in one group. `unit` is its standard deviation when the group's size is 1 m.
+    /// `unit` is its standard deviation at group size 1 m.
     Deviation { group: usize, unit: f64 },
-    /// Radial scale, which no link deviation can imitate.
+    /// No link deviation imitates it.
     RadialScale,
 }
 
-/// Causes in addition to link deviations.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct AdditionalCauses {
     /// Joints of the chain with a zero offset.
@@ -131,7 +123,7 @@ struct AdditionalCauses {
 }
 
 impl AdditionalCauses {
-    /// Selects the causes that affect `stream`.
+    /// Causes that affect `stream`.
     fn for_stream(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
         let mut beside = Self::default();
         for cause in causes {
@@ -150,10 +142,9 @@ impl AdditionalCauses {
     }
 }
 
-/// Keeps the causes that exceed the effect of usual link deviations. A cause is dropped if removing it
-/// lowers twice the log-likelihood by no more than the price of a parameter. The likelihood is maximised
-/// over the size of the deviations, up to the usual size. Link deviations are preferred to a cause because
-/// no arm is exact.
+/// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
+/// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
+/// The likelihood is maximised over deviation sizes up to the usual one.
 ///
 /// The stream is linearised about `plain` and `offsets`, which exclude the causes.
 pub(super) fn causes_beyond_link_deviations(
@@ -192,29 +183,29 @@ pub(super) fn causes_beyond_link_deviations(
     kept
 }
 
-/// Grid of deviation sizes up to `most`, m, ascending.
+/// Ascending grid up to `most`.
 fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
     let (least, _, times) = DEVIATION_GRID_M;
     let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
     tried.take_while(move |size_m| *size_m < most).chain([most])
 }
 
-/// Stream linearised in the link frames, the latency and the zeros.
+/// Stream linearised in link frames, latency and zeros.
 struct DeviationModel {
     normal: Normal,
-    /// Kind of each parameter. The zeros of the chain's joints precede the radial scale, which is last.
+    /// Zeros precede the radial scale, which is last.
     kinds: Vec<DeviationParameter>,
-    /// Number of joints of the chain.
+    /// In the chain.
     joints: usize,
-    /// Degrees of freedom of the noise estimate.
+    /// Of the noise estimate.
     dof: f64,
 }
 
-/// Posterior of the parameters for one set of zeros.
+/// Posterior for one set of zeros.
 struct DeviationFit {
-    /// Joints of the chain whose zeros are fixed effects.
+    /// Joints whose zeros are fixed effects.
     zeros: Vec<usize>,
-    /// Size of each group's deviations, m.
+    /// Per group, m.
     sizes_m: Vec<f64>,
     /// Twice the log-likelihood, up to a common constant.
     evidence: f64,
@@ -223,7 +214,6 @@ struct DeviationFit {
 }
 
 impl DeviationFit {
-    /// The zeros except that of `joint`.
     fn zeros_except(&self, joint: usize) -> Vec<usize> {
         self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
@@ -243,8 +233,7 @@ impl DeviationModel {
         (linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
     }
 
-    /// Builds the normal equations. The weights come from the residual when all links may deviate by about
-    /// 1 mm.
+    /// The weights come from the residual when all links may deviate by about 1 mm.
     fn from_linear(
         linear: &Linear,
         joints: usize,
@@ -267,17 +256,15 @@ impl DeviationModel {
         model
     }
 
-    /// The same size for all groups, m.
     fn uniform_sizes(&self, size_m: f64) -> Vec<f64> {
         vec![size_m; self.joints + 2]
     }
 
-    /// Parameter index of a joint's zero.
     fn zero_at(&self, joint: usize) -> usize {
         self.kinds.len() - 1 - self.joints + joint
     }
 
-    /// Groups with deviations: links and zeros.
+    /// Links and zeros with deviations.
     fn groups(&self) -> impl Iterator<Item = usize> {
         let has = |group: usize| {
             let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group: own, .. } if *own == group);
@@ -286,13 +273,11 @@ impl DeviationModel {
         (0..self.joints + 2).filter(move |group| has(*group))
     }
 
-    /// Fits the parameters for these zeros and deviation sizes.
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
         let beside = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
         self.fit_with(&beside, sizes_m)
     }
 
-    /// Fits the parameters for these causes and deviation sizes.
     fn fit_with(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
         let is_of_frame = |group: usize| {
             (beside.reference && group == 0) || (beside.tool && group == self.joints)
@@ -316,7 +301,7 @@ impl DeviationModel {
             variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
         }
         if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
-            // Tool rotation about the last axis is equivalent to a zero of the last joint.
+            // Equivalent to tool rotation about the last axis.
             variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
         }
         let mut precision = self.normal.matrix.clone();
@@ -341,8 +326,7 @@ impl DeviationModel {
         })
     }
 
-    /// Zero of a joint in `fit`. Its standard error includes the scatter of all zeros of the arm, which is
-    /// estimated from the other joints only.
+    /// The standard error includes the scatter of all zeros, estimated from the other joints.
     fn measured_zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
         let DeviationParameter::Deviation { group, unit } = self.kinds[at] else {
@@ -357,15 +341,14 @@ impl DeviationModel {
         })
     }
 
-    /// Typical size of the groups' deviations, m.
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
         let (least, most, _) = DEVIATION_GRID_M;
         let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
         (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
     }
 
-    /// Maximises the likelihood over the deviation sizes for these zeros, starting from `sizes_m`. A group
-    /// with little information converges slowly, so the step grows while the likelihood increases.
+    /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
+    /// slowly, so the step grows while the likelihood increases.
     fn maximize_likelihood(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
         let (most, little) = SIZE_ITERATION_LIMITS;
         let mut fit = self.fit(zeros, sizes_m)?;
@@ -374,7 +357,7 @@ impl DeviationModel {
             let likelier = self.updated_sizes(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
-            // Too large a step may make the system singular.
+            // A large step may make the system singular.
             match self.fit(zeros, &next).filter(|next| next.evidence > fit.evidence) {
                 Some(next) => {
                     let gained = next.evidence - fit.evidence;
@@ -390,7 +373,7 @@ impl DeviationModel {
         Some(fit)
     }
 
-    /// Deviation sizes that maximise the likelihood given the posterior in `fit`.
+    /// Sizes that maximise the likelihood given this posterior.
     fn updated_sizes(&self, fit: &DeviationFit) -> Vec<f64> {
         let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
         let usual_m = self.typical_size_m(&fit.sizes_m);
@@ -405,7 +388,7 @@ impl DeviationModel {
         sums.into_iter().map(|(sum, count)| (sum / count).sqrt()).collect()
     }
 
-    /// Fit without zeros, started from the best common deviation size.
+    /// Started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
         let (_, most, _) = DEVIATION_GRID_M;
         let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.uniform_sizes(link_m)));
@@ -413,7 +396,7 @@ impl DeviationModel {
         self.maximize_likelihood(&[], &best.sizes_m)
     }
 
-    /// Fits `zeros` plus one more, for each joint not in `zeros` or `but`.
+    /// One fit per joint not in `zeros` or `but`.
     fn with_one_more_zero(
         &self,
         zeros: &[usize],
@@ -429,7 +412,7 @@ impl DeviationModel {
         others.filter_map(with).collect()
     }
 
-    /// Selects the zeros that exceed the effect of link deviations, starting from those of `before`.
+    /// Selects zeros that exceed link deviations, starting from `before`.
     fn select_zeros(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
         let mut chosen = match before {
             Some(before) => self.maximize_likelihood(&before.zeros, &before.sizes_m)?,
@@ -446,7 +429,7 @@ impl DeviationModel {
         Some(chosen)
     }
 
-    /// Converts `fit` to columns of the joint track. The model is linearised about `offsets`.
+    /// Converts `fit` to columns of the joint track.
     fn to_link_deviations(
         &self,
         fit: &DeviationFit,
@@ -491,9 +474,9 @@ impl DeviationModel {
     }
 }
 
-/// Maps parameters to columns of [`link_frames`], and returns the kind of each. The parameters are the
-/// deviations of each link frame, the latency, the zeros (a separate group) and the radial scale. A link
-/// frame has six deviations, except the one equal to its joint's zero.
+/// Columns of [`link_frames`] and kinds of the parameters: deviations of each link frame, latency, zeros (a
+/// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
+/// zero.
 fn parameters(
     witness: &PoseObservations,
     plain: &StreamState,

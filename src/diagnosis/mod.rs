@@ -1,70 +1,50 @@
-//! Estimators: joint states and streams in, estimates with intervals out.
-//!
-//! This module reads no files, knows no topics and holds no thresholds of rules. `checks` turns its
-//! estimates into findings.
+//! Estimators: joint states and streams in, estimates with intervals out. They read no files, know no
+//! topics and hold no thresholds of rules; `checks` turns estimates into findings.
 //!
 //! # Input
-//! A `JointTrack` with joint positions `q` and velocities, and for each pose stream a [`PoseStream`]: the
-//! logged poses, the kinematic chain from its reference link to its tip, and whether its reference frame
-//! is known. Times are in seconds from the run's origin.
+//! A `JointTrack` with positions `q` and velocities, and per pose stream a [`PoseStream`]: logged poses,
+//! the chain from reference link to tip, and whether the reference is known. Times are in s from the run's
+//! origin.
 //!
 //! # Measurement model (`model`)
 //! ```text
 //! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
 //! ```
-//! - `s` is the stamp of a sample.
-//! - `C` is the encoding: unit and axes of positions, rotation convention, inversion of whole poses. It is
-//!   discrete.
-//! - `reference` and `tool` are constant poses, the identity if the frames are correct.
-//! - `scaled` multiplies positions by `1 + radial_scale` about the base origin (radial scale).
-//! - `δ` contains the joint zeros, and unknown scales and couplings of joints if their encoding has any.
-//! - The noise is white plus first-order autoregressive (`noise`), with Huber weights for outliers
-//!   (`robust`).
+//! `s` is the stamp, `C` the discrete encoding (position unit and axes, rotation convention, inversion),
+//! `reference` and `tool` are constant frame errors, `scaled` multiplies positions by `1 + radial_scale`
+//! about the base. `δ` are joint zeros, and scales and couplings of joints if their encoding has any. The
+//! noise is white plus first-order autoregressive (`noise`), with Huber weights (`robust`).
 //!
-//! # Steps for an arm (`diagnose_with_latency_compensation` in `latency_compensation`)
-//! 1. `coarse_latency` estimates large latency steps and ramps from speeds. `latency_compensation` removes
-//!    them from the stamps.
+//! # Steps (`diagnose_with_latency_compensation` in `latency_compensation`)
+//! 1. `coarse_latency` estimates large latency steps and ramps from speeds; they are removed from the
+//!    stamps.
 //! 2. `latency` cross-correlates speeds to find candidate lags.
-//! 3. `position_encoding` and `axis_convention` determine the position encoding, `joints` the joint names
-//!    and units. Both use positions, before any rotation is decoded. `decoded_stream`,
-//!    `orientation_samples` and `rotation_encoding` then determine the rotation encoding.
-//! 4. `arm::fit` fits all streams together. `frames` provides starting points, `model_selection` selects
-//!    causes and iterates Gauss–Newton, and `prefer_tool` replaces a moved reference by a tool if both
-//!    fit.
-//! 5. `nominal_model` and `link_deviations` add link deviations as random effects. Causes that these
-//!    explain as well are dropped.
-//! 6. `arm::stream` and `arm::zeros` compute values, intervals and confounders; `residual` computes the
-//!    excess residual and `latency_profile` the latency profile. `latency_compensation` compensates a
-//!    variable latency and repeats steps 2 to 6.
-//! 7. `compliance` (backlash, sag, eccentricity) and `changes` (change points) are competing models for a
-//!    remaining residual. Each corrects the run and repeats steps 2 to 6. It is accepted only if the
-//!    residual becomes much smaller.
+//! 3. `position_encoding`, `axis_convention` and `joints` determine the encoding of positions and joints
+//!    from positions alone, then `decoded_stream` and `rotation_encoding` that of rotations.
+//! 4. `arm::fit` fits all streams together: `frames` gives starts, `model_selection` selects causes and
+//!    iterates Gauss–Newton, `prefer_tool` replaces a moved reference by a tool if both fit.
+//! 5. `nominal_model` and `link_deviations` add link deviations as random effects and drop causes that
+//!    these explain.
+//! 6. `arm::stream`, `arm::zeros`, `residual` and `latency_profile` compute values, intervals, confounders,
+//!    excess residual and latency profile. A variable latency is compensated, and steps 2 to 6 are
+//!    repeated.
+//! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects the
+//!    run and repeats steps 2 to 6; it must make the residual much smaller.
 //!
-//! Streams computed from the joint states, such as /tf, are compared with these alone
-//! (`diagnose_derived`). IMUs are compared with FK of the corrected joint states (`imu`).
+//! Streams derived from joint states, such as /tf, are compared with these alone (`diagnose_derived`), IMUs
+//! with FK of corrected joints (`imu`). `residual_check` compares streams with FK without the estimators.
 //!
 //! # Selection of causes (`model_selection`)
-//! The latency of a moving stream and an unknown reference frame are always free. Candidate causes are the
-//! joint zeros, and per stream the skew, radial scale, reference and tool. The model is linearised once
-//! with all of them. Each set of causes then has the score `rᵀWr` after its least-squares step plus
-//! `ln n + 8` per parameter, with `n` the number of independent residuals. Sets of up to four causes
-//! (three if there are more than 16) are compared exhaustively, larger ones by greedy addition and
-//! pruning. Sets with a cause nearly equal to a combination of the others are rejected. Selection and
-//! steps alternate until both converge. This is repeated from every starting point, and the least
-//! `Σ n·ln σ²` plus price wins.
-//!
-//! # Checks
-//! `residual_check` compares each stream with FK without the estimators, as logged and corrected.
-//! `residual` cross-validates whether the residual repeats with the configuration. `observability` lists
-//! the parameters that the motion does not determine.
+//! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros, and
+//! per stream skew, radial scale, reference and tool. Linearised with all of them, a set of causes scores
+//! its `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent residuals. Sets
+//! of up to four causes (three above 16 candidates) are searched exhaustively, larger ones greedily. Sets
+//! with nearly dependent causes are rejected. Selection and steps alternate until convergence from every
+//! start; the least `Σ n·ln σ²` plus price wins.
 //!
 //! # Output
-//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] (value, standard error, degrees of freedom) or the
-//! [`NotObservable`] reason why it does not exist, and states whether its cause was selected.
-//!
-//! The remaining modules are separate estimators: `columns` identifies table columns, `model_fit` the arm
-//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `vibration`, `workspace` and
-//! `trend` do as their names say.
+//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states whether
+//! its cause was selected.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
@@ -203,14 +183,14 @@ pub use workspace::{
     ReachCell, ReachedPose, Workspace, cell_centre_m, reach_m,
 };
 
-/// Reason why an estimate does not exist, with the values that a message needs.
+/// Reason why an estimate does not exist.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NotObservable {
     /// Too few overlapping samples.
     TooFewSamples {
-        /// Number of samples of both streams at common times.
+        /// Samples at common times.
         have: usize,
-        /// Number of samples needed.
+        /// Samples needed.
         need: usize,
     },
     /// The streams do not overlap in time.
@@ -219,76 +199,74 @@ pub enum NotObservable {
     AtRest,
     /// The arm never rests.
     NeverRests,
-    /// Several lags fit because the motion is periodic; the candidates, s.
+    /// Several lags fit a periodic motion; the candidates, s.
     Periodic(Vec<f64>),
-    /// The stream follows the arm at no lag; the highest correlation found, 0 to 1.
+    /// The stream follows the arm at no lag; highest correlation, 0 to 1.
     DoesNotFollow(f64),
-    /// The orientation changes too little; the range of orientations, rad.
+    /// The orientation changes too little; its range, rad.
     LittleRotation(f64),
-    /// The parameter has no visible effect in the log, or the same effect as other unknowns.
+    /// The parameter has no visible effect, or that of other unknowns.
     NotExcited,
     /// The stream has no orientation.
     NoOrientation,
-    /// The stream has no angular velocity: it is zero while the arm rotates.
+    /// The angular velocity is zero while the arm rotates.
     NoGyro,
-    /// The stream's orientation is not set: it is constant while the arm rotates.
+    /// The orientation is constant while the arm rotates.
     OrientationNotSet,
-    /// The log does not contain the mounting of the stream's frame.
+    /// The log does not contain the frame's mounting.
     NoFrame,
-    /// The arm deviates from the nominal model in many small ways. Single causes of that size cannot be
-    /// separated from link deviations.
+    /// Single causes cannot be separated from link deviations of the arm.
     NominalKinematics,
-    /// An estimate that this one requires does not exist.
+    /// A required estimate does not exist.
     RestsOn(&'static str),
 }
 
 /// Estimate, or the reason why it does not exist.
 pub type EstimateResult<T> = Result<T, NotObservable>;
 
-/// Pose stream as input of the estimators.
+/// Pose stream as input.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseStream<'a> {
     /// Poses as logged.
     pub track: &'a PoseTrack,
-    /// Chain from the stream's reference link to the link whose pose it contains.
+    /// From the reference link to the logged link.
     pub chain: &'a Chain,
-    /// Column in the joint track of each joint of `chain`.
+    /// Joint-track column of each joint in `chain`.
     pub columns: &'a [usize],
-    /// Whether the reference frame is fixed to the robot's base; if not, its pose is estimated.
+    /// Whether the reference is fixed to the base; else its pose is estimated.
     pub reference_known: bool,
-    /// Standard error of the stamps from aligning a different clock, s. 0 on a shared clock.
+    /// Standard error from aligning another clock, s. 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// Whether the stream's stamps are copies of the joints' stamps.
+    /// Whether stamps are copies of the joints'.
     pub stamps_copied: bool,
-    /// Latency ramp already subtracted from the stamps; reported together with the remaining latency
-    /// profile.
+    /// Latency ramp already subtracted from the stamps, to be reported with the remaining profile.
     pub removed_ramp: Option<&'a LatencyRamp>,
 }
 
-/// Encoding of a stream's numbers under which it follows the arm.
+/// Encoding under which a stream follows the arm.
 #[derive(Clone, Copy, Debug)]
 pub enum PoseEncoding {
     /// As logged.
     AsLogged,
-    /// Misinterpretation: three numbers of one convention were read as another. All members are equivalent.
+    /// Three numbers of one convention read as another. Members are equivalent.
     Misinterpreted(&'static MisinterpretationClass),
     /// Permuted quaternion components.
     QuaternionOrder(QuaternionOrderError),
-    /// The rotation is transposed, the position is not.
+    /// Rotation transposed, position not.
     Transposed,
-    /// The whole pose is inverted (parent and child exchanged).
+    /// Whole pose inverted (parent and child exchanged).
     Inverted,
     /// Bare numbers in this convention (not a fault).
     Numbers(Convention),
 }
 
 impl PoseEncoding {
-    /// Whether the encoding is as logged, not a fault.
+    /// Whether this is no fault.
     pub fn is_as_logged(&self) -> bool {
         matches!(self, PoseEncoding::AsLogged | PoseEncoding::Numbers(_))
     }
 
-    /// Misinterpretation behind this encoding, if any.
+    /// Misinterpretation, if any.
     pub fn misinterpretation(&self) -> Option<Misinterpretation> {
         match self {
             PoseEncoding::Misinterpreted(class) => class.members.first().copied(),
@@ -297,34 +275,33 @@ impl PoseEncoding {
     }
 }
 
-/// Rotation encoding that follows the arm, with its competitors.
+/// Rotation encoding with its competitors. Residuals are angles, rms rad.
 #[derive(Clone, Debug)]
 pub struct EncodingEstimate {
-    /// Selected encoding; `AsLogged` if that explains the stream.
+    /// Selected encoding; `AsLogged` if that fits.
     pub best: PoseEncoding,
-    /// Whether the whole pose is also inverted.
+    /// Whether whole poses are also inverted.
     pub is_inverted: bool,
-    /// Residual angle as logged, rms rad. `None` for bare numbers.
+    /// Residual as logged. `None` for bare numbers.
     pub as_logged_rad: Option<f64>,
-    /// Residual angle of the selected encoding, rms rad.
+    /// Residual of `best`.
     pub best_rad: f64,
-    /// Next best encoding that differs on this motion, with its residual, rms rad.
+    /// Next best encoding that differs, and residual.
     pub runner_up: Option<(PoseEncoding, f64)>,
-    /// Encodings that are equivalent to the selected one on this motion.
+    /// Encodings equivalent to `best` here.
     pub equivalent: Vec<PoseEncoding>,
-    /// Best encodings with the frames of the selected one, by increasing residual, rms rad. Includes the
-    /// selected encoding and the stream as logged.
+    /// Best encodings with the frames of `best`, by increasing residual. Includes `best` and as logged.
     pub ranked: Vec<(PoseEncoding, f64)>,
-    /// Whether most encodings fit worse. At rest nearly all of them fit with a constant frame.
+    /// Whether most encodings fit worse. At rest, nearly all fit with a constant frame.
     pub is_determined: bool,
 }
 
-/// Axes of a stream's numbers that differ from the axes of its frame.
+/// Axes that differ from those of the stream's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxesError {
-    /// Axes of the positions.
+    /// Position axes.
     pub positions: Axes,
-    /// Axes of the rotations.
+    /// Rotation axes.
     pub rotations: Axes,
 }
 
@@ -338,59 +315,59 @@ impl AxesError {
 pub struct LengthUnitError {
     /// Actual unit.
     pub is: LengthScale,
-    /// Unit in which they were read.
+    /// Unit read.
     pub read_as: LengthScale,
     /// Residuals in both units.
     pub residual: UnitResiduals,
 }
 
 impl LengthUnitError {
-    /// Factor from positions as read to m.
+    /// From positions as read to m.
     pub fn factor(&self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
     }
 }
 
-/// Coordinate of a stream that is constant while the arm moves it.
+/// Coordinate that is constant while the arm moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConstantCoordinate {
-    /// Coordinate: x, y or z.
+    /// x, y or z.
     pub coordinate: char,
-    /// Its value, in the stream's unit.
+    /// In the stream's unit.
     pub value: f64,
-    /// Range of the coordinate by FK, m.
+    /// Range by FK, m.
     pub moved_m: f64,
 }
 
-/// Residuals before and after correcting a unit.
+/// Residuals before and after correcting a unit, SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitResiduals {
-    /// Residual as logged, in SI units.
+    /// As logged.
     pub as_logged: f64,
-    /// Residual in the other unit, in SI units.
+    /// In the other unit.
     pub corrected: f64,
 }
 
-/// Constant frame error and its significance.
+/// Constant frame error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameEstimate {
-    /// Pose: `reference_from_stream` for the reference frame, `tip_from_stream` for the tool.
+    /// `reference_from_stream` or `tip_from_stream` (tool).
     pub pose: Pose,
-    /// Length of its translation, m.
+    /// Translation, m.
     pub translation_m: Measured,
-    /// Its rotation angle, rad.
+    /// Rotation angle, rad.
     pub rotation_rad: Measured,
-    /// Probability of an estimate this large if the frame were correct (joint test of the six parameters).
+    /// Probability of an error this large if the frame were correct (joint test of six parameters).
     pub p_value: f64,
-    /// Whether the selected model contains this frame error.
+    /// Whether the selected model contains it.
     pub is_chosen: bool,
 }
 
 /// Residual of a stream after correcting every finding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamResidual {
-    /// Excess position residual over the noise between samples, rms m. Its interval excludes zero only if
-    /// the residual repeats with the configuration.
+    /// Excess position residual over the noise, rms m. Its interval excludes zero only if the residual
+    /// repeats with the configuration.
     pub excess_m: Measured,
     /// Excess rotation residual, rms rad.
     pub excess_rad: Measured,
@@ -398,14 +375,14 @@ pub struct StreamResidual {
     pub rms_m: f64,
     /// Rotation residual, rms rad.
     pub rms_rad: f64,
-    /// Position error against FK at equal stamps as recorded, rms m.
+    /// Position error against recorded FK, rms m.
     pub before_m: f64,
-    /// Rotation error against FK at equal stamps as recorded, rms rad.
+    /// Rotation error against recorded FK, rms rad.
     pub before_rad: f64,
 }
 
 impl StreamResidual {
-    /// Position and rotation residual combined with a lever of 0.3 m, rms m.
+    /// Combined with a lever of 0.3 m, rms m.
     pub fn combined_m(&self) -> f64 {
         self.rms_m.hypot(0.3 * self.rms_rad)
     }
@@ -414,36 +391,35 @@ impl StreamResidual {
 /// Diagnosis of one pose stream.
 #[derive(Clone, Debug)]
 pub struct PoseDiagnosis {
-    /// Encoding of the rotations.
+    /// Rotation encoding.
     pub encoding: EstimateResult<EncodingEstimate>,
     /// Wrong position unit.
     pub length_unit: EstimateResult<Option<LengthUnitError>>,
-    /// Whether whole poses are inverted, according to their positions.
+    /// Whether positions show inverted poses.
     pub is_inverted: bool,
     /// Exchanged or mirrored axes.
     pub axes: EstimateResult<Option<AxesError>>,
     /// Constant coordinates.
     pub constant_coordinates: Vec<ConstantCoordinate>,
-    /// Rotation numbers in degrees (streams of bare numbers).
+    /// Rotation numbers in degrees.
     pub degrees: Option<UnitResiduals>,
-    /// Latency relative to the joint states, s; the median if its delays are skewed.
+    /// Latency relative to joint states, s; the median if delays are skewed.
     pub latency_s: EstimateResult<Measured>,
-    /// Delay distribution, if it is skewed.
+    /// Delay distribution, if skewed.
     pub delay_jitter: Option<DelayJitter>,
     /// Clock skew, s/s.
     pub skew: EstimateResult<Measured>,
-    /// Whether the selected model contains the skew.
+    /// Whether the model contains the skew.
     pub is_skew_chosen: bool,
-    /// Latency profile over the run.
+    /// Latency over the run.
     pub latency_profile: EstimateResult<LatencyProfile>,
-    /// Radial scale error of positions, m/m.
+    /// Radial scale error, m/m.
     pub radial_scale: EstimateResult<Measured>,
-    /// Whether the selected model contains the radial scale.
+    /// Whether the model contains radial scale.
     pub is_radial_scale_chosen: bool,
-    /// Error of the reference frame, `reference_from_stream`. If the reference was unknown, its estimated
-    /// pose.
+    /// Reference error, `reference_from_stream`. Its pose if it was unknown.
     pub reference: EstimateResult<FrameEstimate>,
-    /// Error of the tool frame, `tip_from_stream`.
+    /// Tool error, `tip_from_stream`.
     pub tool: EstimateResult<FrameEstimate>,
     /// Change points of the reference frame.
     pub reference_changes: Vec<FrameChange>,
@@ -451,16 +427,15 @@ pub struct PoseDiagnosis {
     pub tool_changes: Vec<FrameChange>,
     /// Change points of the radial scale, m/m.
     pub radial_scale_changes: Vec<ScalarChange>,
-    /// Parts of the run to which `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
+    /// Where `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
     pub encoding_spans: EncodingSpans,
     /// Residual after correcting every finding.
     pub residual: EstimateResult<StreamResidual>,
-    /// Whether link deviations explain the residual: nominal kinematics of a calibrated arm, at most 10 mm
-    /// and 0.5°.
+    /// Whether link deviations explain the residual: nominal kinematics, at most 10 mm and 0.5°.
     pub is_nominal: bool,
-    /// Standard deviation of the links from the nominal model, m. Angles deviate by 0.1° per mm.
+    /// Standard deviation of the links, m (0.1° per mm).
     pub link_m: Option<f64>,
-    /// Observability of each parameter. `None` if nothing was fitted.
+    /// Observability. `None` without a fit.
     pub observability: Option<Observability>,
     /// Maximum tip speed by FK, m/s.
     pub top_speed_m_s: f64,
@@ -470,26 +445,26 @@ pub struct PoseDiagnosis {
     pub frame_correction: FrameCorrection,
 }
 
-/// Frame and radial scale corrections that align a stream's poses with FK.
+/// Frames and radial scale that align a stream with FK.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameCorrection {
     /// `stream_from_reference`.
     pub reference: Pose,
     /// `tip_from_stream`.
     pub tool: Pose,
-    /// Radial scale error of positions, m/m.
+    /// Radial scale error, m/m.
     pub radial_scale: f64,
 }
 
 impl FrameCorrection {
-    /// Corrects a decoded pose. Returns the pose of the tip in the reference frame.
+    /// Tip pose in the reference for a decoded pose.
     pub fn apply(&self, read: &Pose) -> Pose {
         let mut in_base = self.reference.inv_mul(read);
         in_base.translation.vector /= 1.0 + self.radial_scale;
         in_base * self.tool.inverse()
     }
 
-    /// Inverse of [`FrameCorrection::apply`]: the decoded pose for a corrected one.
+    /// Inverse of [`FrameCorrection::apply`].
     pub fn invert(&self, tip: &Pose) -> Pose {
         let mut in_base = tip * self.tool;
         in_base.translation.vector *= 1.0 + self.radial_scale;
@@ -511,15 +486,14 @@ impl PoseDiagnosis {
         are_frames || !growth_changes.is_empty() || *coded != EncodingSpans::default()
     }
 
-    /// Reason why the stream could not be used. Positions may be usable if orientations are not.
+    /// Why the stream is unusable. Positions may be usable without orientations.
     pub fn unusable_reason(&self) -> Option<&NotObservable> {
         self.encoding.as_ref().err().filter(|_| self.residual.is_err())
     }
 
-    /// Whether the position residual is a large share of the motion, so that no finding on the stream is
-    /// credible.
+    /// Whether the position residual is a large share of the motion; then no finding is credible.
     pub fn is_far_from_fk(&self) -> bool {
-        /// Residuals below this are noise or a calibration, rms m.
+        /// Smaller residuals are noise or calibration.
         const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
         let fk: Vec<Vec3> =
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
@@ -528,13 +502,13 @@ impl PoseDiagnosis {
             && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * position_fit::spread(&fk)
     }
 
-    /// Whether the motion is periodic, so that all other findings may belong to a wrong lag.
+    /// Whether the motion is periodic, so other findings may belong to a wrong lag.
     pub fn is_periodic(&self) -> bool {
         matches!(self.latency_s, Err(NotObservable::Periodic(_)))
     }
 }
 
-/// Joint diagnosis of the joint states and the pose streams.
+/// Joint diagnosis of joint states and pose streams.
 #[derive(Clone, Debug)]
 pub struct ArmDiagnosis {
     /// Diagnosis of the joint states.
@@ -548,14 +522,14 @@ pub struct ArmDiagnosis {
 pub struct JointDiagnosis {
     /// Joint names and units.
     pub encoding: EstimateResult<JointEncoding>,
-    /// Zero offset of each joint of the chain, from all pose streams.
+    /// Per joint of the chain, from all streams.
     pub offsets: Vec<JointOffset>,
     /// Joints with a wrong scale or direction.
     pub scales: Vec<JointScale>,
-    /// Joints with a change point of zero or scale.
+    /// Joints with a change point.
     pub changes: Vec<JointChange>,
     /// Corrections that undo these changes.
     pub patches: Vec<JointPatch>,
-    /// Joints with compliance (backlash, sag or eccentricity).
+    /// Joints with backlash, sag or eccentricity.
     pub compliance: Vec<JointCompliance>,
 }
