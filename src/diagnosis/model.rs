@@ -1,9 +1,7 @@
-//! Measurement model of a pose stream and its derivatives.
+//! Measurement model of a pose stream and its derivatives (see [`super`]).
 //!
-//! `logged(s) = reference · FK(q(s − τ) + δ) · tool`, with `τ = latency + skew·(s − middle)` and positions
-//! scaled by `1 + radial_scale` about the base origin. Perturbations of `reference` multiply on the left,
-//! perturbations of `tool` on the right. Residuals are in the stream's reference frame: position in m,
-//! rotation as the rotation vector of `logged · predicted⁻¹` in rad.
+//! Perturbations of `reference` multiply on the left, those of `tool` on the right. Residuals are in the
+//! reference frame: position in m, and the rotation vector of `logged · predicted⁻¹` in rad.
 
 use super::FrameCorrection;
 use super::linear::{Linear, Rows};
@@ -12,34 +10,33 @@ use ground::robot::Chain;
 use ground::stream::JointTrack;
 use nalgebra::{DVector, Translation3};
 
-/// Column indices of a stream's parameters.
+/// Columns of a stream's parameters.
 pub(super) const LATENCY_COLUMN: usize = 0;
 pub(super) const SKEW_COLUMN: usize = 1;
 pub(super) const RADIAL_SCALE_COLUMN: usize = 2;
 pub(super) const REFERENCE_COLUMNS_START: usize = 3;
 pub(super) const TOOL_COLUMNS_START: usize = 9;
-/// Number of parameters per stream.
 pub(super) const STREAM_WIDTH: usize = 15;
 
-/// Residual kinds, in the order of a sample's rows.
+/// Residual kinds, in row order.
 const POSITION: usize = 0;
 const ROTATION: usize = 1;
 
-/// Lower bounds of the standard deviations: 1 µm and 1 µrad.
+/// Lower bounds of standard deviations.
 pub(super) const FLOOR_M: f64 = 1e-6;
 pub(super) const FLOOR_RAD: f64 = 1e-6;
 
-/// Components of a stream's poses that carry no information. They are excluded from every residual.
+/// Components of a stream without information, excluded from every residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct ExcludedComponents {
-    /// Position coordinates, in the stream's frame.
+    /// In the stream's frame.
     pub position: [bool; 3],
-    /// All three rotation components.
+    /// All three components.
     pub rotation: bool,
 }
 
 impl ExcludedComponents {
-    /// Sets the excluded coordinates of a position vector to zero.
+    /// Sets excluded coordinates to zero.
     pub fn mask_position(&self, mut vector: [f64; 3]) -> [f64; 3] {
         for (part, blind) in vector.iter_mut().zip(self.position) {
             *part *= f64::from(u8::from(!blind));
@@ -47,7 +44,7 @@ impl ExcludedComponents {
         vector
     }
 
-    /// Copies the excluded components from `expected` into `pose`.
+    /// Copies excluded components from `expected`.
     pub fn fill(&self, pose: &mut Pose, expected: &Pose) {
         for (axis, _) in self.position.iter().enumerate().filter(|(_, blind)| **blind) {
             pose.translation.vector[axis] = expected.translation.vector[axis];
@@ -57,46 +54,44 @@ impl ExcludedComponents {
         }
     }
 
-    /// Sets a rotation vector to zero if rotations are excluded.
+    /// Sets excluded rotations to zero.
     pub fn mask_rotation(&self, vector: [f64; 3]) -> [f64; 3] {
         if self.rotation { [0.0; 3] } else { vector }
     }
 }
 
-/// Pose observations of one stream with resolved encoding and units, ready for the fit.
+/// Decoded observations of one stream, ready for the fit.
 #[derive(Clone)]
 pub(super) struct PoseObservations<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,
     pub columns: &'a [usize],
-    /// Pairs of joints of the track: the position of the first also contains an unknown share of the
-    /// second's (coupling). A joint paired with itself has an unknown scale.
+    /// Pairs of joints: the first's position contains an unknown share of the second's (coupling). A joint
+    /// paired with itself has an unknown scale.
     pub gains: &'a [(usize, usize)],
     pub reference_known: bool,
-    /// Speed of each joint of the track below which it counts as resting, rad/s or m/s.
+    /// Per joint of the track; slower ones rest, rad/s or m/s.
     pub rest_speeds: &'a [f64],
     pub t_s: Vec<f64>,
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
-    /// Components excluded from the residuals.
     pub excluded: ExcludedComponents,
-    /// Components of the tool frame that can be estimated.
     pub tool_part: ToolPart,
-    /// Stamp about which clock skew is defined, s.
+    /// Stamp at which skew has no effect, s.
     pub middle_s: f64,
 }
 
-/// Components of a tool frame that a log can determine.
+/// Components of a tool that a log can determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ToolPart {
     /// Translation and rotation.
     Whole,
-    /// Translation only: orientations carry no information.
+    /// Translation only, without orientations.
     Point,
 }
 
 impl ToolPart {
-    /// Range of these components among the six tool parameters.
+    /// Range among the six tool parameters.
     pub fn range(self) -> std::ops::Range<usize> {
         match self {
             Self::Whole => 0..6,
@@ -105,7 +100,6 @@ impl ToolPart {
     }
 }
 
-/// Parameters of one stream.
 #[derive(Clone, Debug)]
 pub(super) struct StreamState {
     pub latency_s: f64,
@@ -113,11 +107,10 @@ pub(super) struct StreamState {
     pub radial_scale: f64,
     pub reference: Pose,
     pub tool: Pose,
-    /// Part of `reference` that is a round slip (such as a quarter turn) rather than an estimated value.
+    /// Part of `reference` that is a round slip (such as a quarter turn), not estimated.
     pub round_reference: Option<Pose>,
-    /// Part of `tool` that is a round slip rather than an estimated value.
+    /// Same for `tool`.
     pub round_tool: Option<Pose>,
-    /// Components of the tool that can be a cause.
     pub tool_part: ToolPart,
 }
 
@@ -135,7 +128,7 @@ impl StreamState {
         }
     }
 
-    /// Correction that these parameters define for poses.
+    /// Pose correction by these parameters.
     pub fn frame_correction(&self) -> FrameCorrection {
         FrameCorrection {
             reference: self.reference,
@@ -144,7 +137,7 @@ impl StreamState {
         }
     }
 
-    /// Values of the estimated parameters. Zero means that the cause is absent.
+    /// Zero means that the cause is absent.
     fn values(&self) -> [f64; STREAM_WIDTH] {
         let mut values = [0.0; STREAM_WIDTH];
         values[LATENCY_COLUMN] = self.latency_s;
@@ -167,7 +160,7 @@ impl StreamState {
     }
 }
 
-/// Translation and rotation vector of a pose.
+/// Translation and rotation vector.
 pub(super) fn twist_of(pose: &Pose) -> [f64; 6] {
     let (p, r) = (pose.translation.vector, rotvec_from_rotation(&pose.rotation));
     [p.x, p.y, p.z, r.x, r.y, r.z]
@@ -180,11 +173,10 @@ pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
     )
 }
 
-/// Parameters of the whole model: joint offsets, joint gains, then the parameters of each stream.
+/// Joint offsets, joint gains, then the parameters of each stream.
 #[derive(Clone, Debug)]
 pub(super) struct State {
-    /// Offset of each joint of the track, rad or m, followed by the share of each pair in
-    /// [`PoseObservations::gains`].
+    /// Offset of each joint, rad or m, then the share of each pair in [`PoseObservations::gains`].
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -200,8 +192,8 @@ impl State {
         self.offsets.len() + stream * STREAM_WIDTH + parameter
     }
 
-    /// Damping scales of the steps (Levenberg 1944). Observable parameters are known far better than these
-    /// and are barely affected. Unobservable ones keep their value.
+    /// Damping scales (Levenberg 1944). They barely affect observable parameters; unobservable ones keep
+    /// their value.
     pub fn scales(&self) -> Vec<f64> {
         let mut stream = [0.02; STREAM_WIDTH];
         stream[SKEW_COLUMN] = 1e-4;
@@ -209,7 +201,7 @@ impl State {
         joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
     }
 
-    /// Values of all estimated parameters.
+    /// Values of all parameters.
     pub fn values(&self) -> DVector<f64> {
         let streams = self.streams.iter().flat_map(StreamState::values);
         DVector::from_iterator(self.width(), self.offsets.iter().copied().chain(streams))
@@ -228,15 +220,13 @@ impl State {
     }
 }
 
-/// Prediction for one sample.
 struct Predicted {
     pose: Pose,
-    /// `base_from_link · tool`, before the reference frame is applied.
+    /// `base_from_link · tool`.
     in_base: Pose,
     moving: bool,
 }
 
-/// Buffers for one pass over a stream.
 pub(super) struct PredictionBuffers {
     cursor: usize,
     track_q: Vec<f64>,
@@ -261,20 +251,19 @@ impl PredictionBuffers {
 }
 
 impl PredictionBuffers {
-    /// Joint positions of the last prediction, in chain order.
+    /// Last joint positions, in chain order.
     pub fn q(&self) -> &[f64] {
         &self.q
     }
 
-    /// Jacobian column of a joint at the last prediction, for a point at `lever` from the link origin:
-    /// linear and angular part, in the chain's base.
+    /// Linear and angular Jacobian column for a point at `lever` from the link origin, in the base.
     pub fn column(&self, joint: usize, lever: &Vec3) -> (Vec3, Vec3) {
         let [x, y, z, rx, ry, rz] = self.jacobian[joint];
         let angular = Vec3::new(rx, ry, rz);
         (Vec3::new(x, y, z) + angular.cross(lever), angular)
     }
 
-    /// Linear and angular velocity of the link at the last prediction, in the chain's base.
+    /// Linear and angular link velocity, in the base.
     pub fn twist(&self) -> (Vec3, Vec3) {
         let mut twist = (Vec3::zeros(), Vec3::zeros());
         for (column, rate) in self.jacobian.iter().zip(&self.qd) {
@@ -291,8 +280,7 @@ impl PoseObservations<'_> {
         self.t_s.len()
     }
 
-    /// Gains of a joint of the track: the index among the offsets and the joint whose position it
-    /// multiplies.
+    /// Index among the offsets and multiplied joint, for each gain of a joint.
     fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
         let gained = self.gains.iter().enumerate();
         gained.filter_map(move |(at, &(own, by))| {
@@ -300,8 +288,7 @@ impl PoseObservations<'_> {
         })
     }
 
-    /// Predicts the pose of sample `k`; leaves the chain's Jacobian in `sweep`. `None` if the joint states
-    /// do not cover the sample.
+    /// Predicts sample `k`; leaves the Jacobian in `sweep`. `None` if joint states do not cover it.
     fn predict(
         &self,
         k: usize,
@@ -331,7 +318,7 @@ impl PoseObservations<'_> {
         Some(Predicted { pose: stream.reference * in_base, in_base, moving })
     }
 
-    /// Number of samples, out of about `most`, at which some joint moves.
+    /// Samples, out of about `most`, at which a joint moves.
     pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
         let mut sweep = PredictionBuffers::new(self);
@@ -342,8 +329,8 @@ impl PoseObservations<'_> {
             .count()
     }
 
-    /// Rms residual over about `most` samples at the latency of `stream` (m and rad combined), and the
-    /// latency change that reduces it most, s.
+    /// Rms residual over about `most` samples (m and rad combined), and the latency change that reduces it
+    /// most, s.
     pub fn residual_at_latency(
         &self,
         stream: &StreamState,
@@ -361,7 +348,7 @@ impl PoseObservations<'_> {
         ((square / linear.len().max(1) as f64).sqrt(), along / steep)
     }
 
-    /// `reference_from_tip · tool` for sample `k`. `None` if the joint states do not cover it.
+    /// `reference_from_tip · tool`. `None` if joint states do not cover `k`.
     pub fn pose_at(
         &self,
         k: usize,
@@ -372,14 +359,14 @@ impl PoseObservations<'_> {
         self.predict(k, stream, offsets, sweep).map(|predicted| predicted.pose)
     }
 
-    /// Logged minus predicted pose: position in m, rotation vector in rad.
+    /// Logged minus predicted: m, rotation vector in rad.
     pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
         [self.excluded.mask_position(position.into()), self.excluded.mask_rotation(rotation.into())]
     }
 
-    /// Residuals and design rows of every `stride`-th sample that the joint states cover.
+    /// Linearises every `stride`-th sample that joint states cover.
     pub fn linearize(&self, stream: &StreamState, offsets: &[f64], stride: usize) -> Linear {
         let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
         let mut sweep = PredictionBuffers::new(self);
@@ -394,7 +381,6 @@ impl PoseObservations<'_> {
         linear
     }
 
-    /// Writes the derivatives of the prediction for one sample.
     fn fill(
         &self,
         k: usize,
@@ -412,7 +398,7 @@ impl PoseObservations<'_> {
         let at = predicted.pose.translation.vector;
         let in_base = predicted.in_base.translation.vector;
         let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
-        // The chain's Jacobian is for the link origin. The lever moves it to the tool point.
+        // The Jacobian is for the link origin; the lever moves it to the tool.
         let base_from_link = predicted.in_base.rotation * stream.tool.rotation.inverse();
         let lever = base_from_link * stream.tool.translation.vector;
         for i in 0..sweep.jacobian.len() {

@@ -1,10 +1,9 @@
-//! Ranks arm models by the assumptions they need to explain the positions of a stream: none, an active TCP,
-//! a joint zero offset, or a different reference frame. Among arms with the same joint names, the log
-//! belongs to the one that needs least.
+//! Ranks arm models by the assumptions they need to explain a stream's positions: none, an active TCP, a
+//! joint zero, or another reference frame. Among arms with the same joint names, the log belongs to the one
+//! that needs least. The ranking decides no verdict.
 //!
-//! Only positions are compared with FK, so no rotation encoding matters. Each hypothesis is a Gauss–Newton
-//! fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency, on a few dozen slow samples. The
-//! residuals rank the arms; they do not decide a verdict.
+//! Each hypothesis is a Gauss–Newton fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency
+//! on a few dozen slow samples. No rotation encoding matters.
 
 use super::PoseStream;
 use super::latency::{joint_activity, lag_peaks, linear_speed};
@@ -17,45 +16,42 @@ use ground::robot::JointKind;
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::{DMatrix, DVector, Point3};
 
-/// Minimum number of samples for a fit.
 const MIN_SAMPLES: usize = 12;
-/// If every fit has a larger residual, m, inverted poses and joints in degrees are tried as well.
+/// If all residuals are larger, inverted poses and joints in degrees are tried.
 const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
 
-/// Prior standard deviation of a tool's length, m: grippers are 0.1 to 0.3 m long, and a TCP beyond 0.5 m
-/// is rare.
+/// Prior on tool length: grippers are 0.1 to 0.3 m long; a TCP beyond 0.5 m is rare.
 const TOOL_PRIOR_M: f64 = 0.2;
-/// Prior standard deviation of the flange position of a calibrated arm about its nominal model, m. Healthy
-/// UR5e of two public data sets deviate by 0.1 to 1.6 mm (docs/real-logs.md).
+/// Prior on the flange deviation of a calibrated arm. Healthy UR5e of two public data sets deviate by 0.1
+/// to 1.6 mm (docs/real-logs.md).
 const DEVIATION_PRIOR_M: f64 = 1e-3;
-/// Residuals below this do not count for or against a model, m. Nominal models of these arms have residuals
-/// of 0.1 to 1.3 mm, and a wrong arm with a free tool fits short motion to micrometres.
+/// Smaller residuals do not count. Nominal models have 0.1 to 1.3 mm, and a wrong arm with a free tool fits
+/// short motion to micrometres.
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
-/// Maximum number of effective samples, because samples of one motion are correlated. With 20, an absent
-/// zero offset or tool is never preferred to real link deviations (0.3 mm and 0.05° each, rich motion) in
-/// 60 generated runs.
+/// Limited because samples of one motion are correlated. With 20, an absent zero or tool is never preferred
+/// to link deviations (0.3 mm and 0.05° each, rich motion) in 60 generated runs.
 const MAX_EFFECTIVE_SAMPLES: f64 = 20.0;
 
-/// Assumption under which a model fits, the most harmless first.
+/// Assumption of a fit, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FitAssumption {
     /// No assumption.
     Nothing,
-    /// A constant tool offset: an active TCP.
+    /// Constant tool offset: an active TCP.
     Tool,
-    /// The base turned by 180° about its z axis (`base` for `base_link`), with or without a tool.
+    /// Base turned by 180° about z (`base` for `base_link`).
     HalfTurn {
         /// Whether a tool is fitted.
         tool: bool,
     },
-    /// A zero offset of one joint, with or without a tool.
+    /// Zero offset of one joint.
     Zero {
-        /// Index of the joint in the chain.
+        /// Joint index in the chain.
         joint: usize,
         /// Whether a tool is fitted.
         tool: bool,
     },
-    /// A different reference frame, with or without a tool.
+    /// Another reference frame.
     Reference {
         /// Whether a tool is fitted.
         tool: bool,
@@ -63,7 +59,7 @@ pub enum FitAssumption {
 }
 
 impl FitAssumption {
-    /// Whether the assumption is not a fault: none, an active TCP, or the other usual base frame.
+    /// Whether it is no fault: none, an active TCP, or the other usual base.
     pub fn is_faultless(self) -> bool {
         matches!(
             self,
@@ -82,7 +78,7 @@ impl FitAssumption {
         }
     }
 
-    /// Number of fitted parameters besides the latency and the tool.
+    /// Without latency and tool.
     fn parameters(self) -> usize {
         match self {
             FitAssumption::Nothing | FitAssumption::Tool => 0,
@@ -92,45 +88,45 @@ impl FitAssumption {
     }
 }
 
-/// One fit of a model to a stream.
+/// Fit of a model to a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HypothesisFit {
-    /// Assumption of the fit.
+    /// Assumption made.
     pub assumption: FitAssumption,
-    /// Whether it also assumes inverted poses or joints in degrees.
+    /// Whether poses are inverted or joints in degrees.
     pub is_misinterpreted: bool,
-    /// Position residual, rms m over the best 90 % of the samples.
+    /// Position residual over the best 90 %, rms m.
     pub residual_m: f64,
-    /// Tool offset in the link's frame, m.
+    /// Tool offset, link frame, m.
     pub tool_m: Vec3,
-    /// Latency of the stream, s.
+    /// Latency, s.
     pub lag_s: f64,
 }
 
 /// Fits of a model to a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFit {
-    /// Number of samples fitted.
+    /// Samples fitted.
     pub samples: usize,
-    /// Rms distance of the positions from their mean, m.
+    /// Rms distance from the mean, m.
     pub spread_m: f64,
-    /// Position residual with only the latency fitted, m.
+    /// Residual with only latency fitted, m.
     pub as_is_m: f64,
     /// All fits.
     pub fits: Vec<HypothesisFit>,
 }
 
-/// One fit with its score; lower is better.
+/// Fit with its score; lower is better.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredFit {
     /// The fit.
     pub fit: HypothesisFit,
-    /// `n ln σ²` of the residual, plus the price of the parameters.
+    /// `n ln σ²` plus the price of the parameters.
     pub score: f64,
 }
 
 impl ModelFit {
-    /// Smallest residual of a fit without a fault, m.
+    /// Smallest residual without a fault, m.
     pub fn faultless_residual_m(&self) -> f64 {
         let harmless =
             self.fits.iter().filter(|way| way.assumption.is_faultless() && !way.is_misinterpreted);
@@ -143,8 +139,7 @@ impl ModelFit {
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
-    /// Whether no faulty hypothesis can score lower than the fits tried: it would need at least one
-    /// parameter.
+    /// Whether no faulty hypothesis can score lower, given its additional parameters.
     pub fn is_conclusive(&self) -> bool {
         let least = self.price(0.0, 1.0);
         self.best().is_some_and(|best| best.score <= least)
@@ -156,8 +151,7 @@ impl ModelFit {
         self.price(way.residual_m, parameters) + self.tool_price(&way.tool_m)
     }
 
-    /// Price of a tool: the cheapest of a link deviation, an offset along the flange axis, and an arbitrary
-    /// tool.
+    /// The cheapest of a link deviation, an offset along the flange axis, and an arbitrary tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
         let each = super::model_selection::price(self.effective_samples());
         let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_PRIOR_M).powi(2);
@@ -166,7 +160,6 @@ impl ModelFit {
         deviation(tool_m.norm()).min(along_axis).min(3.0 * each + prior)
     }
 
-    /// Score of a residual with `parameters` fitted parameters.
     fn price(&self, left_m: f64, parameters: f64) -> f64 {
         let n = self.effective_samples();
         n * (left_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln()
@@ -181,14 +174,13 @@ impl ModelFit {
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
-    /// Hypotheses without a fault.
+    /// Those without a fault.
     Faultless,
     /// Every hypothesis.
     All,
 }
 
-/// Fits the model behind `stream`'s chain to its positions. `None` if the joint states cover too few
-/// samples.
+/// Fits the model of `stream`'s chain. `None` if the joint states cover too few samples.
 pub fn fit_model(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -216,8 +208,8 @@ pub fn fit_model(
     Some(fit)
 }
 
-/// Returns the cheapest fit without a fault, or, if `with_zero`, with the zero offset of one joint. The
-/// frame is free if it is unknown. `None` if the joint states cover too few samples.
+/// Cheapest fit without a fault, or, if `with_zero`, with one joint zero. An unknown frame is free. `None`
+/// if the joint states cover too few samples.
 pub(super) fn tool_fit(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -239,13 +231,13 @@ pub(super) fn tool_fit(
     best.min_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// Price of a free frame for a stream with this many samples.
+/// Price of a free frame.
 pub(super) fn frame_price(samples: usize) -> f64 {
     let free = FitAssumption::Reference { tool: false }.parameters() as f64;
     free * super::model_selection::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
-/// Candidate latencies from the correlation of stream speed and joint activity, and zero.
+/// From the correlation of stream speed and joint activity, and zero.
 fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
@@ -254,23 +246,19 @@ fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> 
     std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
 }
 
-/// Samples of a stream with the FK poses and joint states behind them.
 struct StreamWithFk<'a> {
     joints: &'a JointTrack,
     stream: PoseStream<'a>,
     lag_s: f64,
-    /// Maximum latency fitted, s.
     max_lag_s: f64,
     t_s: Vec<f64>,
     xyz: Vec<Vec3>,
-    /// Positions of the inverse poses, if the stream has rotations.
+    /// `None` without rotations.
     inverse_xyz: Option<Vec<Vec3>>,
     fk: Vec<Pose>,
-    /// Whether joint positions are in degrees.
     in_degrees: bool,
 }
 
-/// Fitted parameters.
 #[derive(Clone)]
 struct FittedParameters {
     lag_s: f64,
@@ -310,7 +298,6 @@ impl<'a> StreamWithFk<'a> {
         })
     }
 
-    /// Fits without a fault.
     fn fit(&self) -> ModelFit {
         let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
         let needs = [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
@@ -324,7 +311,7 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
-    /// Fits with a fault, with poses and joints as logged.
+    /// With poses and joints as logged.
     fn faulty_fits(&self) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let zeros = (0..dof)
@@ -333,7 +320,7 @@ impl<'a> StreamWithFk<'a> {
         references.into_iter().chain(zeros).flat_map(|needs| self.fits_under(needs)).collect()
     }
 
-    /// Fits of inverted poses and of joints in degrees.
+    /// Inverted poses, joints in degrees.
     fn misinterpreted_fits(&self) -> Vec<HypothesisFit> {
         let of = |sight: StreamWithFk<'_>| {
             let needs = [
@@ -361,7 +348,6 @@ impl<'a> StreamWithFk<'a> {
         inverted.into_iter().flatten().chain(of(in_radians)).collect()
     }
 
-    /// FK at the samples.
     fn poses(&self) -> Vec<Pose> {
         let guess = self.initial_parameters();
         let mut moment = ChainState::new(self);
@@ -384,8 +370,8 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
-    /// Fits the parameters of `assumption`, and the reference frame if it is unknown. A tool is fitted twice, in
-    /// any direction and along the flange axis. Without a tool, only a link deviation is fitted.
+    /// Fits the parameters of `assumption`, and an unknown reference. A tool is fitted twice: in any
+    /// direction, and along the flange axis. Without a tool, a link deviation is fitted.
     fn fits_under(&self, needs: FitAssumption) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
@@ -407,7 +393,7 @@ impl<'a> StreamWithFk<'a> {
         let starts = match (needs, reference) {
             (FitAssumption::HalfTurn { .. }, _) => vec![from(half_turn)],
             (_, false) => vec![self.initial_parameters()],
-            // Positions on a line do not determine the rotation about it, so each usual frame is a start.
+            // Collinear positions leave the rotation about the line free, so start from each usual frame.
             (_, true) => {
                 let (turned, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
                 vec![self.initial_parameters(), from(half_turn), from(turned)]
@@ -431,7 +417,7 @@ impl<'a> StreamWithFk<'a> {
         ways.collect()
     }
 
-    /// Gauss–Newton on the parameters `free`, indexed as latency, joint zeros, reference frame, tool.
+    /// Gauss–Newton on `free`, indexed as latency, joint zeros, reference, tool.
     fn solve(
         &self,
         mut guess: FittedParameters,
@@ -439,7 +425,6 @@ impl<'a> StreamWithFk<'a> {
         prior: ToolPrior,
     ) -> (f64, FittedParameters) {
         const MAX_ROUNDS: usize = 10;
-        /// Relative change of the cost below which the fit has converged.
         const CONVERGED_COST_CHANGE: f64 = 1e-5;
         let mut least = f64::INFINITY;
         let mut best = (f64::INFINITY, guess.clone());
@@ -476,17 +461,17 @@ impl<'a> StreamWithFk<'a> {
         best
     }
 
-    /// Residual of a guess, rms m over the best 90 % of the samples, and the next step. Infinite and `None`
-    /// if the joint states cover too few samples.
+    /// Residual over the best 90 %, rms m, and the next step. Infinite and `None` if joint states cover too
+    /// few samples.
     fn step(
         &self,
         guess: &FittedParameters,
         free: &[usize],
         prior: ToolPrior,
     ) -> (f64, Option<DVector<f64>>) {
-        /// Damping scale of the steps: unobservable parameters keep their value.
+        /// Unobservable parameters keep their value.
         const DAMPING_SCALE: f64 = 0.5;
-        /// Minimum share of the samples that the joint states must cover at the fitted latency.
+        /// At the fitted latency.
         const MIN_COVERED_SHARE: f64 = 0.75;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = ChainState::new(self);
@@ -518,7 +503,7 @@ impl<'a> StreamWithFk<'a> {
                 }
             }
         }
-        // Reject latencies at which few samples are covered: a good fit of those means little.
+        // Few covered samples fit too easily.
         if squares.len() < MIN_SAMPLES.max((MIN_COVERED_SHARE * self.t_s.len() as f64) as usize) {
             return (f64::INFINITY, None);
         }
@@ -537,7 +522,7 @@ impl<'a> StreamWithFk<'a> {
     }
 }
 
-/// Rms distance of positions from their median over the best 90 %, comparable with the residuals.
+/// Rms distance from the median over the best 90 %, comparable with residuals.
 pub(super) fn extent(xyz: &[Vec3]) -> f64 {
     let middle: [f64; 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f64> = xyz.iter().map(|xyz| xyz[axis]).collect();
@@ -547,14 +532,13 @@ pub(super) fn extent(xyz: &[Vec3]) -> f64 {
     rms_of_most(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
 }
 
-/// Rms over the smallest 90 % of some squares.
+/// Over the smallest 90 %.
 fn rms_of_most(mut squares: Vec<f64>) -> f64 {
     squares.sort_by(f64::total_cmp);
     let kept = (9 * squares.len()).div_ceil(10);
     (squares[..kept].iter().sum::<f64>() / kept.max(1) as f64).sqrt()
 }
 
-/// Prior on the tool.
 #[derive(Clone, Copy)]
 enum ToolPrior {
     /// Flat.
@@ -566,7 +550,7 @@ enum ToolPrior {
 }
 
 impl ToolPrior {
-    /// Weights of the tool coordinates relative to the rms residual.
+    /// Relative to the rms residual.
     fn weights(self) -> Vec3 {
         let each = RESIDUAL_FLOOR_M / DEVIATION_PRIOR_M / MAX_EFFECTIVE_SAMPLES.sqrt();
         match self {
@@ -576,13 +560,11 @@ impl ToolPrior {
         }
     }
 
-    /// Weighted coordinates of a tool.
     fn pull(self, tool_m: &Vec3) -> Vec3 {
         self.weights().component_mul(tool_m)
     }
 }
 
-/// State of the chain at one time.
 struct ChainState<'a> {
     stream: &'a StreamWithFk<'a>,
     cursor: usize,
@@ -607,8 +589,7 @@ impl<'a> ChainState<'a> {
         }
     }
 
-    /// Sets the joints to the time at which the sample stamped `t_s` was taken. False if the joint states
-    /// do not cover it.
+    /// Moves the joints to the time of measurement. False if joint states do not cover it.
     fn at(&mut self, t_s: f64, guess: &FittedParameters) -> bool {
         let StreamWithFk { joints, stream, in_degrees, .. } = self.stream;
         let (q, qd) = &mut self.track;
@@ -626,12 +607,12 @@ impl<'a> ChainState<'a> {
         true
     }
 
-    /// Predicted tool point, in the stream's reference frame.
+    /// In the stream's reference frame.
     fn tip(&self, guess: &FittedParameters) -> Vec3 {
         (guess.reference * (self.pose * Point3::from(guess.tool))).coords
     }
 
-    /// Derivative of the tool point by a joint, in the base; `lever` is its offset from the link origin.
+    /// Derivative in the base; `lever` is from the link origin.
     fn along(&self, joint: usize, lever: &Vec3) -> Vec3 {
         let [x, y, z, a, b, c] = self.jacobian[joint];
         Vec3::new(x, y, z) + Vec3::new(a, b, c).cross(lever)

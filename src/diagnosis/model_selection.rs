@@ -1,8 +1,6 @@
-//! Model selection: finds the smallest set of causes that reduces the residual to the noise.
+//! Finds the smallest set of causes that reduces the residual to the noise (see [`super`]).
 //!
-//! The model is linearised once with all causes. Each set of causes is then scored on the normal equations
-//! alone, so scoring hundreds of sets costs less than one pass over the samples. Gauss–Newton steps update
-//! the state until the selected set no longer changes.
+//! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
 
 use super::Measured;
 use super::linear::{Linear, Normal, Weight};
@@ -15,19 +13,17 @@ use super::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Minimum unexplained share of a cause's effect given the other causes. Below it the causes are collinear
-/// and the set is rejected.
+/// Minimum unexplained share of a cause's effect. Below it, causes are collinear and the set is rejected.
 pub(super) const MIN_CAUSE_SEPARATION: f64 = 1e-4;
 
-/// Maximum set size for exhaustive search.
 const MAX_EXHAUSTIVE_CAUSES: usize = 4;
 
-/// Possible cause of a residual: a group of parameters that are freed together.
+/// Possible cause of a residual: parameters that are freed together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
     /// Zero offset of a joint of the track.
     Zero(usize),
-    /// Scale of a joint, given by its parameter index among the joint offsets.
+    /// Scale of a joint, by its index among the joint offsets.
     JointScale(usize),
     /// Latency of a stream.
     Latency(usize),
@@ -42,7 +38,7 @@ pub(super) enum Cause {
 }
 
 impl Cause {
-    /// Column indices of this cause's parameters.
+    /// Columns of this cause.
     pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
         let (stream, first, count) = match self {
             Cause::Zero(joint) | Cause::JointScale(joint) => return joint..joint + 1,
@@ -60,7 +56,7 @@ impl Cause {
     }
 }
 
-/// Parameters of a set of causes, ascending.
+/// Ascending.
 fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
     let mut parameters: Vec<usize> =
         causes.iter().flat_map(|cause| cause.parameters(state)).collect();
@@ -74,21 +70,20 @@ pub(super) struct Linearized {
     weights: Vec<Vec<Weight>>,
     pub normal: Normal,
     values: DVector<f64>,
-    /// Result for the last requested parameters. They are queried several times in turn.
+    /// Cached for repeated queries.
     free_fit: Mutex<Option<Arc<FreeFit>>>,
 }
 
-/// Estimates with only these parameters free.
 struct FreeFit {
     parameters: Vec<usize>,
-    /// Influence of each score on each parameter.
+    /// Of each score on each parameter.
     influence: DMatrix<f64>,
-    /// Covariance under correlated noise.
+    /// Under correlated noise.
     covariance: DMatrix<f64>,
     step: DVector<f64>,
 }
 
-/// Columns of a stream's parameters in the whole model.
+/// Columns of a stream in the whole model.
 fn columns_of(state: &State, stream: usize) -> Vec<usize> {
     let joints = state.offsets.len();
     let start = state.index(stream, 0);
@@ -96,8 +91,8 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 }
 
 impl Linearized {
-    /// Linearises all streams about `state`, with about `most` samples each. The weights come from the
-    /// residual noise with all causes in `all` free.
+    /// Linearises about `state` with about `most` samples per stream. The weights are of the noise with all
+    /// causes in `all` free.
     pub fn new(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
         let streams: Vec<Linear> = witnesses
             .iter()
@@ -115,10 +110,8 @@ impl Linearized {
         linearized
     }
 
-    /// Updates the weights from the residual noise with `causes` free.
-    ///
-    /// During the search these are all causes, so no fault counts as noise. For the intervals they are the
-    /// selected causes, because unneeded ones would absorb the slow part of coloured noise and hide its
+    /// Sets the weights to the noise with `causes` free: in the search all of them, so no fault counts as
+    /// noise; for intervals the selected ones, because others would absorb coloured noise and hide its
     /// autocorrelation.
     fn update_weights(&mut self, state: &State, causes: &[Cause]) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
@@ -129,7 +122,7 @@ impl Linearized {
         self.free_fit = Mutex::new(None);
     }
 
-    /// Step with `parameters` free and all others reset to zero.
+    /// Frees `parameters` and resets all others to zero.
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
         self.normal.step(&self.values, parameters)
     }
@@ -139,8 +132,8 @@ impl Linearized {
         self.normal.cost_after(&self.step(parameters))
     }
 
-    /// Covariance of `parameters` when only they are free, under correlated noise (`H⁻¹ S H⁻¹`, White
-    /// 1980). Variances of parameters that are not observable are infinite.
+    /// Covariance with only `parameters` free, under correlated noise (`H⁻¹ S H⁻¹`, White 1980). Infinite
+    /// if not observable.
     pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
         self.fit_free(parameters, state).covariance.clone()
     }
@@ -166,17 +159,17 @@ impl Linearized {
         freed
     }
 
-    /// Information matrix of one stream on all its parameters, joints first.
+    /// Information matrix of one stream, joints first.
     pub fn information_of(&self, stream: usize) -> DMatrix<f64> {
         self.streams[stream].information(&self.weights[stream])
     }
 
-    /// Degrees of freedom of the covariance: independent residual components minus parameters.
+    /// Independent residual components minus parameters.
     pub fn dof(&self, parameters: usize) -> f64 {
         (self.normal.independent - parameters as f64).max(3.0)
     }
 
-    /// Effective degrees of freedom of the variance along `influence`, from the samples that contribute.
+    /// Effective degrees of freedom along `influence`.
     fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
         let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
         for (s, linear) in self.streams.iter().enumerate() {
@@ -188,7 +181,7 @@ impl Linearized {
         (2.0 * sum * sum / variance).clamp(3.0, self.dof(parameters.len()))
     }
 
-    /// Estimate of `parameters[which]` when all of `parameters` are free. `None` if it is not observable.
+    /// Estimate of `parameters[which]` with `parameters` free. `None` if not observable.
     pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
         let freed = self.fit_free(parameters, state);
         let variance = freed.covariance[(which, which)];
@@ -202,7 +195,7 @@ impl Linearized {
     }
 }
 
-/// Index among `parameters` of each parameter of a stream.
+/// Index among `parameters` of each stream parameter.
 fn targets(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
     let columns = columns_of(state, stream).into_iter();
     columns.map(|column| parameters.binary_search(&column).ok()).collect()
@@ -223,12 +216,11 @@ fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Norm
     normal
 }
 
-/// Candidate causes of a search.
 #[derive(Clone)]
 pub(super) struct CandidateCauses {
-    /// Causes that are always free.
+    /// Always free.
     pub always: Vec<Cause>,
-    /// Causes that must justify their price.
+    /// Must justify their price.
     pub optional: Vec<Cause>,
 }
 
@@ -239,21 +231,21 @@ impl CandidateCauses {
     }
 }
 
-/// Set of causes with its score. Smaller is better.
+/// Smaller scores are better.
 #[derive(Clone, Debug)]
 pub(super) struct CauseSet {
     pub causes: Vec<Cause>,
-    /// Weighted cost plus the price of the parameters.
+    /// Weighted cost plus price.
     pub score: f64,
 }
 
-/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8. The addition lowers the
+/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8, which lowers the
 /// probability of a false cause from about 1 % to about 0.01 %.
 pub(super) fn price(independent: f64) -> f64 {
     independent.max(2.0).ln() + 8.0
 }
 
-/// Selects the set of optional causes with the lowest score at a linearisation.
+/// Optional causes with the lowest score.
 fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
@@ -281,7 +273,7 @@ fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> 
             best = CauseSet { score, causes: set.to_vec() };
         }
     });
-    // Beyond the exhaustive depth, add causes and remove them again while the score improves.
+    // Beyond that depth, add and remove causes while the score improves.
     while best.causes.len() >= depth {
         let grown = menu
             .optional
@@ -301,11 +293,8 @@ fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> 
     best
 }
 
-/// Returns whether the causes are collinear.
-///
-/// If both world frame and marker are free, weak motion leaves common directions of the two unobservable.
-/// The steps keep these directions fixed. Another cause that shares such a direction, such as a joint zero,
-/// has no unique value.
+/// If world frame and marker are both free, weak motion leaves common directions of the two unobservable.
+/// Steps keep them fixed. Another cause with such a direction, such as a joint zero, has no unique value.
 fn is_collinear(
     linear: &Linearized,
     menu: &CandidateCauses,
@@ -340,7 +329,7 @@ fn prune(mut choice: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
     }
 }
 
-/// Calls `visit` with every subset of `causes` that has 1 to `depth` elements.
+/// Visits every subset of 1 to `depth` elements.
 fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn FnMut(&[Cause])) {
     if depth == 0 {
         return;
@@ -353,25 +342,23 @@ fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn
     }
 }
 
-/// Selected model: its state and causes, with the final linearisation.
+/// Selected model with its final linearisation.
 pub(super) struct SelectedModel {
     pub state: State,
-    /// Selected optional causes, ascending.
+    /// Optional causes, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
 }
 
-/// Starting strategy of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Approach {
-    /// Start at the given state. Best if it is near the solution or if the log has little information.
+    /// Start at the given state. Best near the solution or with little information.
     Careful,
-    /// Take a few steps with all causes free first, so that sets are compared near the solution. Best if
-    /// several large causes add up.
+    /// First take a few steps with all causes free. Best if several large causes add up.
     Bold,
 }
 
-/// Selects the smallest model from a starting state, with about `most` samples per stream.
+/// Selects from a starting state, with about `most` samples per stream.
 pub(super) fn select_model(
     witnesses: &[&PoseObservations],
     start: State,
@@ -403,29 +390,29 @@ pub(super) fn select_model(
     SelectedModel { state, causes, linear }
 }
 
-/// Returns whether a step is below the resolution of any estimate.
+/// Below the resolution of any estimate.
 fn is_negligible(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
-/// Best of several models of the same streams. The score is `Σ n·ln σ²` of the final residuals plus the
-/// price of parameters and round frame errors.
+/// Best of several models of the same streams, by `Σ n·ln σ²` of the residuals plus the price of parameters
+/// and round errors.
 ///
-/// A model that has not converged has a larger residual and scores worse. The autocorrelation, which
-/// reduces `n`, is taken from the model with the smallest residual and applied to all. Otherwise small
-/// differences in autocorrelation would decide between equally good models.
+/// The autocorrelation, which reduces `n`, is that of the model with the smallest residual. Otherwise small
+/// differences of it would decide between equally good models.
 pub(super) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
     let noises: Vec<Vec<Noise>> = explanations.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
-    // Capped, so that a smooth residual does not count as few samples.
+    // Capped, so a smooth residual keeps enough samples.
     let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
     let score = |(explanation, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / explanation.linear.streams.len().max(1);
-        let samples = explanation.linear.streams.iter().flat_map(|stream| {
-            // Three components per sample.
-            std::iter::repeat_n(3.0 * stream.len() as f64, kinds)
-        });
+        let samples = explanation
+            .linear
+            .streams
+            .iter()
+            .flat_map(|stream| std::iter::repeat_n(3.0 * stream.len() as f64, kinds));
         let fit: f64 = samples
             .zip(noise.iter().zip(&memory))
             .map(|(n, (noise, memory))| 2.0 * n / memory * noise.sigma.ln())
@@ -440,7 +427,7 @@ pub(super) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedMod
 }
 
 impl SelectedModel {
-    /// Noise of each stream and kind of residual (positions, rotations) at the final state.
+    /// By stream and residual kind (positions, rotations).
     pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams
@@ -449,13 +436,12 @@ impl SelectedModel {
             .collect()
     }
 
-    /// Price of its parameters and round frame errors.
     fn price(&self) -> f64 {
         let tuned: usize =
             self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
         let streams = self.state.streams.iter();
         let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
-        // Between equally good models, prefer a round error (such as 90°) to a tuned value.
+        // Prefer a round error (such as 90°) to a tuned value.
         price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
     }
 }

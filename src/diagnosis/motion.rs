@@ -1,4 +1,4 @@
-//! Speed and acceleration of a joint from its samples: limit violations and abrupt changes of speed.
+//! Limit violations and abrupt speed changes of a joint.
 
 #[cfg(test)]
 mod tests;
@@ -14,7 +14,7 @@ use ground::robot::Limits;
 /// Violation of a joint limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LimitViolation {
-    /// The limit, in rad or m, or per second for speeds.
+    /// In rad or m, or per second.
     pub limit: f64,
     /// Most extreme value.
     pub value: f64,
@@ -31,8 +31,7 @@ impl LimitViolation {
     }
 }
 
-/// Violation of a joint's position limits. Returns the limit, lower or upper, that is exceeded by more.
-/// Ignores values that are not finite.
+/// Position limit (lower or upper) that is exceeded most. Ignores values that are not finite.
 pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
@@ -42,34 +41,33 @@ pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Lim
     [above, below].into_iter().flatten().max_by(|a, b| a.excess().total_cmp(&b.excess()))
 }
 
-/// Violation of a joint's speed limit. Both of two consecutive samples must exceed it, and the smaller
-/// value counts: a single sample is an outlier.
+/// Speed limit violation. Two consecutive samples must exceed the limit, and the smaller counts: one sample
+/// is an outlier.
 pub fn speed_violation(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
     beyond(t_s, held, limits.velocity?)
 }
 
-/// Violation of a joint's speed limit, from positions alone.
+/// Same from positions alone, with quantisation `step` (0 if none).
 ///
-/// Rates are taken over a window long enough that noise, including that of jittered stamps, is small
-/// compared with the limit. They must exceed the limit by more than that noise. Each rate is computed over
-/// the stamps and over evenly spaced times, and the smaller one counts: a single late stamp is not a speed.
-/// `step` is the quantisation step of the positions, 0 if there is none.
+/// The window makes noise, including jittered stamps, small compared with the limit, which must be exceeded
+/// by more than the noise. The smaller of the rates over logged stamps and over evenly spaced times counts:
+/// a late stamp is not a speed.
 pub fn speed_violation_from_positions(
     t_s: &[f64],
     q: &[f64],
     limits: &Limits,
     step: f64,
 ) -> Option<LimitViolation> {
-    /// Share of the limit allowed for noise and quantisation.
+    /// For noise and quantisation.
     const NOISE_SHARE_OF_LIMIT: f64 = 0.02;
-    /// Standard deviations that noise rarely exceeds.
+    /// Rarely exceeded by noise.
     const NOISE_SIGMAS: f64 = 4.0;
-    /// Share of normal deviations within one standard deviation.
+    /// Of normal deviations.
     const ONE_SIGMA_SHARE: f64 = 0.68;
-    /// Share of the stamp jitter remaining after a median of 17: 1.25 / √17.
+    /// Stamp jitter remaining after a median of 17: 1.25 / √17.
     const JITTER_SHARE: f64 = 0.3;
-    /// Maximum window, s: motion changes over longer times.
+    /// Motion changes over longer times.
     const MAX_WINDOW_S: f64 = 0.15;
     let limit = limits.velocity.filter(|limit| *limit > 0.0)?;
     if q.len() < MIN_SERIES_SAMPLES || t_s.len() != q.len() {
@@ -92,11 +90,11 @@ pub fn speed_violation_from_positions(
     speed_violation(t_s, &lesser, &sure).map(|excess| LimitViolation { limit, ..excess })
 }
 
-/// Evenly spaced times of the rows: each is the median of the times that its neighbours predict at the
-/// median interval. Neighbours across a gap are not used.
+/// Evenly spaced times: medians of the times that neighbours predict at the median interval, except across
+/// gaps.
 fn even_times(t_s: &[f64]) -> Vec<f64> {
     const NEIGHBOURS: usize = 8;
-    /// Minimum length of a gap, in intervals.
+    /// In intervals.
     const MIN_GAP_PERIODS: f64 = 4.0;
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
@@ -118,14 +116,14 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
         }
         let middle = said.len() / 2;
         let at_s = *said.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // Rows deviate from the median interval, so keep the times increasing.
+        // Keep the times increasing.
         let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
         even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
     }
     even_s
 }
 
-/// Rates of positions, each over at least `window_s` centred on its sample.
+/// Rates over at least `window_s` about each sample.
 pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
     let rate = |row: usize| {
         let half_s = 0.5 * window_s;
@@ -138,7 +136,7 @@ pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
     (0..t_s.len().min(q.len())).map(rate).collect()
 }
 
-/// Values above a limit. Each value lasts until the next sample, but at most one second.
+/// Each value lasts until the next sample, at most 1 s.
 fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<LimitViolation> {
     const MAX_SAMPLE_S: f64 = 1.0;
     let mut found: Option<LimitViolation> = None;
@@ -158,57 +156,52 @@ fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<
     found
 }
 
-/// Kind of a joint's samples.
+/// Kind of samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointSampleKind {
-    /// Positions: acceleration is the second derivative.
+    /// Acceleration is the second derivative.
     Positions,
-    /// Velocities: acceleration is the first derivative.
+    /// Acceleration is the first derivative.
     Velocities,
 }
 
-/// Largest acceleration of a joint, with its uncertainty.
+/// Largest acceleration of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PeakAcceleration {
-    /// Acceleration with the greatest lower bound, rad/s².
+    /// Value with the greatest lower bound, rad/s².
     pub acceleration: f64,
-    /// Bound on the contribution of noise, rad/s²: `SIGMAS` standard deviations.
+    /// Bound on noise, rad/s²: `MAX_NOISE_SIGMAS` standard deviations.
     pub noise: f64,
-    /// Window of the fit, s.
+    /// Fit window, s.
     pub window_s: f64,
     /// Time of the acceleration, s.
     pub at_s: f64,
-    /// Change of the acceleration over half the window, rad/s³.
+    /// Acceleration change over half the window, rad/s³.
     pub jerk: f64,
-    /// Smallest acceleration of a stop within `MAX_STOP_S` that can be resolved from noise, rad/s². Infinite
-    /// if the sample interval is too long.
+    /// Smallest acceleration of a stop within `MAX_STOP_S` that exceeds noise, rad/s². Infinite if samples
+    /// are too sparse.
     pub resolved: f64,
 }
 
-/// Standard deviations that noise does not reach in a million windows.
+/// Not reached by noise in a million windows.
 const MAX_NOISE_SIGMAS: f64 = 6.0;
-/// Maximum duration of an abrupt stop, s.
+/// Of an abrupt stop.
 const MAX_STOP_S: f64 = 0.1;
-/// Minimum change of speed across a window, as a share of window length times fitted acceleration. A speed
-/// step in the middle of a window gives 0.53, because the second derivative of the fitted parabola is 15/8
-/// of step over length. A step nearer to its ends gives less.
+/// As a share of window length times fitted acceleration. A speed step amid a window gives 0.53, because
+/// the fitted parabola's second derivative is 15/8 of step over length; a step near its ends gives less.
 const MIN_SPEED_CHANGE: f64 = 0.4;
-/// Half-widths of the windows, in samples.
+/// In samples.
 const HALF_WINDOWS: [usize; 5] = [1, 2, 4, 8, 16];
-/// Minimum number of samples.
 const MIN_SERIES_SAMPLES: usize = 9;
-/// Maximum number of windows for the noise estimate, evenly spread over the samples.
+/// For the noise estimate, evenly spread.
 const MAX_WINDOWS: usize = 50_000;
-/// Rows fitted at once.
 const BLOCK_ROWS: usize = 512;
 
-/// Estimates the largest acceleration of a joint by least squares over windows of 3 to 33 samples (Savitzky
-/// and Golay 1964): the slope of velocities or the curvature of positions. Each window has its own noise
-/// bound; the result is the acceleration that exceeds its bound most. Skips windows with gaps or uneven
-/// stamps. `None` if there are too few evenly spaced samples.
+/// Largest acceleration of a joint by least squares over 3 to 33 samples (Savitzky and Golay 1964): slope
+/// of velocities or curvature of positions. The result is the acceleration that exceeds its window's noise
+/// bound most. Skips windows with gaps or uneven stamps. `None` if too few samples are evenly spaced.
 ///
-/// `step` is the quantisation step of the positions, 0 if there is none. Each position is off by up to half
-/// of it.
+/// `step` is the quantisation of positions, 0 if none; errors reach half of it.
 pub fn peak_acceleration(
     t_s: &[f64],
     values: &[f64],
@@ -246,7 +239,7 @@ pub fn peak_acceleration(
             let mut accelerations = [0.0; BLOCK_ROWS];
             let accelerations = &mut accelerations[..BLOCK_ROWS.min(last - first)];
             fit.along(values, first, accelerations);
-            // This fold ignores NaN.
+            // Ignores NaN.
             let largest = accelerations
                 .iter()
                 .fold(0.0, |most, a| if a.abs() > most { a.abs() } else { most });
@@ -264,9 +257,9 @@ pub fn peak_acceleration(
                 if !is_even || !is_surer(acceleration) {
                     continue;
                 }
-                // Either the stamps or the samples jitter: a real acceleration appears in both fits.
+                // Stamps or samples may jitter; a real acceleration appears in both fits.
                 let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
-                // A real acceleration changes the speed. An early, late or wrong value does not.
+                // A real acceleration changes the speed, a stray value does not.
                 let change = speed_change(t_s, values, series, (row - half, row + half));
                 let acceleration = acceleration.min(change / (MIN_SPEED_CHANGE * window_s));
                 if is_surer(acceleration) {
@@ -285,8 +278,7 @@ pub fn peak_acceleration(
     surest.map(|surest| PeakAcceleration { resolved, ..surest })
 }
 
-/// Difference of the mean speed before `from` and after `to`, from the neighbouring samples. 0 if there are
-/// too few.
+/// Mean speed after `to` minus that before `from`. 0 with too few samples.
 fn speed_change(
     t_s: &[f64],
     values: &[f64],
@@ -319,17 +311,16 @@ fn speed_change(
     before.zip(after).map_or(0.0, |(before, after)| (after - before).abs())
 }
 
-/// Indices below `count`, thinned to about `MAX_WINDOWS`.
+/// Thinned to about `MAX_WINDOWS`.
 fn strided(count: usize) -> impl Iterator<Item = usize> + Clone {
     (0..count).step_by(count.div_ceil(MAX_WINDOWS).max(1))
 }
 
-/// Drops repeated samples if many samples repeat while the joint moves: a publisher that runs faster than
-/// the driver reads.
+/// Drops repeats if there are many while the joint moves: the publisher is faster than the driver.
 fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
-    /// Share of the intervals between changes above which repeats are attributed to the publisher.
+    /// Above this share, the publisher causes repeats.
     const MAX_REPEATED_SHARE: f64 = 0.3;
-    /// Changes this many samples or more apart are separated by a rest.
+    /// Between changes.
     const MIN_REST_SAMPLES: usize = 20;
     let is_change = |row: &usize| *row == 0 || values[*row] != values[*row - 1];
     let (mut last, mut all, mut repeated) = (0, 0_u32, 0_u32);
@@ -349,20 +340,18 @@ fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Co
     (t_s.into(), values.into())
 }
 
-/// Noise of single samples, as standard deviations. Estimated from differences that remove smooth motion:
-/// second of velocities, fourth of positions.
+/// Standard deviation of single samples, from differences that remove smooth motion: second of velocities,
+/// fourth of positions.
 struct Noise {
-    /// Over all samples or over the fastest quarter, whichever is larger. Uneven stamps cause noise that
-    /// grows with speed.
+    /// All samples or the fastest quarter, whichever is larger: noise of uneven stamps grows with speed.
     all: f64,
-    /// Noise in each block of `length` samples.
+    /// One per `length` samples.
     blocks: Vec<f64>,
     length: usize,
 }
 
 impl Noise {
-    /// Noise near a sample: the largest of the overall noise, its block's and those of the neighbouring
-    /// blocks.
+    /// The largest of the overall noise and that of nearby blocks.
     fn at(&self, row: usize) -> f64 {
         let block = row / self.length;
         let near = block.saturating_sub(1)..(block + 2).min(self.blocks.len());
@@ -375,11 +364,10 @@ impl Noise {
 }
 
 fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
-    /// Share of the samples kept, which excludes stops but not quantisation steps.
+    /// Excludes stops but not quantisation steps.
     const KEPT_SHARE: f64 = 0.95;
-    /// The same for a block, where stops take a larger share.
+    /// In a block, stops take a larger share.
     const KEPT_SHARE_OF_BLOCK: f64 = 0.75;
-    /// Windows per block.
     const WINDOWS_PER_BLOCK: usize = 128;
     let (difference, weight): (fn(&[f64]) -> f64, f64) = match series {
         JointSampleKind::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
@@ -406,8 +394,8 @@ fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
     Noise { all, blocks: (0..count).step_by(length).map(of_block).collect(), length }
 }
 
-/// Root mean square of the smallest share `kept` of the values, scaled to the full normal distribution.
-/// Within `z` standard deviations the variance is 1 − 2zφ(z)/kept.
+/// Rms of the smallest share `kept`, scaled to the full normal distribution. Within `z` standard deviations
+/// the variance is 1 − 2zφ(z)/kept.
 fn trimmed_rms(values: impl Iterator<Item = f64>, kept: f64) -> f64 {
     let normal = Normal::standard();
     let z = normal.inverse_cdf(0.5 * (1.0 + kept));
@@ -431,11 +419,10 @@ fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
     quantile(&mut values, part)
 }
 
-/// Least-squares acceleration over evenly spaced samples.
+/// Least-squares acceleration over even samples.
 struct Fit {
     half: usize,
     series: JointSampleKind,
-    /// Coefficient of each sample in the window.
     weights: Vec<f64>,
 }
 
@@ -457,31 +444,30 @@ impl Fit {
         Self { half, series, weights }
     }
 
-    /// Gain for white noise of unit standard deviation.
+    /// For white noise of unit standard deviation.
     fn gain(&self) -> f64 {
         self.weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt()
     }
 
-    /// Gain for errors of at most 1: the worst case.
+    /// For errors of at most 1.
     fn most(&self) -> f64 {
         self.weights.iter().map(|weight| weight.abs()).sum()
     }
 
-    /// Acceleration at `row`, which must be at least half a window from either end.
+    /// At least half a window from either end.
     fn at(&self, values: &[f64], row: usize) -> f64 {
         let window = &values[row - self.half..=row + self.half];
         window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
     }
 
-    /// Least-squares acceleration at `row` over the samples at their stamps. NaN if the stamps are
-    /// singular.
+    /// Same over logged stamps. NaN if these are singular.
     fn as_stamped(&self, t_s: &[f64], values: &[f64], row: usize) -> f64 {
         let window = row - self.half..=row + self.half;
         let scale = (t_s[row + self.half] - t_s[row - self.half]).max(f64::MIN_POSITIVE);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
             let x = (t - t_s[row]) / scale;
-            // Velocities need a line only, and three samples cannot determine more.
+            // Velocities need a line; three samples determine no more.
             let bend = if self.series == JointSampleKind::Positions { x * x } else { 0.0 };
             let powers = Vector3::new(1.0, x, bend);
             normal += powers * powers.transpose();
@@ -497,7 +483,7 @@ impl Fit {
         })
     }
 
-    /// Accelerations at consecutive rows from `first`, one per entry of `accelerations`.
+    /// At consecutive rows from `first`.
     fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
         let count = accelerations.len();
         let beside = |place: usize| &values[first - self.half + place..][..count];
@@ -505,7 +491,7 @@ impl Fit {
         for (sum, value) in accelerations.iter_mut().zip(beside(self.half)) {
             *sum = middle * value;
         }
-        // The coefficients are symmetric or antisymmetric about the middle.
+        // Coefficients are symmetric or antisymmetric.
         for place in 0..self.half {
             let mirrored = self.weights.len() - 1 - place;
             let (weight, sign) = (self.weights[mirrored], self.weights[place].signum());
@@ -517,7 +503,7 @@ impl Fit {
         }
     }
 
-    /// Largest change of acceleration from `row` to half a window before or after it, per second.
+    /// Largest change over half a window, per second.
     fn jerk(&self, values: &[f64], row: usize, period_s: f64) -> f64 {
         let here = self.at(values, row);
         let beside = [row.checked_sub(self.half), Some(row + self.half)].into_iter().flatten();

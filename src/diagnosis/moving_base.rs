@@ -1,4 +1,4 @@
-//! Arms with a moving base: poses are logged in a frame that does not move with the base.
+//! Arms with a moving base, whose poses are in a frame that does not move along.
 
 use super::PoseStream;
 use super::frames::misfit_of_frames;
@@ -8,40 +8,35 @@ use super::position_fit::spread;
 use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Maximum number of samples used.
 const MAX_SAMPLES: usize = 300;
-/// Minimum number of samples.
 const MIN_SAMPLES: usize = 20;
-/// Largest latency or lag to search, s.
+/// For latency and lag.
 const MAX_LAG_S: f64 = 0.5;
-/// Initial and final step of the search, s.
 const INITIAL_STEP_S: f64 = 0.02;
 const FINAL_STEP_S: f64 = 2e-5;
-/// The transforms have a latency different from the poses' only if that reduces the residual below this
-/// fraction, …
+/// Separate latencies of transforms and poses must reduce the residual to this fraction, …
 const MAX_RESIDUAL_RATIO: f64 = 0.7;
-/// … and if the two differ by more than this, s.
+/// … and differ by more than this.
 const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
-/// If the position residual exceeds the first fraction of the extent, the joints may be misinterpreted. A
-/// lag is then accepted only if it reduces the residual below the second fraction.
+/// With a residual above the first fraction of the extent, joints may be misinterpreted. A lag must then
+/// reduce it below the second fraction.
 const MAX_RESIDUAL_SHARE: f64 = 0.1;
 const MAX_RESIDUAL_RATIO_OFF_ARM: f64 = 0.5;
 
-/// Time at which to evaluate the transform of a moving frame for poses in it.
+/// Time at which to evaluate the transform of a moving frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovingBaseLag {
-    /// Time before the poses' stamps, s.
+    /// Before the poses' stamps, s.
     pub lag_s: f64,
-    /// Whether this equals the latency of the poses, so the transforms are on time.
+    /// Whether it equals the poses' latency, so transforms are on time.
     pub is_on_time: bool,
 }
 
-/// Estimates the time at which to evaluate the transform of the frame of `logged`, such that the arm
-/// matches FK. Minimises the position residual of `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) ·
-/// tool` over λ and τ. They are equal unless separate values fit clearly better. `None` if too few samples
-/// have a transform.
+/// Time at which to evaluate the transform of `logged`'s frame to match FK: minimises the position residual
+/// of `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool` over λ and τ, which are equal unless
+/// separate values fit clearly better. `None` if too few samples have a transform.
 ///
-/// `stream` provides the chain and its columns. `base_from_frame` is defined at some times only.
+/// `stream` gives chain and columns; `base_from_frame` is defined at some times only.
 pub fn estimate_moving_base_lag(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -62,7 +57,7 @@ pub fn estimate_moving_base_lag(
         if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
             return f64::INFINITY;
         }
-        // Residual about a constant tool offset.
+        // About a constant tool offset.
         let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
         let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
         (squares.sum::<f64>() / offsets.len() as f64).sqrt()
@@ -84,7 +79,7 @@ pub fn estimate_moving_base_lag(
     let least = cost(lag_s, latency_s);
     if least > MAX_RESIDUAL_SHARE * extent_m && least > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
     {
-        // No lag makes the arm match FK, so the joints may be misinterpreted. Keep the stamps.
+        // No lag matches FK: joints may be misinterpreted, so keep the stamps.
         return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
@@ -92,8 +87,7 @@ pub fn estimate_moving_base_lag(
     Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }
 
-/// Minimises a function near `start` by pattern search (Hooke and Jeeves 1961): steps along the axes and
-/// diagonals, halved when none improves.
+/// Pattern search (Hooke and Jeeves 1961): steps along axes and diagonals, halved when none improves.
 fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
     const SEARCH_DIRECTIONS: [[f64; 2]; 8] = [
         [1.0, 0.0],
@@ -118,29 +112,28 @@ fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
     at
 }
 
-/// Motion of an arm's base in the frame of its poses.
+/// Motion of a base in the frame of its poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseMotion {
-    /// Largest distance from its mean position, m.
+    /// Largest distance from the mean, m.
     pub travel_m: f64,
-    /// Largest rotation from its first orientation, rad.
+    /// Largest rotation from the first, rad.
     pub turn_rad: f64,
 }
 
-/// Detects a base that moves in the frame of a stream's poses, as on a vehicle, a lift or a rail. At some
-/// latency, the base pose computed from FK must move in a plane or along a line and rotate about one axis
-/// only. It must travel several times as far as it deviates from that.
+/// Detects a base that moves in the frame of its poses, as on a vehicle, lift or rail. At some latency, the
+/// base pose from FK must move in a plane or on a line and rotate about one axis only, with several times
+/// more travel than deviation.
 pub fn detect_base_motion(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<BaseMotion> {
-    /// Minimum travel of a moving base, m. An arm that differs from its model can deviate by less.
+    /// An arm that differs from its model can deviate by less.
     const MIN_TRAVEL_M: f64 = 0.1;
-    /// Minimum ratio of travel to deviation.
+    /// Travel to deviation.
     const MIN_TRAVEL_RATIO: f64 = 10.0;
-    /// Maximum step between samples as a fraction of the travel. A larger step means a base that was pushed
-    /// once.
+    /// Between samples, as a fraction of the travel. A larger step is a base that was pushed once.
     const MAX_STEP_SHARE: f64 = 0.5;
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let rows = sample_rows(stream.track.t_s.len());
@@ -190,9 +183,9 @@ pub fn detect_base_motion(
     })
 }
 
-/// Returns whether a fixed base, with a constant world frame and marker, has a position residual below
-/// `most_m` rms. Tests metres and the unit in which positions spread as FK does. Otherwise a tool with
-/// constant orientation, or one that rotates about a single axis, would look like a moving base.
+/// Whether a fixed base, with constant world frame and marker, has a position residual below `most_m` rms,
+/// in metres or the unit whose spread matches FK. Otherwise a tool of constant orientation or a single
+/// rotation axis resembles a moving base.
 fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
     let mut fk = FkSequence::new(joints, stream);
@@ -210,16 +203,16 @@ fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_
     })
 }
 
-/// Travel of poses in the plane normal to their rotation axis, and their deviation from it.
+/// Travel in the plane normal to the rotation axis.
 struct PlanarTravel {
     along_m: f64,
     deviation_m: f64,
 }
 
 impl PlanarTravel {
-    /// Lever arm that converts rotations to lengths, m.
+    /// From rotations to lengths.
     const LEVER_M: f64 = 0.5;
-    /// Below this value of `1 − σ_min` of the mean rotation, the orientation is constant (5 mrad rms).
+    /// Smaller values of `1 − σ_min` of the mean rotation are a constant orientation (5 mrad rms).
     const MIN_ROTATION_SPREAD: f64 = 1e-5;
 
     fn fit(poses: &[Pose]) -> Self {
@@ -239,10 +232,10 @@ impl PlanarTravel {
         };
         let turns = 1.0 - svd.singular_values.min();
         let (across, leans_rad) = if turns < Self::MIN_ROTATION_SPREAD {
-            // The orientation is constant, so only positions define the plane.
+            // Only positions define the plane.
             (squares.min(), (2.0 * turns).max(0.0).sqrt())
         } else {
-            // Body axis whose direction varies least, and that direction.
+            // Body axis that varies least, and its direction.
             let at = svd.singular_values.imax();
             let (up, axis) = (u.column(at).into_owned(), v_t.row(at).transpose());
             let leans = poses.iter().map(|pose| (pose.rotation * axis - up).norm_squared());
@@ -256,7 +249,7 @@ impl PlanarTravel {
     }
 }
 
-/// FK of a stream's chain at mostly increasing times.
+/// At mostly increasing times.
 struct FkSequence<'a> {
     joints: &'a JointTrack,
     stream: &'a PoseStream<'a>,
@@ -283,7 +276,6 @@ impl<'a> FkSequence<'a> {
     }
 }
 
-/// Evenly spaced rows, at most [`MAX_SAMPLES`].
 fn sample_rows(rows: usize) -> Vec<usize> {
     (0..rows).step_by(rows.div_ceil(MAX_SAMPLES).max(1)).collect()
 }
@@ -299,7 +291,7 @@ mod tests {
         Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
     }
 
-    /// Poses of the tool in `frame(t)` with a constant latency.
+    /// In `frame(t)`, with a constant latency.
     fn track(
         joints: &JointTrack,
         chain: &ground::robot::Chain,
@@ -347,7 +339,7 @@ mod tests {
 
     #[test]
     fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
-        // A gantry with prismatic joints only: the tool keeps its orientation.
+        // A gantry with prismatic joints only.
         let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
             let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
             urdf + &format!(

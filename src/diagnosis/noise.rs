@@ -1,35 +1,33 @@
-//! Standard deviation and autocorrelation of residuals.
-//!
-//! Residuals of logged poses are correlated: filters, quantised encoders and small model errors persist
-//! from sample to sample. Intervals that assume independent samples are too narrow by the square root of
-//! the inflation factor. The autocovariance is modelled as white noise plus a first-order autoregressive
-//! part, `γ(0) = σ²`, `γ(k) = share·σ²·ρ^k`.
+//! Standard deviation and autocorrelation of residuals. Filters, quantised encoders and model errors
+//! persist from sample to sample, so intervals for independent samples are too narrow by the square root of
+//! the inflation. The model is white noise plus a first-order autoregressive part, `γ(0) = σ²`, `γ(k) =
+//! share·σ²·ρ^k`.
 
-/// White plus first-order autoregressive noise of one kind of residual.
+/// Noise of one kind of residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Noise {
-    /// Standard deviation of one component, in the residual's unit.
+    /// Of one component, in the residual's unit.
     pub sigma: f64,
-    /// Share of the variance that is autoregressive, 0 to 1.
+    /// Autoregressive share of the variance, 0 to 1.
     pub share: f64,
-    /// Correlation of the autoregressive part from one sample to the next, 0 to 1.
+    /// Correlation of that part per sample, 0 to 1.
     pub rho: f64,
 }
 
 impl Noise {
-    /// Factor by which correlation inflates the variance of a mean (`1 + 2·Σ γ(k)/γ(0)`).
+    /// Inflation of the variance of a mean (`1 + 2·Σ γ(k)/γ(0)`).
     pub fn inflation(&self) -> f64 {
         1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
     }
 
-    /// Factor for the variance of a mean of squares (`1 + 2·Σ (γ(k)/γ(0))²`, for normal noise).
+    /// Same for a mean of squares of normal noise (`1 + 2·Σ (γ(k)/γ(0))²`).
     pub fn inflation_of_squares(&self) -> f64 {
         let Self { share, rho, .. } = *self;
         1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
     }
 
-    /// Estimates the noise of a residual with three components per sample, weighted by `weights` (0 to 1
-    /// each). `sigma` is at least `floor`.
+    /// Estimates the noise of three components per sample, with `weights` 0 to 1. `sigma` is at least
+    /// `floor`.
     pub fn estimate(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
         let variance = weighted_variance(residual, weights);
         let correlations = correlations(residual, weights, variance);
@@ -44,7 +42,7 @@ fn weighted_variance(residual: &[[f64; 3]], weights: &[f64]) -> f64 {
     squares / (3.0 * total).max(1.0)
 }
 
-/// Mean correlation over lags from `first` to `last`.
+/// Mean over lags from `first` to `last`.
 struct Correlation {
     first: usize,
     last: usize,
@@ -52,22 +50,21 @@ struct Correlation {
 }
 
 impl Correlation {
-    /// Number of lags.
     fn width(&self) -> f64 {
         (self.last - self.first + 1) as f64
     }
 
-    /// Mean of `ρ^lag` over the lags.
+    /// Mean of `ρ^lag`.
     fn mean_autoregression(&self, rho: f64) -> f64 {
         let power = |lag: usize| rho.powi(lag as i32);
         (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())
     }
 }
 
-/// Correlations over lags 1, 2–3, 4–7 and so on up to an eighth of the samples. A long correlation of a
-/// small share of the noise is visible only when averaged over many lags.
+/// Lags 1, 2–3, 4–7 … up to an eighth of the samples. A long correlation of a small share is visible only
+/// as a mean over many lags.
 fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Correlation> {
-    // Prefix sums: any window of lags costs one difference.
+    // Prefix sums: a window of lags costs one difference.
     let mut before = vec![([0.0; 3], 0.0)];
     for (r, w) in residual.iter().zip(weights) {
         let (sum, total) = before[before.len() - 1];
@@ -95,16 +92,15 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// Least-squares fit of `share·ρ^lag` to the correlations over a grid of ρ. Returns zeros if the fit
-/// improves no more than chance does.
+/// Least-squares `share·ρ^lag` over a grid of ρ. Zeros if it improves no more than chance.
 fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64) {
-    /// Improvement by chance, in squared standard errors of white noise's correlations. White noise of any
-    /// length was taken for coloured less than once in a hundred times.
+    /// In squared standard errors of white noise's correlations. White noise of any length was taken for
+    /// coloured in less than 1 %.
     const MAX_CHANCE_IMPROVEMENT: f64 = 9.0;
-    // A correlation time of more than a quarter of the log cannot be separated from a constant.
+    // Longer correlations cannot be separated from a constant.
     let longest = 1.0 - 4.0 / (samples as f64).max(8.0);
     let grid = (1..400).map(|i| 1.0 - (0.0025 * f64::from(i)).powi(2) * 0.9975);
-    // A mean over many lags is better known, but coloured noise correlates those lags.
+    // Means over many lags are more accurate, but coloured noise correlates the lags.
     let weight = |one: &Correlation| one.width().sqrt();
     let misfit = |share: f64, rho: f64| -> f64 {
         let left = |one: &Correlation| one.mean - share * one.mean_autoregression(rho);

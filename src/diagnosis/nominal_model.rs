@@ -1,15 +1,14 @@
-//! Tests whether a residual is explained by the difference between the nominal model and a calibrated arm.
+//! Tests whether the difference between the nominal model and a calibrated arm explains a residual.
 //!
-//! Real arms deviate from their nominal model: lengths by tenths of a millimetre, axes by hundredths of a
-//! degree. FK of the nominal model then differs from the controller's calibrated pose by millimetres. One
-//! or two joint zeros do not explain this difference, but small changes of all link frames do (Mooring,
-//! Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch. 3).
+//! Lengths of real arms deviate by tenths of a millimetre, axes by hundredths of a degree, so nominal FK
+//! differs from the calibrated pose by millimetres. Small changes of all link frames explain this, one or
+//! two joint zeros do not (Mooring, Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch.
+//! 3).
 //!
-//! Forty parameters fit better than seven on any log, so the two models are compared by their evidence
-//! (MacKay 1992, *Bayesian Interpolation*). The calibration pays for each direction that the log constrains
-//! beyond the prior, and for changes that are large under the prior. The selected causes are kept unless
-//! the calibration has the higher evidence. If a few causes already reduce the residual to the noise, it
-//! cannot.
+//! Forty parameters fit better than seven on any log, so the models are compared by evidence (MacKay 1992,
+//! *Bayesian Interpolation*). The calibration pays for each direction constrained beyond the prior, and for
+//! large changes. The selected causes are kept unless it has the higher evidence, which it cannot if a few
+//! causes reduce the residual to noise.
 
 use super::linear::{Linear, Normal, Weight};
 use super::model::{FLOOR_M, FLOOR_RAD, PoseObservations, PredictionBuffers, State, StreamState};
@@ -18,31 +17,25 @@ use super::{LatencyProfile, LatencyRamp};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
-/// Maximum rms change of the tip by a calibration: 10 mm and 0.5°.
+/// Rms tip change by a calibration.
 pub(super) const MAX_TIP_CHANGE_M: f64 = 10e-3;
 pub(super) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Minimum rms excess over the noise for a nominal model to be considered, m.
+/// Over the noise.
 const MIN_EXCESS_M: f64 = 0.3e-3;
-/// The same if joint zeros are named, whose intervals it widens, m.
+/// Same with joint zeros, whose intervals it widens.
 const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
-/// Prior standard deviation of a link frame's calibration, per axis: 0.5 mm and 0.04° (as in UR's factory
-/// calibrations).
+/// Prior on a link frame's calibration, per axis (as in UR's factory calibrations).
 pub(super) const LINK_PRIOR_M: f64 = 0.5e-3;
 pub(super) const LINK_PRIOR_RAD: f64 = 0.7e-3;
-/// Prior standard deviation of parameters without prior knowledge, such as free frames and times; m, rad or
-/// s.
+/// Prior on free frames and times; m, rad or s.
 pub(super) const FREE_PRIOR: f64 = 0.1;
-/// Damping scale of link frame changes, m and rad.
+/// For link frame changes, m and rad.
 const DAMPING_SCALE: f64 = 0.01;
-/// Maximum number of fitted samples.
 const MAX_SAMPLES: usize = 1000;
-/// Rounds of reweighting and fitting.
 const FIT_ROUNDS: usize = 4;
 
-/// Whether small changes of the link frames explain `witness` better than the causes in `state`.
-///
-/// `plain` is the stream's state without causes other than latency and large frames. `offsets` are the
-/// joint zeros too large to be link deviations.
+/// Whether small changes of the link frames explain `witness` better than the causes in `state`. `plain`
+/// has only latency and large frames, `offsets` the joint zeros too large for link deviations.
 pub(super) fn is_nominal(
     witness: &PoseObservations,
     stream: usize,
@@ -68,12 +61,11 @@ pub(super) fn is_nominal(
     calibration.gain_over(&left) > calibration.price
 }
 
-/// Whether an arm whose links deviate as usual, with a constant latency, is a likelier source of the stream than
-/// an exact arm with the unsteady latency `course`. Slow motion hides a large change of latency, and link
-/// deviations look like one there.
+/// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
+/// latency `course`. Slow motion hides large latency changes, and link deviations resemble one there.
 ///
-/// `fitted` is the stream's state with all its causes, `plain` the one without those that calibrations make.
-/// Both are of stamps from which `removed` was subtracted.
+/// `fitted` is the state with all causes, `plain` without those of calibrations, both at stamps without
+/// `removed`.
 pub(super) fn link_deviations_beat_profile(
     witness: &PoseObservations,
     [fitted, plain]: [&StreamState; 2],
@@ -96,7 +88,7 @@ pub(super) fn link_deviations_beat_profile(
         return false;
     }
     let calibration = LinkFrameChanges::fit(&logged, plain, offsets, stride);
-    // The levels contain the skew; its pivot stamp is absorbed by the constant latency.
+    // The levels contain the skew; the constant latency absorbs its pivot.
     let mut state = StreamState { skew: 0.0, ..fitted.clone() };
     for _ in 0..2 {
         state.latency_s += steady.residual_at_latency(&state, offsets, MAX_SAMPLES).1;
@@ -107,25 +99,24 @@ pub(super) fn link_deviations_beat_profile(
     calibration.gain_over(&left) + price > calibration.price
 }
 
-/// Rms length of residuals.
+/// Rms length.
 pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
     let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
     (squares / residual.len().max(1) as f64).sqrt()
 }
 
-/// Maximum a posteriori changes of the link frames.
+/// Maximum a posteriori changes of link frames.
 struct LinkFrameChanges {
     samples: usize,
-    /// Weights of the residuals after these changes.
+    /// After these changes.
     weights: Vec<Weight>,
-    /// Complexity penalty, in units of a squared deviation.
+    /// Complexity penalty, as a squared deviation.
     price: f64,
-    /// The changes, indexed as in [`link_frames`].
+    /// As in [`link_frames`].
     step: DVector<f64>,
 }
 
-/// Residuals of `witness` after the most likely changes of the link frames: position in m and rotation in
-/// rad, for every `stride`-th sample that the joint states cover.
+/// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample.
 pub(super) fn calibrated_residuals(
     witness: &PoseObservations,
     plain: &StreamState,
@@ -167,8 +158,8 @@ impl LinkFrameChanges {
         Self { samples: frames.len(), weights, price, step: changes }
     }
 
-    /// Twice the log likelihood ratio of this fit to one whose residuals have weights `left`. Both use the
-    /// noise correlation of this fit, which is closer to the true one.
+    /// Twice the log likelihood ratio to a fit with weights `left`, both with this fit's noise correlation,
+    /// which is closer to the truth.
     fn gain_over(&self, left: &[Weight]) -> f64 {
         let gains = self.weights.iter().zip(left).map(|(own, other)| {
             let independent = 3.0 * self.samples as f64 / own.noise.inflation();
@@ -178,8 +169,8 @@ impl LinkFrameChanges {
     }
 }
 
-/// Prior standard deviation of parameter `i` of [`link_frames`]. Parameters that are free without a
-/// calibration, such as an undeclared tool, have a wide prior.
+/// Prior on parameter `i` of [`link_frames`]. Wide for those free without a calibration, such as an
+/// undeclared tool.
 fn usual_change(i: usize, witness: &PoseObservations, plain: &StreamState) -> f64 {
     match i % 6 {
         _ if is_free_parameter(i, witness, plain) => FREE_PRIOR,
@@ -198,9 +189,8 @@ pub(super) fn is_free_parameter(i: usize, witness: &PoseObservations, plain: &St
     }
 }
 
-/// Complexity penalty of the changes in `step`: their squares in prior standard deviations, plus the log
-/// determinant of posterior over prior precision. The determinant of the parameters that are free without a
-/// calibration is subtracted.
+/// Complexity penalty: squares in prior standard deviations, plus the log determinant of posterior over
+/// prior precision, minus that of parameters free without a calibration.
 fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
     let all: Vec<usize> = (0..usual.len()).collect();
     let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
@@ -208,25 +198,24 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
         let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
         let n = chosen.len();
         let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
-        // 1 is the prior precision; smaller values are rounding errors.
+        // 1 is the prior; smaller values are rounding.
         precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
     };
     let size: f64 = held.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
     size + narrowing(&all) - narrowing(&free)
 }
 
-/// Parameters of a linearisation in addition to link frames and latency.
+/// Parameters besides link frames and latency.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum FreeAlongside {
     Nothing,
-    /// Zero of every joint of the chain.
+    /// Every joint zero of the chain.
     Zeros,
-    /// Joint zeros and the radial scale.
     ZerosAndRadialScale,
 }
 
-/// Linearises samples of a stream about `plain` and `offsets`. Columns: six changes each for the reference
-/// frame and every joint's child link frame, then the latency, then the parameters selected by `with`.
+/// Linearises samples about `plain` and `offsets`. Columns: six changes each for the reference and every
+/// joint's child link frame, the latency, then the parameters in `with`.
 pub(super) fn link_frames(
     witness: &PoseObservations,
     plain: &StreamState,
@@ -285,7 +274,6 @@ pub(super) fn link_frames(
     linear
 }
 
-/// Adds damping to normal equations of link frame changes.
 pub(super) fn damped(mut normal: Normal) -> Normal {
     for i in 0..normal.right.len() {
         normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);
