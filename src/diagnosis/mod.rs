@@ -1,46 +1,42 @@
-//! Estimators: joint states and streams in, estimates with intervals out. They read no files, know no
-//! topics and hold no thresholds of rules; `checks` turns estimates into findings.
+//! Estimators: joint states and streams in, estimates with intervals out. They read no files and hold no
+//! thresholds of rules; `checks` turns estimates into findings.
 //!
 //! # Input
-//! A `JointTrack` with positions `q` and velocities, and per pose stream a [`PoseStream`]: logged poses,
-//! the chain from reference link to tip, and whether the reference is known. Times are in s from the run's
-//! origin.
+//! A `JointTrack`, and per pose stream a [`PoseStream`]: logged poses, the chain from reference link to
+//! tip, and whether the reference is known. Times are in s from the run's origin.
 //!
 //! # Measurement model (`model`)
 //! ```text
 //! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
 //! ```
-//! `s` is the stamp, `C` the discrete encoding (position unit and axes, rotation convention, inversion),
-//! `reference` and `tool` are constant frame errors, `scaled` multiplies positions by `1 + radial_scale`
-//! about the base. `δ` are joint zeros, and scales and couplings of joints if their encoding has any. The
-//! noise is white plus first-order autoregressive (`noise`), with Huber weights (`robust`).
+//! `s` is the stamp, `C` the discrete encoding (unit, axes, rotation convention, inversion), `reference`
+//! and `tool` are constant frame errors, `scaled` multiplies positions by `1 + radial_scale` about the
+//! base. `δ` are joint zeros, and scales and couplings if the joints' encoding has any. The noise is white
+//! plus first-order autoregressive (`noise`), with Huber weights (`robust`).
 //!
-//! # Steps (`diagnose_with_latency_compensation` in `latency_compensation`)
-//! 1. `coarse_latency` estimates large latency steps and ramps from speeds; they are removed from the
-//!    stamps.
+//! # Steps (`latency_compensation`)
+//! 1. `coarse_latency` estimates large latency steps and ramps from speeds, to correct the stamps.
 //! 2. `latency` cross-correlates speeds to find candidate lags.
 //! 3. `position_encoding`, `axis_convention` and `joints` determine the encoding of positions and joints
 //!    from positions alone, then `decoded_stream` and `rotation_encoding` that of rotations.
-//! 4. `arm::fit` fits all streams together: `frames` gives starts, `model_selection` selects causes and
-//!    iterates Gauss–Newton, `prefer_tool` replaces a moved reference by a tool if both fit.
-//! 5. `nominal_model` and `link_deviations` add link deviations as random effects and drop causes that
-//!    these explain.
+//! 4. `arm::fit` fits all streams together: `frames` gives starts, `model_selection` selects causes,
+//!    `prefer_tool` replaces a moved reference by a tool if both fit.
+//! 5. `nominal_model` and `link_deviations` drop causes that random link deviations explain.
 //! 6. `arm::stream`, `arm::zeros`, `residual` and `latency_profile` compute values, intervals, confounders,
-//!    excess residual and latency profile. A variable latency is compensated, and steps 2 to 6 are
-//!    repeated.
+//!    excess residual and latency profile. A variable latency is compensated; steps 2 to 6 are repeated.
 //! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects the
 //!    run and repeats steps 2 to 6; it must make the residual much smaller.
 //!
 //! Streams derived from joint states, such as /tf, are compared with these alone (`diagnose_derived`), IMUs
-//! with FK of corrected joints (`imu`). `residual_check` compares streams with FK without the estimators.
+//! with FK (`imu`). `residual_check` compares streams with FK without the estimators.
 //!
 //! # Selection of causes (`model_selection`)
 //! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros, and
-//! per stream skew, radial scale, reference and tool. Linearised with all of them, a set of causes scores
-//! its `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent residuals. Sets
-//! of up to four causes (three above 16 candidates) are searched exhaustively, larger ones greedily. Sets
-//! with nearly dependent causes are rejected. Selection and steps alternate until convergence from every
-//! start; the least `Σ n·ln σ²` plus price wins.
+//! per stream skew, radial scale, reference and tool. After linearising with all of them, a set of causes
+//! scores `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent residuals.
+//! Sets of up to four causes (three above 16 candidates) are searched exhaustively, larger ones greedily;
+//! nearly dependent causes are rejected. Selection and Gauss–Newton steps alternate until convergence from
+//! every start; the least `Σ n·ln σ²` plus price wins.
 //!
 //! # Output
 //! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states whether

@@ -1,10 +1,9 @@
 //! Observability of each parameter in the motion of a log.
 //!
-//! The information matrix of a stream's whole model (joint zeros, latency, skew, radial scale and both
-//! frames) gives the change of the stream per change of the parameters, in standard deviations of its
-//! noise. Its weak directions are not observable in this log. Some directions are not observable in any
-//! log, such as the first joint's zero against a rotation of the base. They stay weak in a random motion
-//! through the whole joint space and are excluded.
+//! The information matrix of a stream's model gives its change, in standard deviations of noise, per change
+//! of the parameters. Weak directions are not observable in this log. Those that stay weak in a random
+//! motion through the whole joint space, such as the first joint's zero against a base rotation, are not
+//! observable in any log and are excluded.
 
 use super::model::{
     LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
@@ -18,34 +17,32 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Number of configurations in the reference motion that excites everything observable.
+/// Of the reference motion that excites everything observable.
 const CONFIGURATIONS: usize = 200;
-/// Time between them, s.
 const STEP_S: f64 = 0.1;
-/// Directions with less than this share of the largest eigenvalue of that motion are not observable in any
-/// log.
+/// Smaller shares of that motion's largest eigenvalue are not observable in any log.
 const MIN_EIGENVALUE_SHARE: f64 = 1e-9;
-/// Minimum weight for a parameter to be listed in a direction.
+/// For listing a parameter in a direction.
 const MIN_WEIGHT: f64 = 0.2;
 
-/// One parameter of a pose stream's model.
+/// Parameter of a pose stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamParameter {
-    /// Zero offset of a joint, by its column in the joint track, rad or m.
+    /// Zero of the joint in this column, rad or m.
     JointZero(usize),
     /// Latency, s.
     Latency,
     /// Clock skew, s/s.
     Skew,
-    /// Radial scale error, m/m.
+    /// Radial scale, m/m.
     RadialScale,
-    /// Translation of the reference frame along an axis (0 to 2), m.
+    /// Reference translation along axis 0 to 2, m.
     ReferenceShift(usize),
-    /// Rotation of the reference frame about an axis (0 to 2), rad.
+    /// Reference rotation about axis 0 to 2, rad.
     ReferenceTurn(usize),
-    /// Translation of the tool frame along an axis (0 to 2), m.
+    /// Tool translation along axis 0 to 2, m.
     ToolShift(usize),
-    /// Rotation of the tool frame about an axis (0 to 2), rad.
+    /// Tool rotation about axis 0 to 2, rad.
     ToolTurn(usize),
 }
 
@@ -67,32 +64,30 @@ impl StreamParameter {
     }
 }
 
-/// Information of a stream's log about each parameter.
+/// Information of a log about each parameter.
 #[derive(Clone, Debug)]
 pub struct Observability {
     parameters: Vec<StreamParameter>,
-    /// Information of this log: `Aᵀ W A`.
+    /// `Aᵀ W A` of this log.
     information: DMatrix<f64>,
-    /// Unweighted information of a motion through the whole joint space.
+    /// Same, unweighted, of a motion through the whole joint space.
     possible: DMatrix<f64>,
-    /// Range of each joint of the track over the run, rad or m.
+    /// Range of each joint, rad or m.
     pub travel: Vec<f64>,
 }
 
-/// Direction in parameter space that the log barely observes.
+/// Direction that the log barely observes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WeakDirection {
-    /// Parameters with their weights in units of their thresholds. The first has the largest weight, 1 or
-    /// −1.
+    /// Parameters with weights, in units of their thresholds. The first is largest, ±1.
     pub parameters: Vec<(StreamParameter, f64)>,
-    /// Change of the stream, in standard deviations, for parameter changes of weight times threshold,
-    /// divided by the norm of the weights.
+    /// Change of the stream, in standard deviations, for changes of weight times threshold, divided by the
+    /// norm of the weights.
     pub singular_value: f64,
 }
 
 impl Observability {
-    /// Observability of a stream whose model at `state` has `information`, over the joints of the track and
-    /// then the stream's own parameters.
+    /// From `information` at `state`, over the track's joints, then the stream's parameters.
     pub(super) fn new(
         witness: &PoseObservations,
         state: &StreamState,
@@ -118,7 +113,7 @@ impl Observability {
         }
     }
 
-    /// Joints with a parameter, by their columns in the joint track.
+    /// Track columns of joints with a parameter.
     pub fn joints(&self) -> impl Iterator<Item = usize> {
         self.parameters.iter().filter_map(|parameter| match parameter {
             StreamParameter::JointZero(joint) => Some(*joint),
@@ -126,10 +121,9 @@ impl Observability {
         })
     }
 
-    /// Directions in which a parameter change of one threshold moves the log by less than `least` standard
-    /// deviations. Excludes the directions that no log observes.
-    ///
-    /// `threshold` returns the smallest relevant value of a parameter, in its unit.
+    /// Directions in which a change by one threshold moves the log by less than `least` standard
+    /// deviations. Excludes those that no log observes. `threshold` returns the smallest relevant value of
+    /// a parameter, in its unit.
     pub fn weak_directions(
         &self,
         threshold: impl Fn(StreamParameter) -> f64,
@@ -142,7 +136,7 @@ impl Observability {
         };
         let information = scaled(&self.information);
         let possible = scaled(&self.possible);
-        // Absurd positions and lengths overflow; directions are undefined then.
+        // Absurd positions overflow, and directions are undefined.
         if n == 0 || !information.iter().chain(possible.iter()).all(|entry| entry.is_finite()) {
             return Vec::new();
         }
@@ -160,7 +154,7 @@ impl Observability {
         directions.iter().map(|direction| self.described(direction, &information)).collect()
     }
 
-    /// Observability with known joint ranges and nothing else.
+    /// Joint ranges only.
     pub fn from_travel(travel: Vec<f64>) -> Self {
         let parameters = (0..travel.len()).map(StreamParameter::JointZero).collect();
         let none = DMatrix::zeros(travel.len(), travel.len());
@@ -172,16 +166,16 @@ impl Observability {
         let weights = self.parameters.iter().copied().zip(direction.iter().copied());
         let mut parameters: Vec<(StreamParameter, f64)> =
             weights.filter(|(_, weight)| weight.abs() > MIN_WEIGHT).collect();
-        // Rounding keeps the order of equal weights independent of the platform.
+        // Rounding makes the order of equal weights portable.
         let digits = |weight: f64| (weight.abs() * 1e6).round();
         parameters.sort_by(|a, b| digits(b.1).total_cmp(&digits(a.1)));
         WeakDirection { parameters, singular_value: square.max(0.0).sqrt() }
     }
 }
 
-/// Combines the columns so that each has its own dominant parameter, with weight 1 there and 0 in all
-/// others (Gauss–Jordan with complete pivoting). Any combination of unobservable directions is
-/// unobservable; these are the most readable ones.
+/// Combines columns so that each has its own dominant parameter, of weight 1 there and 0 elsewhere
+/// (Gauss–Jordan with complete pivoting). Combinations of unobservable directions are unobservable; these
+/// are the most readable.
 fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
     let mut rows = columns.transpose();
     for row in 0..rows.nrows() {
@@ -199,7 +193,6 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
     rows.row_iter().map(|row| row.transpose() / row.amax().max(f64::MIN_POSITIVE)).collect()
 }
 
-/// Range of a joint over the run.
 pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
     let column = || joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied();
     let (low, high) = column()
@@ -207,7 +200,7 @@ pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
     (high - low).max(0.0)
 }
 
-/// Information of a motion through random configurations over the joints' ranges, at speeds of both signs.
+/// Random configurations over the joints' ranges, at speeds of both signs.
 fn achievable_information(
     witness: &PoseObservations,
     state: &StreamState,
@@ -242,7 +235,7 @@ fn achievable_information(
         middle_s: 0.5 * t_s[CONFIGURATIONS - 1],
         t_s,
     };
-    // With zero latency the stamps match the configurations.
+    // Without latency, stamps match the configurations.
     let at_postures = StreamState { latency_s: 0.0, skew: 0.0, ..state.clone() };
     let linear = ideal.linearize(&at_postures, offsets, 1);
     linear.information(&linear.even_weights())

@@ -1,4 +1,4 @@
-//! Rotation encoding of a stream, given the candidate position layouts.
+//! Rotation encoding of a stream, given candidate position encodings.
 
 use super::PoseEncoding;
 use super::axis_convention::{PositionEncoding, axes_matrix};
@@ -12,25 +12,25 @@ use ground::geometry::{Axes, Rotation, Vec3, angle_between};
 use ground::geometry::{Convention, QuaternionOrderError};
 use nalgebra::Matrix3;
 
-/// Maximum residual of a correct encoding, rad: joints may be off by some degrees.
+/// Correct encodings stay below this although joints may be off by some degrees.
 pub(super) const MAX_ENCODING_RESIDUAL_RAD: f64 = 0.05;
 
-/// Interpretation of a stream's positions and axes, before rotations are decoded.
+/// Interpretation of positions and axes before rotations are decoded.
 pub(super) struct PositionInterpretation {
     pub metres: f64,
     pub axes: AxesError,
     pub is_inverted: bool,
-    /// Rotation of the reference frame, if positions determine it.
+    /// Rotation of the reference, if determined.
     pub reference: Option<Rotation>,
 }
 
 impl PositionInterpretation {
-    /// Interpretations of a layout, whose residual should be small compared with the motion's `extent_m`.
+    /// Interpretations of `layout` for a motion of `extent_m`.
     pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
         let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
         let way = |axes, reference| {
             let PositionEncoding { metres, is_inverted: inverted, .. } = *layout;
-            // Positions of inverse poses are in the tool frame and do not determine the base's rotation.
+            // Inverse positions do not determine the base's rotation.
             PositionInterpretation {
                 metres,
                 axes,
@@ -51,7 +51,7 @@ impl PositionInterpretation {
                 ]
             }
             (None, true) => {
-                // With a freely rotated world all mirrors are equivalent: use the most common one.
+                // In a freely rotated world all mirrors are equivalent; use the most common.
                 let back = axes_matrix(Axes::UNITY).transpose();
                 let turn = rotation_of(&(back * layout.turn));
                 vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
@@ -65,7 +65,7 @@ impl PositionInterpretation {
         }
     }
 
-    /// Copy with different axes for rotations only.
+    /// Copy with other rotation axes.
     pub fn with_rotations_in(&self, rotations: Axes) -> Self {
         PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }
     }
@@ -76,7 +76,7 @@ impl PositionInterpretation {
         RotationCorrections { conjugator, inverted: self.is_inverted }
     }
 
-    /// Positions in m, before any inversion.
+    /// m, before any inversion.
     pub fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
         xyz.iter().map(|p| self.axes.positions.to_standard(*p) * self.metres).collect()
     }
@@ -86,7 +86,7 @@ fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
 }
 
-/// Orientations at some samples, with FK at the same times.
+/// Orientations with FK at the same times.
 pub(super) struct OrientationSamples<'a> {
     pub logged: LoggedRotations<'a>,
     pub fk: &'a [Rotation],
@@ -95,7 +95,7 @@ pub(super) struct OrientationSamples<'a> {
 }
 
 impl OrientationSamples<'_> {
-    /// Estimates the rotation encoding under one interpretation. The fit includes the rotated reference.
+    /// Rotation encoding under one interpretation, with its rotated reference.
     pub fn estimate_encoding(
         &self,
         way: &PositionInterpretation,
@@ -109,7 +109,7 @@ impl OrientationSamples<'_> {
         Ok((reading, fit))
     }
 
-    /// Smallest residual of the simplest encodings under one interpretation, rad.
+    /// Smallest residual of the simplest encodings, rad.
     pub fn simplest_residual_rad(&self, way: &PositionInterpretation) -> f64 {
         let turned = self.rotated(way);
         let samples = self.samples(way, &turned);
@@ -145,23 +145,23 @@ impl OrientationSamples<'_> {
         }
     }
 
-    /// Rms angle between rotations as logged and FK, rad.
+    /// Rms angle of logged rotations to FK, rad.
     pub fn as_logged_rad(&self) -> Option<f64> {
         let LoggedRotations::Rotations(logged) = self.logged else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
     }
 
-    /// Selects the interpretation under which rotations fit best, with their encoding.
+    /// Interpretation under which rotations fit best.
     pub fn best(
         &self,
         ways: Vec<PositionInterpretation>,
     ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
-        /// Minimum improvement factor for different axes of rotations only.
+        /// For other axes of rotations only.
         const MIN_RESIDUAL_RATIO: f64 = 5.0;
         let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
         let mut why = NotObservable::NoOrientation;
-        // If positions determine the frame and have standard axes, rotations may still have different ones.
+        // Rotations may have other axes even if positions have standard ones.
         let is_told =
             |way: &&PositionInterpretation| way.reference.is_some() && way.axes == AxesError::NONE;
         let told = ways.iter().find(is_told).map(|way| PositionInterpretation { ..*way });
@@ -173,7 +173,7 @@ impl OrientationSamples<'_> {
                     continue;
                 }
             };
-            // Reversed joints may mirror positions, but then rotations do not fit.
+            // Reversed joints may mirror positions, but not rotations.
             if way.axes != AxesError::NONE && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD {
                 continue;
             }

@@ -1,5 +1,5 @@
-//! Encoding of a stream's positions, from positions alone: unit, axes and constant coordinates. Also the
-//! lags at which the stream follows the arm.
+//! Encoding of positions, from positions alone: unit, axes, constant coordinates. Also the lags at which
+//! the stream follows the arm.
 
 use super::axis_convention::{
     PositionEncoding, StreamPositions, candidate_encodings, is_plausible_extent,
@@ -13,24 +13,24 @@ use super::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
 use ground::stream::{JointTrack, PoseTrack};
 
-/// Encoding of a stream's positions, as far as positions alone determine it.
+/// As far as positions alone determine it.
 pub(super) struct PositionEncodingEstimate {
-    /// Factor to metres, independent of any other fault.
+    /// Factor to metres.
     pub metres: EstimateResult<f64>,
-    /// Candidate axis layouts, most likely first. Empty if positions do not determine them.
+    /// Most likely first. Empty if undetermined.
     pub candidates: Vec<PositionEncoding>,
-    /// Coordinates that are constant although FK's change.
+    /// Coordinates constant while FK's change.
     pub constant: [bool; 3],
-    /// Lags at which the stream follows the arm.
+    /// Candidate lags.
     pub peaks: Vec<LagPeak>,
     /// Maximum tip speed, m/s.
     pub top_speed_m_s: f64,
 }
 
 impl PositionEncodingEstimate {
-    /// Determines the encoding of `stream`'s positions against FK of `joints`.
+    /// Encoding of `stream`'s positions against FK.
     pub fn estimate(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
-        /// Residual, as a share of the motion's extent, below which no further lag is tried.
+        /// Relative to the extent; below it, no further lag is tried.
         const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
         let arm = ArmSpeeds::from_joints(joints, chain, columns);
@@ -60,7 +60,7 @@ impl PositionEncodingEstimate {
                 && metres != 1.0
                 && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
             {
-                // In that unit the positions match FK, so no other explanation is needed.
+                // Positions match FK in that unit.
                 placement.metres = Ok(metres);
                 (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
@@ -110,12 +110,12 @@ impl PositionEncodingEstimate {
         *self.metres.as_ref().unwrap_or(&1.0)
     }
 
-    /// Most likely layout, if it explains the positions.
+    /// Most likely encoding, if it explains the positions.
     fn most_likely(&self) -> Option<&PositionEncoding> {
         self.candidates.first().filter(|layout| layout.is_explained)
     }
 
-    /// Copy without layouts that mirror, invert or change the unit.
+    /// Copy without mirrored, inverted or rescaled candidates.
     pub fn standard_only(&self) -> Self {
         let layouts =
             self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
@@ -128,12 +128,12 @@ impl PositionEncodingEstimate {
         }
     }
 
-    /// Whether a layout explains the positions.
+    /// Whether a candidate explains the positions.
     pub fn is_on_arm(&self) -> bool {
         self.most_likely().is_some()
     }
 
-    /// Whether the positions match FK only after correcting their encoding.
+    /// Whether positions match FK only when corrected.
     pub fn needs_correction(&self) -> bool {
         let is_constant = self.constant.contains(&true);
         self.most_likely()
@@ -141,14 +141,14 @@ impl PositionEncodingEstimate {
     }
 }
 
-/// Coordinates of a stream that are constant up to noise, while others and all of FK's change.
+/// Constant up to noise, while the others and all of FK's change.
 fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
-    /// Maximum spread of a constant coordinate, as a share of the widest one.
+    /// Relative to the widest coordinate.
     const MAX_CONSTANT_SPREAD_SHARE: f64 = 0.01;
-    /// Minimum spread of FK's coordinates, as a share of the widest one and in m.
+    /// Of FK, relative to the widest coordinate and in m.
     const MIN_MOVING_SPREAD_SHARE: f64 = 0.05;
     const MIN_MOVING_SPREAD_M: f64 = 5e-3;
-    /// Spread below this share of the positions' magnitude is rounding.
+    /// Relative to the magnitude; less is rounding.
     const ROUNDING_SHARE: f64 = 1e-9;
     let spreads = |points: &[Vec3]| -> [f64; 3] {
         [0, 1, 2].map(|axis| {
@@ -166,8 +166,7 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
         .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
 }
 
-/// Factor to metres from the size of positions: their extent relative to FK's or, at rest, their distance
-/// from a known base.
+/// Factor to metres from the extent relative to FK's or, at rest, the distance from a known base.
 pub(super) fn metres_from_size(
     fk: &[Vec3],
     xyz: &[Vec3],
@@ -175,7 +174,6 @@ pub(super) fn metres_from_size(
     read_as_m: f64,
     reference_known: bool,
 ) -> EstimateResult<f64> {
-    /// Maximum ratio to a unit's expected size.
     const MAX_SIZE_RATIO: f64 = 1.5;
     let (moved, extent) = (spread(fk), spread(xyz));
     let rests = moved <= 0.01 * reach_m;
@@ -192,11 +190,11 @@ pub(super) fn metres_from_size(
     let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
     let near = usual.filter(|factor| off(*factor) < MAX_SIZE_RATIO.ln());
     let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
-    // Ratios within an arm's reach do not determine a unit.
+    // Ratios within an arm's reach determine no unit.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
 }
 
-/// Factor of a stream's positions to metres by their size alone; 1 if undetermined.
+/// Factor to metres by size alone; 1 if undetermined.
 pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
@@ -209,10 +207,9 @@ pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     metres_from_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
-/// Factor to metres of the usual unit that brings the positions' extent closest to the arm's reach,
-/// independent of the joint states.
+/// Factor to metres of the usual unit whose extent is closest to the arm's reach, without joint states.
 pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
-    /// Typical spread of an arm's tip as a share of its reach.
+    /// Typical, for an arm's tip.
     const SPREAD_PER_REACH: f64 = 0.3;
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
@@ -224,11 +221,10 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
 }
 
 /// Factor to metres of the usual unit in which constant world and marker frames explain the poses at
-/// `rows`. Prefers metres unless another unit is clearly better. Rotations fix the world's orientation if
-/// positions alone do not.
+/// `rows`. Prefers metres unless another is clearly better. Rotations fix the world's orientation if
+/// positions do not.
 fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
-    /// Maximum residual in the unit, as a share of the positions' spread, and minimum factor by which it is
-    /// below that in metres.
+    /// Relative to the spread, and metres' residual relative to this unit's.
     const MAX_RESIDUAL_SHARE: f64 = 0.1;
     const MIN_RESIDUAL_RATIO: f64 = 5.0;
     let rotations = as_rotations(&track.orientation)?;
@@ -254,12 +250,11 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
         .then_some(metres)
 }
 
-/// Metres per unit of a stream's positions as read.
 fn metres_per_unit(track: &PoseTrack) -> f64 {
     track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
 }
 
-/// Whether positions in this unit match FK to this share of its extent, rms.
+/// Whether positions match FK to this share of its extent, rms.
 fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
     let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
     let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
@@ -269,7 +264,7 @@ fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
 /// Whether a stream matches FK as logged at zero lag. If so, spurious lags of short or uniform motion are
 /// ignored.
 pub(super) fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
-    /// Maximum position error, as a share of FK's extent.
+    /// Relative to FK's extent.
     const MAX_POSITION_ERROR_SHARE: f64 = 0.02;
     let PoseStream { track, chain, columns, .. } = *stream;
     let Some(rotations) = as_rotations(&track.orientation) else { return false };

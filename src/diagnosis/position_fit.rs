@@ -1,18 +1,18 @@
-//! Comparison of a stream's positions with FK, before any rotation is decoded.
+//! Compares positions with FK before rotations are decoded.
 
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 
-/// Maximum residual, as a share of the positions' extent, for positions to match FK.
+/// Relative to the extent, for positions to match FK.
 pub(super) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
-/// Minimum spread of positions in the second direction, as a share of the first, to determine a rotation.
+/// Of the second direction to the first, to determine a rotation.
 const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
 
-/// Change of the tool offset below which the iteration has converged, in the unit of the positions.
+/// In the unit of the positions.
 const CONVERGED_TOOL_CHANGE: f64 = 1e-8;
 
-/// FK poses at a stream's samples, as columns.
+/// FK poses at a stream's samples.
 pub(super) struct FkColumns {
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
@@ -26,21 +26,19 @@ impl FkColumns {
         Self { xyz, rotation }
     }
 
-    /// Rms of `xyz − fk − R·t` at the best constant tool offset `t`.
+    /// Rms of `xyz − fk − R·t` at the best tool offset `t`.
     pub fn tool_misfit(&self, xyz: &[Vec3]) -> f64 {
         self.misfit_at(xyz, &Pose::identity())
     }
 
-    /// Smallest misfit of `xyz` over a constant tool offset, with or without a rigid reference frame; rms
-    /// in the unit of `xyz`.
+    /// Smallest rms over a tool offset, with or without a rigid reference, in the unit of `xyz`.
     pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
         let plain = self.tool_misfit(xyz);
         self.fit_rigid(xyz)
             .map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// Like [`FkColumns::fit_rigid`], but also for collinear positions, whose rotation about their line is then
-    /// arbitrary.
+    /// Like [`FkColumns::fit_rigid`]. The rotation about collinear positions is arbitrary.
     pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
         self.fit_rigid(xyz).unwrap_or_else(|| {
             let reference = rigid_transform_from(&self.xyz, xyz, &products(&self.xyz, xyz));
@@ -48,8 +46,8 @@ impl FkColumns {
         })
     }
 
-    /// Reference frame and constant tool offset with the smallest misfit, after at most `turns` iterations.
-    /// With none, the tool offset alone.
+    /// Reference and tool offset with the smallest misfit, after at most `turns` iterations; 0 fits the
+    /// tool only.
     pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
         let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
         let found = if turns > 0 { self.fit_rigid_iterations(xyz, turns) } else { None };
@@ -59,14 +57,14 @@ impl FkColumns {
         }
     }
 
-    /// Rms of `reference⁻¹·xyz − fk − R·t` at the best constant tool offset `t`.
+    /// Rms of `reference⁻¹·xyz − fk − R·t` at the best `t`.
     fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
         let tool = self.tool(xyz, reference);
         let left = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
         (left.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
     }
 
-    /// Offset of each sample from FK, in the tool frame.
+    /// Offsets from FK, in the tool frame.
     fn offsets(&self, xyz: &[Vec3], reference: &Pose) -> impl Iterator<Item = Vec3> {
         let to_base = reference.inverse();
         let samples = xyz.iter().zip(self.xyz.iter().zip(&self.rotation));
@@ -79,13 +77,11 @@ impl FkColumns {
         self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
     }
 
-    /// Fits reference frame and tool offset to `xyz` alternately: the frame by Kabsch's method (1976), the
-    /// tool by averaging. `None` if the positions are collinear.
+    /// Fits reference (Kabsch 1976) and tool (mean) alternately. `None` if positions are collinear.
     pub fn fit_rigid(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
         self.fit_rigid_iterations(xyz, 30)
     }
 
-    /// [`FkColumns::fit_rigid`] with at most `turns` iterations.
     fn fit_rigid_iterations(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
@@ -106,20 +102,18 @@ impl FkColumns {
     }
 }
 
-/// Best rigid transform from `from` to `to`. `None` if they are collinear.
+/// `None` if collinear.
 fn rigid_transform(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
     Some(rigid_transform_from(from, to, &correlation(from, to)?))
 }
 
-/// Best rigid transform from `from` to `to`, given their `correlation`.
 fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
     let turn = rotation_by_wahba(correlation);
     let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     pose((mean(to) - turn * mean(from)).into(), turn)
 }
 
-/// Best rotation from `from` to `to` about their means, combined with a reflection if `sign` is −1. `None`
-/// if they are collinear.
+/// Best rotation about the means, with a reflection if `sign` is −1. `None` if collinear.
 pub(super) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
     let correlation = correlation(from, to)?;
     // A reflection through the origin commutes with rotations.
@@ -135,7 +129,7 @@ fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
     both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
 }
 
-/// [`products`]. `None` if the points are collinear.
+/// `None` if collinear.
 fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
     let correlation = products(from, to);
     let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
@@ -144,7 +138,7 @@ fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
         .then_some(correlation)
 }
 
-/// Root mean square distance of points from their mean.
+/// Rms distance from the mean.
 pub(super) fn spread(points: &[Vec3]) -> f64 {
     let mean = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();

@@ -1,21 +1,17 @@
-//! Prefers a tool offset (an active TCP) to a base offset if the motion cannot distinguish them well.
-//!
-//! If the tool keeps its orientation, a tool offset and a base offset have the same effect. A tool offset
-//! is a normal controller setting, a displaced base is a fault. So the tool is selected if it fits about as
-//! well.
+//! Prefers a tool offset (an active TCP) to a base offset if the motion barely distinguishes them, as with
+//! constant tool orientation. A tool offset is a normal setting, a displaced base is a fault.
 
 use super::frames::tool_start;
 use super::model::{PoseObservations, StreamState};
 use super::model_selection::{Approach, CandidateCauses, Cause, SelectedModel, select_model};
 use ground::geometry::Pose;
 
-/// The tool fits as well if its residual is at most this multiple of the base's, …
+/// The tool may have this multiple of the base's residual, …
 const MAX_RESIDUAL_RATIO: f64 = 1.5;
-/// … or exceeds it by at most this, m and rad. This is the effect of typical link deviations.
+/// … or exceed it by this, m and rad: the effect of typical link deviations.
 const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
 
-/// Replaces each tuned reference frame by a tool frame if that fits as well. Fits about `most` samples per
-/// stream.
+/// Replaces each tuned reference by a tool if that fits as well, on about `most` samples per stream.
 pub(super) fn prefer_tool_frames(
     witnesses: &[&PoseObservations],
     mut explanation: SelectedModel,

@@ -1,4 +1,4 @@
-//! Decodes a stream with a declared encoding, and resolves ambiguous rotations with FK.
+//! Decodes streams with a declared encoding; FK resolves ambiguous rotations.
 
 use super::rotation_encoding::{
     LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
@@ -8,24 +8,23 @@ use super::{AxesError, PoseEncoding, PoseStream};
 use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Samples used to fit the constant frames.
+/// For the constant frames.
 const MAX_FIT_SAMPLES: usize = 150;
 
-/// Intended encoding of a stream's poses.
+/// Intended encoding of a stream.
 #[derive(Clone, Copy, Debug)]
 pub struct IntendedEncoding {
-    /// Encoding of the rotations.
+    /// Rotation encoding.
     pub encoding: PoseEncoding,
-    /// Axes of positions and rotations.
+    /// Position and rotation axes.
     pub axes: AxesError,
-    /// Whether whole poses are also inverted.
+    /// Whether whole poses are inverted.
     pub is_inverted: bool,
 }
 
-/// Decodes the poses of a stream as `meant`. Chooses the rotation branch of each sample nearest to FK of
-/// `joints`, after fitting constant frames on top of the `known` ones, `[stream_from_reference,
-/// tip_from_stream]`. `None` if the stream holds bare numbers, or does not overlap the joint states in
-/// time.
+/// Decodes a stream as `meant`, each sample on the branch nearest to FK of `joints` after fitting constant
+/// frames on top of `known`, `[stream_from_reference, tip_from_stream]`. `None` for bare numbers, or
+/// without overlap in time.
 pub fn reinterpret_poses(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -57,8 +56,8 @@ pub fn reinterpret_poses(
     Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
 }
 
-/// Decodes `logged` as `meant`, nearest to FK's `expected` rotations up to constant frames and a known
-/// `tool`. A sample without FK takes the branch nearest to the previous sample.
+/// Decodes `logged` as `meant`, nearest to `expected` up to constant frames and a known `tool`. Samples
+/// without FK follow the previous one.
 pub(super) fn decode_rotations(
     logged: &[Rotation],
     meant: &IntendedEncoding,

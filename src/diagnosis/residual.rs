@@ -1,9 +1,7 @@
-//! Residual of a stream after correcting every finding, with a test of whether it exceeds noise.
+//! Residual of a corrected stream, with a test of whether it exceeds noise.
 //!
-//! Correlated noise and a wrong model both leave a residual larger than the differences between samples.
-//! Model errors depend on the configuration and repeat with it; noise does not. The test is a
-//! cross-validation: small changes of all link frames are fitted to three quarters of the log, and their
-//! prediction is correlated with the residual of the rest.
+//! Model errors repeat with the configuration, correlated noise does not. The test is a cross-validation:
+//! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
 
 use super::linear::{Linear, Normal};
 use super::model::{PoseObservations, StreamState};
@@ -13,18 +11,16 @@ use super::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResid
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
 
-/// Samples used to fit the link frames.
+/// For the link frames.
 const MAX_SAMPLES: usize = 1000;
-/// Number of cross-validation folds.
+/// Of the cross-validation.
 const FOLDS: usize = 4;
-/// Number of blocks for the correlation; fewer if noise is correlated for longer.
+/// Fewer if noise is correlated for longer.
 const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
-/// Standard errors below which the correlation counts as chance. Even with few blocks, 95 % of chance
-/// correlations stay below.
+/// Below this the correlation is chance, for 95 % of chance correlations even with few blocks.
 const CHANCE_STD_ERRORS: f64 = 2.0;
 
-/// Excess residual of a stream: `aligned` after correcting every finding, beyond the noise between samples.
-/// `stream` and `offsets` are the parameters estimated on `witness`.
+/// Residual of `aligned` beyond the noise. `stream` and `offsets` are estimated on `witness`.
 pub(super) fn excess_residual(
     aligned: &AlignedSamples,
     witness: &PoseObservations,
@@ -60,9 +56,8 @@ fn rms(vectors: &[Vec3]) -> f64 {
 }
 
 /// Rms beyond the noise between samples (half the mean squared successive difference, von Neumann 1941).
-///
-/// The standard error comes from the scatter over blocks. It is raised until the value is no more
-/// significant than its correlation with the prediction, `fold_correlation`.
+/// The standard error, from the scatter over blocks, is raised until the value is no more significant than
+/// the correlation `in_common` with the prediction.
 fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
@@ -86,7 +81,7 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     }
 }
 
-/// Mean with its standard error, which is infinite for fewer than two values.
+/// The standard error is infinite for fewer than two values.
 fn mean_of(values: &[f64]) -> Measured {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n.max(1.0);
@@ -96,8 +91,8 @@ fn mean_of(values: &[f64]) -> Measured {
     Measured { value: mean, std_error, dof: (n - 1.0).max(1.0) }
 }
 
-/// Correlation between the residual of each fold and the prediction of link frames fitted to the other
-/// folds, −1 to 1, for position and rotation.
+/// Correlation of each fold's residual with the prediction from the other folds, −1 to 1, for position and
+/// rotation.
 fn fold_correlation(
     witness: &PoseObservations,
     stream: &StreamState,
@@ -143,8 +138,7 @@ fn normal_of(linear: &Linear) -> Normal {
     normal
 }
 
-/// Mean over blocks of the correlation between two series of vectors. A block is at least twice as long as
-/// the correlation length of the first.
+/// Mean over blocks. Each is at least twice as long as the first series' correlation.
 fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
     let left: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
     let noise = Noise::estimate(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);

@@ -1,11 +1,10 @@
-//! Residual check: compares a stream directly with FK, as logged and after correcting all findings. It does
-//! not use the estimators, and a `pass` requires it.
+//! Compares a stream directly with FK, as logged and corrected, without the estimators. A `pass` requires
+//! it.
 //!
 //! An error that lasts for part of the run is large there, whatever its mean. Its size is therefore a high
-//! quantile, robust to single outliers, over the whole run and over each tenth of the moving run. The error
-//! must not estimate its own noise, because a tool that slips in mid-run looks like one long fluctuation.
-//! The noise comes from second differences over times in which the motion changes little (von Neumann 1941;
-//! Hall, Kay and Titterington 1990).
+//! quantile, robust to single outliers, over the run and over each tenth of the moving run. Its noise must
+//! not come from the error itself, because a tool that slips resembles one long fluctuation. It comes from
+//! second differences over times with little motion (von Neumann 1941; Hall, Kay and Titterington 1990).
 
 use super::latency::median_period_s;
 use super::model::{
@@ -18,87 +17,83 @@ use super::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseSt
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 
-/// Quantile that defines the size of an error.
+/// Defines the size of an error.
 const ERROR_QUANTILE: f64 = 0.95;
-/// Number of parts of the moving run.
+/// Of the moving run.
 const MAX_PARTS: usize = 10;
-/// Minimum number of samples per part; shorter runs have fewer parts.
+/// Shorter runs have fewer parts.
 const MIN_PART_SAMPLES: usize = 20;
-/// Minimum number of samples for a result.
 const MIN_SAMPLES: usize = 8;
-/// With fewer moving samples, the arm counts as resting.
+/// With fewer, the arm rests.
 const MIN_MOVING_SAMPLES: usize = 10;
-/// Rms spread of the tip's points below which it counts as resting, m.
+/// Rms of the tip's points.
 const MAX_REST_SPREAD_M: f64 = 2e-3;
-/// Maximum range of the joints in a single configuration, rad or m: 3°, as for joint zeros.
+/// Of the joints, rad or m: 3°, as for joint zeros.
 const MAX_SINGLE_CONFIGURATION_RANGE: f64 = 0.05;
-/// Maximum span of the noise estimate, as a share of the motion's correlation time.
+/// Relative to the motion's correlation time.
 const MAX_NOISE_SPAN_SHARE: f64 = 0.25;
-/// Lever of the points that represent the tip's rotation, m.
+/// Represents the tip's rotation.
 const LEVER_M: f64 = 0.3;
-/// Samples used to estimate the motion's correlation time.
+/// For the motion's correlation time.
 const CORRELATION_SAMPLES: usize = 2000;
-/// Samples used to compute the residual after a calibration.
 const MAX_CALIBRATION_SAMPLES: usize = 5000;
 
-/// Error of one stream against FK, computed directly from both.
+/// Error of a stream against FK.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResidualCheck {
-    /// Whether the arm rests, so that the error covers only one or a few configurations.
+    /// Whether the arm rests, so few configurations count.
     pub is_at_rest: bool,
-    /// As logged, against FK of the recorded joint states at the same stamps.
+    /// As logged, against recorded FK.
     pub as_logged: FkError,
     /// After correcting all findings.
     pub corrected: Option<FkError>,
-    /// After correcting the findings on poses only, not those on joints and times: names, units, zeros,
-    /// latency and skew.
+    /// Only poses corrected, not joints and times: names, units, zeros, latency, skew.
     pub poses_corrected: Option<FkError>,
-    /// After correcting the findings on joints and times only, not those on poses: encoding, units and
-    /// frames.
+    /// Only joints and times corrected, not poses: encoding, units, frames.
     pub joints_corrected: Option<FkError>,
-    /// After correcting all findings and small changes of every link frame, as in a calibration of the arm.
+    /// All findings and small changes of every link frame corrected, as by a calibration.
     pub calibrated: Option<FkError>,
 }
 
-/// Differences between poses and FK.
+/// Differences from FK.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FkError {
     /// Position error, m.
     pub length: ErrorSize,
-    /// Rotation error, rad. `None` if the stream's orientations are bare numbers.
+    /// Rotation error, rad. `None` for bare numbers.
     pub angle: Option<ErrorSize>,
 }
 
 /// Size of an error over the run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ErrorSize {
-    /// Over the whole run.
+    /// Whole run.
     pub whole: ErrorMagnitude,
-    /// Per part, in order of time.
+    /// Parts in time order.
     pub parts: Vec<PartError>,
 }
 
-/// Size of an error and its noise, in m or rad.
+/// Size of an error, m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorMagnitude {
-    /// Number of samples.
+    /// Samples.
     pub samples: usize,
-    /// Root mean square, with outliers clipped to the quantile.
+    /// Rms, outliers clipped to the quantile.
     pub rms: f64,
     /// 95 % quantile.
     pub quantile_95: f64,
-    /// Noise between samples. `None` if the sample interval is too long to separate noise from motion.
+    /// `None` if samples are too sparse to separate noise from motion.
     pub noise: Option<SampleNoise>,
 }
 
-/// Noise between samples, in m or rad.
+/// Noise between samples, m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SampleNoise {
-    /// Root mean square.
+    /// Rms.
     pub rms: f64,
     /// 95 % quantile.
     pub quantile_95: f64,
-    /// Lag of the differences, in samples.
+    /// Lag of differences, samples.
     pub lag_samples: usize,
 }
 
@@ -109,24 +104,23 @@ pub struct PartError {
     pub from_s: f64,
     /// End, s.
     pub to_s: f64,
-    /// Tip position by FK where the error is largest, in the stream's reference frame, m.
+    /// FK position of the largest error, reference frame, m.
     pub at: Vec3,
-    /// Size of the error.
+    /// Error size.
     pub magnitude: ErrorMagnitude,
 }
 
 impl ErrorSize {
-    /// Part with the largest error. `None` if there are no samples.
+    /// Part with the largest error, if any.
     pub fn worst(&self) -> Option<&PartError> {
         self.parts.iter().max_by(|a, b| a.magnitude.quantile_95.total_cmp(&b.magnitude.quantile_95))
     }
 }
 
-/// Error of a stream, as logged and corrected for the diagnosis `found`. `mended` are the corrected joint
-/// states.
+/// Error as logged and corrected for `found`, with corrected joint states `mended`.
 ///
 /// # Errors
-/// Returns an error if the joint states cover too few of its samples.
+/// If the joint states cover too few samples.
 pub fn check_residual(
     joints: &JointTrack,
     mended: &JointTrack,
@@ -143,7 +137,7 @@ pub fn check_residual(
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
-    // The tip may rest while the joints move, as in the null space of a seven-joint arm.
+    // Null-space motion of a seven-joint arm leaves the tip at rest.
     let is_in_one_posture = variance(&points) < MAX_REST_SPREAD_M * MAX_REST_SPREAD_M
         && stream
             .columns
@@ -170,7 +164,6 @@ pub fn check_residual(
     })
 }
 
-/// Residual after the findings and small changes of every link frame.
 fn residual_with_calibration(
     mended: &JointTrack,
     stream: &PoseStream,
@@ -221,7 +214,7 @@ fn residual_with_calibration(
     Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
-/// Samples of a stream with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
+/// Samples with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
 pub(super) fn align_with_fk(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -246,7 +239,7 @@ pub(super) fn align_with_fk(
     aligned
 }
 
-/// For each stamp, whether a joint of the stream's chain moves.
+/// Whether a joint of the chain moves at each stamp.
 fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
     let still = rest_speeds(joints);
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
@@ -257,16 +250,13 @@ fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
     t_s.iter().map(&mut moves).collect()
 }
 
-/// Errors of all samples.
 pub(super) struct ErrorSeries<'a> {
     t_s: &'a [f64],
     fk: &'a [Pose],
     length: Vec<Vec3>,
     angle: Option<Vec<Vec3>>,
-    /// Longest lag, in samples, over which the motion is negligible compared with noise. 0 if there is
-    /// none.
+    /// Longest lag, in samples, with negligible motion. 0 if there is none.
     short: usize,
-    /// Median sample interval, s.
     period_s: f64,
 }
 
@@ -293,7 +283,7 @@ impl<'a> ErrorSeries<'a> {
         Self { t_s, fk, length, angle, short, period_s }
     }
 
-    /// Size of the error over the samples in which the arm moves, or over all if it rests.
+    /// Over samples with motion, or all at rest.
     pub fn error(&self, moves: &[bool], at_rest: bool) -> FkError {
         let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
         FkError {
@@ -315,7 +305,7 @@ impl<'a> ErrorSeries<'a> {
         ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
     }
 
-    /// Mean tip position over the samples whose error is at least `quantile_95`.
+    /// Mean tip position over samples with at least the error `most`.
     fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
         let large = rows.iter().filter(|&&row| error[row].norm() >= most);
         let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
@@ -332,8 +322,7 @@ impl<'a> ErrorSeries<'a> {
         }
     }
 
-    /// Noise from differences over each lag at which the motion is negligible. Returns the largest, because
-    /// correlated noise appears only at the longer lags.
+    /// The largest over lags with negligible motion, because correlated noise appears only at longer lags.
     fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<SampleNoise> {
         let distances = std::iter::successors(Some(1), |k| Some(2 * k));
         let noises = distances.take_while(|&k| k <= self.short).filter_map(|over| {
@@ -344,7 +333,7 @@ impl<'a> ErrorSeries<'a> {
             let difference = |&row: &usize| {
                 let (before, after) = (row.checked_sub(over)?, row + over);
                 let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
-                // Second differences of independent noise have six times its variance.
+                // Their variance is six times that of independent noise.
                 is_even
                     .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
@@ -357,7 +346,7 @@ impl<'a> ErrorSeries<'a> {
     }
 }
 
-/// Root mean square with values clipped to the quantile, and the quantile.
+/// Rms clipped to the quantile, and the quantile.
 fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     if sizes.is_empty() {
         return [0.0; 2];
@@ -368,7 +357,7 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     [(squares / sizes.len() as f64).sqrt(), most]
 }
 
-/// Points that represent the pose of the tip: its origin, and two levers from it, m.
+/// Origin of the tip, and two levers from it, m.
 type TipPoints = [Vec3; 3];
 
 fn tip_points(fk: &[Pose]) -> Vec<TipPoints> {
@@ -379,12 +368,11 @@ fn tip_points(fk: &[Pose]) -> Vec<TipPoints> {
     fk.iter().map(points).collect()
 }
 
-/// Squared distance between two sets of points, m².
 fn squared_distance(a: &TipPoints, b: &TipPoints) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
 }
 
-/// Mean squared distance of points from their mean, m².
+/// m².
 fn variance(points: &[TipPoints]) -> f64 {
     let n = points.len().max(1) as f64;
     let mean: TipPoints =
@@ -392,8 +380,8 @@ fn variance(points: &[TipPoints]) -> f64 {
     points.iter().map(|points| squared_distance(points, &mean)).sum::<f64>() / n
 }
 
-/// Time over which the tip's pose decorrelates by half, s: its mean squared change is half that between two
-/// random times. Infinite if the tip does not move.
+/// Time after which the tip's mean squared change is half that between random times, s. Infinite without
+/// motion.
 fn correlation_time_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
     let stride = fk.len().div_ceil(CORRELATION_SAMPLES).max(1);
     let points = tip_points(fk);
@@ -409,7 +397,7 @@ fn correlation_time_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
                 count += 1.0;
             }
         }
-        // 2·(1 − ρ)·variance, with ρ the correlation after k samples.
+        // 2·(1 − ρ)·variance, for correlation ρ.
         let change = if count > 0.0 { sum / count } else { 0.0 };
         if change >= variance {
             let (from, at) = before;
@@ -431,7 +419,7 @@ mod tests {
 
     const N: usize = 4000;
 
-    /// 32 s at 125 Hz of a tip that swings by half a metre every 4 s.
+    /// 32 s at 125 Hz: half a metre every 4 s.
     fn motion() -> (Vec<f64>, Vec<Pose>) {
         let t_s: Vec<f64> = (0..N).map(|row| row as f64 / 125.0).collect();
         let at = |t_s: &f64| {
@@ -443,7 +431,7 @@ mod tests {
         (t_s, fk)
     }
 
-    /// Autoregressive noise of 1 mm per component with correlation `rho` between samples.
+    /// Autoregressive, 1 mm per component.
     fn noise(rho: f64, seed: u64) -> Vec<Vec3> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut state = Vec3::zeros();
@@ -460,7 +448,6 @@ mod tests {
         ErrorSeries::new(&t_s, &fk, error, None).error(&[true; N], false).length
     }
 
-    /// Ratio of error to noise in the worst part.
     fn beyond(size: &ErrorSize) -> f64 {
         let amount = size.worst().expect("a part").magnitude;
         amount.rms / amount.noise.expect("its noise").rms

@@ -1,72 +1,66 @@
 //! Estimates how a response follows a reference: delay, low-pass time constant and gain.
 //!
-//! Compares changes over time windows rather than derivatives, so noise and encoder quantisation enter once
-//! per window and a constant offset cancels. The change of the response is fitted by the gain times the
-//! change of the reference over the same window, `delay` earlier (Ljung, *System Identification*, 2nd ed.,
-//! §4.2, with at most two poles).
+//! Compares changes over windows rather than derivatives, so noise enters once per window and offsets
+//! cancel. The response's change is the gain times the reference's over the same window, `delay` earlier
+//! (Ljung, *System Identification*, 2nd ed., §4.2, with at most two poles).
 
 use super::NotObservable;
 use ground::stats::{Measured, median};
 use nalgebra::DMatrix;
 
-/// Maximum number of columns in a series.
 const MAX_COLUMNS: usize = 6;
 
-/// Time series with one column or groups of three.
-///
-/// Times are in seconds from the run's origin, strictly increasing.
+/// One column or groups of three. Times are in s from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TimeSeries {
     t_s: Vec<f64>,
-    /// Values per column.
     columns: Vec<Vec<f64>>,
-    /// Time derivatives per column.
+    /// Time derivatives.
     slopes: Vec<Vec<f64>>,
-    /// Longest interval that is interpolated, s.
+    /// Longest interpolated interval, s.
     longest_s: f64,
 }
 
-/// Changes of a response over time windows.
+/// Changes over time windows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ResponseChanges {
-    /// Start and end of each window, s.
+    /// Start and end, s.
     pub windows: Vec<(f64, f64)>,
-    /// Change of each column.
+    /// One per window and column.
     pub changes: Vec<[f64; MAX_COLUMNS]>,
     /// Number of columns.
     pub width: usize,
 }
 
-/// Response of one series to a reference.
+/// Response to a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Response {
-    /// Total delay, s: pure delay plus low-pass time constant.
+    /// Pure delay plus low-pass time constant, s.
     pub delay_s: Measured,
-    /// Time constant of the first-order low-pass, s. 0 if a pure delay explains the response as well.
+    /// Low-pass time constant, s. 0 if a pure delay fits as well.
     pub low_pass_s: f64,
-    /// Change of the response per unit change of the reference, averaged over the columns.
+    /// Response per reference change, column mean.
     pub gain: f64,
-    /// Explained share of the response's energy, at most 1.
+    /// Explained share of energy, at most 1.
     pub explained: f64,
-    /// Share explained by the best pure delay.
+    /// Share explained by pure delay.
     pub by_delay_alone: f64,
 }
 
 impl Response {
-    /// Cut-off frequency of the low-pass, Hz. `None` if there is no low-pass.
+    /// Cut-off frequency, Hz. `None` without low-pass.
     pub fn corner_hz(&self) -> Option<f64> {
         (self.low_pass_s > 0.0).then(|| 1.0 / (std::f64::consts::TAU * self.low_pass_s))
     }
 
-    /// Pure delay without the low-pass, s.
+    /// Delay without the low-pass, s.
     pub fn pure_delay_s(&self) -> f64 {
         self.delay_s.value - self.low_pass_s
     }
 }
 
 impl TimeSeries {
-    /// Creates a curve from columns with common times. Intervals longer than both 0.2 s and five median
-    /// intervals are gaps.
+    /// From columns with common times. Gaps are longer than 0.2 s and five median intervals.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
         const MIN_GAP_S_PERIODS: (f64, f64) = (0.2, 5.0);
         let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -80,8 +74,7 @@ impl TimeSeries {
         }
     }
 
-    /// Cubic Hermite interpolation at `t_s`. `None` outside the series and in gaps. `cursor` caches the
-    /// interval.
+    /// Cubic Hermite. `None` outside the series and in gaps.
     fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
         let times = &self.t_s;
         let is_left =
@@ -110,7 +103,6 @@ impl TimeSeries {
         Some(values)
     }
 
-    /// Changes of the columns over a time window.
     fn change(
         &self,
         (from_s, to_s): (f64, f64),
@@ -121,8 +113,7 @@ impl TimeSeries {
         Some(std::array::from_fn(|column| after[column] - before[column]))
     }
 
-    /// Applies a first-order low-pass with this time constant, s: exact for linear interpolation between
-    /// samples. Restarts after a gap.
+    /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
     fn filtered(&self, constant_s: f64) -> Self {
         let filter = |column: &Vec<f64>| {
             let mut filtered = Vec::with_capacity(column.len());
@@ -146,7 +137,7 @@ impl TimeSeries {
     }
 }
 
-/// Cubic Hermite interpolation at the fraction `part` of the interval.
+/// At the fraction `part` of the interval.
 fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
     let (square, cube) = (part * part, part * part * part);
     let rise = 3.0 * square - 2.0 * cube;
@@ -156,7 +147,7 @@ fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
         + (cube - square) * slopes[1]
 }
 
-/// Slope at each sample of the parabola through it and its neighbours.
+/// Slopes of parabolas through each sample and its neighbours.
 pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     let slope = |left: usize| (values[left + 1] - values[left]) / (t_s[left + 1] - t_s[left]);
     let last = values.len().saturating_sub(1);
@@ -172,14 +163,14 @@ pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     (0..values.len()).map(at).collect()
 }
 
-/// Least-squares gains at one delay.
+/// Gains at one delay.
 struct DelayFit {
-    /// For each group of columns: response = gains · reference.
+    /// Per group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,
-    /// Residual and total sums of squares over the windows used.
+    /// Over the windows used.
     residual_squares: f64,
     total_squares: f64,
-    /// Number of windows covered by the reference.
+    /// Windows covered by the reference.
     used: usize,
 }
 
@@ -190,15 +181,15 @@ impl DelayFit {
 }
 
 impl ResponseChanges {
-    /// Changes over windows of `window_s` within `span`, s, without gaps. Windows overlap by half, or are
-    /// thinned out in very long series.
+    /// Windows of `window_s` within `span`, s, without gaps, overlapping by half or thinned in very long
+    /// series.
     pub fn from_windows(
         t_s: &[f64],
         columns: &[Vec<f64>],
         span: (f64, f64),
         window_s: f64,
     ) -> Self {
-        /// Number of windows beyond which the estimate does not improve.
+        /// More do not improve the estimate.
         const MAX_WINDOWS: f64 = 1500.0;
         let stride_s = (0.5 * window_s).max((span.1 - span.0) / MAX_WINDOWS);
         let mut changes = Self { width: columns.len(), ..Self::default() };
@@ -220,12 +211,12 @@ impl ResponseChanges {
         changes
     }
 
-    /// Columns per gain matrix: three for vectors, otherwise one.
+    /// Three for vectors, otherwise one.
     fn group(&self) -> usize {
         if self.width.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// Changes of the reference over each window, shifted earlier by `delay_s`.
+    /// Reference changes over windows `delay_s` earlier.
     pub fn references(
         &self,
         reference: &TimeSeries,
@@ -257,12 +248,12 @@ impl ResponseChanges {
                     }
                 }
             }
-            // Ridge term: columns without motion have no gain.
+            // Columns without motion have no gain.
             let ridge = 1e-9 * normal.trace() + f64::MIN_POSITIVE;
             let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
             let mut gains = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
             if size == 1 {
-                // A negative gain is not a response: a periodic signal half a period late would fit it.
+                // No negative gain: it fits a periodic signal half a period late.
                 gains[(0, 0)] = gains[(0, 0)].max(0.0);
             }
             fit.total_squares += total;
@@ -276,13 +267,13 @@ impl ResponseChanges {
         self.fit(&self.references(reference, delay_s))
     }
 
-    /// Unexplained share at a delay. 1 if the reference covers too few windows.
+    /// 1 if the reference covers too few windows.
     fn unexplained_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
         let fit = self.fit_at(reference, delay_s);
         if 2 * fit.used < self.windows.len() { 1.0 } else { fit.unexplained_share() }
     }
 
-    /// Delay between `low` and `high`, s, with the smallest unexplained share (golden section search).
+    /// Best delay between `low` and `high`, s (golden section search).
     fn refined(
         &self,
         reference: &TimeSeries,
@@ -308,10 +299,9 @@ impl ResponseChanges {
         (inner[best], found[best])
     }
 
-    /// Standard error of the delay and its degrees of freedom, from residuals summed over time blocks.
-    /// Allows any correlation within a block (Liang and Zeger 1986).
+    /// Standard error of the delay and its degrees of freedom, for any correlation within time blocks
+    /// (Liang and Zeger 1986).
     fn uncertainty(&self, reference: &TimeSeries, delay_s: f64) -> (f64, f64) {
-        /// Maximum number of blocks and minimum length of a block, s.
         const MAX_BLOCKS: f64 = 40.0;
         const MIN_BLOCK_S: f64 = 0.5;
         const STEP_S: f64 = 1e-3;
@@ -323,7 +313,7 @@ impl ResponseChanges {
             let (before, after) = (before[row]?, after[row]?);
             Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
         };
-        // Project the slopes onto the complement of the gains.
+        // Onto the complement of the gains.
         let sloped = ResponseChanges {
             changes: (0..self.changes.len())
                 .map(|row| {
@@ -357,7 +347,6 @@ impl ResponseChanges {
         ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
     }
 
-    /// Applies the gains to a change of the reference.
     fn predicted(&self, fit: &DelayFit, reference: &[f64; MAX_COLUMNS]) -> [f64; MAX_COLUMNS] {
         let size = self.group();
         std::array::from_fn(|at| {
@@ -366,27 +355,24 @@ impl ResponseChanges {
         })
     }
 
-    /// Gain at zero delay, and the unexplained share of the response's energy.
+    /// Gain at zero delay, and unexplained share.
     pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
         let fit = self.fit_at(reference, 0.0);
         (mean_gain(&fit), fit.unexplained_share())
     }
 
-    /// Estimates the response to `reference`, for delays up to `most_s` in both directions.
+    /// Response to `reference`, for delays within ±`most_s`.
     ///
     /// # Errors
-    /// Returns an error if too little is explained, or if several delays explain it equally well.
+    /// If too little is explained, or several delays explain it equally.
     pub fn estimate_response(
         &self,
         reference: &TimeSeries,
         most_s: f64,
     ) -> Result<Response, NotObservable> {
-        /// Minimum explained share of the energy.
         const MIN_EXPLAINED_SHARE: f64 = 0.8;
-        /// Resolution of the delay, s.
         const DELAY_RESOLUTION_S: f64 = 2e-5;
-        /// Factor and offset to the best unexplained share within which another delay counts as a
-        /// competitor.
+        /// Factor and offset to the best unexplained share for a competing delay.
         const COMPETITOR_TOLERANCE: (f64, f64) = (2.0, 0.02);
         let mut lengths: Vec<f64> =
             self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
@@ -431,24 +417,23 @@ impl ResponseChanges {
         })
     }
 
-    /// Time constant of the low-pass, s, remaining delay, s, and unexplained share. The constant is 0
-    /// unless it improves clearly on `pure`, the best pure delay and its unexplained share.
+    /// Time constant, s, remaining delay, s, and unexplained share. The constant is 0 unless it clearly
+    /// improves on `pure`, the best pure delay.
     fn fit_low_pass(
         &self,
         reference: &TimeSeries,
         pure: (f64, f64),
         most_s: f64,
     ) -> (f64, f64, f64) {
-        /// Maximum unexplained share of a low-pass, relative to a pure delay.
+        /// Unexplained share relative to a pure delay.
         const MAX_LOW_PASS_RATIO: f64 = 0.75;
-        /// Minimum decrease of the unexplained share.
+        /// Of the unexplained share.
         const MIN_GAIN: f64 = 1e-6;
-        /// Minimum share of the low-pass in the whole delay.
+        /// Of the whole delay.
         const MIN_LOW_PASS_SHARE: f64 = 0.2;
-        /// Shortest time constant tried, s, and number of steps up to the longest.
         const MIN_TIME_CONSTANT_S: f64 = 2e-3;
         const TIME_CONSTANT_STEPS: usize = 24;
-        /// Resolution of the remaining delay: a minimum in s, and relative to the time constant.
+        /// In s, and relative to the time constant.
         const REMAINING_DELAY_RESOLUTION: (f64, f64) = (1e-4, 0.02);
         let with = |constant_s: f64| {
             let filtered = reference.filtered(constant_s);
@@ -473,13 +458,13 @@ impl ResponseChanges {
         let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1
             && pure.1 - best.2 > MIN_GAIN
             && best.0 > MIN_LOW_PASS_SHARE * (best.0 + best.1);
-        // A causal response does not precede its reference by more than a stamp error.
+        // A causal response precedes its reference by stamp errors only.
         let is_causal = best.1 > -0.25 * best.0 - 2e-3;
         if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
     }
 }
 
-/// Mean of the diagonal gains over all columns.
+/// Diagonal gains, over all columns.
 fn mean_gain(fit: &DelayFit) -> f64 {
     let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
     fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64

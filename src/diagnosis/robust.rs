@@ -1,20 +1,20 @@
-//! Robust weights of residuals, and covariances valid under correlated noise.
+//! Robust weights, and covariances under correlated noise.
 
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use nalgebra::{DMatrix, DVector};
 
-/// Eigenvalues of the scaled normal matrix below this belong to unobservable directions.
+/// Smaller ones, of the scaled normal matrix, are unobservable.
 pub(super) const MIN_OBSERVABLE_EIGENVALUE: f64 = 1e-9;
 
-/// Standard deviations beyond which residuals are downweighted (Huber).
+/// Larger residuals are downweighted.
 const HUBER_SIGMAS: f64 = 3.0;
 
-/// Derivative of the parameters with respect to the scores: `H⁻¹` over the observable directions.
+/// Derivative of parameters by scores: `H⁻¹` over observable directions.
 pub(super) fn influence(information: &DMatrix<f64>) -> DMatrix<f64> {
     pseudo_inverse(information).0
 }
 
-/// Sandwich covariance `H⁻¹ S H⁻¹`. Variances of unobservable parameters are infinite.
+/// Sandwich covariance `H⁻¹ S H⁻¹`. Infinite variance if unobservable.
 pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMatrix<f64> {
     let (inverse, blind) = pseudo_inverse(information);
     let mut covariance = &inverse * scores * &inverse;
@@ -26,7 +26,7 @@ pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMa
     covariance
 }
 
-/// Huber weights of three-component residuals relative to their robust standard deviation.
+/// Huber weights relative to the robust standard deviation.
 pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
     let limit = HUBER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
     residual
@@ -38,13 +38,13 @@ pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Standard deviation of one component, from the median magnitude of all.
+/// Of one component, from the median magnitude.
 pub(super) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
     let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
     STD_DEV_PER_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)
 }
 
-/// Inverse over the observable directions, and for each parameter its share (0 to 1) in unobservable ones.
+/// Inverse over observable directions, and each parameter's share (0 to 1) in unobservable ones.
 pub(super) fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
     let n = matrix.nrows();
     let scale = DVector::from_fn(n, |i, _| {

@@ -1,9 +1,9 @@
 //! Estimates the encoding of a stream's rotations.
 //!
-//! Each candidate encoding (as logged, 443 misinterpretations, permuted quaternion components, transposed)
-//! is applied to a few dozen samples and compared with FK, with and without constant frame errors. The
-//! simplest candidate close to the smallest residual is selected. Frame-independent invariants alone are
-//! not sufficient, because several encodings differ only by a constant frame.
+//! Each candidate (as logged, 443 misinterpretations, permuted quaternions, transposed) is compared with FK
+//! on a few dozen samples, with and without constant frame errors. The simplest one near the smallest
+//! residual wins. Frame-independent invariants do not suffice, because several encodings differ only by a
+//! constant frame.
 
 use super::arm::MAX_EXPLAINED_RAD;
 use super::constant::{CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest};
@@ -15,45 +15,41 @@ use ground::geometry::{
 use ground::stream::Orientations;
 use rayon::prelude::*;
 
-/// Maximum ratio of an accepted residual to the smallest one, …
+/// An accepted residual is within this ratio of the smallest, …
 const MAX_RESIDUAL_RATIO: f64 = 5.0;
-/// … or maximum difference from it, rad (0.05°).
+/// … or within this difference (0.05°).
 const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
-/// No candidate is accepted if the smallest residual is larger, rad (20°).
+/// Above this, no candidate is accepted (20°).
 const MAX_RESIDUAL_RAD: f64 = 0.35;
 
-/// Minimum number of samples for screening all candidates.
 const MIN_SCREENING_SAMPLES: usize = 16;
-/// Error factor of the residuals in screening.
 const SCREENING_ERROR_FACTOR: f64 = 1.5;
-/// Approximate number of candidates that pass the screening and are compared on all samples.
+/// Approximate number compared on all samples.
 const SCREENED_CANDIDATES: usize = 48;
 
-/// Cosine of the largest tilt of an upright world frame (10°).
+/// Of the largest tilt of an upright world (10°).
 const MIN_UPRIGHT_COSINE: f64 = 0.985;
 
-/// Rank penalty of a candidate that leaves gravity tilted: it needs a tilt as a further fault.
+/// A tilt of gravity is a further fault.
 const TILT_RANK_PENALTY: u8 = 2;
 
-/// Samples to decode, with FK at the same times.
+/// Samples with FK at the same times.
 pub(super) struct RotationSamples<'a> {
     pub logged: LoggedRotations<'a>,
     pub fk: &'a [Rotation],
-    /// Whether the reference frame may have a constant error.
+    /// Whether the reference may have an error.
     pub reference_free: bool,
-    /// Whether the reference frame is known; if not, its rotation is not a fault.
+    /// If not, its rotation is not a fault.
     pub reference_known: bool,
-    /// Whether the log has quaternions, whose components may be permuted.
+    /// Whether components may be permuted.
     pub are_quaternions: bool,
-    /// Corrections found from positions, applied after decoding.
+    /// From positions, applied after decoding.
     pub after: RotationCorrections,
 }
 
-/// Corrections applied to decoded rotations.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RotationCorrections {
-    /// Rotation between the stream's axes and the standard ones, applied by conjugation. `None` for
-    /// standard axes.
+    /// From the stream's axes to standard ones, by conjugation. `None` for standard axes.
     pub conjugator: Option<Rotation>,
     /// Whether whole poses are inverted.
     pub inverted: bool,
@@ -71,7 +67,7 @@ impl RotationCorrections {
         }
     }
 
-    /// Encoding to report for a candidate, if whole poses are inverted.
+    /// Reported encoding if whole poses are inverted.
     fn reported_encoding(&self, reading: PoseEncoding) -> PoseEncoding {
         match reading {
             PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
@@ -81,7 +77,7 @@ impl RotationCorrections {
     }
 }
 
-/// Orientations as logged.
+/// As logged.
 #[derive(Clone, Copy)]
 pub(super) enum LoggedRotations<'a> {
     Rotations(&'a [Rotation]),
@@ -89,7 +85,7 @@ pub(super) enum LoggedRotations<'a> {
 }
 
 impl<'a> LoggedRotations<'a> {
-    /// Orientations of a stream; none if they are unset.
+    /// Orientations of a stream.
     pub fn from_orientations(orientation: &'a Orientations) -> Self {
         match orientation {
             Orientations::Rotations(rotations) => Self::Rotations(rotations),
@@ -99,7 +95,6 @@ impl<'a> LoggedRotations<'a> {
     }
 }
 
-/// Constant frame errors allowed for a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FreeFrameErrors {
     None,
@@ -119,18 +114,16 @@ impl FreeFrameErrors {
     }
 }
 
-/// Candidate encoding with fitted frame errors.
 #[derive(Clone, Copy)]
 pub(super) struct EncodingFit {
     pub encoding: PoseEncoding,
     pub frames: FreeFrameErrors,
     pub reference: Rotation,
     pub tool: Rotation,
-    /// Rms residual angle over the best 90 % of the samples, rad.
+    /// Rms angle over the best 90 %, rad.
     pub residual_rad: f64,
 }
 
-/// Fills in the possible true rotations of every sample under `encoding`.
 fn fill(
     truths_of: &mut CandidateRotations,
     reading: &PoseEncoding,
@@ -150,7 +143,7 @@ fn fill(
     }
 }
 
-/// Replaces `out` by the possible true rotations of one sample under `encoding`.
+/// Possible true rotations of one sample.
 fn candidate_rotations(
     reading: &PoseEncoding,
     logged: &LoggedRotations,
@@ -185,7 +178,7 @@ fn candidate_rotations(
     }
 }
 
-/// Decodes one sample under `encoding` and `after`. Returns the branch nearest to `expected`.
+/// Decodes one sample to the branch nearest to `expected`.
 pub(super) fn decode_nearest(
     reading: &PoseEncoding,
     after: &RotationCorrections,
@@ -199,19 +192,18 @@ pub(super) fn decode_nearest(
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
 
-/// Selects the encoding that follows FK.
+/// Encoding that follows FK.
 ///
 /// # Errors
-/// Returns an error if there are too few samples or no candidate follows FK.
+/// If there are too few samples or no candidate follows FK.
 pub(super) fn estimate_encoding(
     samples: &RotationSamples,
 ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
     estimate_encoding_with_gravity(samples, &[])
 }
 
-/// Like [`estimate_encoding`], with the specific force in the sensor frame for each sample. A candidate must leave
-/// gravity upright on average, unless it is the logged encoding with only the world rotated. Otherwise it
-/// explains one fault by two.
+/// Like [`estimate_encoding`], with specific forces in the sensor frame. A candidate must leave gravity
+/// upright on average, unless only the world is rotated. Otherwise it explains one fault by two.
 pub(super) fn estimate_encoding_with_gravity(
     samples: &RotationSamples,
     forces: &[Vec3],
@@ -240,7 +232,7 @@ pub(super) fn estimate_encoding_with_gravity(
             )
         })
         .collect();
-    // A healthy arm with link deviations has residuals up to this as logged.
+    // A healthy arm with link deviations may have this as logged.
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
         fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= MAX_EXPLAINED_RAD)
     };
@@ -249,7 +241,7 @@ pub(super) fn estimate_encoding_with_gravity(
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
     let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
-    // Among equivalent candidates, prefer an upright world, then the most common encoding.
+    // Prefer an upright world, then the most common encoding.
     let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
     let best =
         *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
@@ -292,10 +284,9 @@ pub(super) fn estimate_encoding_with_gravity(
     Ok((estimate, best))
 }
 
-/// Candidates with the smallest residuals, without duplicates, plus the best and the logged encoding. All
-/// use the frames of the best one.
+/// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
 fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
-    /// Number of candidates besides those two.
+    /// Besides those two.
     const MAX_RANKED: usize = 6;
     let alike = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut alike: Vec<&EncodingFit> = alike.collect();
@@ -309,7 +300,7 @@ fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)>
     kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
 }
 
-/// Whether a candidate other than a rotated world leaves gravity tilted.
+/// Except by rotating the world only.
 fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
     let turned_world_only =
         matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);
@@ -333,7 +324,7 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
             Some(truth * force)
         })
         .sum();
-    // Without an accelerometer nothing is tilted. Forces that cancel count as tilted.
+    // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
     all > 0.0 && felt.z < MIN_UPRIGHT_COSINE * felt.norm().max(0.5 * all)
 }
@@ -347,8 +338,7 @@ fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
     }
 }
 
-/// Rank of a candidate by its faults; lower is simpler. If the reference frame is unknown, its rotation is
-/// not a fault.
+/// Rank by faults; lower is simpler. Rotation of an unknown reference is no fault.
 fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
     let fault =
         u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
@@ -378,8 +368,8 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
     }
 }
 
-/// Fits of every candidate with the allowed frames. If the stream fits as logged without a fault, no other
-/// frames are tried, because none could be selected.
+/// Fits of all candidates. If the stream fits as logged without a fault, other frames cannot win and are
+/// not tried.
 fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
     if let LoggedRotations::Rotations(_) = samples.logged {
@@ -405,7 +395,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
         }
         _ => return each_of(samples, candidate_encodings(samples)).concat(),
     };
-    // Screen all candidates on a few samples, then fit the near ones on all samples.
+    // Screen all on a few samples, then fit the near ones on all.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let few = RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
     let screened = each_of(&few, candidate_encodings(samples));
@@ -431,7 +421,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     screened.into_par_iter().flat_map_iter(again).collect()
 }
 
-/// Frames allowed for a candidate; the first is not a fault.
+/// The first is not a fault.
 fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     match (samples.reference_known, samples.reference_free) {
         (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],
@@ -445,7 +435,7 @@ fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     }
 }
 
-/// Fits of one candidate, one per entry of `frames`.
+/// One fit per entry of `frames`.
 fn fits_of(
     samples: &RotationSamples,
     frames: &[FreeFrameErrors],
@@ -471,7 +461,7 @@ fn fits_of(
     frames.iter().map(fit).collect()
 }
 
-/// Simplest fit of a known encoding, among those close to its best fit.
+/// Simplest among the close fits of a known encoding.
 pub(super) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Option<EncodingFit> {
     let known = &mut CandidateRotations::default();
     let fits = fits_of(samples, allowed_frames(samples), reading, known, &mut Vec::new());
@@ -481,8 +471,7 @@ pub(super) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Opt
     near.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
 
-/// Rms angle between the nearest true rotations and `reference · fk · tool`, over the best 90 % of the
-/// samples.
+/// Rms angle to `reference · fk · tool` over the best 90 %.
 fn residual(
     truths: &CandidateRotations,
     fk: &[Rotation],

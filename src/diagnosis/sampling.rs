@@ -1,4 +1,4 @@
-//! Selects samples of a stream, and finds the lags at which it follows the arm.
+//! Selects samples of a stream and the lags at which it follows the arm.
 
 use super::PoseStream;
 use super::latency::{ArmSpeeds, LagPeak};
@@ -8,17 +8,15 @@ use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::ops::Range;
 
-/// Minimum correlation of speeds for a stream to follow the arm.
+/// For a stream that follows the arm.
 pub(super) const MIN_SPEED_CORRELATION: f64 = 0.3;
 
-/// Samples per stream in the search for causes.
+/// Per stream, in the search for causes.
 pub(super) const MAX_SEARCH_SAMPLES: usize = 500;
 
-/// Samples used to compare encodings.
 pub(super) const ENCODING_SAMPLES: usize = 72;
 
-/// Row ranges of a series with `len` rows. Longer series are thinned to about `most` rows in evenly spread
-/// stretches.
+/// Row ranges of a series, thinned to about `most` rows in even stretches.
 pub fn row_blocks(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
     const BLOCKS: usize = 24;
     let (count, rows) = if len <= most { (1, len) } else { (BLOCKS, most / BLOCKS) };
@@ -32,13 +30,13 @@ pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     }
 }
 
-/// Candidate lags of a stream from its speeds, most likely first.
+/// Candidate lags, most likely first.
 pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
     let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
     arm.lag_peaks(t_s, xyz, as_rotations(orientation), most_lag_s)
 }
 
-/// Lag with the highest correlation of speeds, s; 0 if none is high enough.
+/// Lag of the highest correlation, s; 0 if none is high enough.
 pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
     let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
     let peaks = stream_peaks(&arm, stream, most_lag_s);
@@ -46,7 +44,7 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
     best.map_or(0.0, |peak| peak.lag_s)
 }
 
-/// Slow samples spread over the run, with FK at their times.
+/// Slow samples over the run, with FK.
 pub(super) fn slow_samples(
     joints: &JointTrack,
     chain: &Chain,
@@ -54,7 +52,7 @@ pub(super) fn slow_samples(
     t_s: &[f64],
     lag_s: f64,
 ) -> (Vec<usize>, Vec<Pose>) {
-    /// Samples from which the slow half is taken.
+    /// The slow half of these is used.
     const MAX_SAMPLES: usize = 4000;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64)> = Vec::new();
@@ -84,14 +82,12 @@ pub(super) fn slow_samples(
     (rows, fk)
 }
 
-/// Standard deviations of the velocity noise above which a joint moves.
+/// Of velocity noise, for a moving joint.
 pub(super) const REST_SIGMAS: f64 = 5.0;
 
-/// Speed of each joint below which it rests: five times the velocity noise, at least 0.2 mrad/s.
-///
-/// The noise is the median magnitude of second differences, which removes smooth motion.
+/// Speed below which each joint rests: five times the velocity noise, at least 0.2 mrad/s. Median second
+/// differences remove smooth motion.
 pub(super) fn rest_speeds(joints: &JointTrack) -> Vec<f64> {
-    /// Maximum number of samples for the median.
     const MAX_SAMPLES: usize = 20_000;
     let stride = joints.len().div_ceil(MAX_SAMPLES).max(1);
     let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];

@@ -3,7 +3,7 @@
 use ground::robot::{Chain, catalogue};
 use ground::stream::JointTrack;
 
-/// 20 s of a UR5e whose joints swing at different rates, and its chain from `base` to `tool0`.
+/// 20 s of a UR5e with swinging joints, and its chain `base` to `tool0`.
 pub fn arm() -> (JointTrack, Chain) {
     let robot = catalogue::find("ur5e").expect("it is in the catalogue");
     let link = |name| robot.link(name).expect("a link");

@@ -1,11 +1,10 @@
-//! Tool switching: poses alternate between several rigid bodies on one tool. A tracker may confuse two
-//! markers, or a program may switch the tool centre point.
+//! Tool switching: poses alternate between rigid bodies on one tool, as with a tracker that confuses
+//! markers or a program that switches the TCP.
 //!
-//! `logged = world · FK · body`, with one of a few values of `body`. A switch multiplies the pose on the
-//! right by `body⁻¹ · switched_tool`, independent of the arm's motion, and switching back applies the inverse. To
-//! detect it, the poses before and after each interval are extrapolated to its middle, which removes smooth
-//! motion. A difference that exceeds those elsewhere and those of FK is a switch. The accumulated jumps
-//! identify the body.
+//! `logged = world · FK · body`, with few values of `body`. A switch multiplies the pose on the right by
+//! `body⁻¹ · other`, whatever the motion, and switching back by the inverse. Poses before and after each
+//! interval are extrapolated to its middle, which removes smooth motion. A switch is a difference larger
+//! than elsewhere and than FK's. Accumulated jumps identify the body.
 
 use super::compliance::motion_directions;
 use super::latency::median_period_s;
@@ -16,42 +15,38 @@ use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
 
-/// Minimum number of samples.
 const MIN_SAMPLES: usize = 60;
-/// Minimum number of samples between two switches. Shorter segments are outliers.
+/// Shorter segments are outliers.
 const MIN_SEGMENT_SAMPLES: usize = 4;
-/// Maximum number of bodies.
 const MAX_BODIES: usize = 4;
 
-/// Bodies between which a stream's poses alternate.
+/// Bodies between which poses alternate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToolSwitching {
-    /// Bodies other than the usual one. The usual body has most poses or comes first.
+    /// All but the usual one, which has most poses or comes first.
     pub others: Vec<SwitchedTool>,
-    /// Total number of samples.
+    /// Total samples.
     pub samples: usize,
 }
 
 /// Body other than the usual one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SwitchedTool {
-    /// `usual_from_other`: pose of the body in the usual body's frame.
+    /// `usual_from_other`.
     pub pose: Pose,
-    /// Distance from the usual body, m.
+    /// Distance, m.
     pub length_m: Measured,
-    /// Rotation relative to the usual body, rad.
+    /// Rotation, rad.
     pub angle_rad: Measured,
-    /// Time spans with this body: start and end, s.
+    /// Start and end, s.
     pub spans_s: Vec<[f64; 2]>,
-    /// Number of samples of this body.
+    /// Samples of this body.
     pub samples: usize,
 }
 
 impl SwitchedTool {
-    /// Returns whether the jumps to and from it are too inconsistent for a rigid body. Stamp jitter causes
-    /// such jumps.
+    /// Whether its jumps are too inconsistent for a rigid body, as with stamp jitter.
     fn is_inconsistent(&self) -> bool {
-        /// Maximum relative standard error.
         const MAX_RELATIVE_STD_ERROR: f64 = 0.1;
         let is_vague = |of: &Measured| {
             of.std_error.is_finite() && of.std_error > MAX_RELATIVE_STD_ERROR * of.value
@@ -61,7 +56,7 @@ impl SwitchedTool {
 }
 
 impl ToolSwitching {
-    /// Converts lengths to m if the positions of the stream have another unit.
+    /// Lengths in m for positions in another unit.
     pub fn converted_to_m(&self, found: &PoseDiagnosis) -> Self {
         let slip = found.length_unit.as_ref().ok().and_then(Option::as_ref);
         let factor = slip.map_or(1.0, LengthUnitError::factor);
@@ -74,8 +69,8 @@ impl ToolSwitching {
     }
 }
 
-/// Detects tool switching in `stream`. Returns the bodies, and all poses converted to the usual body.
-/// `None` if the poses do not alternate.
+/// Detects switching. Returns the bodies, and all poses converted to the usual one. `None` if poses do not
+/// alternate.
 pub fn detect_tool_switching(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -120,30 +115,27 @@ pub fn detect_tool_switching(
     Some((ToolSwitching { others, samples }, mended))
 }
 
-/// Difference between consecutive poses, after extrapolating both to the middle of the interval.
+/// Difference of consecutive poses, both extrapolated to the middle of the interval.
 #[derive(Clone, Copy)]
 struct PoseStep {
-    /// Index of the later sample.
+    /// Later sample.
     row: usize,
     displacement: Pose,
-    /// Length, m, and angle, rad.
+    /// m, rad.
     sizes: [f64; 2],
-    /// Ratio of the interval to the shorter adjacent one. The noise contribution grows linearly with it,
-    /// the motion contribution quadratically.
+    /// Interval over the shorter adjacent one. Noise grows linearly with it, motion quadratically.
     times: f64,
 }
 
-/// Upper limits of steps without a switch: length, m, and angle, rad.
+/// Limits without a switch: m, rad.
 #[derive(Clone, Copy)]
 struct StepLimits {
-    /// Noise contribution.
     noise: [f64; 2],
-    /// Motion contribution.
     motion: [f64; 2],
 }
 
 impl StepLimits {
-    /// Size relative to the limits of a step with interval ratio `times`.
+    /// Size relative to the limits at interval ratio `times`.
     fn relative_size(&self, sizes: [f64; 2], times: f64) -> f64 {
         let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
         (0..2).map(|kind| sizes[kind] / most(kind)).fold(0.0, f64::max)
@@ -151,7 +143,7 @@ impl StepLimits {
 }
 
 fn pose_steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
-    /// Maximum interval in periods. Poses further apart cannot be compared.
+    /// More distant poses are not comparable.
     const MAX_INTERVAL_PERIODS: f64 = 15.0;
     let twist = |a: usize, b: usize| twist_of(&(poses[a].inverse() * poses[b]));
     let of = |row: usize| {
@@ -174,20 +166,19 @@ fn pose_steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
     (2..poses.len().saturating_sub(1)).filter_map(of).collect()
 }
 
-/// Limits above which neither motion nor noise explains a step.
+/// Larger steps are neither motion nor noise.
 fn step_limits(
     joints: &JointTrack,
     stream: &PoseStream,
     period_s: f64,
     steps: &[PoseStep],
 ) -> Option<StepLimits> {
-    /// Factor on the quantile of the stream's steps, that quantile, and factor on the largest FK step.
+    /// Factor on the quantile of steps, the quantile, and factor on the largest FK step.
     const QUANTILE_FACTOR: f64 = 6.0;
     const STEP_QUANTILE: f64 = 0.85;
     const FK_STEP_FACTOR: f64 = 3.0;
-    /// Maximum distance of a body's origin from the tip, m.
+    /// From the tip.
     const MAX_BODY_DISTANCE_M: f64 = 0.2;
-    /// Smallest jump, m and rad.
     const MIN_JUMP_M_RAD: [f64; 2] = [5e-4, 3e-3];
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut fk = |t_s: f64| {
@@ -196,7 +187,7 @@ fn step_limits(
             stream.chain.forward(&own)
         })
     };
-    // At the stamps of the stream.
+    // At the stream's stamps.
     let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
     let by_fk = pose_steps(&t_s, period_s, &fk);
@@ -217,9 +208,9 @@ fn step_limits(
     Some(limits)
 }
 
-/// Steps that exceed the limits and are local maxima.
+/// Local maxima beyond the limits.
 fn detect_jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
-    /// A jump also shows, at half its size, in adjacent steps.
+    /// Adjacent steps show a jump at half its size.
     const SPREAD_STEPS: usize = 2;
     let size = |step: &PoseStep| limits.relative_size(step.sizes, step.times);
     let is_jump = |at: &usize| {
@@ -230,16 +221,16 @@ fn detect_jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
     (0..steps.len()).filter(is_jump).map(|at| steps[at]).collect()
 }
 
-/// Returns whether the poses jump at every reversal of one joint and at no other time. That is backlash.
+/// Whether poses jump exactly at the reversals of one joint.
 fn is_backlash(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
-    /// Maximum time between jump and reversal, s. The joint moves little then.
+    /// The joint moves little in this time.
     const MAX_REVERSAL_DISTANCE_S: f64 = 0.3;
     let is_of = |&column: &usize| {
         let ways = motion_directions(joints.len(), |row| joints.row(row)[column]);
         let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
         let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
         let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < MAX_REVERSAL_DISTANCE_S);
-        // The initial position within the backlash is unknown, so one jump may be unmatched.
+        // The initial position in the backlash is unknown, so one jump may be unmatched.
         let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
         let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
         !turns_s.is_empty() && missed <= 1 && meet
@@ -247,21 +238,19 @@ fn is_backlash(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> boo
     stream.columns.iter().any(is_of)
 }
 
-/// Assignment of samples to bodies.
 struct BodyAssignment {
-    /// First sample, end (exclusive), and body.
+    /// First sample, end (exclusive), body.
     segments: Vec<(usize, usize, usize)>,
-    /// `first_from_body` according to the first jump to it, and the largest interval ratio of the jumps
-    /// that determine it.
+    /// `first_from_body`, and the largest interval ratio of its jumps.
     poses: Vec<(Pose, f64)>,
-    /// Every jump with the bodies before and after.
+    /// With the bodies before and after.
     jumps: Vec<(usize, usize, PoseStep)>,
 }
 
 impl BodyAssignment {
     /// `None` if no body recurs.
     fn from_jumps(jumps: &[PoseStep], samples: usize, limits: StepLimits) -> Option<Self> {
-        /// Bodies within this many limits of each other are the same.
+        /// In limits.
         const MAX_SAME_BODY_DISTANCE: f64 = 1.0;
         let mut bodies =
             Self { segments: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
@@ -293,14 +282,14 @@ impl BodyAssignment {
             (from, body) = (jump.row, next);
         }
         bodies.segments.push((from, samples, body));
-        // Without recurrence it is not switching. Many bodies indicate another problem.
+        // Without recurrence nothing switches. Many bodies indicate another problem.
         let comes_again = bodies.segments.len() > bodies.poses.len();
         let is_short = samples - from < MIN_SEGMENT_SAMPLES;
         (comes_again && !is_short && (2..=MAX_BODIES).contains(&bodies.poses.len()))
             .then_some(bodies)
     }
 
-    /// Body with the most samples. The first one if it has nearly as many.
+    /// The first body if it has nearly as many samples.
     fn most_frequent(&self) -> usize {
         const MIN_FIRST_BODY_SHARE: f64 = 0.8;
         let samples = |body: usize| {
@@ -312,8 +301,7 @@ impl BodyAssignment {
         if is_first { 0 } else { most }
     }
 
-    /// Pose of `body` relative to the usual one: mean of all jumps between the two, weighted by inverse
-    /// variance.
+    /// Mean of jumps to and from the usual body, weighted by inverse variance.
     fn switched_tool(&self, body: usize, usual: usize) -> SwitchedTool {
         let first = self.poses[usual].0.inverse() * self.poses[body].0;
         let between = self.jumps.iter().filter_map(
@@ -328,7 +316,7 @@ impl BodyAssignment {
         );
         let mut about: Vec<([f64; 6], f64)> = between.collect();
         if about.is_empty() {
-            // No direct jump between the two.
+            // No direct jump.
             about.push(([0.0; 6], 1.0));
         }
         let n = about.len() as f64;
@@ -369,7 +357,7 @@ mod tests {
     use ground::geometry::{angle_between, rotation_from_rpy};
     use ground::stream::{Orientations, PoseTrack};
 
-    /// Tracker poses of a body that is replaced by `switched_tool` at some times, in a possibly moving world.
+    /// Tracker poses with another body at some times, in a possibly moving world.
     fn found(
         other: &dyn Fn(f64) -> Option<Pose>,
         world: &dyn Fn(f64) -> Pose,

@@ -1,65 +1,64 @@
-//! Change of a quantity between runs: constant, a linear trend, or one step.
+//! Change of a quantity between runs: constant, a trend, or one step.
 //!
-//! Runs scatter by more than their own intervals because load, temperature and configurations differ. The
-//! model is `value = line + u + e`, where `e` has the run's own standard error and `u` a common standard
-//! deviation, estimated with the line. The estimate follows Paule and Mandel (*Consensus values and
-//! weighting factors*, J. Res. NBS 87, 1982): the weighted sum of squares equals its degrees of freedom. A
-//! step is the same fit with a before/after indicator instead of time.
+//! Runs scatter beyond their own intervals, because load, temperature and configurations differ. `value =
+//! line + u + e`, where `e` has the run's standard error and `u` a common standard deviation such that the
+//! weighted sum of squares equals its degrees of freedom (Paule and Mandel, *Consensus values and weighting
+//! factors*, J. Res. NBS 87, 1982). For a step, a before/after indicator replaces time.
 
 use super::Measured;
 use ground::stats::median;
 
-/// Estimate of a quantity from one run.
+/// Estimate from one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunEstimate {
-    /// Time of the run, s from any origin.
+    /// s from any origin.
     pub time_s: f64,
     /// Value.
     pub value: f64,
-    /// Standard error from this run alone.
+    /// From this run alone.
     pub std_error: f64,
 }
 
-/// Change of a quantity over the runs.
+/// Change over the runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trend {
     /// Slope, per second.
     pub rate_per_s: Measured,
-    /// Value at `middle_s`, where it is uncorrelated with the slope.
+    /// At `middle_s`, uncorrelated with the slope.
     pub level: Measured,
-    /// Weighted mean of the times, s.
+    /// Weighted mean time, s.
     pub middle_s: f64,
-    /// Standard deviation between runs in excess of their own errors.
+    /// Standard deviation between runs beyond their errors.
     pub spread: f64,
-    /// Step, if it explains the runs better than the line does.
+    /// If it fits better than the line.
     pub step: Option<TrendStep>,
 }
 
 /// Step between two runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrendStep {
-    /// Times of the last run before the step and the first one after it, s.
+    /// Runs before and after it, s.
     pub between_s: [f64; 2],
-    /// Height of the step.
+    /// Step height.
     pub height: Measured,
 }
 
 /// Minimum number of runs for a trend.
 pub const MIN_RUNS: usize = 4;
 
-/// Minimum log likelihood ratio of a step to the line, because its position is selected.
+/// Of a step to the line; large because the position is selected.
 const MIN_STEP_LOG_RATIO: f64 = 5.0;
-/// Maximum number of fits in one pass over the runs.
+/// In one pass over the runs.
 const MAX_FITS: usize = 128;
 
-/// Estimates the trend. `None` if there are fewer than [`MIN_RUNS`] runs, or if all have the same time.
+/// `None` if there are fewer than [`MIN_RUNS`] runs, or all at one time.
 pub fn estimate_trend(told: &[RunEstimate]) -> Option<Trend> {
     let mut told: Vec<RunEstimate> = told.iter().copied().filter(is_usable).collect();
     told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     if told.len() < MIN_RUNS {
         return None;
     }
-    // Centre the times to preserve precision.
+    // Preserves precision.
     let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
     let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
     let line = LineFit::fit(&told, &times_s)?;
@@ -80,8 +79,7 @@ fn is_usable(told: &RunEstimate) -> bool {
     time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
 }
 
-/// Most likely step with at least two runs on each side. With many runs the search goes from coarse to
-/// fine.
+/// With at least two runs on each side. Searches many runs from coarse to fine.
 fn most_likely_step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
     let (mut places, mut best) = (2..told.len() - 1, None::<(usize, LineFit)>);
     loop {
@@ -105,10 +103,9 @@ fn most_likely_step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
     }
 }
 
-/// Whether the step `height` at `after_s` persists without any single run: one outlier is not a step. With many
-/// runs, only those furthest from the median are left out.
+/// Whether the step after `after_s` persists without any single run. Of many runs, only those furthest from
+/// the median are left out.
 fn persists_without_any_run(told: &[RunEstimate], after_s: f64, by: f64) -> bool {
-    /// Minimum share of the step that must persist.
     const MIN_PERSISTING_SHARE: f64 = 0.5;
     let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
     let middle = median(&mut values).unwrap_or(0.0);
@@ -134,14 +131,13 @@ struct LineFit {
 }
 
 impl LineFit {
-    /// Fits over `x`. `None` if all its values are equal.
+    /// `None` if all of `x` are equal.
     fn fit(told: &[RunEstimate], x: &[f64]) -> Option<Self> {
         let dof = told.len() as f64 - 2.0;
         let squares = |variance: f64| WeightedFit::fit(told, x, variance).map(|fit| fit.squares);
         let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
-        // The spread is zero if the squares allow it. Otherwise bisect: the squares decrease with the
-        // spread.
+        // Zero if the squares allow it, else bisect: they decrease with the spread.
         if squares(0.0)? > dof {
             while squares(high)? > dof {
                 high *= 4.0;
@@ -166,7 +162,7 @@ impl LineFit {
     }
 }
 
-/// Weighted least squares with a known spread.
+/// With a known spread.
 struct WeightedFit {
     slope: f64,
     slope_variance: f64,
@@ -207,7 +203,7 @@ mod tests {
 
     const DAY_S: f64 = 86_400.0;
 
-    /// Daily runs of a known course and spread.
+    /// Daily runs.
     fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<RunEstimate> {
         let mut random = Pcg64::seed_from_u64(seed);
         let noise = Normal::new(0.0, 1.0).expect("a distribution");

@@ -1,8 +1,6 @@
-//! Checks whether recorded velocities are the derivatives of the recorded positions, and classifies the
-//! error if not.
-//!
-//! Velocities are integrated and compared with the change of position over the same window. Nothing is
-//! differentiated, so encoder noise enters only twice per window and velocity noise averages out.
+//! Checks whether velocities are the derivatives of the positions, and classifies the error. Integrated
+//! velocities are compared with position changes over windows, so encoder noise enters only twice per
+//! window and velocity noise averages out.
 
 use super::latency::median_period_s;
 use super::response::{ResponseChanges, TimeSeries, slopes};
@@ -14,64 +12,61 @@ use ground::stream::sample_noise;
 /// Samples of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct VelocitySamples<'a> {
-    /// Sample times, s, strictly increasing.
+    /// s, strictly increasing.
     pub t_s: &'a [f64],
-    /// Recorded positions, rad or m.
+    /// rad or m.
     pub position: &'a [f64],
-    /// Recorded velocities, rad/s or m/s; NaN if missing.
+    /// rad/s or m/s; NaN if missing.
     pub velocity: &'a [f64],
-    /// Times of known position jumps, s. No window contains one.
+    /// Known position jumps, s. Windows exclude them.
     pub breaks: &'a [f64],
 }
 
-/// Comparison of a joint's velocities with the derivatives of its positions.
+/// Comparison of velocities with position derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VelocityDiagnosis {
-    /// Relative error: rms of velocity minus position rate, over rms rate, in the band of the motion.
-    /// Noise, encoder quantisation and stamp jitter are subtracted.
+    /// Rms of velocity minus position rate, over rms rate, in the band of the motion. Without noise,
+    /// quantisation and stamp jitter.
     pub error: Measured,
-    /// Relative error expected from those three alone.
+    /// Error expected from those three.
     pub noise: f64,
-    /// Rms rate of the positions, rad/s or m/s.
+    /// Rms position rate, rad/s or m/s.
     pub rate: f64,
     /// Window length, s.
     pub window_s: f64,
-    /// Classification of the velocities.
+    /// Classification.
     pub shape: VelocityShape,
 }
 
 /// Relation of velocities to positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VelocityShape {
-    /// Derivatives of the positions, within the uncertainty.
+    /// Derivatives, within the uncertainty.
     Rates,
     /// Zero or nearly zero.
     Zero,
     /// Derivatives times a factor.
     Scaled(f64),
-    /// Derivatives of the joint at this index, times a factor.
+    /// Derivatives of another joint, times a factor.
     OfJoint(usize, f64),
-    /// Derivatives with a delay, a low-pass or both, times a gain.
+    /// Derivatives with delay, low-pass and gain.
     Filtered(Response),
     /// None of these.
     Unrelated,
 }
 
-/// Relative error below which no cause is sought, and below which a half-sample shift is attributed to a
-/// finite difference.
+/// Smaller errors need no cause, or may be a finite difference.
 const MIN_RELATIVE_ERROR: f64 = 0.02;
-/// Minimum length of a gap, in median intervals.
 const MIN_GAP_INTERVALS: f64 = 5.0;
-/// Half-width of the interval in standard errors.
+/// Half-width of the interval.
 const INTERVAL_STD_ERRORS: f64 = 1.9;
-/// Maximum delay, s.
 const MAX_LAG_S: f64 = 0.5;
 
-/// Compares the velocities of joint `index` with the derivatives of its positions. `joints` are all joints
-/// of the arm, whose velocities may be permuted.
+/// Compares velocities of joint `index` with its positions. `joints` are all joints, whose velocities may
+/// be permuted.
 ///
 /// # Errors
-/// Returns an error if the joint barely moves, or has too few velocities.
+/// If the joint barely moves or has too few velocities.
 pub fn diagnose_velocity(
     joints: &[VelocitySamples<'_>],
     index: usize,
@@ -88,7 +83,7 @@ pub fn diagnose_velocity(
     let as_recorded = error_of(moved);
     let half_s = 0.5 * median_period_s(own.t_s);
     let curve = TimeSeries::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
-    // A difference of two samples is the rate midway between them.
+    // A difference of samples is the rate midway.
     let of_difference = [-half_s, half_s]
         .map(|delay_s| changes.references(&curve, delay_s))
         .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
@@ -101,12 +96,12 @@ pub fn diagnose_velocity(
     };
     let square = (square - by_noise).max(0.0);
     let value = square.sqrt();
-    // The noise variance is known to ±50 %. Overlapping windows count once.
+    // Noise variance is known to ±50 %. Overlapping windows count once.
     let count = (0.5 * compared).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
     let [most, least] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
-    // If the square may be zero, so may the root.
+    // The root may be zero as well.
     let std_error = (most - value).max(value - least) / INTERVAL_STD_ERRORS;
     let shape = match value < MIN_RELATIVE_ERROR {
         true => VelocityShape::Rates,
@@ -127,47 +122,42 @@ fn mean_square(values: &[f64]) -> f64 {
     sum / f64::max(count, 1.0)
 }
 
-/// Variances of the noise.
 #[derive(Clone, Copy, Debug)]
 struct Noise {
-    /// Position, rad² or m².
+    /// rad² or m².
     position: f64,
-    /// Velocity times the sample interval, i.e. variance of the integral per second, rad²/s or m²/s.
+    /// Variance of the integral per second, rad²/s or m²/s.
     velocity: f64,
-    /// Stamp, s².
+    /// s².
     stamp: f64,
-    /// Interpolation between samples, in the unit of a squared change.
+    /// Interpolation, as a squared change.
     between: f64,
 }
 
 impl Noise {
-    /// Variance of the difference between integral and change of position over a window; `moved` is the
-    /// mean squared change.
+    /// Of integral minus position change; `moved` is the mean squared change.
     fn window_variance(&self, window_s: f64, moved: f64) -> f64 {
         let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
         2.0 * self.position + self.velocity * window_s + by_stamps + self.between
     }
 }
 
-/// Compared quantities of a joint.
 #[derive(Debug)]
 struct VelocityWindows {
     window_s: f64,
-    /// Integrals of the velocity.
+    /// Integrals of velocity.
     changes: ResponseChanges,
-    /// Changes of position over the same windows, rad or m.
+    /// Position changes, rad or m.
     moved: Vec<f64>,
     noise: Noise,
 }
 
 impl VelocityWindows {
     fn from_samples(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
-        /// Minimum travel of a moving joint, rad or m.
+        /// Of a moving joint, rad or m.
         const MIN_TRAVEL: f64 = 5e-3;
-        /// Minimum number of windows.
         const MIN_WINDOWS: usize = 20;
-        /// Shortest and longest window, s, growth factor, and the noise-to-change ratio at which the growth
-        /// stops.
+        /// Windows grow until this noise-to-change ratio.
         const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (0.1, 0.5);
         const WINDOW_GROWTH: f64 = 1.5;
         const MAX_NOISE_RATIO: f64 = 0.01;
@@ -203,7 +193,6 @@ impl VelocityWindows {
     }
 }
 
-/// Variances of the noise in a joint's samples.
 fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     let period_s = median_period_s(t_s);
     let jitter: Vec<f64> = t_s
@@ -220,8 +209,7 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     }
 }
 
-/// Quantisation step of an encoder: the 2 % quantile of nonzero changes. Almost zero if there is no
-/// quantisation.
+/// 2 % quantile of nonzero changes. Almost zero without quantisation.
 fn quantisation_step(q: &[f64]) -> f64 {
     const QUANTILE_DIVISOR: usize = 50;
     const ROUNDING_TOLERANCE: f64 = 1e-9;
@@ -231,8 +219,8 @@ fn quantisation_step(q: &[f64]) -> f64 {
     if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
 }
 
-/// Quantisation step of an encoder, if all positions are multiples of it; otherwise 0. Long series are
-/// sampled in stretches, if most positions in them change.
+/// Encoder step if all positions are multiples of it; otherwise 0. Long series are sampled in stretches if
+/// most positions in them change.
 pub fn encoder_step(q: &[f64]) -> f64 {
     const MAX_SAMPLES: usize = 24_000;
     let some: Vec<f64> =
@@ -242,7 +230,7 @@ pub fn encoder_step(q: &[f64]) -> f64 {
 }
 
 fn step_of(q: &[f64]) -> f64 {
-    /// Tolerance of a multiple, and minimum share of changes that are multiples.
+    /// For multiples, and share of changes that are.
     const MULTIPLE_TOLERANCE: f64 = 0.02;
     const MIN_MULTIPLE_SHARE: f64 = 0.95;
     let step = quantisation_step(q);
@@ -255,9 +243,9 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
-/// Integral of the velocities from the first sample.
+/// From the first sample.
 struct Integral {
-    /// With cubic and with linear interpolation.
+    /// By cubic and linear interpolation.
     at: Vec<[f64; 2]>,
 }
 
@@ -275,7 +263,7 @@ impl Integral {
         Self { at }
     }
 
-    /// Changes of the integral and of the position over windows, and the variance due to interpolation.
+    /// Changes of integral and position, and the variance due to interpolation.
     fn windows(
         &self,
         t_s: &[f64],
@@ -289,7 +277,7 @@ impl Integral {
         let all =
             ResponseChanges::from_windows(t_s, &[cubic, straight, q.to_vec()], span, window_s);
         let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
-        // Velocity in a gap and position across a break are unknown.
+        // Unknown velocity in a gap, unknown position across a break.
         let is_gap = |pair: &&[f64]| {
             pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
         };
@@ -313,7 +301,6 @@ impl Integral {
     }
 }
 
-/// Classifies velocities that are not the derivatives.
 fn shape(
     joints: &[VelocitySamples<'_>],
     index: usize,
@@ -321,9 +308,9 @@ fn shape(
     curve: &TimeSeries,
     by_noise: f64,
 ) -> VelocityShape {
-    /// Maximum rms relative to the derivatives for zero velocities.
+    /// Rms relative to the derivatives.
     const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
-    /// Maximum share of the squared error that remains after a cause.
+    /// Of the squared error after a cause.
     const MAX_REMAINING_SHARE: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
@@ -332,7 +319,7 @@ fn shape(
         return VelocityShape::Zero;
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
-    // As a share of the response's energy, like the residual of a fit.
+    // As a share of the response's energy.
     let allowed = (MAX_REMAINING_SHARE * mean_square(&errors) + by_noise).min(0.5 * own) / own;
     let signed = |sign: f64| {
         let by = changes.changes.iter().map(|by| by.map(|by| sign * by)).collect();

@@ -1,4 +1,4 @@
-//! Vibration of a path: power above the frequencies of the commanded motion, in excess of the noise floor.
+//! Vibration of a path: power above the commanded motion, in excess of noise.
 
 use ground::stats::{median, quantile};
 use std::f64::consts::TAU;
@@ -7,27 +7,27 @@ use realfft::RealFftPlanner;
 
 use ground::geometry::Vec3;
 
-/// Vibration of a path over the 1.5 s in which it is strongest.
+/// Strongest vibration of a path over 1.5 s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vibration {
-    /// Rms above `from_hz` after subtracting the noise floor, m.
+    /// Rms above `from_hz` without noise, m.
     pub rms_m: f64,
-    /// Lower end of the analysed band, Hz: above the commanded motion.
+    /// Lower end of the band, Hz, above the commanded motion.
     pub from_hz: f64,
-    /// Rms of the noise in the band, estimated as white, m.
+    /// Rms noise in the band (white), m.
     pub noise_m: f64,
-    /// Smallest vibration that can be distinguished from that noise, m.
+    /// Smallest vibration that exceeds the noise, m.
     pub resolved_m: f64,
-    /// Frequency with the highest power, Hz.
+    /// Strongest frequency, Hz.
     pub frequency_hz: f64,
     /// Time, s.
     pub at_s: f64,
 }
 
-/// Reason why vibration cannot be estimated.
+/// Why vibration cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VibrationFailure {
-    /// The sample rate, Hz, is too low for the band above `MAX_ARM_MOTION_HZ`.
+    /// The sample rate, Hz, leaves no band above `MAX_ARM_MOTION_HZ`.
     Slow(f64),
     /// No 1.5 s of evenly spaced samples.
     Uneven,
@@ -35,35 +35,30 @@ pub enum VibrationFailure {
 
 /// Maximum frequency of usual arm motion, Hz.
 pub const MAX_ARM_MOTION_HZ: f64 = 10.0;
-/// Minimum frequency of vibration, Hz, even for slower motion.
+/// Even for slower motion.
 const MIN_TONE_HZ: f64 = 4.0;
-/// Rms motion above the frequency at which the commanded motion ends, m.
+/// Rms, where the commanded motion ends.
 const MIN_COMMANDED_MOTION_M: f64 = 0.1e-3;
-/// Minimum share of the power near the peak for vibration below `MAX_ARM_MOTION_HZ`, which must be a single tone.
+/// Share of power near the peak: below `MAX_ARM_MOTION_HZ`, only a single tone is vibration.
 const MIN_TONE_SHARE: f64 = 0.7;
-/// Maximum relative deviation of even sample intervals.
+/// Relative, of even intervals.
 const MAX_INTERVAL_DEVIATION: f64 = 0.01;
-/// Minimum sample rate, Hz: lower rates leave almost no band between `MAX_ARM_MOTION_HZ` and the Nyquist frequency.
+/// Lower rates have almost no band above `MAX_ARM_MOTION_HZ`.
 const MIN_RATE_HZ: f64 = 25.0;
-/// Length of a window, s.
 const WINDOW_S: f64 = 1.0;
-/// Approximate number of positions analysed, in blocks over the whole run.
+/// In blocks over the run.
 const MAX_POSITIONS: usize = 60_000;
 
-/// Estimates the vibration of a path sampled at `t_s`, with `position_m` returning the position of a row,
-/// m.
+/// Vibration of a path sampled at `t_s`; `position_m` returns a row's position, m. With `work_m`, the
+/// commanded position, the band starts where the commanded motion ends.
 ///
-/// `work_m`, if known, returns the commanded position. The band then starts where the commanded motion
-/// ends, below `MAX_ARM_MOTION_HZ`.
-///
-/// The run is divided into blocks of two one-second windows with 50 % overlap. Each window is detrended
-/// with a parabola and Hann-tapered, and its power above `MAX_ARM_MOTION_HZ` (Welch 1967) contains vibration and
-/// noise. The noise is white, so the median over frequencies estimates it. The excess counts if noise
-/// cannot explain it. The smaller value of the two windows counts, because a single jerk is central in only
-/// one of them. Single steps are removed.
+/// Blocks of two one-second windows overlap by half. Each window is detrended with a parabola and
+/// Hann-tapered (Welch 1967). The median power over frequencies estimates the white noise; an excess counts
+/// if noise cannot explain it. The smaller value of a block counts, because a single jerk is central in
+/// only one window. Single steps are removed.
 ///
 /// # Errors
-/// Returns an error if the sample rate is too low, or if no block has evenly spaced samples.
+/// If the sample rate is too low or no block has even samples.
 pub fn estimate_vibration(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
@@ -84,7 +79,7 @@ pub fn estimate_vibration(
             t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
         steps.all(|step| (0.5..1.5).contains(&step))
     };
-    // Stamps a nanosecond apart would otherwise allocate a huge FFT plan.
+    // Stamps a nanosecond apart would need a huge FFT.
     if t_s.len() < block {
         return Err(VibrationFailure::Uneven);
     }
@@ -101,7 +96,7 @@ pub fn estimate_vibration(
             if first.rms_m < second.rms_m { first } else { second }
         };
         let mut least = of(&path, work.as_deref());
-        // Either the stamps or the samples jitter: real vibration appears in both versions.
+        // Stamps or samples may jitter; real vibration appears in both.
         let times = &t_s[start..start + block];
         let has_jitter = times
             .windows(2)
@@ -120,7 +115,7 @@ pub fn estimate_vibration(
     strongest.ok_or(VibrationFailure::Uneven)
 }
 
-/// Resamples a path at evenly spaced times, with the cubic through the four nearest samples.
+/// By the cubic through the four nearest samples.
 fn resample_evenly(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
     const INTERPOLATION_POINTS: usize = 4;
     let (count, first_s, last_s) = (t_s.len(), t_s[0], t_s[t_s.len() - 1]);
@@ -139,17 +134,16 @@ fn resample_evenly(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
     (0..count).map(at).collect()
 }
 
-/// Path around the time of its strongest vibration.
+/// Path around its strongest vibration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VibrationPath {
-    /// Frequency in Hz and rms over all axes at it, m.
+    /// Hz, and rms over all axes, m.
     pub spectrum: Vec<[f64; 2]>,
-    /// Time in s and position along the axis that moves most, m, after removing the best-fit parabola.
+    /// Time, s, and position on the strongest axis, m, minus the best parabola.
     pub trace: Vec<[f64; 2]>,
 }
 
-/// Spectrum and trace of a path for one second around `at_s`, processed as in [`estimate_vibration`]. `None` if its
-/// samples are uneven there.
+/// Spectrum and trace for 1 s around `at_s`, as in [`estimate_vibration`]. `None` if samples are uneven.
 pub fn vibration_path(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
@@ -179,20 +173,19 @@ pub fn vibration_path(
     Some(VibrationPath { spectrum: spectrum.collect(), trace: trace.collect() })
 }
 
-/// Median sample interval, s.
+/// Median interval, s.
 fn period(t_s: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let period_s = median(&mut steps)?;
     (period_s > 0.0).then_some(period_s)
 }
 
-/// Ratio of median to mean of the power summed over three axes of noise: χ² with six degrees of freedom.
+/// Of the power of three axes of noise: χ² with six degrees of freedom.
 const MEDIAN_TO_MEAN_POWER: f64 = 0.891;
 
-/// FFT of windows of one length.
 struct Spectrum {
     plan: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
-    /// Hann window with unit mean square.
+    /// Hann, unit mean square.
     taper: Vec<f64>,
     rate_hz: f64,
 }
@@ -206,7 +199,7 @@ impl Spectrum {
         Self { plan, taper, rate_hz }
     }
 
-    /// Vibration in one window of a path centred at `at_s`. `work` is the commanded path.
+    /// Centred at `at_s`; `work` is the commanded path.
     fn vibration_in_window(
         &mut self,
         path: &[Vec3],
@@ -230,7 +223,7 @@ impl Spectrum {
         self.rate_hz / length as f64
     }
 
-    /// Power of a path at each frequency, summed over its three axes, m².
+    /// Summed over three axes, m².
     fn power(&mut self, path: &[Vec3]) -> Vec<f64> {
         let length = path.len();
         let mut power = vec![0.0; length / 2 + 1];
@@ -242,18 +235,18 @@ impl Spectrum {
             if self.plan.process(&mut values, &mut bins).is_err() {
                 return vec![0.0; length / 2 + 1];
             }
-            // Counts both signs of a frequency, so the powers sum to the mean square (Parseval).
+            // Both signs of a frequency, so powers sum to the mean square (Parseval).
             let scale = 2.0 / (length as f64).powi(2);
             power.iter_mut().zip(&bins).for_each(|(power, bin)| *power += scale * bin.norm_sqr());
         }
         power
     }
 
-    /// First bin above the power of the commanded motion, at most `most`.
+    /// First bin above the commanded motion, at most `most`.
     fn end_of_commanded_motion(&self, power: &[f64], most: usize, length: usize) -> usize {
         let least = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
         let mut fast = power.get(most..length.div_ceil(2)).unwrap_or_default().to_vec();
-        // Subtract the encoder noise.
+        // Encoder noise.
         let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
         let mut beyond = 0.0;
         for bin in (least..most).rev() {
@@ -265,12 +258,12 @@ impl Spectrum {
         least
     }
 
-    /// Vibration of a window from bin `from` upwards.
+    /// From bin `from` upwards.
     fn vibration_above(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
-        /// Standard deviations of the noise power that chance does not exceed.
+        /// Not exceeded by chance.
         const NOISE_SIGMAS: f64 = 6.0;
         let bin_hz = self.bin_hz(length);
-        // Exclude the Nyquist bin, whose power counts only once.
+        // Without the Nyquist bin, whose power counts once.
         let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
         let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
             return Vibration::default();
@@ -279,8 +272,8 @@ impl Spectrum {
         let mut sorted = band.to_vec();
         let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
         let excess = band.iter().sum::<f64>() - count * floor;
-        // The power has six degrees of freedom, so its standard deviation is 1/√3 of its mean; neighbouring
-        // bins are correlated.
+        // With six degrees of freedom the standard deviation is 1/√3 of the mean; neighbouring bins are
+        // correlated.
         let by_chance = NOISE_SIGMAS * floor * count.sqrt();
         let is_shake = excess > by_chance && excess.is_finite();
         Vibration {
@@ -294,10 +287,9 @@ impl Spectrum {
     }
 }
 
-/// Removes a single step between two samples, such as a slipping tool or a clock adjustment. Vibration
-/// repeats.
+/// Removes one step, such as a slipping tool or clock adjustment. Vibration repeats.
 fn remove_step(path: &mut [Vec3]) {
-    /// Minimum size of a step, relative to this quantile of the deviations from linear interpolation.
+    /// Relative to this quantile of deviations from linear interpolation.
     const MIN_STEP_RATIO: f64 = 10.0;
     const DEVIATION_QUANTILE: f64 = 0.95;
     let beside = |at: usize| {
@@ -315,7 +307,7 @@ fn remove_step(path: &mut [Vec3]) {
     }
 }
 
-/// Removes the best-fit parabola, using orthogonal Legendre polynomials.
+/// By orthogonal Legendre polynomials.
 fn remove_parabola(values: &mut [f64]) {
     let middle = (values.len() as f64 - 1.0) / 2.0;
     let count = values.len() as f64;
@@ -340,7 +332,7 @@ fn remove_parabola(values: &mut [f64]) {
 mod tests {
     use super::*;
 
-    /// 10 s of motion over half a metre, plus `beside` as a function of time and row.
+    /// 10 s over half a metre, plus `beside` by time and row.
     fn shaken(
         rate_hz: f64,
         beside: impl Fn(f64, usize) -> f64,
@@ -396,7 +388,7 @@ mod tests {
         let white = |row: usize| 1e-3 * noise(row);
         let found = shaken(125.0, |_, row| white(row)).expect("even");
         assert!(found.rms_m < 2e-4, "{found:?}");
-        // The noise is 1/√3 mm on one axis; the band covers 52.5 of 62.5 Hz.
+        // 1/√3 mm on one axis; 52.5 of 62.5 Hz.
         assert!(
             (found.noise_m - 1e-3 * (52.5_f64 / 62.5 / 3.0).sqrt()).abs() < 1.5e-4,
             "{found:?}"
@@ -429,7 +421,7 @@ mod tests {
 
     #[test]
     fn stamps_that_jitter_as_the_rows_do_are_no_shake() {
-        // Every fifth interval is longer: first with matching motion, then with jitter in the stamps only.
+        // Every fifth interval is longer: in the motion, then in the stamps only.
         let uneven_s: Vec<f64> =
             (0..2000).map(|row| 0.0104 * f64::from(row) + 0.0004 * f64::from(row % 5)).collect();
         let even_s: Vec<f64> = (0..2000).map(|row| 0.0104 * f64::from(row)).collect();

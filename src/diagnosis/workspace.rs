@@ -1,4 +1,4 @@
-//! Joint ranges that an arm used, and the cells and poses that its tip reached.
+//! Joint ranges, and the cells and poses that the tip reached.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -6,31 +6,29 @@ use std::f64::consts::{PI, TAU};
 use ground::geometry::{Pose, Vec3, angle_between};
 use ground::robot::{Chain, JointKind, Limits};
 
-/// Edge of a reach map cell, m.
+/// Edge of a cell, m.
 pub const CELL_SIZE_M: f64 = 0.02;
-/// Minimum angle between different orientations, rad.
+/// Of distinct orientations, rad.
 pub const MIN_ORIENTATION_DIFFERENCE_RAD: f64 = 15.0 * PI / 180.0;
-/// Minimum difference of a joint between different configurations for a pose, rad or m.
+/// Of a joint in distinct configurations, rad or m.
 pub const MIN_CONFIGURATION_DIFFERENCE: f64 = 0.35;
-/// Number of bins per joint range.
 const RANGE_BINS: usize = 72;
-/// Maximum duration of a sample, s.
 const MAX_SAMPLE_S: f64 = 1.0;
 
-/// Range over which a joint moved.
+/// Range of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointSpan {
-    /// Lowest position, rad or m.
+    /// rad or m.
     pub lowest: f64,
-    /// Highest position, rad or m.
+    /// rad or m.
     pub highest: f64,
-    /// Visited share of the joint limits, or of a full turn without limits. `None` for a prismatic joint
-    /// without limits.
+    /// Visited share of the limits, or of a full turn without limits. `None` for a prismatic joint without
+    /// limits.
     pub visited: Option<f64>,
 }
 
 impl JointSpan {
-    /// Span of these positions, rad or m. `None` if none is finite.
+    /// Span of positions, rad or m. `None` if none is finite.
     pub fn from_positions(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
         let finite = || positions.iter().copied().filter(|position| position.is_finite());
         let none = (f64::INFINITY, f64::NEG_INFINITY);
@@ -49,7 +47,7 @@ impl JointSpan {
             for position in finite() {
                 let share = (position - lower) / width;
                 let share = match wraps {
-                    // Avoids the slow remainder in the usual cases.
+                    // Avoids the slow remainder.
                     true if (0.0..1.0).contains(&share) => share,
                     true if (-1.0..0.0).contains(&share) => share + 1.0,
                     true => share.rem_euclid(1.0),
@@ -62,7 +60,7 @@ impl JointSpan {
         Some(Self { lowest, highest, visited })
     }
 
-    /// Travel of the joint, rad or m.
+    /// rad or m.
     pub fn width(&self) -> f64 {
         self.highest - self.lowest
     }
@@ -71,43 +69,42 @@ impl JointSpan {
 /// Cell of the reach map.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReachCell {
-    /// Number of samples.
+    /// Samples.
     pub samples: usize,
-    /// Dwell time of the tip, s.
+    /// Dwell time, s.
     pub dwell_s: f64,
-    /// Number of orientations at least [`MIN_ORIENTATION_DIFFERENCE_RAD`] apart.
+    /// Orientations at least [`MIN_ORIENTATION_DIFFERENCE_RAD`] apart.
     pub orientations: usize,
-    /// Poses reached; indices into [`Workspace::poses`].
+    /// Indices into [`Workspace::poses`].
     pub poses: Vec<usize>,
 }
 
-/// Pose of the tip when it was first reached.
+/// Tip pose when first reached.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReachedPose {
-    /// Time, s from the run's origin.
+    /// s from the run's origin.
     pub t_s: f64,
-    /// `base_from_tip` by FK of the recorded joint states.
+    /// `base_from_tip` by recorded FK.
     pub base_from_tip: Pose,
-    /// Joint positions of the chain, rad or m.
+    /// Chain positions, rad or m.
     pub q: Vec<f64>,
-    /// Number of samples with this pose and configuration.
+    /// Samples of this pose and configuration.
     pub samples: usize,
 }
 
-/// Cells and poses reached by the tip of a chain.
+/// Cells and poses that a tip reached.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Workspace {
-    /// Reached cells by their indices along x, y and z of the base. Cell `i` extends from `i · CELL_SIZE_M` to
-    /// `(i + 1) · CELL_SIZE_M`.
+    /// By index along x, y, z of the base. Cell `i` extends from `i · CELL_SIZE_M` to `(i + 1) ·
+    /// CELL_SIZE_M`.
     pub cells: BTreeMap<[i32; 3], ReachCell>,
-    /// Distinct poses and configurations in order of time. Within a cell they differ by [`MIN_ORIENTATION_DIFFERENCE_RAD`] in
-    /// orientation or by [`MIN_CONFIGURATION_DIFFERENCE`] in a joint.
+    /// Distinct poses in time order. Within a cell they differ by [`MIN_ORIENTATION_DIFFERENCE_RAD`] or by
+    /// [`MIN_CONFIGURATION_DIFFERENCE`] in a joint.
     pub poses: Vec<ReachedPose>,
 }
 
 impl Workspace {
-    /// Workspace of `chain`'s tip from times, s, and joint positions, rad or m. Skips samples that are not
-    /// finite.
+    /// From times, s, and joint positions, rad or m. Skips samples that are not finite.
     pub fn from_samples(chain: &Chain, samples: impl Iterator<Item = (f64, Vec<f64>)>) -> Self {
         let mut workspace = Self::default();
         let mut last: Option<(f64, [i32; 3])> = None;
@@ -163,13 +160,12 @@ fn cell_of(xyz: Vec3) -> [i32; 3] {
     [xyz.x, xyz.y, xyz.z].map(|part| (part / CELL_SIZE_M).floor() as i32)
 }
 
-/// Centre of a cell in the base, m.
+/// Centre in the base, m.
 pub fn cell_centre_m(cell: [i32; 3]) -> [f64; 3] {
     cell.map(|number| (f64::from(number) + 0.5) * CELL_SIZE_M)
 }
 
-/// Smallest and largest distance of the tip from the base over these joint positions, m. `None` if there
-/// are none.
+/// Smallest and largest tip distance from the base, m. `None` without positions.
 pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f64, f64)> {
     let distances = rows.map(|q| chain.forward(&q).translation.vector.norm());
     distances.filter(|distance| distance.is_finite()).fold(None, |ends, distance| {
@@ -194,7 +190,6 @@ mod tests {
             JointSpan::from_positions(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
         assert!((span.width() - 1.0).abs() < 1e-12 && (span.lowest + 0.5).abs() < 1e-12);
         assert!((span.visited.unwrap() - 0.5).abs() < 2.0 / RANGE_BINS as f64, "{span:?}");
-        // Three turns of a continuous joint visit the full turn.
         let turns: Vec<f64> = (0..3000).map(|k| f64::from(k) * 3.0 * TAU / 3000.0).collect();
         let span =
             JointSpan::from_positions(&turns, JointKind::Continuous, &Limits::default()).unwrap();
@@ -219,7 +214,7 @@ mod tests {
             q[joint] += by;
             q
         };
-        // The last joint rotates the tip in place; a full turn of it is a different configuration.
+        // The last joint turns the tip in place; a full turn is another configuration.
         let samples = [
             (0.0, home.clone()),
             (0.5, turned(5, 0.01)),
@@ -232,7 +227,7 @@ mod tests {
         let tip = chain.forward(&home).translation.vector;
         let place = &workspace.cells[&cell_of(tip)];
         assert_eq!((place.samples, place.orientations, place.poses.len()), (4, 2, 3));
-        // The last sample lasts one of its 7.5 s.
+        // The last sample lasts at most 1 s.
         assert!((place.dwell_s - 2.5).abs() < 1e-12);
         assert_eq!(workspace.poses[0].samples, 2);
         let centre = cell_centre_m(cell_of(tip));

@@ -1,7 +1,6 @@
 use super::*;
 use ground::geometry::{pose, rotation_from_rotvec};
 
-/// Poses of an arm that moves all joints.
 fn arm() -> Vec<Pose> {
     let at = |i: i32| {
         let t = f64::from(i) * 0.2;
@@ -35,7 +34,7 @@ fn any_unit_is_found_in_any_axes_and_inverted() {
                 let pose = fk * tool;
                 if inverted { pose.inverse() } else { pose }
             });
-            // The tool offset of an inverted pose absorbs axis conventions.
+            // An inverted pose's tool absorbs axis conventions.
             let axes = if inverted { Axes::all()[0] } else { axes };
             if inverted && k > 0 {
                 continue;

@@ -13,7 +13,7 @@ fn times() -> Vec<f64> {
     (0..1000).map(|row| row as f64 / RATE_HZ).collect()
 }
 
-/// Position and velocity of a move at 1 rad/s that brakes at t = 4 s with `acceleration`.
+/// Position and velocity at 1 rad/s, braking at t = 4 s.
 fn stop(t: f64, acceleration: f64) -> (f64, f64) {
     let (end, length) = (4.0, 1.0 / acceleration);
     match t - end {
@@ -45,7 +45,7 @@ fn noise_does_not_feign_a_stop() {
         let found =
             peak_acceleration(&t_s, &q, JointSampleKind::Positions, 0.0).expect("even samples");
         assert!(found.acceleration - found.noise < 0.5, "{size}: {found:?}");
-        // 1e-2/√3 rad at 125 Hz hides 20 rad/s² over 0.1 s; 1e-5/√3 does not.
+        // At 125 Hz, 1e-2/√3 rad hides 20 rad/s² over 0.1 s.
         assert_eq!(found.resolved < 20.0, size < 1e-4, "{found:?}");
     }
 }
@@ -64,7 +64,7 @@ fn steps_of_an_encoder_do_not_feign_a_stop() {
 
 #[test]
 fn noise_that_grows_with_speed_does_not_feign_a_stop() {
-    // Samples are up to 0.2 ms off their stamps, and the joint swings fast once.
+    // Stamps up to 0.2 ms off, one fast swing.
     let t_s: Vec<f64> = (0..12_500).map(|row| row as f64 / 500.0).collect();
     let angle =
         |t: f64| 1.2 * (2.0 * t).sin() + 0.2 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();

@@ -2,7 +2,7 @@ use super::*;
 
 const PERIOD_S: f64 = 0.008;
 
-/// Non-periodic motion at time `t`, s.
+/// Non-periodic.
 fn motion(t: f64) -> f64 {
     (1.1 * t).sin() + 0.6 * (2.3 * t + 0.4).sin() + 0.3 * (4.7 * t).cos()
 }
@@ -11,7 +11,6 @@ fn times() -> Vec<f64> {
     (0..2500).map(|row| f64::from(row) * PERIOD_S).collect()
 }
 
-/// Fits the response `done` to the commanded motion.
 fn followed(done: impl Fn(f64) -> f64) -> Result<Response, NotObservable> {
     let t_s = times();
     let command = TimeSeries::new(t_s.clone(), vec![t_s.iter().map(|&t| motion(t)).collect()]);

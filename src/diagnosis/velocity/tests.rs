@@ -9,8 +9,7 @@ fn rate(joint: usize, t: f64) -> f64 {
     (position(joint, t + 1e-4) - position(joint, t - 1e-4)) / 2e-4
 }
 
-/// Diagnosis of the first of two joints with velocities from `velocity` and positions quantised to
-/// `quantum`.
+/// First of two joints, with positions quantised to `quantum`.
 fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
     let t_s: Vec<f64> = (0..2000).map(|row| f64::from(row) * 0.01).collect();
     let stepped = |q: f64| if quantum > 0.0 { (q / quantum).round() * quantum } else { q };
@@ -63,7 +62,7 @@ fn a_difference_of_two_samples_is_a_rate() {
 
 #[test]
 fn what_is_in_a_gap_is_not_compared() {
-    // Small, fast motion relative to the quantisation, so windows are long.
+    // Small, fast motion needs long windows.
     let at = |t: f64| 0.02 * (9.0 * t).sin();
     let t_s: Vec<f64> = (0..1500).map(|row| f64::from(row) * 0.02).collect();
     let t_s: Vec<f64> = t_s.into_iter().filter(|t| !(9.9..10.4).contains(t)).collect();
