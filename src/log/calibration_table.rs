@@ -1,5 +1,4 @@
-//! Calibration tables: rows of joint positions and measured poses, without stamps. Only their order tells
-//! about time.
+//! Calibration tables: rows of joint positions and measured poses, without stamps.
 
 use std::fs::File;
 use std::io::Read;

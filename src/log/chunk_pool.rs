@@ -1,6 +1,5 @@
-//! Decompresses chunks in advance, on all cores an audit may use. If the format allows, the same thread
-//! also parses the chunk's records while they are in its cache. One thread collects the results in file
-//! order.
+//! Decompresses chunks in advance on several threads. If possible, the same thread also parses the records
+//! while they are in its cache. One thread collects the results in file order.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -24,7 +23,6 @@ const QUEUED_PER_THREAD: usize = 3;
 /// Chunks being decompressed, in file order.
 pub(super) struct ChunkPool<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
-    /// Set once the threads run.
     tasks: Option<SyncSender<Task<'env>>>,
     threads: usize,
     waiting: VecDeque<QueuedChunk<'env>>,
@@ -34,7 +32,6 @@ pub(super) struct ChunkPool<'scope, 'env> {
 }
 
 struct QueuedChunk<'env> {
-    /// Offset of its record.
     offset: usize,
     packed: Packed<'env>,
     done: Receiver<ChunkResult>,
@@ -43,7 +40,6 @@ struct QueuedChunk<'env> {
 struct Task<'env> {
     offset: usize,
     packed: Packed<'env>,
-    /// Parser, if records may be parsed in advance.
     records: Option<Arc<dyn PartParser>>,
     buffer: Vec<u8>,
     reply: SyncSender<ChunkResult>,
@@ -86,8 +82,7 @@ impl<'env> ChunkPool<'_, 'env> {
             && self.waiting.len() < QUEUED_PER_THREAD * self.threads
     }
 
-    /// Queues the chunk whose record is at `offset`, after all earlier ones. Larger chunks are decompressed
-    /// when they are read.
+    /// Queues the chunk whose record is at `offset`. Larger chunks are decompressed when they are read.
     pub(super) fn unpack(
         &mut self,
         offset: usize,
@@ -133,7 +128,6 @@ impl<'env> ChunkPool<'_, 'env> {
 
 fn run_worker(queue: &Mutex<Receiver<Task<'_>>>) {
     let mut unpacker = Unpacker::default();
-    // For chunks parsed here.
     let mut own = Vec::new();
     loop {
         // The lock is held while waiting: its owner gets the next chunk.

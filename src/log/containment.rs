@@ -5,14 +5,12 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Follows the file name.
 pub(super) const LINK_LEADS_OUTSIDE: &str = "is a link out of the log folder and is not followed; copy its target \
     into the folder";
 
 #[derive(Debug)]
 pub(super) struct Containment {
     root: Option<PathBuf>,
-    /// Whether a folder is inside.
     folders: HashMap<PathBuf, bool>,
 }
 

@@ -9,12 +9,10 @@ pub(super) enum FileFormat {
     Mcap,
     RosBag1,
     Sqlite,
-    /// With any content.
     Zstd,
     /// Table whose first line names RTDE fields.
     Rtde,
     Table(tables::TableFormat),
-    /// Known but unsupported.
     Known {
         /// With its article.
         looks: &'static str,
@@ -44,7 +42,6 @@ const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
     (ZIP_MAGIC, "a zip archive", UNPACK),
 ];
 
-/// Besides MCAP.
 const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
     (b"#ROSBAG V2.0\n", FileFormat::RosBag1),
     (b"SQLite format 3\0", FileFormat::Sqlite),
@@ -55,7 +52,7 @@ const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
 ];
 
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
-/// Offset of the first member's name in a zip archive.
+/// Offset of the first member's name.
 const ZIP_NAME: usize = 30;
 
 /// Bytes examined to distinguish text from binary data.
@@ -102,7 +99,6 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     FileFormat::Unknown { looks }
 }
 
-/// According to the name of the first member.
 fn is_npz(bytes: &[u8]) -> bool {
     let length = bytes.get(26..28).map(|two| usize::from(two[0]) | usize::from(two[1]) << 8);
     let name = length.and_then(|length| bytes.get(ZIP_NAME..ZIP_NAME + length));

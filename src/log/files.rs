@@ -1,5 +1,3 @@
-//! Input files without duplicates.
-
 use std::collections::HashMap;
 use std::fs;
 use std::path::PathBuf;
@@ -12,13 +10,9 @@ use super::remote::Address;
 
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct LogInput {
-    /// For an object in a store, its name in reports.
     pub(super) path: PathBuf,
-    /// For an object in a store.
     pub(super) address: Option<Address>,
-    /// If supplied by the caller.
     pub(super) given: Option<Bytes>,
-    /// Part of a rosbag2 folder.
     pub(super) in_bag: bool,
     /// Messages according to the folder's `metadata.yaml`.
     pub(super) recorded: Option<u64>,
@@ -51,7 +45,7 @@ impl LogInput {
     }
 }
 
-/// Rejects files given twice, under any path, and copies.
+/// Rejects files given twice, and copies.
 pub(super) fn reject_duplicates(inputs: &[LogInput]) -> Result<(), LogError> {
     let mut by_size: HashMap<u64, Vec<&LogInput>> = HashMap::new();
     for input in inputs {

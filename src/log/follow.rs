@@ -208,7 +208,6 @@ mod tests {
                 crate::open(std::slice::from_ref(&path), &ReadOptions::default()).unwrap();
             let log = following.log().unwrap();
             assert_eq!((log.topics, log.messages), (whole_log.topics, whole_log.messages));
-            // The index after the data is not needed.
             assert!(following.read() <= whole.len() as u64);
         }
     }

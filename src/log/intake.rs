@@ -1,5 +1,3 @@
-//! Collects the content of all containers.
-
 use std::collections::{HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -56,7 +54,6 @@ pub(super) struct Intake {
     robot_type: Option<String>,
     time_column: Option<String>,
     files: Vec<PathBuf>,
-    /// Decompression allowance of the current file.
     pub(super) allowance: Allowance,
     unpacker: Unpacker,
 }
@@ -67,7 +64,6 @@ type FormatKey = (String, String, String, u64);
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct ChannelId(pub(super) usize);
 
-/// Topic, and index among the topic's channels.
 #[derive(Clone, Copy)]
 pub(super) struct ChannelLocation {
     pub(super) topic: usize,
@@ -116,7 +112,6 @@ impl Intake {
         Some(id)
     }
 
-    /// Why messages have no channel.
     pub(super) fn missing_channel_reason(&self) -> (Extent, String) {
         match self.is_full {
             true => (Extent::Unread, format!("beyond the limit of {MAX_CHANNELS}")),
@@ -241,7 +236,7 @@ impl Intake {
         (topic.read_as, topic.cells) = (Some(how), cells);
     }
 
-    /// Records a contradiction between `file`'s declaration and its numbers, once for all episodes.
+    /// Once for all episodes.
     pub(super) fn contradiction(&mut self, file: &Path, what: String) {
         let known = self.contradictions.get_or_insert_default();
         if known.len() < MAX_NOTES && known.iter().all(|known| known.what != what) {
@@ -253,13 +248,11 @@ impl Intake {
         self.repeats.get_or_insert_default().extend(found);
     }
 
-    /// Records that metadata were read, with the robot type they declare.
     pub(super) fn declare_metadata(&mut self, robot: Option<&str>) {
         self.contradictions.get_or_insert_default();
         self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
     }
 
-    /// Sets the column identified as times despite its name.
     pub fn set_time_column(&mut self, column: Option<&str>) {
         self.time_column = self.time_column.take().or_else(|| column.map(str::to_owned));
     }
@@ -289,7 +282,6 @@ impl Intake {
         }
     }
 
-    /// Adds a remark that is not damage.
     pub(super) fn note(&mut self, file: &Path, what: String) {
         if self.notes.len() < MAX_NOTES {
             self.notes.push(Note { file: file.to_owned(), what });

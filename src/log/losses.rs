@@ -10,9 +10,7 @@ const MAX_LOSSES: usize = 100;
 pub(super) struct Losses {
     file: PathBuf,
     list: Vec<Loss>,
-    /// If the list is full: messages lost by the damage merged with the last entry.
     before_last: Option<Option<u64>>,
-    /// Messages lost by the latest damage.
     last: Option<u64>,
 }
 
@@ -61,7 +59,6 @@ impl Losses {
         }
     }
 
-    /// Adds messages to the latest damage.
     pub(super) fn add_to_last(&mut self, messages: u64) {
         self.last = Some(self.last.unwrap_or(0).saturating_add(messages));
         if let Some(last) = self.list.last_mut() {
@@ -113,7 +110,6 @@ impl Losses {
         self.list.is_empty()
     }
 
-    /// Damage by offset.
     pub(super) fn finish(mut self) -> Vec<Loss> {
         self.list.sort_by_key(|loss| loss.offset);
         self.list
@@ -147,7 +143,6 @@ impl UnknownRecords {
     }
 }
 
-/// Unknown if one is.
 fn sum(a: Option<u64>, b: Option<u64>) -> Option<u64> {
     Some(a?.saturating_add(b?))
 }
@@ -176,7 +171,6 @@ mod tests {
             }
             losses
         };
-        // A lost chunk whose messages are counted by two indices.
         let with_chunk = |mut losses: Losses| {
             losses.add(1000, Extent::Messages, None, "broken".to_owned());
             losses.add_to_last(3);

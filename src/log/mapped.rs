@@ -15,7 +15,6 @@ use super::LogError;
 
 pub(super) use self::place::{Temporary, advise, temporary};
 
-/// A file in memory.
 pub(super) struct MappedFile(Bytes);
 
 impl AsRef<[u8]> for MappedFile {
@@ -39,7 +38,6 @@ impl MappedFile {
         place::map(&file, metadata.len()).map(Self).map_err(io_error)
     }
 
-    /// Content supplied by the caller for `path`.
     pub(super) fn from_content(path: &Path, content: &Bytes) -> Result<Self, LogError> {
         match content.is_empty() {
             true => Err(LogError::Empty { path: path.to_owned() }),
@@ -65,6 +63,5 @@ impl MappedFile {
 pub(super) enum AccessPattern {
     /// Distant positions, without the bytes between them.
     Scattered,
-    /// The whole file, soon.
     Whole,
 }

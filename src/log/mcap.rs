@@ -1,7 +1,5 @@
-//! MCAP files, read from the first byte to the last, skipping damage.
-//!
-//! The summary is read first: it repeats schemas and channels that a damaged chunk may have lost. Messages
-//! are found by walking the records, with or without an index.
+//! MCAP files, read from the first byte to the last, skipping damage. The summary is read first: it repeats
+//! schemas and channels that a damaged chunk may have lost.
 
 mod advice;
 mod chunks;
@@ -80,16 +78,13 @@ struct Reader<'a, 'r, 'scope> {
     definitions: Definitions,
     /// Snapshot for parallel parsing, once requested.
     table: Option<Arc<DefinitionSnapshot>>,
-    /// Number of snapshots.
     tables: u32,
     /// Most of a chunk was skipped: fetch the wanted parts of the following ones separately.
     is_scattered: bool,
-    /// Messages with a verified checksum.
     covered: u64,
     /// Messages of undescribed channels: number, and offset of the first.
     orphans: Option<(u64, usize)>,
     unknown: UnknownRecords,
-    /// The previous record belongs to a lost chunk.
     in_lost_chunk: bool,
     has_chunks: bool,
     trailing_zeros_start: OnceCell<usize>,
@@ -101,7 +96,6 @@ struct Definitions {
     schemas: HashMap<u16, Arc<Schema>>,
     /// By channel id.
     channels: Vec<Option<Arc<Channel>>>,
-    /// Number of redefinitions.
     changes: u64,
 }
 
@@ -148,12 +142,12 @@ impl Channel {
     }
 }
 
-/// Information from the end of the file.
 enum Summary {
     /// The file was not closed.
     Unclosed,
-    /// With the number of messages, if counted.
-    Closed { messages: Option<u64> },
+    Closed {
+        messages: Option<u64>,
+    },
 }
 
 /// Usable content of a chunk.
@@ -163,19 +157,14 @@ enum ChunkUse {
     All,
     /// Some messages of an uncompressed chunk, between larger ones.
     Some,
-    /// Only the number of messages, from its index.
     Counts,
-    /// Not available.
     Absent,
 }
 
 /// End of the data section.
 enum DataEnd<'a> {
-    /// At the record that closes it.
     Closed(Frame<'a>),
-    /// End of the file after a complete record.
     Open,
-    /// Damage, which was recorded.
     Damaged,
 }
 

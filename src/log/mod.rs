@@ -1,8 +1,6 @@
-//! Reads log files into columns: containers, and decoding of messages by the schema in the log.
-//!
-//! A file's format is identified by its bytes, never by its name. Each container passes schemas and
-//! messages to one `Intake`. The registry in `decode` lists the types with columns; all other topics are
-//! counted.
+//! Reads log files into columns. A file's format is identified by its bytes, never by its name. Each
+//! container passes schemas and messages to one `Intake`; the registry in `decode` lists the types with
+//! columns.
 //!
 //! Intact parts of a damaged file are read. Damage becomes a [`Loss`], an undecodable topic
 //! [`Undecodable`], and a file from which nothing can be read a [`LogError`].
@@ -96,7 +94,6 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// `None` if it cannot be read.
 fn detect_file_format(path: &Path) -> Option<file_format::FileFormat> {
     let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();

@@ -48,13 +48,11 @@ impl From<SourceName> for PathBuf {
 pub const ESCAPED: &AsciiSet =
     &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'_').remove(b'-').remove(b'~');
 
-/// Whether `text` is a valid URL scheme.
 pub(super) fn is_scheme(text: &str) -> bool {
     text.len() > 1
         && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"+-.".contains(&byte))
 }
 
-/// `rest` follows `://`.
 fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     let rest = match scheme {
         // `?` is an ordinary character in object keys.
@@ -75,7 +73,6 @@ fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     }
 }
 
-/// Whether a host is followed by a port at most.
 fn has_port_at_most(authority: &str) -> bool {
     let host = authority.rsplit_once(']').map_or(authority, |(_, behind)| behind);
     let port = host.split_once(':').map_or("", |(_, port)| port);

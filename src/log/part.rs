@@ -33,17 +33,14 @@ impl ChannelSnapshot {
     }
 }
 
-/// Rows of a part, by topic.
 #[derive(Default)]
 pub(super) struct PartContent {
     pub(super) topics: Vec<(usize, TopicContent)>,
-    /// Redefinitions before the part was read.
     pub(super) changes: u64,
 }
 
 pub(super) struct PartReader<'a> {
     known: &'a ChannelSnapshot,
-    /// Index of each topic in the part.
     places: Vec<Option<usize>>,
     part: PartContent,
 }
@@ -66,7 +63,6 @@ impl PartReader<'_> {
         Some(())
     }
 
-    /// `changes`: redefinitions before the part.
     pub(super) fn finish(self, changes: u64) -> PartContent {
         PartContent { changes, ..self.part }
     }

@@ -9,9 +9,7 @@ type StepCallback = Box<dyn Fn(&Progress) + Send + Sync>;
 #[derive(Default)]
 pub struct Progress {
     total: AtomicU64,
-    /// Of finished files.
     before: AtomicU64,
-    /// Of the current file.
     here: AtomicU64,
     doing: Mutex<&'static str>,
     callback: Option<StepCallback>,

@@ -1,5 +1,5 @@
-//! Available byte ranges of a file. The temporary file of a partially fetched object has zeros between the
-//! fetched parts, so readers must check availability first.
+//! Available byte ranges of a file. A partially fetched object has zeros between the fetched parts, so
+//! readers check availability first.
 #![cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
 
 use std::ops::Range;
@@ -28,7 +28,6 @@ impl Ranges {
         Self::new(vec![whole], 0)
     }
 
-    /// Whether one of them contains all of `range`.
     pub(super) fn holds(&self, range: &Range<usize>) -> bool {
         let behind = self.0.partition_point(|kept| kept.start <= range.start);
         let last = behind.checked_sub(1).map(|index| &self.0[index]);
@@ -59,7 +58,6 @@ impl Ranges {
         self.0.iter().map(Range::len).sum()
     }
 
-    /// Pieces of at most `size` bytes.
     pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
         self.0.iter().flat_map(move |range| {
             let end = range.end;

@@ -77,7 +77,6 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     Ok(log)
 }
 
-/// Replaces folders by the files of their recordings.
 fn inputs(
     paths: &[PathBuf],
     options: &ReadOptions,
@@ -138,14 +137,12 @@ fn contained(
 struct FileReader<'a> {
     path: &'a Path,
     in_bag: bool,
-    /// The only wanted episode.
     episode: Option<&'a str>,
     options: ReadOptions,
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
     tables: &'a mut Tables,
-    /// For all tables.
     memory: &'a mut MemoryBudget,
     /// Stored size in bytes.
     size: u64,
@@ -153,7 +150,6 @@ struct FileReader<'a> {
 }
 
 impl FileReader<'_> {
-    /// Fetches the file first if it is an object.
     fn read_file(&mut self, input: &LogInput) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
@@ -208,7 +204,6 @@ impl FileReader<'_> {
         Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
     }
 
-    /// Reads the log compressed in `archive`.
     fn read_archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
         let options = &self.options;
         let (Unpacked { file, path }, end) =

@@ -1,6 +1,5 @@
-//! Logs in object storage, by URL. An object is represented by a temporary file of its size, into which
-//! bytes are fetched: the required ones of an indexed MCAP, otherwise all. Requests run in parallel and
-//! resume after a broken connection.
+//! Logs in object storage, by URL. A temporary file represents the object. Bytes are fetched into it: the
+//! required ones of an indexed MCAP, otherwise all.
 
 #[cfg(feature = "cloud")]
 mod credentials;
@@ -65,7 +64,6 @@ fn scheme(path: &Path) -> Option<(String, &str)> {
     is_scheme(scheme).then(|| (scheme.to_ascii_lowercase(), rest))
 }
 
-/// Local file of a `file` URL.
 pub(super) fn local(path: &Path) -> Option<PathBuf> {
     let (_, rest) = scheme(path).filter(|(scheme, _)| scheme == "file")?;
     let rest = rest.strip_prefix("localhost").unwrap_or(rest);
@@ -113,21 +111,18 @@ pub fn list(url: &Path) -> Result<Vec<RemoteObject>, LogError> {
     listed.map_err(|fault| LogError::Remote { url: shown, fault })
 }
 
-/// Partially or completely fetched object.
 pub(super) struct Fetched {
     pub(super) file: Unpacked,
     pub(super) present: Present,
-    /// Bytes transferred.
     pub(super) bytes: u64,
 }
 
-/// Fetches the required parts; all of them if checksums are verified.
+/// All parts if checksums are verified.
 #[cfg(feature = "cloud")]
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     fetch::fetch(address, options)
 }
 
-/// The feature is not built.
 #[cfg(not(feature = "cloud"))]
 pub(super) fn fetch(_: &Address, _: &ReadOptions) -> Result<Fetched, RemoteFault> {
     Err(RemoteFault::NotBuilt)

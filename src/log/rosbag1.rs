@@ -1,7 +1,5 @@
-//! ROS 1 bags, version 2.0, read from the first byte to the last, skipping damage.
-//!
-//! The index is read first: it repeats connections that a damaged chunk may have lost. Messages are found
-//! by walking the records, with or without an index.
+//! ROS 1 bags, version 2.0, read from the first byte to the last, skipping damage. The index is read first:
+//! it repeats connections that a damaged chunk may have lost.
 
 mod chunks;
 mod record;
@@ -66,12 +64,10 @@ struct Reader<'a, 'r, 'scope> {
     index: Index,
     /// Chunk infos read, and the messages they count.
     recorded: (u32, u64),
-    /// Messages with a verified checksum.
     covered: u64,
     /// Messages of undescribed connections: number, and offset of the first.
     orphans: Option<(u64, usize)>,
     unknown: UnknownRecords,
-    /// The previous record belongs to a lost chunk.
     in_lost_chunk: bool,
     /// The last chunk is compressed: its data contain bytes that look like records.
     in_packed: bool,
@@ -86,17 +82,17 @@ struct Sender {
     numbers: bool,
 }
 
-/// According to the bag's header.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Index {
     /// The recording was not closed.
     Missing,
-    /// Possibly truncated.
-    At { offset: usize, chunks: u32 },
+    At {
+        offset: usize,
+        chunks: u32,
+    },
 }
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Reads the connections from the index, if any.
     fn index(&mut self) {
         let Ok(header) = record::record(self.bytes, MAGIC.len()) else {
             return;
@@ -186,7 +182,6 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Reads a connection, or a message, which is added to `batch`. `place` is the chunk's, if any.
     fn content<'m>(
         &mut self,
         record: &Record<'m>,
@@ -237,7 +232,6 @@ impl<'a> Reader<'a, '_, '_> {
         Some((channel, message))
     }
 
-    /// Returns whether the connection is well formed.
     fn connection(&mut self, record: &Record<'_>) -> bool {
         let Some(connection) = Connection::of(record) else {
             return false;
@@ -299,7 +293,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Offset at which to continue after the `broken` record.
     fn next_record(&self, from: usize, broken: Broken<'_>) -> Option<usize> {
         let chunk = match broken {
             Broken::Cut { op: op::CHUNK, header, length, data } => {

@@ -36,16 +36,13 @@ pub(super) const JOINTS: [&str; 6] = [
 /// Controller time, s.
 const TIMESTAMP: &str = "timestamp";
 
-/// Of the first line.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
 /// RTDE has a few hundred fields.
 const MAX_LINE_BYTES: usize = 1 << 20;
 
-/// Names listed per table.
 const MAX_LISTED: usize = 1000;
 
-/// Meaning of a vector.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Meaning {
     /// With the name of their velocity vector.
@@ -80,7 +77,6 @@ static VECTORS: [Vector; 8] = [
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FirstLine {
-    /// Column names, including RTDE's and the time.
     Names,
     Other,
 }
@@ -98,7 +94,6 @@ pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     }
 }
 
-/// Without byte order mark.
 fn header_line(bytes: &[u8]) -> &[u8] {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
@@ -116,7 +111,6 @@ pub(super) fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
     line.split(move |&byte| byte == delimiter).map(bare)
 }
 
-/// Without whitespace and quotes.
 fn bare(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
@@ -140,7 +134,6 @@ pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
 /// Bytes of a table up to an overlong line, which would take unlimited memory.
 struct Lines<'a> {
     rest: &'a [u8],
-    /// Bytes since the last line end.
     line: usize,
 }
 
@@ -171,7 +164,6 @@ struct Samples {
     values: Vec<f64>,
 }
 
-/// Destinations of a table's columns.
 struct Layout {
     columns: usize,
     timestamp: usize,
@@ -295,7 +287,6 @@ impl Recording {
         Some(layout)
     }
 
-    /// Appends the row last parsed by `table`.
     fn take(&mut self, table: &Table, stamp: i64, offset: u64, intake: &mut Intake) {
         let time = u64::try_from(stamp).unwrap_or(0);
         let message = Message {
@@ -349,7 +340,6 @@ struct Table {
 }
 
 enum Malformed {
-    /// The incomplete last row.
     Cut,
     Row(String),
 }
@@ -416,7 +406,6 @@ impl Table {
 const MAX_TIMESTAMP_S: f64 = 9e9;
 
 impl Samples {
-    /// With velocities of the same stamps.
     fn joints(&self, velocities: Option<&Samples>) -> JointColumns {
         let by_stamp: HashMap<i64, &[f64]> = velocities
             .into_iter()
@@ -452,7 +441,6 @@ impl Samples {
     }
 }
 
-/// NaN if unusable.
 fn finite(value: f64) -> f64 {
     if is_usable(value) { value } else { f64::NAN }
 }

@@ -72,7 +72,6 @@ fn message(type_name: &str, schema: &[u8], data: &[u8]) -> Vec<u8> {
     seed
 }
 
-/// Target and bytes.
 fn all() -> Vec<(&'static str, Vec<u8>)> {
     let zstd = |bytes: &[u8]| zstd::bulk::compress(bytes, 1).unwrap();
     let idl = "module geometry_msgs { module msg { struct PoseStamped { \
@@ -138,7 +137,6 @@ fn tables() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// Rewrites the seeds.
 const WRITE: &str = "POSEAUDIT_WRITE_SEEDS";
 
 #[test]

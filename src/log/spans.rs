@@ -1,6 +1,5 @@
 use ground::time::Stamp;
 
-/// First and last log time.
 pub(super) type Span = (Stamp, Stamp);
 
 /// Pairs of files (earlier start first) that overlap by more than a second, or more than half of the

@@ -1,5 +1,3 @@
-//! Writers for tests: CDR messages, MCAP files, ROS 1 bags and rosbag2 databases.
-
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read, Write};
 use std::path::Path;
@@ -10,7 +8,6 @@ use mcap::{Compression, WriteOptions, Writer};
 const SEPARATOR: &str =
     "================================================================================";
 
-/// Appends `std_msgs/Header` and its nested types.
 macro_rules! with_header {
     ($definition:literal) => {
         concat!(
@@ -167,7 +164,6 @@ impl Default for LogWriter {
 }
 
 impl LogWriter {
-    /// With small chunks.
     pub(super) fn new(compression: Option<Compression>) -> Self {
         Self::with(WriteOptions::new().compression(compression).chunk_size(Some(1024)))
     }
@@ -268,7 +264,6 @@ impl BagWriter {
         (u64::from(rest) << 32 | u64::from(seconds)).to_le_bytes()
     }
 
-    /// Returns the connection's number.
     pub(super) fn connection(&mut self, topic: &str, type_name: &str, definition: &str) -> u32 {
         let id = self.connections.len() as u32;
         let of_sender = Self::header(&[
@@ -325,7 +320,6 @@ impl BagWriter {
         ]
     }
 
-    /// Returns the chunk's offset.
     pub(super) fn end_chunk(&mut self) -> usize {
         let place = self.bytes.len();
         let header = self.chunk_header(self.chunk.len() as u32);
@@ -426,7 +420,6 @@ impl DatabaseWriter {
         &self.0
     }
 
-    /// With its definition if the schema version supports it.
     pub(super) fn poses(&self, id: i64, topic: &str) {
         let type_name = "geometry_msgs/msg/PoseStamped";
         let columns = "id, name, type, serialization_format";

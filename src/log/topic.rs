@@ -1,5 +1,3 @@
-//! One topic while its messages are read.
-
 use std::collections::HashSet;
 use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -24,7 +22,6 @@ pub(super) struct Message<'a> {
     /// From the sender or recorder; 0 if there is none.
     pub(super) sequence: u32,
     pub(super) data: &'a [u8],
-    /// Of the message or its chunk.
     pub(super) place: MessagePlace,
     /// Latched: repeated for late subscribers, and by recorders at the start of every file.
     pub(super) latched: bool,
@@ -32,9 +29,7 @@ pub(super) struct Message<'a> {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum MessagePlace {
-    /// Byte offset.
     Byte(u64),
-    /// Row of a table.
     Row(i64),
 }
 
@@ -53,7 +48,6 @@ pub(super) struct ChannelDecoder {
     row: Option<Box<Row>>,
     /// Messages may be zstd frames: CDR never starts like one.
     may_be_packed: bool,
-    /// Hashes of the latched messages read.
     latched: HashSet<u64>,
 }
 
@@ -72,17 +66,14 @@ pub(super) struct TopicIntake {
     pub(super) type_name: String,
     pub(super) encoding: String,
     pub(super) content: TopicContent,
-    /// Not decoded from messages.
     pub(super) columns: Option<Columns>,
-    /// Interpretation of its columns.
     pub(super) read_as: Option<String>,
-    /// Table cells, if any.
     pub(super) cells: Vec<TableCell>,
-    /// Messages in a batch: index of channel and message.
+    /// Index of channel and message.
     pub(super) waiting: Vec<(usize, usize)>,
 }
 
-/// Over all files or one chunk.
+/// Of all files or one chunk.
 #[derive(Default)]
 pub(super) struct TopicContent {
     pub(super) channels: Vec<ChannelDecoder>,
@@ -93,7 +84,6 @@ pub(super) struct TopicContent {
     pub(super) spans: Vec<(usize, Span)>,
 }
 
-/// For reading messages into separate columns.
 pub(super) struct TopicTemplate {
     channels: Vec<(Arc<Decoding>, bool)>,
     builder: Option<Builder>,
@@ -173,7 +163,6 @@ impl TopicContent {
         }
     }
 
-    /// Extends the span of file number `file` to `at`.
     pub(super) fn record_span(&mut self, file: usize, at: Stamp) {
         match self.spans.last_mut() {
             Some((last, (first_at, last_at))) if *last == file => {
@@ -186,7 +175,7 @@ impl TopicContent {
 }
 
 impl TopicIntake {
-    /// Cannot read more.
+    /// Further messages cannot be added to the copy.
     pub(super) fn snapshot(&self) -> Self {
         Self {
             name: self.name.clone(),
@@ -206,7 +195,7 @@ impl TopicIntake {
         }
     }
 
-    /// The topic, plus one per additional part of its messages.
+    /// One topic per part of its messages.
     pub(super) fn finish(self) -> Vec<Topic> {
         let TopicContent { messages, builder, mut undecodable, spans, .. } = self.content;
         let span = spans.into_iter().map(|(_, span)| span).reduce(join);
@@ -227,7 +216,7 @@ impl TopicIntake {
             encoding: self.encoding.clone(),
             messages,
             columns,
-            // Reported once.
+            // Reported once per message.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             unusable: useless.clone(),
             read_as: self.read_as.clone(),
@@ -243,7 +232,6 @@ impl ChannelDecoder {
         Self { decoding, row: None, may_be_packed, latched: HashSet::new() }
     }
 
-    /// A zstd frame, decompressed before decoding.
     pub(super) fn is_packed(&self, data: &[u8]) -> bool {
         let is_decoded = matches!(*self.decoding, Decoding::By(_));
         is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)

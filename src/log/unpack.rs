@@ -68,7 +68,6 @@ pub(super) struct Packed<'a> {
 }
 
 impl<'a> Packed<'a> {
-    /// In `buffer` if the chunk is compressed.
     fn content<'b>(&self, buffer: &'b [u8]) -> &'b [u8]
     where
         'a: 'b,
@@ -102,7 +101,6 @@ impl<'a> Packed<'a> {
     }
 }
 
-/// Decompression limit of one file.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Allowance {
     limit: u64,
@@ -110,13 +108,11 @@ pub(super) struct Allowance {
 }
 
 impl Allowance {
-    /// Regardless of file size.
     const BASE: u64 = 16 << 30;
     /// Per byte of the file. Black images reach 1400. Chunks do not stay in memory, so this only bounds
     /// time.
     const RATIO: u64 = 2000;
 
-    /// At least the requested GiB.
     pub(super) fn of(bytes: u64, asked_gib: Option<u32>) -> Self {
         let unasked = bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE);
         Self { limit: unasked.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
@@ -159,14 +155,13 @@ impl Allowance {
 
 const CHUNK: &str = "chunk";
 
-/// Decompressed into a separate buffer.
 pub(super) struct UnpackedChunk {
     pub(super) buffer: Vec<u8>,
     outcome: Result<(), UnpackError>,
 }
 
 impl UnpackedChunk {
-    /// Content of `packed`. Charges the allowance.
+    /// Charges the allowance.
     pub(super) fn content<'a>(
         &'a mut self,
         packed: &Packed<'a>,
@@ -178,13 +173,12 @@ impl UnpackedChunk {
         Ok(packed.content(&self.buffer))
     }
 
-    /// Without charging. `None` if there is an error.
+    /// Does not charge. `None` if there is an error.
     pub(super) fn if_sound<'a>(&'a self, packed: &Packed<'a>) -> Option<&'a [u8]> {
         self.outcome.is_ok().then(|| packed.content(&self.buffer))
     }
 }
 
-/// Decompresses parts of a file into the same buffer.
 #[derive(Default)]
 pub(super) struct Unpacker {
     zstd: zstd::bulk::Decompressor<'static>,
@@ -204,7 +198,7 @@ impl Unpacker {
         Ok(packed.content(&self.buffer))
     }
 
-    /// In a separate buffer. The cost is charged when it is read.
+    /// The cost is charged when the chunk is read.
     pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> UnpackedChunk {
         self.buffer = buffer;
         let outcome = self.fill(packed);
@@ -265,7 +259,6 @@ impl Unpacker {
         buffer
     }
 
-    /// Content of a message that is a zstd frame.
     pub(super) fn message(
         &mut self,
         frame: &[u8],
@@ -299,7 +292,6 @@ pub(super) struct Unpacked {
 }
 
 impl Unpacked {
-    /// For content that starts with `head`.
     pub(super) fn of(head: &[u8]) -> io::Result<Self> {
         // SQLite cannot open files in memory either.
         #[cfg(not(target_arch = "wasm32"))]
@@ -362,7 +354,7 @@ pub(super) fn file(
     Ok((unpacked, end))
 }
 
-/// Reads until `buffer` is full or the input ends. Returns the length and why it stopped early.
+/// Returns the length and why it stopped early.
 fn fill(stream: &mut impl Read, buffer: &mut [u8]) -> (usize, io::Result<()>) {
     let mut length = 0;
     while length < buffer.len() {

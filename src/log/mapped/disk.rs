@@ -1,4 +1,3 @@
-//! Memory-mapped files.
 #![allow(unsafe_code, reason = "files are mapped")]
 
 use std::fs::File;
@@ -32,7 +31,6 @@ pub(super) fn map(file: &File, bytes: u64) -> io::Result<Bytes> {
 fn worth_reading(file: &File, bytes: u64) -> usize {
     use std::os::fd::AsRawFd;
     const ZEROS: u64 = 1 << 20;
-    /// Holes examined.
     const MOST: usize = 1000;
     let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
     // SAFETY: the call only moves the offset of the file, which is not used for reading.

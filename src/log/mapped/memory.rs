@@ -17,10 +17,8 @@ pub(super) fn kept(memory: &Temporary) -> io::Result<Bytes> {
     Ok(Bytes::copy_from_slice(memory.get_ref()))
 }
 
-/// Not supported here.
 pub(super) fn map(_: &File, _: u64) -> io::Result<Bytes> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Memory needs no advice.
 pub(crate) fn advise(_: &[u8], _: super::AccessPattern) {}

@@ -25,7 +25,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Parts of a chunk with useful messages. `None` unless unused messages make up most of its bytes.
+    /// `None` unless unused messages make up most of the chunk's bytes.
     fn useful_parts(&self, chunk: &Frame<'a>, records: &'a [u8]) -> Option<Vec<&'a [u8]>> {
         if self.options.verify || !self.has_ignored_channels() {
             return None;
@@ -74,7 +74,6 @@ mod tests {
     use crate::ranges::Present;
     use crate::testing::{self, Cdr, LogWriter};
 
-    /// An image of `image` bytes after every tenth pose.
     fn log(image: usize) -> Vec<u8> {
         let mut log = LogWriter::with(WriteOptions::new().compression(None));
         let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -88,7 +87,6 @@ mod tests {
         log.finish()
     }
 
-    /// Requested parts of the only chunk, and its size in bytes.
     fn wanted(bytes: &[u8]) -> (Option<Vec<(usize, usize)>>, usize) {
         let (mut losses, mut intake) = (Losses::new(Path::new("run.mcap")), Intake::default());
         let options = ReadOptions::default();

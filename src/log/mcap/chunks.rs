@@ -1,5 +1,3 @@
-//! Chunks: parallel decompression and reading of records.
-
 use mcap::records::op;
 
 use super::record::{self, Frame};
@@ -9,7 +7,6 @@ use crate::chunk_pool::{self, ChunkResult};
 use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Submits further chunks for decompression.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -156,7 +153,6 @@ impl<'a> Reader<'a, '_, '_> {
         is_sound
     }
 
-    /// Counts messages without decompressing the chunk.
     pub(super) fn count(&mut self, chunk: &Frame<'a>) {
         for index in self.indexes_after(chunk) {
             if let Some((id, span)) =

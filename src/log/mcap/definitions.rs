@@ -1,5 +1,3 @@
-//! Schemas, channels, attachments and metadata.
-
 use std::sync::Arc;
 
 use mcap::records::op;
@@ -9,7 +7,7 @@ use super::{Channel, Reader, Schema};
 use crate::decode::{Format, excerpt};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Stores a schema or a channel. `None` if it is malformed.
+    /// `None` if it is malformed.
     pub(super) fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
         match frame.opcode {
             op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),

@@ -23,7 +23,6 @@ pub(crate) fn whole_records(bytes: &[u8]) -> (usize, bool) {
     (end, false)
 }
 
-/// Definitions of a file that is read while it is written.
 #[derive(Default)]
 pub(crate) struct GrowingFile {
     definitions: Definitions,

@@ -14,7 +14,6 @@ pub(super) const FRAME_HEADER: usize = 9;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame<'a> {
     pub(super) offset: usize,
-    /// One of [`op`].
     pub(super) opcode: u8,
     pub(super) body: &'a [u8],
 }
@@ -117,17 +116,14 @@ pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
     bytes[..end].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)
 }
 
-/// Longest plausible compression name.
 const MAX_COMPRESSION_NAME: u32 = 16;
 
 /// Without compression name and data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
-/// Maximum size of a chunk's record before its data.
 #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "local files are complete"))]
 pub(super) const CHUNK_HEAD: usize = FRAME_HEADER + CHUNK_HEADER + MAX_COMPRESSION_NAME as usize;
 
-/// Size of a message's record before its data.
 pub(super) const MESSAGE_HEAD: usize = FRAME_HEADER + 2 + 4 + 8 + 8;
 
 #[derive(Clone, Copy, Debug)]
@@ -210,7 +206,7 @@ pub(super) struct Chunk<'a> {
     pub(super) compression: &'a str,
     /// Declared length of `data`.
     compressed_size: u64,
-    /// Compressed records, possibly truncated.
+    /// Possibly truncated.
     pub(super) data: &'a [u8],
 }
 
@@ -245,7 +241,6 @@ impl<'a> Chunk<'a> {
         Some(Packed { compression, data: self.data, size: self.size, crc: self.crc })
     }
 
-    /// Decompresses the leading records of a truncated chunk.
     pub(super) fn cut_records<'b>(
         &'b self,
         unpacker: &'b mut Unpacker,
@@ -279,7 +274,6 @@ impl<'a> MessageIndex<'a> {
         self.entries.len() as u64
     }
 
-    /// Offset of each message in the chunk's records.
     pub(super) fn offsets(&self) -> impl Iterator<Item = u64> + use<'a> {
         self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
     }
@@ -315,7 +309,6 @@ impl<'a> Attachment<'a> {
     }
 }
 
-/// Name and key-value pairs.
 pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str, &str)>)> {
     let mut fields = Fields(body);
     let name = fields.text()?;
@@ -324,7 +317,6 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str,
     Some((name, std::iter::from_fn(move || pairs.text().zip(pairs.text()))))
 }
 
-/// Range of a chunk according to the summary.
 #[cfg(feature = "cloud")]
 pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     let mut fields = Fields(body);

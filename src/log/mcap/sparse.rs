@@ -18,7 +18,6 @@ impl<'a> Reader<'a, '_, '_> {
         is_there
     }
 
-    /// Needed records of a partially present chunk.
     pub(super) fn parts_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
         let is_open =
             packed.compression == Compression::None && packed.data.len() as u64 == packed.size;
@@ -31,7 +30,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Range of `part` in the file.
     pub(super) fn place(&self, part: &[u8]) -> Range<usize> {
         let start = part.as_ptr().addr() - self.bytes.as_ptr().addr();
         start..start + part.len()

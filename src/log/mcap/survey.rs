@@ -23,9 +23,7 @@ use crate::unpack::Compression;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Survey {
     Nothing,
-    /// At least these.
     Parts(Vec<Range<usize>>),
-    /// No index, or the file does not match it.
     Rest,
 }
 
@@ -65,7 +63,6 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(if self.present.holds(&summary) { Vec::new() } else { vec![summary] })
     }
 
-    /// Start of the summary according to the footer.
     fn summary_start(&self) -> Option<usize> {
         let content = self.bytes.strip_suffix(MAGIC)?;
         let frame = record::frame(content, content.len() - record::Footer::SIZE).ok()?;
@@ -73,7 +70,6 @@ impl<'a> Reader<'a, '_, '_> {
         usize::try_from(footer??.summary_start).ok()
     }
 
-    /// Missing ranges before the summary, which is present.
     fn missing(&mut self) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let start = self.summary_start().ok_or(IndexMismatch)?;
         let Summary::Closed { messages: recorded } = self.summary() else {
@@ -94,7 +90,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Ranges outside the chunks, up to the summary at `end`.
     fn outside_of_chunks(&self, end: usize) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let records = record::frames(self.bytes, end).map_while(Result::ok);
         let indexes = records.filter(|frame| frame.opcode == op::CHUNK_INDEX);
@@ -136,7 +131,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// The record at `offset`, if its length is present.
     fn present_frame(&self, offset: usize) -> Result<Frame<'a>, IndexMismatch> {
         if !self.present.holds(&(offset..offset + FRAME_HEADER)) {
             return Err(IndexMismatch);
@@ -144,7 +138,6 @@ impl<'a> Reader<'a, '_, '_> {
         record::frame(self.bytes, offset).map_err(|_| IndexMismatch)
     }
 
-    /// Ranges of the chunk `frame` that the reader needs.
     fn missing_in_chunk(&self, frame: &Frame<'a>) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let head = frame.offset..frame.end().min(frame.offset + record::CHUNK_HEAD);
         if !self.present.holds(&head) {

@@ -15,7 +15,6 @@ use ground::time::{Clock, Stamp};
 
 const MESSAGES: u64 = 100;
 
-/// Poses at log times 0, 1, 2, ….
 pub(super) fn poses(mut log: LogWriter) -> Vec<u8> {
     let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
     for time in 0..MESSAGES {
@@ -60,7 +59,6 @@ fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
     log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
 }
 
-/// Offsets in a valid file.
 fn records(bytes: &[u8], opcode: u8) -> Vec<usize> {
     let frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
     frames.filter(|frame| frame.opcode == opcode).map(|frame| frame.offset).collect()
@@ -130,7 +128,6 @@ fn images_are_counted_and_passed_over() {
 fn a_damaged_image_is_found_where_all_is_checked() {
     for compression in [None, Some(Compression::Zstd)] {
         let mut bytes = with_images(compression);
-        // A chunk with only one image.
         let images = chunks(&bytes).into_iter().find(|&chunk| {
             let behind = record::frame(&bytes, record::frame(&bytes, chunk).unwrap().end());
             let index = record::MessageIndex::parse(behind.unwrap().body);
@@ -297,7 +294,6 @@ fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
     let whole = poses(LogWriter::default());
     let mut file = tempfile::NamedTempFile::new().unwrap();
     io::Write::write_all(&mut file, &whole[..chunks(&whole)[1]]).unwrap();
-    // Sparse: needs no disk space.
     file.as_file().set_len(4 << 30).unwrap();
     let start = Instant::now();
     let mapped = MappedFile::open(file.path()).unwrap();

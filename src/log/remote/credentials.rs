@@ -10,7 +10,6 @@ use object_store::gcp::GoogleConfigKey as Google;
 /// Permits the metadata service.
 const METADATA_SERVICE: &str = "POSEAUDIT_METADATA_SERVICE";
 
-/// Relative to the home folder.
 const GCLOUD: &str = ".config/gcloud/application_default_credentials.json";
 
 pub(super) fn has_s3_credentials(value: impl Fn(S3) -> Option<String>) -> bool {

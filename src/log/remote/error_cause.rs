@@ -4,7 +4,7 @@ use object_store::client::{HttpError, HttpErrorKind};
 
 use super::fault::{RemoteFault, Store};
 
-/// Maximum length of a server's answer in a message, characters.
+/// In characters.
 const MAX_ANSWER_CHARS: usize = 200;
 
 pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteFault {
@@ -54,7 +54,6 @@ fn transport_error(error: &object_store::Error) -> Option<HttpErrorKind> {
     causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
 }
 
-/// Status of the answer, with the store's error code if any.
 fn describe_response(said: &str) -> Option<String> {
     let status = status(said)?;
     let between = |tag: &str| {
@@ -68,7 +67,6 @@ fn describe_response(said: &str) -> Option<String> {
     })
 }
 
-/// For example `403 Forbidden`.
 fn status(said: &str) -> Option<&str> {
     let (_, rest) = said.split_once("non-2xx status code: ")?;
     rest.split(':').next().map(str::trim)

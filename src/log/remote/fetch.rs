@@ -74,7 +74,6 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched,
     runtime()?.block_on(patience.watch(&came, work))
 }
 
-/// Runs on the current thread.
 pub(super) fn runtime() -> Result<Runtime, RemoteFault> {
     Builder::new_current_thread().enable_all().build().map_err(disk_error)
 }
@@ -152,16 +151,13 @@ async fn fetch_whole(
 
 struct Object {
     source: Source,
-    /// Of the first answer.
     e_tag: Option<String>,
     size: usize,
     kind: FileFormat,
     file: Unpacked,
-    /// Ranges in the file.
     present: Ranges,
     /// Including repeated ones.
     fetched: Cell<usize>,
-    /// Bytes planned so far.
     planned: usize,
     progress: Option<Arc<Progress>>,
 }
@@ -202,7 +198,7 @@ impl Object {
         Fetched { file: self.file, present, bytes: self.fetched.get() as u64 }
     }
 
-    /// Downloads what the MCAP reader needs; all if there is no index.
+    /// All if there is no index.
     async fn fetch_needed(&mut self) -> Result<(), RemoteFault> {
         let tail = self.size.saturating_sub(TAIL_BYTES)..self.size;
         self.fetch(Ranges::new(vec![tail], MAX_GAP_BYTES)).await?;
@@ -264,7 +260,6 @@ impl Object {
     }
 }
 
-/// All of an object without a range.
 async fn send_request(
     source: &Source,
     range: Option<Range<usize>>,
@@ -279,7 +274,6 @@ pub(super) async fn with_timeout<T>(answer: impl Future<Output = T>) -> Result<T
     timeout(ANSWER_TIMEOUT, answer).await.map_err(silent)
 }
 
-/// Writes the parts of an answer; `at` is the current offset.
 async fn read(
     answer: GetResult,
     source: &Source,

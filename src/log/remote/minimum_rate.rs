@@ -12,7 +12,7 @@ use super::fault::RemoteFault;
 /// In bytes per second.
 const RATE: &str = "POSEAUDIT_LEAST_RATE";
 
-/// Averaging time, s.
+/// In seconds.
 const SECONDS: &str = "POSEAUDIT_PATIENCE";
 
 /// Averaged over all requests of a download.

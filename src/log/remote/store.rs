@@ -25,17 +25,13 @@ const CONNECT: Duration = Duration::from_secs(5);
 /// After a server error or without an answer.
 const RETRIES: usize = 5;
 
-/// For all retries of a request.
 const RETRIES_END: Duration = Duration::from_secs(30);
 
-/// An object and the client of its store.
 pub(super) struct Source {
     pub(super) client: Arc<dyn ObjectStore>,
     pub(super) key: Key,
     pub(super) store: Store,
-    /// URL up to the key.
     pub(super) root: String,
-    /// Bytes received, for the minimum rate.
     pub(super) came: Rc<Cell<usize>>,
 }
 

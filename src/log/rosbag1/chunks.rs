@@ -1,5 +1,3 @@
-//! Chunks: parallel decompression and reading of records.
-
 use super::Reader;
 use super::record::{self, Chunk, MessageIndex, Record, op};
 use crate::Extent;
@@ -8,7 +6,6 @@ use crate::decode::excerpt;
 use crate::unpack::{Compression, UnpackError, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Submits further chunks for decompression.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(chunk_pool::MAX_LOOKAHEAD_BYTES);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -32,7 +29,6 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Connections in a chunk with their message indexes.
     pub(super) fn indexed(
         &self,
         chunk: &Record<'a>,
@@ -56,7 +52,6 @@ impl<'a> Reader<'a, '_, '_> {
         !self.options.verify && has_index && indexed.all(is_ignored)
     }
 
-    /// Counts messages without decompressing the chunk.
     pub(super) fn count(&mut self, chunk: &Record<'a>) {
         for (id, index) in self.indexed(chunk) {
             let channel = self.connections.get(&id).and_then(|sender| sender.channel);
@@ -153,7 +148,6 @@ impl<'a> Reader<'a, '_, '_> {
         true
     }
 
-    /// Records a chunk of a wrong size with `read` readable messages.
     pub(super) fn misstated_chunk(&mut self, offset: usize, error: &UnpackError, read: u64) {
         let (extent, messages) = match error {
             UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),

@@ -20,11 +20,9 @@ const MAX_HEADER_BYTES: usize = 1 << 14;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record<'a> {
     pub(super) offset: usize,
-    /// One of [`op`].
     pub(super) op: u8,
     pub(super) header: Header<'a>,
     pub(super) data: &'a [u8],
-    /// Offset of the next record.
     pub(super) end: usize,
 }
 
@@ -32,7 +30,6 @@ pub(super) struct Record<'a> {
 pub(super) enum Broken<'a> {
     #[error("{left} bytes, too few for a record")]
     Stub { left: usize },
-    /// Not a header of named fields with an `op`.
     #[error("something else")]
     NoHeader,
     #[error("a record (op {op:#04x}) of {length} bytes, only {} of them in the file", data.len())]

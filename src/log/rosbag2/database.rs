@@ -205,13 +205,9 @@ struct Reader<'a> {
     losses: &'a mut Losses,
     /// By topic number; `None` if there are too many channels.
     topics: HashMap<i64, Option<ChannelId>>,
-    /// Size of the messages read, bytes.
     bytes: usize,
-    /// Messages of unlisted topics.
     orphans: u64,
-    /// Messages with a negative time.
     before_1970: u64,
-    /// Rows out of order.
     strays: usize,
     /// Of these, since the last row in order.
     strays_here: u64,
@@ -257,7 +253,6 @@ impl Reader<'_> {
         }
     }
 
-    /// Passes rows to `take`; records read errors.
     fn rows(&mut self, query: &str, mut take: impl FnMut(&Row<'_>) -> rusqlite::Result<()>) {
         let read = self.database.prepare(query).and_then(|mut statement| {
             let mut rows = statement.query([])?;
@@ -274,7 +269,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads messages in the order of recording, skipping damage.
+    /// In the order of recording, skipping damage.
     fn messages(&mut self, intake: &mut Intake) {
         let mut from = self.first_row();
         let mut breaks = 0;
@@ -340,7 +335,6 @@ impl Reader<'_> {
         first.ok().flatten().map_or(1, |first| first.min(1))
     }
 
-    /// Reads messages from row `from` on, and advances `from`.
     fn messages_from(
         &mut self,
         from: &mut i64,
@@ -385,7 +379,6 @@ impl Reader<'_> {
     /// SQL expression for message content: empty for unused topics, so the pages of large messages are not
     /// read.
     fn content(&self, intake: &Intake) -> String {
-        /// Topics in the list.
         const MANY: usize = 1000;
         let is_used =
             |channel: &Option<ChannelId>| channel.is_some_and(|channel| !intake.ignores(channel));
@@ -455,7 +448,6 @@ impl Reader<'_> {
     }
 }
 
-/// Empty if the column has no text.
 fn text(row: &Row<'_>, column: usize) -> rusqlite::Result<String> {
     Ok(match row.get_ref(column)? {
         ValueRef::Text(text) | ValueRef::Blob(text) => String::from_utf8_lossy(text).into_owned(),

@@ -39,7 +39,6 @@ fn mcap(path: &Path, first: u32, count: u32) {
     fs::write(path, log.finish()).unwrap();
 }
 
-/// Lists files and their numbers of messages.
 fn metadata(folder: &Path, files: &[(&str, u64)]) {
     let mut text = "rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: sqlite3\n  \
                     custom_data: ~\n  relative_file_paths:\n"
@@ -209,7 +208,6 @@ fn a_cut_database_is_read_up_to_where_it_ends() {
     assert_eq!(cut.extent, Extent::Messages);
 }
 
-/// Offsets of a table page's cells in the file.
 fn cells(bytes: &[u8], page: usize, header: usize) -> Vec<usize> {
     let two = |at: usize| usize::from(bytes[at]) << 8 | usize::from(bytes[at + 1]);
     let page = page * 1024;

@@ -44,7 +44,6 @@ fn topic<'l>(log: &'l Log, name: &str) -> Option<&'l Topic> {
     log.topics.iter().find(|topic| topic.name == name)
 }
 
-/// Poses and a camera with nineteen times their bytes, in the same chunks.
 fn mixed(compression: Option<Compression>) -> Vec<u8> {
     let mut log =
         LogWriter::with(WriteOptions::new().compression(compression).chunk_size(Some(100_000)));
@@ -52,7 +51,6 @@ fn mixed(compression: Option<Compression>) -> Vec<u8> {
     for time in 0..400 {
         let message = Cdr::pose_stamped(0, time as u32, "base", [time as f64, 0.5, 0.25]);
         log.message(pose, time, &message);
-        // Channels without messages.
         if time % 100 == 50 {
             log.channel(&format!("/late/{time}"), "std_msgs/msg/String", "string data\n");
         }
