@@ -8,17 +8,16 @@ use super::file::File;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::nearest;
 
-/// Maximum size of a config in bytes; the parser needs up to 2000 times as much memory.
+/// In bytes; the parser needs up to 2000 times as much memory.
 const MOST_BYTES: usize = 256 << 10;
-/// Maximum number of config characters repeated in a message.
+/// Characters of the config repeated in a message.
 const MOST_SHOWN: usize = 200;
 
-/// Reads the file at `path`.
 pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
     let place = path.display().to_string();
     let mut text = String::new();
     let read = Opened::open(path).and_then(|file| {
-        // One more byte, to detect a file that is too large.
+        // One byte more shows that the file is too large.
         file.take(MOST_BYTES as u64 + 1).read_to_string(&mut text)
     });
     read.map(|_| text).map_err(|error| {
@@ -27,7 +26,6 @@ pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
     })
 }
 
-/// Parses the text.
 pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
     if text.len() > MOST_BYTES {
         let what = format!("larger than the maximum of {MOST_BYTES} bytes");
@@ -40,7 +38,6 @@ pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
     })
 }
 
-/// Trouble with the config.
 pub(super) fn refused(place: String, what: String, remedy: &str) -> Trouble {
     Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }

@@ -11,11 +11,9 @@ use super::quantity::Quantity;
 use crate::checks::{self, Grade, Limit, Rule, Settings, Threshold};
 use crate::finding::{Severity, Unit};
 
-/// Settings of all rules.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rules(Vec<RuleTable>);
 
-/// Settings of one rule.
 #[derive(Clone, Debug)]
 struct RuleTable {
     rule: &'static Rule,
@@ -25,7 +23,6 @@ struct RuleTable {
 }
 
 impl Rules {
-    /// Applies them to the settings of an audit.
     pub fn apply(&self, settings: &mut Settings) {
         for table in &self.0 {
             for threshold in &table.thresholds {
@@ -61,7 +58,6 @@ impl<'de> Deserialize<'de> for Rules {
     }
 }
 
-/// A rule's code as a key.
 #[derive(Deserialize)]
 #[serde(try_from = "String")]
 struct Code(&'static Rule);
@@ -74,7 +70,6 @@ impl TryFrom<String> for Code {
     }
 }
 
-/// A key of a rule's table.
 enum Key {
     Threshold(Level),
     Severity,
@@ -87,7 +82,6 @@ enum Level {
     Error,
 }
 
-/// Keys in the table of a rule.
 fn keys(rule: &Rule) -> Vec<&'static str> {
     let thresholds: &[&str] = match rule.grade {
         Grade::From(_) => &["warning", "error"],
@@ -121,7 +115,6 @@ impl<'de> DeserializeSeed<'de> for KeyOf {
     }
 }
 
-/// The table of a rule.
 struct Table(&'static Rule);
 
 impl<'de> DeserializeSeed<'de> for Table {
@@ -187,7 +180,7 @@ impl RuleTable {
     }
 }
 
-/// Values of the thresholds, one per unit.
+/// One value per unit.
 struct AmountsOf(&'static Rule);
 
 #[derive(Deserialize)]
@@ -212,7 +205,6 @@ impl<'de> DeserializeSeed<'de> for AmountsOf {
     }
 }
 
-/// Value of a limit.
 struct LimitOf(&'static Limit);
 
 impl<'de> DeserializeSeed<'de> for LimitOf {
@@ -223,7 +215,6 @@ impl<'de> DeserializeSeed<'de> for LimitOf {
     }
 }
 
-/// A severity by its name.
 #[derive(Deserialize)]
 #[serde(from = "SeverityWord")]
 struct SeverityName(Severity);

@@ -10,6 +10,7 @@ const MAX_LOSSES: usize = 100;
 pub(super) struct Losses {
     file: PathBuf,
     list: Vec<Loss>,
+    /// Messages lost by the damage merged with the last entry; `None` if the list is not full.
     before_last: Option<Option<u64>>,
     last: Option<u64>,
 }

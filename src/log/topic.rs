@@ -216,7 +216,7 @@ impl TopicIntake {
             encoding: self.encoding.clone(),
             messages,
             columns,
-            // Reported once per message.
+            // A message counts once, not once per part.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             unusable: useless.clone(),
             read_as: self.read_as.clone(),
