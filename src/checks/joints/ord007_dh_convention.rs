@@ -12,17 +12,18 @@ rule! {
     /// ## What it means
     /// The table's rows a, d, α, θ are not in the declared convention but in the other: standard (Denavit
     /// and Hartenberg, Spong; a row rotates about z first) or modified (Craig; about x first, with a and α
-    /// of the previous row). The same numbers describe a different arm under each.
+    /// of the previous row).
     ///
     /// ## Why it matters
     /// FK is wrong everywhere by decimetres, but looks plausible with all joints at zero. All other rules
     /// use the convention that fits.
     ///
     /// ## Evidence
-    /// For each stream, `streams` has the residual beyond its noise, after correcting all causes:
+    /// `streams` has each stream's residuals beyond the noise, after correcting all causes; null if it
+    /// cannot be interpreted:
     ///
-    /// - `declared_m`, `declared_rad`: under the declared convention.
-    /// - `other_m`, `other_rad`: under the other; null if the stream cannot be interpreted.
+    /// - `declared_m`, `declared_rad`: under the declared convention; `other_m`, `other_rad`: under the
+    ///   other.
     /// - `declared_positions_m`: distance of its positions from the arm as declared.
     ///
     /// `declared_faults` and `other_faults` count the causes needed. The rule fires only if a stream's
@@ -33,8 +34,8 @@ rule! {
     /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes the corrected table.
     ///
     /// ## When it misleads
-    /// If all axes are parallel and all links equally long, the conventions differ by constant frames, and
-    /// the rule is inconclusive. The table of a different arm fits neither.
+    /// If all axes are parallel and all links equally long, the conventions differ by constant frames:
+    /// inconclusive. The table of a different arm fits neither.
     ORD007 {
         name: "dh-convention",
         grade: Grade::Fixed(Severity::Error),

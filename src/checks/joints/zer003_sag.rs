@@ -10,11 +10,11 @@ rule! {
     ///
     /// ## What it means
     /// The link hangs lower than the encoder reports, in proportion to the gravity torque: compliant gears,
-    /// belts and links. The value is the largest sag over the run. One finding per joint.
+    /// belts and links. The value is the largest sag. One finding per joint.
     ///
     /// ## Why it matters
-    /// Sag is largest when the arm is stretched out and loaded, and zero when it hangs. Corrected as a zero
-    /// offset in one configuration, the arm is wrong in the others.
+    /// Sag is largest when the arm is stretched out and loaded, and zero when it hangs. A zero corrected
+    /// for one configuration is wrong in the others.
     ///
     /// ## Evidence
     /// If the other rules' causes do not explain the log to within the noise, each joint is tested for a

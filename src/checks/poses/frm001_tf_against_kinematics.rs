@@ -9,12 +9,11 @@ rule! {
     /// /tf disagrees with forward kinematics of the joint states.
     ///
     /// ## What it means
-    /// The tip pose in /tf differs from FK of the joint positions at the same time, after compensating the
-    /// latency of /tf (LAT001 reports it).
+    /// The tip pose in /tf differs from FK of the joint positions, after compensating its latency (LAT001).
     ///
     /// ## Why it matters
-    /// Everything that uses tf2 (planning, sensors, visualisation) has different kinematics from nodes that
-    /// compute FK themselves.
+    /// Users of tf2 (planning, sensors, visualisation) have different kinematics from nodes that compute
+    /// FK.
     ///
     /// ## Evidence
     /// The constant offset if there is one, otherwise the rms residual beyond the noise. `before_m` is the
@@ -26,8 +25,8 @@ rule! {
     /// tool. Check whether a second publisher sends the same frames.
     ///
     /// ## When it misleads
-    /// The finding follows if `--robot` names a different description from the publisher's. Fixed
-    /// transforms missing from /tf are taken from the model.
+    /// A `--robot` description other than the publisher's causes this finding. Fixed transforms missing
+    /// from /tf are taken from the model.
     FRM001 {
         name: "tf-against-kinematics",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

@@ -10,23 +10,20 @@ rule! {
     /// The reference frame of a stream is off by a constant.
     ///
     /// ## What it means
-    /// The poses are in a different frame from their `frame_id`. Commonly, a Universal Robots controller
-    /// reports poses in `base`, and the driver labels them `base_link`, which is rotated by 180° about z.
+    /// The poses are in another frame than their `frame_id`. Commonly, a Universal Robots controller
+    /// reports poses in `base`, and the driver labels them `base_link`, rotated by 180° about z.
     ///
     /// ## Why it matters
     /// Every pose is wrong by the same transform in the base frame. A half turn sends the arm to the other
     /// side of the table.
     ///
     /// ## Evidence
-    /// `pose` is `reference_from_stream`; it converts a logged pose to the named frame. The value is the
-    /// norm of its translation, `rotation` its angle. The significance test is joint over all six
-    /// components.
-    ///
-    /// If `frame_id` changes during the run and the poses are right under only one of the names, the value
-    /// also has `from`, `to` and `change_ns`.
-    ///
-    /// `changes` lists when the offset changes, with the offsets before and after. The value is then the
-    /// size of the change (`from`, `to`, `change_ns`).
+    /// - `pose`: `reference_from_stream`, which converts a logged pose to the named frame. The value is its
+    ///   distance, `rotation` its angle. The significance test is joint over all six components.
+    /// - `changes`: when the offset changes, with the offsets before and after. The value is then the size
+    ///   of the change (`from`, `to`, `change_ns`).
+    /// - `from`, `to`, `change_ns` also if `frame_id` changes during the run and the poses are right under
+    ///   only one of the names.
     ///
     /// ## How to fix
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
@@ -34,7 +31,7 @@ rule! {
     /// ## When it misleads
     /// No log can distinguish a base rotated about the first joint's axis from a zero offset of that joint.
     /// The joint zero is preferred unless the angle is a round number; `indistinguishable` lists the
-    /// alternative. A frame not fixed to the robot (a tracker's world) is estimated, and is never a fault.
+    /// alternative. A frame not fixed to the robot (a tracker's world) is estimated, never a fault.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

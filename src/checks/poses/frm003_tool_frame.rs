@@ -13,29 +13,28 @@ rule! {
     /// or a TCP active in the controller.
     ///
     /// ## Why it matters
-    /// The error is constant in the tool frame but rotates with the wrist in the base frame, so correcting
-    /// a few taught points does not remove it.
+    /// The error is constant in the tool frame but rotates with the wrist in the base frame: correcting a
+    /// few taught points does not remove it.
     ///
     /// ## Evidence
-    /// `pose` is `tip_from_stream`: the stream's point in the tip frame. The value is the norm of its
-    /// translation, `rotation` its angle. The significance test is joint over all six components.
+    /// - `pose`: `tip_from_stream`, the stream's point in the tip frame. The value is its distance,
+    ///   `rotation` its angle. The significance test is joint over all six components.
+    /// - `changes`: when the offset changes, with the offsets before and after. The value is then the size
+    ///   of the change (`from`, `to`, `change_ns`).
     ///
     /// The poses may alternate between rigid bodies on one tool (a tracker confuses markers, or the TCP is
-    /// switched). Each body other than the most frequent one has a finding with its offset from that body
+    /// switched). Each body other than the most frequent one has a finding with its offset from that
     /// (`pose` is `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and its number of
     /// `samples`. All other rules use the poses converted to the most frequent body.
     ///
-    /// `changes` lists when the offset changes, with the offsets before and after. The value is then the
-    /// size of the change (`from`, `to`, `change_ns`).
-    ///
     /// ## How to fix
-    /// Set the controller's active TCP to the intended one, or name the link of the stream with `--tip`.
+    /// Set the controller's active TCP to the intended one, or name the stream's link with `--tip`.
     ///
     /// ## When it misleads
-    /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active TCP
-    /// and is `info`. So is the offset of an external tracker: the position of its marker. No log can
-    /// distinguish a rotation about the last joint's axis from a zero offset of that joint;
-    /// `indistinguishable` lists the alternative.
+    /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active
+    /// TCP: `info`. So is an external tracker's offset, the position of its marker. No log can distinguish
+    /// a rotation about the last joint's axis from a zero offset of that joint; `indistinguishable` lists
+    /// the alternative.
     FRM003 {
         name: "tool-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

@@ -21,44 +21,43 @@ rule! {
     /// Residual error with no identified cause.
     ///
     /// ## What it means
-    /// Every stream is compared with FK independently of the estimators: by the 95th percentile of the raw
-    /// error over the moving run and over each tenth of it. If that reaches the thresholds, the other
-    /// rules' findings must explain it. After correcting them, the error in every tenth must be below the
-    /// thresholds, or at most twice the sample-to-sample noise. A larger residual has no modelled cause:
-    /// kinematic parameters, a bent link, gear error, a slow change during the run, or a different arm.
+    /// Every stream is compared with FK independently of the estimators, by the 95th percentile of the raw
+    /// error over the moving run and its tenths. If that reaches the thresholds, the other rules' findings
+    /// must explain it: the corrected error in every tenth must be below the thresholds, or at most twice
+    /// the sample-to-sample noise. A larger residual has no modelled cause: kinematic parameters, a bent
+    /// link, gear error, a slow change during the run, or a different arm.
     ///
-    /// For an IMU, the residuals of orientation and gyro after correction are checked, the gyro's scale
-    /// (`gyro gain`, its relative error), and whether it saturates below the arm's rate (`gyro
-    /// saturation`).
+    /// For an IMU: residuals of orientation and gyro after correction, relative error of the gyro's scale
+    /// (`gyro gain`), and a full-scale rate below the arm's (`gyro saturation`).
     ///
     /// ## Why it matters
     /// A run passes only if this rule passes on every stream. The residual is the accuracy that correcting
-    /// the other findings can reach, and a warning that the description may belong to a different arm.
+    /// the other findings can reach. The description may belong to a different arm.
     ///
     /// ## Evidence
-    /// `value` is the rms position error beyond the sample-to-sample noise, and `rotation` the rms
-    /// orientation error. `rms_m` and `rms_rad` include the noise; `before_m` and `before_rad` are
-    /// uncorrected. `as_logged` is the raw error, `left` the error after correcting the findings: each the
-    /// 95th percentile (`most_m`, `most_rad`) in the worst tenth of the run, its times and tip position
-    /// (`from_ns`, `to_ns`, `at_m`). `shared_by` lists streams with a residual at the same times.
+    /// - `value`, `rotation`: rms position and orientation error beyond the sample-to-sample noise.
+    /// - `rms_m`, `rms_rad`: with the noise; `before_m`, `before_rad`: uncorrected.
+    /// - `as_logged`, `left`: error before and after correcting the findings: the 95th percentile
+    ///   (`most_m`, `most_rad`) in the worst tenth of the run, its times and tip position (`from_ns`,
+    ///   `to_ns`, `at_m`).
+    /// - `shared_by`: streams with a residual at the same times.
+    /// - `candidates`: closest explanations with their residuals.
+    /// - `fits`: a catalogue arm with the same joints that fits far better than the given model, and its
+    ///   residual (`misfit_m`; `tool_m` if it needs an active TCP). The given model is kept; rules that
+    ///   compare poses with it are inconclusive.
+    /// - `link_m`, for a nominal model of a calibrated arm: standard deviation of the link deviations, with
+    ///   0.1° per 1 mm for their angles.
+    /// - For a gyro: `scale` is the gain minus 1 along x, y, z with its interval, `axes` the saturated
+    ///   axes, `share` the fraction of samples at the limit, `by_fk_rad_s` the arm's maximum rate.
     ///
-    /// If the residual varies with one, two or three times a joint's angle, as from an eccentric gear or
-    /// encoder, the message names joint and amplitude. `candidates` are the closest explanations with their
-    /// residuals. `fits` names a catalogue arm with the same joints that fits far better than the given
-    /// model, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The given model is kept;
-    /// rules that compare poses with it are inconclusive.
+    /// If the residual varies with one, two or three times a joint's angle (eccentric gear or encoder), the
+    /// message names joint and amplitude.
     ///
-    /// For a gyro, `scale` is the gain minus 1 along x, y, z with its interval, `axes` the saturated axes,
-    /// `share` the fraction of samples at the limit, and `by_fk_rad_s` the arm's maximum rate.
-    ///
-    /// For a nominal model of a calibrated arm, `link_m` is the standard deviation of the link deviations,
-    /// with 0.1° per 1 mm for their angles.
-    ///
-    /// A stream that leads the arm by more than 40 ms is not compared and is inconclusive: it is a command,
-    /// or a tool pose with late joint states.
+    /// A stream that leads the arm by more than 40 ms is inconclusive: a command, or a tool pose with late
+    /// joint states.
     ///
     /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9) or
-    /// repeats with the configuration. Otherwise it is inconclusive, and so is the run.
+    /// repeats with the configuration. Otherwise the rule and the run are inconclusive.
     ///
     /// ## How to fix
     /// Use the arm's calibrated description (for a UR, `calibration.yaml` extracted from the controller).
@@ -227,8 +226,8 @@ fn judge(
     }
 }
 
-/// The error repeats with the motion apart from the noise, so its interval is that of a mean of independent
-/// noise.
+/// The error repeats with the motion apart from the noise, so its interval follows from averaging
+/// independent noise.
 fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.lag_samples.max(1) as f64).max(3.0);

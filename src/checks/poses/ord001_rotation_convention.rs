@@ -10,35 +10,34 @@ rule! {
     /// Rotation numbers of one convention are read as another.
     ///
     /// ## What it means
-    /// Three numbers of one convention (say a UR's rotation vector) were converted to a rotation as another
-    /// (say roll, pitch, yaw). Positions are right; orientations are wrong, by a different rotation at
-    /// every pose.
+    /// Three numbers in one convention (a UR's rotation vector) were converted in another (roll, pitch,
+    /// yaw). Positions are right; orientations are wrong, differently at every pose.
     ///
-    /// Names are `rotvec` and `euler:SEQ` with SciPy's letters, in the order of the numbers: lower case for
-    /// fixed axes, upper case for moving axes. ROS rpy is `euler:xyz`. `euler:SEQ@axes` are numbers
+    /// Conventions: `rotvec`, and `euler:SEQ` with SciPy's letters in the order of the numbers: lower case
+    /// for fixed axes, upper case for moving axes. ROS rpy is `euler:xyz`. `euler:SEQ@axes` are numbers
     /// labelled rx, ry, rz, applied in the order SEQ.
     ///
     /// ## Why it matters
-    /// The two interpretations may almost agree near the pose used for testing, and differ by tens of
-    /// degrees elsewhere. Grasps miss, and a hand-eye calibration converges to a wrong result without a
-    /// warning.
+    /// Both may almost agree near the pose used for testing, and differ by tens of degrees elsewhere.
+    /// Grasps miss, and hand-eye calibration converges to a wrong result without a warning.
     ///
     /// ## Evidence
     /// Orientations are compared with FK under every pair of conventions, on every branch that a pendant
-    /// may show (wrapped angles, the second Euler solution, rotation vectors beyond 180°). The finding
-    /// gives the residual as logged (`as_logged_rad`) and under the best pair (`corrected_rad`), and the
-    /// ratio of the next best to it. `equivalent` lists pairs that are the same map or that this motion
-    /// cannot separate.
+    /// may show (wrapped angles, the second Euler solution, rotation vectors beyond 180°).
+    ///
+    /// - `as_logged_rad`, `corrected_rad`: residual as logged and under the best pair; also the ratio of
+    ///   the next best to it.
+    /// - `equivalent`: pairs that are the same map or that this motion cannot separate.
     ///
     /// ## How to fix
     /// Change the line that converts the numbers; the finding gives the SciPy call. To repair a log,
-    /// convert the rotation back to numbers with `read_as`, then to a rotation with `is`.
+    /// convert rotations back to numbers with `read_as`, then to rotations with `is`.
     ///
     /// ## When it misleads
-    /// If the arm rotates little, or about one axis only, many interpretations agree and the rule is
-    /// inconclusive. If the reference frame is not fixed to the robot (a tracker's world), some differ only
-    /// by a constant frame; the most common is reported and the others listed. An interpretation is
-    /// reported only if its residual is at most half of every other's.
+    /// With little rotation, or about one axis only, many conventions agree: inconclusive. If the reference
+    /// frame is not fixed to the robot (a tracker's world), some differ only by a constant frame; the most
+    /// common is reported, the others are listed. A convention is reported only if its residual is at most
+    /// half of every other's.
     ORD001 {
         name: "rotation-convention",
         grade: Grade::Fixed(Severity::Error),

@@ -9,22 +9,22 @@ rule! {
     ///
     /// ## What it means
     /// Components w, x, y, z were stored as x, y, z, w, or the reverse. ROS messages, SciPy and Eigen's
-    /// storage use x, y, z, w. MuJoCo, transforms3d, ABB robtargets and most constructors take w first.
+    /// storage use x, y, z, w; MuJoCo, transforms3d, ABB robtargets and most constructors w first.
     ///
     /// ## Why it matters
-    /// The result is still a unit quaternion, so nothing fails, but a different rotation. Yaw often looks
-    /// right over part of its range and then stops, which is mistaken for drift.
+    /// The result is still a unit quaternion, so nothing fails. Yaw often looks right over part of its
+    /// range and then stops, which is mistaken for drift.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged_rad`) and in the other order (`corrected_rad`).
     ///
     /// ## How to fix
-    /// Write the components by name, not by position. Pose messages have the fields x, y, z, w;
-    /// `Quaternion(w, x, y, z)` is the order of a constructor.
+    /// Write components by name, not by position. Pose messages have the fields x, y, z, w; `Quaternion(w,
+    /// x, y, z)` is a constructor's order.
     ///
     /// ## When it misleads
     /// If the orientation changes by less than about 20°, or about one axis only, both orders may fit with
-    /// a constant frame. The rule is then inconclusive.
+    /// a constant frame: inconclusive.
     ORD002 {
         name: "quaternion-order",
         grade: Grade::Fixed(Severity::Error),

@@ -8,17 +8,18 @@ rule! {
     /// A rotation or a whole pose is inverted.
     ///
     /// ## What it means
-    /// `pose-inverse`: the stream holds `tip_from_base` instead of `base_from_tip`; parent and child are
-    /// swapped. `transpose`: only the rotation is inverted. Active and passive rotations were mixed, or a
-    /// matrix was read by columns instead of rows.
+    /// - `pose-inverse`: the stream holds `tip_from_base` instead of `base_from_tip`; parent and child are
+    ///   swapped.
+    /// - `transpose`: only the rotation is inverted. Active and passive rotations were mixed, or a matrix
+    ///   was read by columns instead of rows.
     ///
     /// ## Why it matters
-    /// An inverted pose moves the wrong way, and a transposed rotation turns the wrong way. Both look
-    /// plausible at rest and make a calibration converge to a wrong result.
+    /// Inverted poses move, and transposed rotations turn, the wrong way. Both look plausible at rest and
+    /// make a calibration converge to a wrong result.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged_rad`) and once inverted (`corrected_rad`). Positions
-    /// distinguish the two cases: those of an inverted pose are the base position in the tip frame.
+    /// distinguish the two cases: an inverted pose has the base position in the tip frame.
     ///
     /// ## How to fix
     /// Publish `base_from_tip`: in tf2, call `lookup_transform(base, tip)`, not the reverse. Transpose a

@@ -9,14 +9,14 @@ rule! {
     /// Degrees published as radians, or vice versa.
     ///
     /// ## What it means
-    /// The positions of one or all joints are in degrees, but consumers expect radians (REP 103). For
-    /// declared rotation numbers, the declaration may name the wrong unit, either way. Undeclared numbers
-    /// cannot have a wrong unit; ORD001 reports the unit assumed for them. An IMU's angular velocity may
-    /// also be in degrees per second; the other rules then use the converted values.
+    /// The positions of one or all joints are in degrees, but consumers expect radians (REP 103). Or the
+    /// declared unit of rotation numbers is wrong, either way. Undeclared numbers cannot have a wrong unit;
+    /// ORD001 reports the unit assumed for them. Or an IMU's angular velocity is in degrees per second; the
+    /// other rules use the converted values.
     ///
     /// ## Why it matters
-    /// FK of degrees read as radians is noise within the arm's reach, and every other finding would be
-    /// about the wrong motion. The numbers are therefore converted before any other rule is evaluated.
+    /// FK of degrees read as radians is noise within the arm's reach. The numbers are converted before any
+    /// other rule is evaluated.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged`) and as degrees (`corrected`): metres for joint
@@ -28,8 +28,8 @@ rule! {
     /// stream is meant to be in degrees, declare it: `--declare TOPIC=CONVENTION,deg`.
     ///
     /// ## When it misleads
-    /// A prismatic joint is in metres and is not converted. If the arm stays within a degree of zero, both
-    /// units fit and there is no finding.
+    /// A prismatic joint is in metres and is not converted. Within a degree of zero, both units fit: no
+    /// finding.
     ORD004 {
         name: "degrees-for-radians",
         grade: Grade::Fixed(Severity::Error),

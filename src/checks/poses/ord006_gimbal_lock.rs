@@ -9,26 +9,26 @@ rule! {
     /// Euler angles are near gimbal lock.
     ///
     /// ## What it means
-    /// The stream's rotations are Euler angles, and the middle angle comes within 5° of a value at which
-    /// the outer two rotate about the same axis: ±90° for three different axes (rpy), 0° and 180° if the
-    /// first and third axis are the same (ZYZ).
+    /// The middle Euler angle comes within 5° of a value that aligns the outer two axes: ±90° for three
+    /// different axes (rpy), 0° and 180° if the first and third axis are the same (ZYZ).
     ///
     /// ## Why it matters
-    /// There, only the sum or difference of the outer angles is determined. The numbers jump while the tool
-    /// barely moves, so interpolating, filtering, differentiating or averaging them creates false motion.
+    /// There, only the sum or difference of the outer angles is determined. They jump while the tool barely
+    /// moves, so interpolating, filtering, differentiating or averaging them creates false motion.
     ///
     /// ## Evidence
-    /// `convention` is that of the numbers. `spans` lists the times near the lock with their distance from
-    /// it, `count` their number; `nearest_rad` is the smallest distance. The value is the fraction of
-    /// samples near the lock.
+    /// - `convention`: of the numbers.
+    /// - `spans`: times near the lock, with the distance from it; `count`: their number.
+    /// - `nearest_rad`: smallest distance.
+    /// - The value is the fraction of samples near the lock.
     ///
     /// ## How to fix
-    /// Log and exchange quaternions; use Euler angles only for display. If angles are required, choose an
-    /// order whose lock is outside the workspace.
+    /// Log and exchange quaternions; use Euler angles only for display, or choose an order whose lock is
+    /// outside the workspace.
     ///
     /// ## When it misleads
-    /// The rotations themselves are right and interpreted correctly. The rule covers only bare numbers
-    /// whose convention is declared or inferred from the arm, not quaternions converted from Euler angles.
+    /// The rotations themselves are right. The rule covers only bare numbers whose convention is declared
+    /// or inferred from the arm, not quaternions converted from Euler angles.
     ORD006 {
         limits: &[MAX_GIMBAL_MARGIN],
         name: "gimbal-lock",

@@ -9,22 +9,22 @@ rule! {
     /// Millimetres, or another unit, published as metres, or vice versa.
     ///
     /// ## What it means
-    /// The positions of a pose stream are not in metres (REP 103), but in millimetres as pendants show
-    /// them, centimetres, inches or tenths of a millimetre. Or a prismatic joint is in millimetres or
-    /// centimetres. For a declared stream, the declaration may name the wrong unit, either way. Or an IMU's
-    /// linear acceleration is in g, mg or cm/s² instead of m/s²; the other rules then use the converted
-    /// values.
+    /// A pose stream's positions are not in metres (REP 103), but in millimetres as pendants show them,
+    /// centimetres, inches or tenths of a millimetre. Or a prismatic joint is in millimetres or
+    /// centimetres. Or a stream's declared unit is wrong, either way. Or an IMU's linear acceleration is in
+    /// g, mg or cm/s² instead of m/s²; the other rules use the converted values.
     ///
     /// ## Why it matters
     /// The tip appears a thousand times too far away. Consumers that do not fail may compensate for it
-    /// silently elsewhere.
+    /// elsewhere.
     ///
     /// ## Evidence
     /// The factor is estimated from the motion, with free constant frames if needed. If it matches a common
-    /// unit to 2 %, that unit is reported; otherwise the factor to metres. `as_logged_m` is the position
-    /// residual against FK in metres, `corrected_m` in the detected unit. A unit is reported only if it
-    /// explains the positions. For an accelerometer, `felt` is the median magnitude of the specific force
-    /// at rest: 9.81 in m/s², 1 in g.
+    /// unit to 2 %, that unit is reported; otherwise the factor to metres. A unit is reported only if it
+    /// explains the positions.
+    ///
+    /// - `as_logged_m`, `corrected_m`: position residual against FK in metres and in the detected unit.
+    /// - `felt`: median magnitude of an accelerometer's specific force at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
     /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit; ORD001 reports the

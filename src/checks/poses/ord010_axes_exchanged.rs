@@ -9,28 +9,30 @@ rule! {
     /// Axes are exchanged or mirrored.
     ///
     /// ## What it means
-    /// The numbers use different axes from those of their frame: y is up as in game engines, the frame is
-    /// left-handed, or components of positions or quaternions were permuted between two programs. ROS uses
-    /// x forward, y left, z up (REP 103), right-handed.
+    /// The numbers use other axes than their frame: y up as in game engines, a left-handed frame, or
+    /// components of positions or quaternions permuted between two programs. ROS uses x forward, y left, z
+    /// up (REP 103), right-handed.
     ///
     /// ## Why it matters
-    /// No static transform can correct mirrored axes: everything that moves left moves right, and rotations
+    /// No static transform corrects mirrored axes: everything that moves left moves right, and rotations
     /// are reversed.
     ///
     /// ## Evidence
-    /// Positions are compared with FK under all 48 axis permutations with signs. Rotations are then
-    /// compared under those that fit the positions and under all others. `positions` and `rotations` give
-    /// the axes of each. `as_logged_m` is the position residual as logged; `corrected_m` and
-    /// `corrected_rad` are corrected. Axes are reported only if they explain the stream.
+    /// Positions are compared with FK under all 48 axis permutations with signs, then rotations under those
+    /// that fit the positions and under all others. Axes are reported only if they explain the stream.
+    ///
+    /// - `positions`, `rotations`: the axes of each.
+    /// - `as_logged_m`: position residual as logged; `corrected_m`, `corrected_rad`: residuals after
+    ///   correction.
     ///
     /// ## How to fix
-    /// Copy the components by name, as listed in `fix`. For a left-handed frame, the vector part of the
-    /// quaternion also changes sign, because a mirror reverses rotations.
+    /// Copy the components by name, as listed in `fix`. For a left-handed frame, the quaternion's vector
+    /// part also changes sign, because a mirror reverses rotations.
     ///
     /// ## When it misleads
     /// A right-handed world rotated by 90° is a frame offset (FRM002), unless the tool's axes are permuted
-    /// in the same way. In a tracker's world with unknown rotation, all left-handed frames are equivalent;
-    /// the most common is reported. Motion in a plane or about one axis cannot reveal a mirror.
+    /// alike. In a tracker's world with unknown rotation, all left-handed frames are equivalent; the most
+    /// common is reported. Motion in a plane or about one axis cannot reveal a mirror.
     ORD010 {
         name: "axes-exchanged",
         grade: Grade::Fixed(Severity::Error),

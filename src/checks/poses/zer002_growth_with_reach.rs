@@ -9,7 +9,7 @@ rule! {
     /// The position error grows with reach, and no joint offset explains it.
     ///
     /// ## What it means
-    /// Logged positions are too far from the base's origin (positive) or too near, by a fraction of their
+    /// Positions are too far from the base's origin (positive) or too near, by a fraction of their
     /// distance.
     ///
     /// ## Why it matters
@@ -17,17 +17,17 @@ rule! {
     /// a bent joint.
     ///
     /// ## Evidence
-    /// The radial scale of logged over computed positions from the base's origin, minus 1. It is estimated
-    /// with all other parameters, and reported only if joint zeros and frames do not explain the log
-    /// without it. If it changes during the run, `from`, `to` and `change_ns` are given.
+    /// The radial scale of logged over computed positions from the base's origin, minus 1, estimated with
+    /// all other parameters. It is reported only if joint zeros and frames do not explain the log without
+    /// it. If it changes during the run: `from`, `to` and `change_ns`.
     ///
     /// ## How to fix
     /// Look for a unit or scale factor in the driver, or a description of another size or variant of the
     /// arm.
     ///
     /// ## When it misleads
-    /// Links that are all 1 % too long in the description have the same effect. So does a tracker with a
-    /// wrong scale; the arm is then right.
+    /// A description with all links 1 % too long has the same effect, as does a tracker with a wrong scale;
+    /// the arm is then right.
     ZER002 {
         name: "growth-with-reach",
         grade: Grade::From(&[THRESHOLD]),

@@ -23,20 +23,19 @@ rule! {
     /// - `gaps`: start and length of each; `count`: their number.
     /// - `lost`, `samples`: missing and received samples; `skipped`: missing by sequence number.
     /// - `made_by`: `recorder` or `transport` if the log shows the cause, otherwise null.
-    /// - The estimate is the longest gap in seconds, or the fraction of lost samples if there are no gaps.
+    /// - The estimate is the longest gap in seconds; without gaps, the fraction of lost samples.
     ///
     /// Two nodes on one topic are counted separately.
     ///
     /// ## How to fix
     /// If all streams stop at once, check the recorder's disk and CPU. If sequence numbers are skipped,
-    /// messages were sent and lost: use reliable transport or a longer queue. Otherwise the publisher
-    /// stopped or messages were lost; the log does not show which.
+    /// messages were sent and lost: use reliable transport or a longer queue. Otherwise the log does not
+    /// show whether the publisher stopped or messages were lost.
     ///
     /// ## When it misleads
-    /// Silence of a stream published on change is no gap while the arm rests. Without a fixed period,
-    /// losses can be counted only by sequence number. TIM006 reports a lower rate over seconds. Commands
-    /// and camera detections are not judged. A stream without an assigned role is judged only if it is
-    /// periodic.
+    /// A stream published on change is silent while the arm rests: not a gap. Without a fixed period, only
+    /// sequence numbers show losses. TIM006 reports a lower rate over seconds. Commands and camera
+    /// detections are not judged. A stream without an assigned role is judged only if it is periodic.
     TIM002 {
         limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
@@ -206,7 +205,7 @@ fn holes<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole
     part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
 }
 
-/// Long holes in which nothing was received.
+/// Long silent holes.
 fn gaps<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
     let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
     long.map(|hole| &hole.stretch)

@@ -20,7 +20,7 @@ rule! {
     ///
     /// ## How to fix
     /// Look for two nodes that publish the same, or a driver that stamps a batch of measurements with the
-    /// time at which it read the buffer. Stamp every measurement.
+    /// read time of the buffer. Stamp every measurement.
     ///
     /// ## When it misleads
     /// A node that resends its last value with its old stamp, such as a state publisher polled faster than

@@ -14,25 +14,25 @@ rule! {
     /// others. Their samples are excluded.
     ///
     /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so rows share one or
-    /// intervals alternate. The audit restores them from the row order; this is `info`.
+    /// intervals alternate. The audit restores them from the row order (`info`).
     ///
     /// ## Why it matters
     /// Receive times, and a latency found from them, include the transport delay and its scatter.
     ///
     /// ## Evidence
     /// - `samples`: number of samples; `zero`, `far`: those with a zero stamp, or one far outside the run.
-    /// - For rounded stamps: `tick_s` is the tick, `shared` the number of rows with the stamp of the
-    ///   previous row, `resolution_s` the maximum error of a restored stamp.
+    /// - For rounded stamps: `tick_s` is the tick, `shared` the number of rows with the previous row's
+    ///   stamp, `resolution_s` the maximum error of a restored stamp.
     ///
     /// ## How to fix
-    /// Fill `header.stamp` at acquisition. If the type has no header, use one that has (PoseStamped instead
+    /// Fill `header.stamp` at acquisition. If the type lacks a header, use one with it (PoseStamped instead
     /// of a bare array).
     ///
     /// ## When it misleads
-    /// These are `info`: a type without a header (only for audited streams), unstamped commands for
-    /// immediate execution, up to three stamps outside the run or one in a thousand, and a single zero
-    /// stamp. A zero stamp of the first sample is no finding: a simulation clock starts at zero. Static
-    /// transforms may have stamp zero by design and are not counted.
+    /// `info`: a type without a header (only for audited streams), unstamped commands for immediate
+    /// execution, up to three stamps outside the run or one in a thousand, and a single zero stamp. Not
+    /// counted: a zero stamp of the first sample (a simulation clock starts at zero), and zero stamps of
+    /// static transforms.
     TIM005 {
         name: "unusable-stamps",
         grade: Grade::Fixed(Severity::Warning),

@@ -16,23 +16,23 @@ rule! {
     /// - No transforms connect a frame that an audited stream needs to the arm's base.
     ///
     /// ## Why it matters
-    /// tf2 uses the latest message: with two parents or publishers, lookups alternate between two answers
-    /// without an error. A cycle or a disconnected tree makes them fail. A static transform is cached
-    /// forever by whoever received it first.
+    /// With two parents or publishers, tf2 lookups alternate between two answers without an error, because
+    /// the latest message counts. With a cycle or a disconnected tree, they fail. A static transform is
+    /// cached forever by whoever received it first.
     ///
     /// ## Evidence
     /// - `what`: `several-parents`, `cycle`, `static-moves`, `conflict`, `publishers` or `pieces`.
     /// - `frames`, `topics`: those involved.
-    /// - `length_m`, `angle_rad`: difference of the values. The estimate is the length, or the angle if
-    ///   there is no length.
+    /// - `length_m`, `angle_rad`: difference of the values. The estimate is the length, otherwise the
+    ///   angle.
     /// - For a conflict, `jumps` of `samples` differ from their neighbours.
-    /// - For `publishers`, two publishers of a topic or transform are distinguished by their rates;
-    ///   `rates_hz` and `samples` are those of each. The other rules use the one with more samples.
+    /// - For `publishers`, distinguished by their rates: `rates_hz` and `samples` of each. The other rules
+    ///   use the publisher with more samples.
     ///
     /// ## How to fix
     /// Let one node publish each transform, and give each frame one parent: invert a transform, or rename
     /// the second publisher's frame. Publish moving frames on /tf. For disconnected frames, publish the
-    /// transform between the two roots.
+    /// transform between the roots.
     ///
     /// ## When it misleads
     /// - An object that is picked up and put down changes its parent occasionally; this is not counted.

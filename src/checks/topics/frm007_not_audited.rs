@@ -12,7 +12,7 @@ rule! {
     /// The metadata of a tool pose stream, or of an arm's joint states, cannot be trusted. `why` names the
     /// reason:
     ///
-    /// - `own-frame`: its `frame_id` is the tool's own frame, in which the tool cannot move.
+    /// - `own-frame`: its `frame_id` is the tool's frame, in which the tool cannot move.
     /// - `no-orientation`: its orientations were never set.
     /// - `never-changes`: its pose is constant while the joints move the tool.
     /// - `scene-objects`: its bodies never move.
@@ -41,8 +41,8 @@ rule! {
     ///
     /// ## When it misleads
     /// Joint states of an arm that is not to be audited (a hand-held leader arm, an arm next to the cell)
-    /// are also reported: ignore the rule for their topic. A gantry or SCARA that never tilts its tool has
-    /// a constant orientation; it is reported only if the joints rotate the tool.
+    /// are also reported: ignore the rule for their topic. A constant orientation, as of a gantry or SCARA
+    /// that never tilts its tool, is reported only if the joints rotate the tool.
     FRM007 {
         name: "not-audited",
         grade: Grade::Fixed(Severity::Warning),

@@ -14,9 +14,8 @@ rule! {
     ///
     /// ## Evidence
     /// - `offset`: start of the damage, in bytes from the start of the file.
-    /// - `messages_lost`: lost messages, if the file contains their number; for a table, rows, and the
-    ///   message names the column.
-    /// - The time of the finding is that of the lost messages, if known.
+    /// - `messages_lost`: lost messages, if known; for a table, rows, and the message names the column.
+    /// - The finding is dated to the lost messages, if known.
     ///
     /// ## How to fix
     /// If messages are lost, record again, and check for a full disk or a killed recorder. `mcap recover`
@@ -31,8 +30,8 @@ rule! {
     ///   sound log exceeds the size limits, or a segment cannot be audited. An error if messages within the
     ///   file are lost.
     /// - Table rows without a usable number are missing samples (ING003). Rows with some count here.
-    /// - A missing Zarr or HDF5 chunk is no loss if the values before and after it equal the fill value:
-    ///   writers omit such chunks.
+    /// - Missing Zarr or HDF5 chunks are not a loss if the values around them equal the fill value: writers
+    ///   omit such chunks.
     /// - Bit errors in a file without checksums are not detected. `--verify` checks all existing checksums.
     ING001 {
         name: "damaged-log",

@@ -13,11 +13,11 @@ rule! {
     ///
     /// ## Why it matters
     /// A copy is not independent evidence. Commands that equal the states teach a policy to stay in place.
-    /// A joint copied from another leaves one of them unknown.
+    /// If a joint is copied from another, one of them is unknown.
     ///
     /// ## Evidence
-    /// `of`: the original column; null if the column is constant. Columns are identical in all rows of all
-    /// episodes read.
+    /// `of`: the original column; null if constant. The columns are identical in all rows of all episodes
+    /// read.
     ///
     /// A warning if commands equal states, independent poses equal the controller's, or a joint equals
     /// another. Other copies, resting joints and constant topics are `info`.

@@ -7,8 +7,6 @@ rule! {
     /// An expected stream is empty, incomplete or slow.
     ///
     /// ## What it means
-    /// One of the following:
-    ///
     /// - A topic of joint states, transforms, tool poses or an IMU has no messages, or none with finite
     ///   values.
     /// - It begins or ends more than a second apart from the others, by receive time.
@@ -28,7 +26,7 @@ rule! {
     /// stream ends.
     ///
     /// ## When it misleads
-    /// A stream published on change spans the first to the last motion; this is no fault if the arm rested
+    /// Streams published on change start and end with the motion; this is not a fault if the arm rested
     /// otherwise. A driver that is too slow throughout is detected only if a config declares its `rate_hz`.
     /// Commands, camera detections and streams without an assigned role may be empty or short.
     TIM006 {

@@ -3,7 +3,7 @@
 use crate::evidence::ArmEvidence;
 use crate::finding::Unit;
 
-/// Empty if there is none.
+/// May be empty.
 pub(super) fn eccentricity(arm: &ArmEvidence) -> String {
     let eccentric = arm.diagnosis.compliance.iter().filter(|bend| bend.is_eccentric());
     let clauses = eccentric.filter_map(|bend| {

@@ -38,7 +38,7 @@ pub fn judge(
 /// By orientation, gyro and measured gravity. The orientation is filtered, so only the error threshold
 /// applies.
 fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
-    /// Of the gyro's residual to the arm's rate.
+    /// Gyro residual over the arm's rate.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and the largest relative error of a healthy accelerometer's median on a
     /// moving arm.
