@@ -12,10 +12,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tempfile::TempPath;
 
-/// Runs `work` and suppresses the output of a panic.
+/// Runs `work` without printing a panic.
 ///
 /// # Errors
-/// If it panics: the first line of the panic message with its source location.
+/// If it panics: first line of the message, and source location.
 pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let said = Arc::new(Mutex::new(None));
     let before = panic::take_hook();
@@ -39,10 +39,9 @@ fn message(payload: &(dyn Any + Send)) -> String {
     text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
 }
 
-/// Temporary files to delete if the process ends early.
 static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Temporary file, deleted when dropped or when the process is interrupted, unless it was renamed.
+/// Temporary file, deleted on drop or interrupt unless it was renamed.
 #[derive(Debug)]
 pub struct StagedFile(TempPath);
 
@@ -52,7 +51,7 @@ impl StagedFile {
     /// # Errors
     /// If `make` fails.
     pub fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
-        // The lock is held during creation, so every existing file is registered.
+        // Locked during creation, so every existing file is registered.
         let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
         let path = make()?;
         all.push(path.to_path_buf());
@@ -75,16 +74,15 @@ impl Drop for StagedFile {
     }
 }
 
-/// Deletes the temporary files before the process exits. The lock is kept, so no more can be created.
+/// Deletes the temporary files before exit. Keeps the lock, so no more can be created.
 pub fn delete_staged_files() {
     let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
-    // Files that were renamed are complete and stay.
+    // Renamed files are complete and stay.
     all.iter().for_each(|path| drop(fs::remove_file(path)));
     std::mem::forget(all);
 }
 
-/// Global allocator that uses the system's. If an allocation fails, it prints one line and exits with
-/// status 70; the standard library would abort with a trace.
+/// System allocator that prints one line and exits with status 70 if an allocation fails.
 #[derive(Debug)]
 pub struct ReportingAllocator;
 
@@ -119,17 +117,16 @@ fn given(memory: *mut u8, bytes: usize) -> *mut u8 {
     memory
 }
 
-/// Ends the process without allocating. `fleet` recognises the printed line.
+/// `fleet` recognises the printed line. Does not allocate.
 #[cold]
 fn refused(bytes: usize) -> ! {
-    // Nothing can be done if stderr fails too.
     let _ = writeln!(
         io::stderr(),
         "error: out of memory: a memory allocation of {bytes} bytes was refused; allow more memory, or \
          audit a part of the log"
     );
     #[cfg(target_os = "linux")]
-    // SAFETY: ends the process immediately, without running code that may allocate.
+    // SAFETY: ends the process without running code that may allocate.
     unsafe {
         libc::_exit(70)
     }
@@ -141,7 +138,7 @@ fn refused(bytes: usize) -> ! {
 mod tests {
     use super::*;
 
-    /// The panic hook is global, so tests that use it run one at a time.
+    /// The panic hook is global, so its tests run one at a time.
     static HOOK: Mutex<()> = Mutex::new(());
 
     #[test]

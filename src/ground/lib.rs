@@ -1,8 +1,5 @@
-//! Foundation of `poseaudit`: poses and encodings, robots and kinematics, columns and interpolation,
-//! intervals, stamps, and process termination.
-//!
-//! A separate crate with its own optimisation level, so it is compiled once. Its modules are re-exported by
-//! `poseaudit`.
+//! Foundation of `poseaudit`, which re-exports these modules. A separate crate, so it is optimised and
+//! compiled once.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 pub mod boundary;

@@ -1,7 +1,6 @@
-//! Time as logs store it: integer nanoseconds, and the clock that wrote them.
+//! Time as logs store it: integer nanoseconds and their clock.
 //!
-//! An `f64` resolves epoch stamps only to 0.25 µs. Stamps therefore stay `i64`; only differences become
-//! seconds.
+//! An `f64` resolves epoch stamps only to 0.25 µs, so stamps are `i64` and only differences become seconds.
 
 use std::fmt;
 
@@ -11,27 +10,27 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Nanoseconds per second.
 pub const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// A point in time: nanoseconds since the epoch of the clock that wrote it.
+/// Nanoseconds since the epoch of the clock that wrote them.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
 pub struct Stamp(i64);
 
 impl Stamp {
-    /// Creates a stamp from nanoseconds since the clock's epoch.
+    /// From nanoseconds since the epoch.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// Nanoseconds since the clock's epoch.
+    /// Nanoseconds since the epoch.
     pub const fn nanos(self) -> i64 {
         self.0
     }
 
-    /// Seconds from `origin` to this stamp, exact to 1 ns over 100 days.
+    /// Seconds from `origin`, exact to 1 ns over 100 days.
     pub fn seconds_since(self, origin: Stamp) -> f64 {
         seconds(self.0.saturating_sub(origin.0))
     }
 
-    /// Returns this stamp moved by `offset_s` seconds.
+    /// This stamp plus `offset_s`.
     pub fn shifted(self, offset_s: f64) -> Self {
         Self(self.0.saturating_add(nanos(offset_s)))
     }
@@ -43,7 +42,7 @@ impl fmt::Display for Stamp {
     }
 }
 
-/// Serialised as a decimal string, because JSON numbers cannot represent it exactly.
+/// A decimal string, because JSON numbers are not exact.
 impl Serialize for Stamp {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.collect_str(self)
@@ -57,30 +56,30 @@ impl<'de> Deserialize<'de> for Stamp {
     }
 }
 
-/// Converts a difference of `nanos` nanoseconds to seconds.
+/// Converts a difference to seconds.
 pub fn seconds(nanos: i64) -> f64 {
     nanos as f64 / NANOS_PER_SECOND as f64
 }
 
-/// Converts a difference of `seconds` seconds to the nearest nanosecond; saturates.
+/// Converts to the nearest nanosecond; saturates.
 pub fn nanos(seconds: f64) -> i64 {
     (seconds * NANOS_PER_SECOND as f64).round() as i64
 }
 
-/// The time of a message that the audit uses.
+/// Time of a message that the audit uses.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Clock {
-    /// Stamp in the message header: when the sample was valid.
+    /// Header stamp: when the sample was valid.
     #[default]
     Header,
-    /// When the recorder received the message.
+    /// When it was recorded.
     Log,
-    /// When the sender published the message.
+    /// When it was sent.
     Publish,
 }
 
 impl Clock {
-    /// The name used on the command line and in reports.
+    /// Name in options and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Clock::Header => "header",

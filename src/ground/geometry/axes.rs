@@ -1,33 +1,30 @@
-//! Axis conventions: coordinate axes that are exchanged, reversed or mirrored.
+//! Axis conventions: exchanged, reversed or mirrored coordinate axes.
 
 use super::{Pose, Rotation, Vec3, rotation_from_matrix_rows};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-/// Directions of a frame's x, y and z axes, as signed axes of the standard frame (REP 103: x forward, y
-/// left, z up).
+/// Directions of x, y and z, as signed axes of the standard frame (REP 103: x forward, y left, z up).
 ///
 /// 24 of the 48 conventions are left-handed: no rotation maps a right-handed frame to them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Axes {
-    /// Standard axis parallel to each axis, 0 to 2, all different.
+    /// Parallel standard axis, 0 to 2, all different.
     along: [usize; 3],
-    /// Whether the axis points in the opposite direction.
     reversed: [bool; 3],
 }
 
-/// Positive and negative direction of each standard axis.
 const WORDS: [[&str; 2]; 3] = [["forward", "back"], ["left", "right"], ["up", "down"]];
 
 impl Axes {
-    /// The axes required by REP 103.
+    /// REP 103.
     pub const STANDARD: Self = Self { along: [0, 1, 2], reversed: [false; 3] };
 
-    /// The axes of Unity: x right, y up, z forward, left-handed.
+    /// Unity: x right, y up, z forward, left-handed.
     pub const UNITY: Self = Self { along: [1, 2, 0], reversed: [true, false, false] };
 
-    /// All 48 conventions; those with the fewest changed axes first.
+    /// All 48, fewest changed axes first.
     pub fn all() -> &'static [Self] {
         static ALL: LazyLock<Vec<Axes>> = LazyLock::new(|| {
             let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
@@ -46,19 +43,19 @@ impl Axes {
         self.along[axis] == axis && !self.reversed[axis]
     }
 
-    /// Whether the axes are left-handed.
+    /// Whether they are left-handed.
     pub fn are_left_handed(self) -> bool {
         let [a, b, c] = self.along;
         let is_odd = (a > b) ^ (a > c) ^ (b > c);
         self.reversed.iter().fold(is_odd, |odd, reversed| odd ^ reversed)
     }
 
-    /// Whether axes are permuted, rather than only reversed.
+    /// Whether they are permuted, not only reversed.
     pub fn are_exchanged(self) -> bool {
         self.along != Self::STANDARD.along
     }
 
-    /// Converts a vector from standard components to these axes.
+    /// Converts a vector to these axes.
     pub fn convert_from_standard(self, standard: Vec3) -> Vec3 {
         Vec3::from_fn(|axis, _| {
             let part = standard[self.along[axis]];
@@ -66,7 +63,7 @@ impl Axes {
         })
     }
 
-    /// Converts a vector from these axes to standard components.
+    /// Converts a vector from these axes.
     pub fn to_standard(self, own: Vec3) -> Vec3 {
         let mut standard = Vec3::zeros();
         for axis in 0..3 {
@@ -75,8 +72,8 @@ impl Axes {
         standard
     }
 
-    /// Rotation Q such that `Q·R·Q⁻¹` expresses a rotation R in these axes. It also exists for left-handed
-    /// axes, because reversing all axes does not change a rotation.
+    /// Rotation Q such that `Q·R·Q⁻¹` expresses a rotation R in these axes. Exists for left-handed axes,
+    /// because reversing all axes keeps a rotation.
     pub fn conjugator(self) -> Rotation {
         let sign = if self.are_left_handed() { -1.0 } else { 1.0 };
         let columns =
@@ -85,7 +82,7 @@ impl Axes {
         rotation_from_matrix_rows(rows).map_or_else(Rotation::identity, |(rotation, _)| rotation)
     }
 
-    /// The convention that converts back to standard axes.
+    /// Converts back to standard axes.
     pub fn inverse(self) -> Self {
         let mut inverse = Self::STANDARD;
         for axis in 0..3 {
@@ -95,17 +92,17 @@ impl Axes {
         inverse
     }
 
-    /// Converts a pose from standard axes; world and body both use these axes.
+    /// Converts a pose whose world and body both use standard axes.
     pub fn pose_from_standard(self, standard: &Pose) -> Pose {
         let turn = self.conjugator();
         let xyz = self.convert_from_standard(standard.translation.vector);
         Pose::from_parts(xyz.into(), turn * standard.rotation * turn.inverse())
     }
 
-    /// Expressions for the standard x, y and z in terms of the logged components, such as `[-y, z, x]`; of
-    /// a position, or of the vector part of a quaternion.
+    /// Standard x, y and z in terms of logged components, such as `[-y, z, x]`; of a position or of a
+    /// quaternion's vector part.
     pub fn standard_names(self, is_vector_part: bool) -> [String; 3] {
-        // The axis of a rotation is a pseudovector: its sign changes with the handedness.
+        // The sign of a pseudovector changes with the handedness.
         let turned = is_vector_part && self.are_left_handed();
         let mut names: [String; 3] = Default::default();
         for axis in 0..3 {
@@ -177,7 +174,6 @@ mod tests {
                     < 1e-12,
                 "{axes}"
             );
-            // The names undo the conversion component by component.
             let names = axes.standard_names(true);
             let rotvec = rotvec_from_rotation(&own);
             let named = |name: &String| {

@@ -4,17 +4,17 @@ use std::fmt::Display;
 
 use super::Convention;
 
-/// Line of code for one library.
+/// Code for one library.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CodeLine {
-    /// The library.
+    /// Library.
     pub library: &'static str,
-    /// The line.
+    /// Code.
     pub line: String,
 }
 
-/// Returns lines that construct the rotation from `numbers` (rad; literals or names) in `convention`. Lines
-/// without order letters multiply single turns, because libraries name Euler orders differently.
+/// Constructs the rotation from `numbers` (rad; literals or names). Libraries name Euler orders
+/// differently, so lines without order letters multiply single turns.
 pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Vec<CodeLine> {
     let Convention::Euler(order) = convention else {
         let [a, b, c] = numbers;
@@ -45,7 +45,7 @@ pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Ve
     let letters: String = turns.iter().map(|(axis, _)| *axis).collect();
     let in_order = turns.each_ref().map(|(_, angle)| angle.as_str()).join(", ");
     let is_fixed = order.is_about_fixed_axes();
-    // About fixed axes the first turn is the last factor; about moving axes it is the first.
+    // About fixed axes the first turn is the last factor.
     let product = |factor: &dyn Fn(char, &str) -> String| {
         let mut factors = turns.each_ref().map(|(axis, angle)| factor(*axis, angle));
         if is_fixed {
@@ -78,8 +78,7 @@ pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Ve
     ])
 }
 
-/// Returns lines that construct the rotation of a quaternion (literals or names), in each library's
-/// component order.
+/// Constructs the rotation of a quaternion (literals or names), in each library's order.
 pub fn code_of_quaternion(xyzw: [impl Display; 4]) -> Vec<CodeLine> {
     let [x, y, z, w] = xyzw;
     lines([
@@ -109,7 +108,6 @@ mod tests {
         lines.iter().find(|line| line.library == library).unwrap().line.clone()
     }
 
-    /// Evaluates the nalgebra line.
     fn evaluated(line: &str) -> Rotation {
         let numbers = |text: &str| -> Vec<f64> {
             text.split(", ").map(|number| number.trim_end_matches(')').parse().unwrap()).collect()

@@ -1,4 +1,4 @@
-//! Conventions of rotations in three numbers: names and conversions.
+//! Rotations in three numbers: names and conversions.
 
 use super::euler::{Axis, EulerOrder, Frame};
 use super::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -11,9 +11,9 @@ use std::str::FromStr;
 ///
 /// Names are `rotvec`, `euler:SEQ` and `euler:SEQ@axes`. SEQ uses SciPy's letters: lower case about fixed
 /// axes, upper case about moving axes, numbers in the order of the letters; ROS rpy is `euler:xyz`. With
-/// `@axes` the numbers are always (rx, ry, rz), applied in the order SEQ. Two conventions are equal exactly
-/// if they are the same map. An `@axes` name of a plain map therefore parses to the plain convention, and
-/// one about moving axes to its equivalent about fixed axes.
+/// `@axes` the numbers are always (rx, ry, rz), applied in the order SEQ. Equal maps are equal conventions:
+/// an `@axes` name of a plain map parses to the plain convention, and one about moving axes to its
+/// equivalent about fixed axes.
 ///
 /// ```
 /// # use poseaudit_ground::geometry::Convention;
@@ -25,7 +25,7 @@ use std::str::FromStr;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Convention {
-    /// Rotation vector: axis times angle, rad.
+    /// Axis times angle, rad.
     RotVec,
     /// Three turns about coordinate axes, rad.
     Euler(EulerOrder),
@@ -50,7 +50,7 @@ const ALL: [Convention; 29] = [
     moving([Z, Y, X]),
     moving([X, Y, Z]),
     moving([Z, Y, Z]),
-    // The other Tait–Bryan orders.
+    // Other Tait–Bryan orders.
     fixed([X, Z, Y]),
     fixed([Y, X, Z]),
     fixed([Y, Z, X]),
@@ -60,7 +60,7 @@ const ALL: [Convention; 29] = [
     moving([Y, X, Z]),
     moving([Y, Z, X]),
     moving([Z, X, Y]),
-    // The other proper Euler orders.
+    // Other proper Euler orders.
     fixed([X, Y, X]),
     fixed([X, Z, X]),
     fixed([Y, X, Y]),
@@ -83,14 +83,13 @@ impl Convention {
     /// Roll, pitch, yaw as in ROS: `euler:xyz`.
     pub const RPY: Self = fixed([X, Y, Z]);
 
-    /// The rotation vector, the 24 Euler orders and the four maps that only `@axes` can name; most common
-    /// first.
+    /// Rotation vector, 24 Euler orders and four `@axes` maps; most common first.
     pub fn all() -> &'static [Self] {
         &ALL
     }
 
-    /// Rank by usage: rotation vector, `euler:xyz`, `euler:ZYX`, `euler:XYZ`, `euler:ZYZ`, then all other
-    /// plain orders, then those labelled by axis.
+    /// Rank by usage: rotation vector, `euler:xyz`, `euler:ZYX`, `euler:XYZ`, `euler:ZYZ`, other plain
+    /// orders, those labelled by axis.
     pub fn usual_rank(self) -> u8 {
         const NAMED: u8 = 5;
         match self {
@@ -99,7 +98,7 @@ impl Convention {
         }
     }
 
-    /// Whether the numbers belong to the axes x, y and z rather than to consecutive turns.
+    /// Whether the numbers belong to x, y and z rather than to turns.
     pub fn is_by_axis(self) -> bool {
         match self {
             Self::RotVec => true,
@@ -107,7 +106,7 @@ impl Convention {
         }
     }
 
-    /// Converts `numbers` (rad) to a rotation (`a_from_b`).
+    /// Converts `numbers` (rad) to `a_from_b`.
     pub fn rotation(self, numbers: [f64; 3]) -> Rotation {
         match self {
             Self::RotVec => rotation_from_rotvec(Vec3::from(numbers)),
@@ -117,10 +116,9 @@ impl Convention {
 
     /// Converts a rotation to numbers, rad, on the principal branch.
     ///
-    /// A rotation vector has norm ≤ π. The outer angles of an Euler order are in (−π, π]. The middle one is
-    /// in [−π/2, π/2], or in [0, π] if the first and last axis are equal. Within 1e-7 rad of gimbal lock
-    /// only the sum or difference of the outer two is determined; the angle of the last letter is then
-    /// zero, as in SciPy.
+    /// A rotation vector has norm ≤ π. Outer Euler angles are in (−π, π], the middle one in [−π/2, π/2], or
+    /// in [0, π] if first and last axis are equal. Within 1e-7 rad of gimbal lock, the angle of the last
+    /// letter is zero, as in SciPy.
     pub fn numbers(self, rotation: &Rotation) -> [f64; 3] {
         match self {
             Self::RotVec => rotvec_from_rotation(rotation).into(),
@@ -128,12 +126,11 @@ impl Convention {
         }
     }
 
-    /// Replaces `out` by every triple, rad, that a pendant could show for `rotation`, the principal one
-    /// first.
+    /// Sets `out` to every triple, rad, that a pendant could show for `rotation`, the principal one first.
     ///
-    /// An Euler order has two solutions, each angle in (−π, π]; additional whole turns are not included. A
-    /// rotation vector of angle θ yields the vectors along its axis of length θ, θ − 2π, θ + 2π and θ − 4π.
-    /// The identity has no axis and yields only the zero vector.
+    /// An Euler order has two solutions, each angle in (−π, π]; whole turns are not added. A rotation
+    /// vector of angle θ yields lengths θ, θ − 2π, θ + 2π and θ − 4π along its axis, the identity only
+    /// zero.
     pub fn branches(self, rotation: &Rotation, out: &mut Vec<[f64; 3]>) {
         out.clear();
         match self {
@@ -142,8 +139,7 @@ impl Convention {
         }
     }
 
-    /// Distance of the middle angle of `numbers` (rad) from gimbal lock, rad, in [0, π/2]; `None` for a
-    /// rotation vector.
+    /// Distance of the middle angle from gimbal lock, rad, in [0, π/2]; `None` for a rotation vector.
     pub fn gimbal_margin(self, numbers: [f64; 3]) -> Option<f64> {
         match self {
             Self::RotVec => None,
@@ -152,7 +148,7 @@ impl Convention {
     }
 }
 
-/// Rotation vectors of `rotation` with norm below 4π, rad, shortest first.
+/// Rotation vectors with norm below 4π, rad, shortest first.
 pub(super) fn rotvec_branches(rotation: &Rotation) -> impl Iterator<Item = [f64; 3]> {
     const TURNS: [f64; 4] = [0.0, -1.0, 1.0, -2.0];
     let rotvec = rotvec_from_rotation(rotation);
@@ -167,7 +163,7 @@ pub(super) fn rotvec_branches(rotation: &Rotation) -> impl Iterator<Item = [f64;
 /// Error of parsing a [`Convention`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConventionError {
-    /// Not in the form of any name.
+    /// No known form.
     #[error(
         "unknown rotation convention `{0}`: expected `rotvec`, or `euler:` and three axis letters as in \
          `euler:xyz`, `euler:ZYX` or `euler:xzy@axes`"
@@ -182,7 +178,7 @@ pub enum ConventionError {
     /// For example `euler:xxz`.
     #[error("`{0}` turns twice in a row about one axis: adjacent letters must differ")]
     RepeatedAxis(String),
-    /// For example `euler:zyz@axes`, which has no place for rx.
+    /// For example `euler:zyz@axes`: no rx.
     #[error("`{0}` has no number for one axis: `@axes` needs three different letters")]
     AxisWithoutNumber(String),
 }
@@ -245,9 +241,9 @@ mod tests {
     const NUMBERS: [f64; 3] = [0.7, -0.4, 2.1];
     const ROTVEC: [f64; 3] = [1.2, -1.7, 0.6];
 
-    /// For each convention: the rotation of `NUMBERS` as x, y, z, w, and the numbers of the rotation of
-    /// `ROTVEC`. Computed with SciPy 1.17.1: `Rotation.from_euler(SEQ, NUMBERS)` and
-    /// `Rotation.from_rotvec(ROTVEC).as_euler(SEQ)`; the numbers of `@axes` were sorted by hand.
+    /// Rotation of `NUMBERS` as x, y, z, w, and numbers of the rotation of `ROTVEC`, by SciPy 1.17.1:
+    /// `Rotation.from_euler(SEQ, NUMBERS)`, `Rotation.from_rotvec(ROTVEC).as_euler(SEQ)`. Those of `@axes`
+    /// were sorted by hand.
     #[rustfmt::skip]
     const SCIPY: [(&str, [f64; 4], [f64; 3]); 29] = [
         ("rotvec",
@@ -367,7 +363,6 @@ mod tests {
             for _ in 0..200 {
                 let mut numbers = random.triple(PI);
                 if convention == Convention::RotVec {
-                    // Up to a whole turn, so mostly beyond π.
                     numbers = (Vec3::from(numbers).normalize() * random.number(TAU)).into();
                 }
                 let rotation = convention.rotation(numbers);
@@ -409,7 +404,6 @@ mod tests {
         let quarter = FRAC_PI_2;
         for &convention in &ALL[1..25] {
             let mut locks = 0;
-            // Every order locks at one of these.
             for rotvec in [[0.0; 3], [quarter, 0.0, 0.0], [0.0, quarter, 0.0], [0.0, 0.0, quarter]]
             {
                 let rotation = rotation_from_rotvec(Vec3::from(rotvec));

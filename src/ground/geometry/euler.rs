@@ -1,5 +1,4 @@
-//! Rotations as three turns about coordinate axes: 24 Euler orders, and four whose numbers are labelled by
-//! axis.
+//! Three turns about coordinate axes: 24 Euler orders, and four whose numbers are labelled by axis.
 
 use super::Rotation;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -17,44 +16,39 @@ pub(super) enum Axis {
     Z,
 }
 
-/// Reference of the axes of the second and third turn.
+/// Axes of the second and third turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Frame {
-    /// Fixed axes (extrinsic; lower case in SciPy).
+    /// Extrinsic; lower case in SciPy.
     Fixed,
-    /// Axes moved by the earlier turns (intrinsic; upper case in SciPy).
+    /// Intrinsic; upper case in SciPy.
     Moving,
 }
 
-/// Order of three turns about coordinate axes, with the assignment of numbers to turns.
-///
-/// Two orders are equal exactly if they are the same map from numbers to rotations.
+/// Order of three turns and assignment of numbers to turns. Equal maps are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct EulerOrder {
     axes: [Axis; 3],
     frame: Frame,
-    /// The numbers are (rx, ry, rz) regardless of the order of the turns. Only if no plain order is the
-    /// same map; `frame` is then `Fixed`.
+    /// Numbers are (rx, ry, rz). Only if no plain order is the same map; `frame` is then `Fixed`.
     labelled_by_axis: bool,
 }
 
 #[derive(Clone, Copy)]
 struct Turn {
     axis: Axis,
-    /// Index of its angle in the three numbers.
+    /// Index of its angle.
     number: usize,
 }
 
 impl EulerOrder {
-    /// Turns about `axes`, with the numbers in the order of the turns; adjacent axes differ.
+    /// Numbers in the order of the turns; adjacent axes differ.
     pub(super) const fn plain(axes: [Axis; 3], frame: Frame) -> Self {
         Self { axes, frame, labelled_by_axis: false }
     }
 
-    /// Turns about three different `axes`, with the numbers (rx, ry, rz).
-    ///
-    /// An order about moving axes equals the reverse order about fixed axes. Two of the six orders have a
-    /// plain name.
+    /// Three different axes, numbers (rx, ry, rz). An order about moving axes equals the reverse order
+    /// about fixed axes; two of the six have a plain name.
     pub(super) const fn labelled(axes: [Axis; 3], frame: Frame) -> Self {
         let [a, b, c] = axes;
         let fixed = match frame {
@@ -68,17 +62,14 @@ impl EulerOrder {
         }
     }
 
-    /// Whether the numbers are labelled by axis rather than by turn.
     pub(super) fn is_labelled_by_axis(self) -> bool {
         self.labelled_by_axis
     }
 
-    /// Whether the first and third turn share an axis (a proper Euler order, such as z-y-z).
     fn is_proper(self) -> bool {
         self.axes[0] == self.axes[2]
     }
 
-    /// The turns in the order of execution about fixed axes.
     fn turns(self) -> [Turn; 3] {
         let turn = |letter: usize| {
             let axis = self.axes[letter];
@@ -90,13 +81,11 @@ impl EulerOrder {
         }
     }
 
-    /// Whether the turns are about fixed axes.
     pub(super) fn is_about_fixed_axes(self) -> bool {
         self.frame == Frame::Fixed
     }
 
-    /// The turns in the order of the name: the axis (`x`, `y` or `z`), and the index of its angle in the
-    /// three numbers.
+    /// Axis letters in the order of the name, with the index of the angle.
     pub(super) fn lettered(self) -> [(char, usize); 3] {
         let mut turns = self.turns();
         if self.frame == Frame::Moving {
@@ -105,18 +94,17 @@ impl EulerOrder {
         turns.map(|turn| (['x', 'y', 'z'][turn.axis as usize], turn.number))
     }
 
-    /// Converts `numbers` (rad) to a rotation.
     pub(super) fn rotation(self, numbers: [f64; 3]) -> Rotation {
         self.rotation_from_half_angles(numbers.map(Phase::of_half))
     }
 
-    /// Both triples, rad, each angle in (−π, π], that represent `rotation`. The principal one is first; its
-    /// middle angle is in [−π/2, π/2], or in [0, π] for a proper order.
+    /// Both triples, rad, in (−π, π]. The principal one is first; its middle angle is in [−π/2, π/2], or in
+    /// [0, π] for a proper order.
     pub(super) fn solutions(self, rotation: &Rotation) -> [[f64; 3]; 2] {
         self.half_angle_solutions(rotation).map(|halves| halves.map(Phase::doubled))
     }
 
-    /// Distance of `numbers` from gimbal lock, rad, in [0, π/2].
+    /// Of `numbers`, rad, in [0, π/2].
     pub(super) fn gimbal_margin(self, numbers: [f64; 3]) -> f64 {
         let [_, middle, _] = self.turns();
         let past_half_turn = numbers[middle.number].rem_euclid(PI);
@@ -127,7 +115,6 @@ impl EulerOrder {
         }
     }
 
-    /// Converts the phases of half of each number to a rotation.
     pub(super) fn rotation_from_half_angles(self, halves: [Phase; 3]) -> Rotation {
         let [first, second, third] = self.turns().map(|turn| {
             let Phase { cos, sin } = halves[turn.number];
@@ -138,12 +125,11 @@ impl EulerOrder {
         UnitQuaternion::new_unchecked(third * second * first)
     }
 
-    /// [`solutions`](Self::solutions) as the phases of half of each number. Needs only square roots, no
-    /// trigonometry.
+    /// [`solutions`](Self::solutions) as phases of half angles, with square roots only.
     ///
     /// After Bernardes and Viollet, "Quaternion to Euler angles conversion: a direct, general and
     /// computationally efficient method" (PLoS ONE 17(11), 2022), as in SciPy. In gimbal lock (within 1e-7
-    /// rad) the number of the last letter is zero, as in SciPy; in the other solution it is π.
+    /// rad) the last letter's number is zero, in the other solution π.
     pub(super) fn half_angle_solutions(self, rotation: &Rotation) -> [[Phase; 3]; 2] {
         let turns = self.turns();
         let proper = self.is_proper();
@@ -152,9 +138,9 @@ impl EulerOrder {
             k = 3 - i - j;
         }
         let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
-        // (a, b) points along half the sum of the outer angles; its length is the cosine of half the middle
-        // one. (c, d) points along half their difference; its length is the sine. With three axes this
-        // applies to the middle angle plus π/2, and to the third one times `sign`.
+        // (a, b) points along half the sum of the outer angles, with the cosine of half the middle one as
+        // length; (c, d) along half their difference, with the sine. With three axes the middle angle is
+        // plus π/2, the third times `sign`.
         let (w, v) = (rotation.w, rotation.imag());
         let [a, b, c, d] = if proper {
             [w, v[i], v[j], sign * v[k]]
@@ -164,7 +150,7 @@ impl EulerOrder {
 
         let (cos, sin) = (length(a, b), length(c, d));
         let tiny = 0.5 * LOCK_RAD * length(cos, sin);
-        // In lock only one of them is determined; the other is chosen for a zero angle of the last letter.
+        // In lock, the other one is chosen for a zero angle of the last letter.
         let partner = |known: Phase| match self.frame {
             Frame::Fixed => known.negated(),
             Frame::Moving => known,
@@ -219,10 +205,8 @@ impl fmt::Display for EulerOrder {
     }
 }
 
-/// Point on the unit circle.
-///
-/// Conversions between orders use the phase of half of each angle. A phase and its opposite are equivalent:
-/// a whole turn changes the sign of the quaternion.
+/// Point on the unit circle: half of an angle. Opposite phases are equivalent, as a whole turn changes the
+/// sign of the quaternion.
 #[derive(Clone, Copy)]
 pub(super) struct Phase {
     cos: f64,
@@ -230,19 +214,18 @@ pub(super) struct Phase {
 }
 
 impl Phase {
-    /// The phase of half of `angle`, rad.
     fn of_half(angle: f64) -> Self {
         let (sin, cos) = (0.5 * angle).sin_cos();
         Self { cos, sin }
     }
 
-    /// The phase of the direction (x, y), not both zero.
+    /// Of (x, y), not both zero.
     fn towards(x: f64, y: f64) -> Self {
         let length = length(x, y);
         Self { cos: x / length, sin: y / length }
     }
 
-    /// Twice this phase as an angle, rad, in (−π, π].
+    /// Twice this phase, rad, in (−π, π].
     fn doubled(self) -> f64 {
         let flip = self.cos < 0.0 || (self.cos == 0.0 && self.sin < 0.0);
         let (cos, sin) = if flip { (-self.cos, -self.sin) } else { (self.cos, self.sin) };
@@ -252,7 +235,7 @@ impl Phase {
 
     /// Half of this phase, or its opposite.
     fn halved(self) -> Self {
-        // Both expressions give the bisector; each is accurate where the other loses digits.
+        // Both are bisectors; each is accurate where the other loses digits.
         if self.cos > 0.0 {
             Self::towards(1.0 + self.cos, self.sin)
         } else {
@@ -271,18 +254,16 @@ impl Phase {
         Self { sin: -self.sin, ..self }
     }
 
-    /// π/2 minus this phase.
     fn complement(self) -> Self {
         Self { cos: self.sin, sin: self.cos }
     }
 
-    /// This phase plus π/2.
     fn quarter_on(self) -> Self {
         Self { cos: -self.sin, sin: self.cos }
     }
 }
 
-/// Length of (x, y), without scaling, for small components.
+/// Without scaling, for small components.
 fn length(x: f64, y: f64) -> f64 {
     (x * x + y * y).sqrt()
 }

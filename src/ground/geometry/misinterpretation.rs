@@ -1,4 +1,4 @@
-//! Misinterpretations: numbers of one rotation convention converted as another.
+//! Numbers of one rotation convention converted as another.
 
 use super::convention::{Convention, rotvec_branches};
 use super::{Misread, Rotation, Vec3, rotation_from_rotvec};
@@ -6,30 +6,29 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
 
-/// Rotations closer than this, rad, are the same candidate.
+/// Closer rotations are the same candidate, rad.
 const SAME_RAD: f64 = 1e-9;
 
-/// Rotation vectors, rad, in general position: maps that agree on these agree everywhere.
+/// Rotation vectors, rad, in general position: maps that agree here agree everywhere.
 const PROBES: [[f64; 3]; 3] = [[0.5, -0.9, 1.3], [-1.9, 0.4, 0.8], [0.3, 2.2, -1.1]];
 
-/// Three numbers in the convention `is` that were converted as `read_as`.
+/// Numbers in the convention `is`, converted as `read_as`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Misinterpretation {
-    /// True convention of the numbers.
+    /// True convention.
     pub is: Convention,
-    /// Convention used for the conversion.
+    /// Convention used.
     pub read_as: Convention,
 }
 
 impl Misinterpretation {
-    /// Replaces `out` by every rotation that this misinterpretation can turn into `logged`, without
-    /// duplicates. The rotation of the principal numbers is first.
+    /// Sets `out` to every rotation that this misinterpretation can turn into `logged`, that of the
+    /// principal numbers first.
     ///
     /// The numbers are any that `read_as` turns into `logged` and that `is` can represent: a rotation
-    /// vector of norm ≤ 2π, or Euler angles from −π to 2π (displays with ±180° and 0–360°). Whole turns do
-    /// not change an Euler angle, but adding 2π to one component changes a rotation vector. If `logged` is
-    /// in gimbal lock under `read_as`, the numbers form a continuum; [`Convention::branches`] returns two
-    /// points on it.
+    /// vector of norm ≤ 2π, or Euler angles from −π to 2π (displays with ±180° and 0–360°). Adding 2π to
+    /// one component changes a rotation vector but no Euler angle. In gimbal lock, only two points of the
+    /// continuum are used ([`Convention::branches`]).
     ///
     /// Does not allocate if `out` has capacity for twelve.
     pub fn true_rotations(&self, logged: &Rotation, out: &mut Vec<Rotation>) {
@@ -60,8 +59,7 @@ impl Misinterpretation {
     }
 }
 
-/// Vectors with the components of `numbers` (rad, in [−π, π]) up to a whole turn, within ±2π; `numbers`
-/// first.
+/// `numbers` (rad, in [−π, π]) first, then up to a whole turn per component, within ±2π.
 fn with_whole_turns(numbers: [f64; 3]) -> impl Iterator<Item = Vec3> {
     let turned = numbers.map(|angle| angle - TAU.copysign(angle));
     (0..8).map(move |mask| {
@@ -75,25 +73,23 @@ fn push_new(out: &mut Vec<Rotation>, candidate: Rotation) {
     }
 }
 
-/// Whether two rotations differ by less than [`SAME_RAD`]; q and −q are equal.
+/// Up to [`SAME_RAD`]; q and −q are equal.
 fn is_same(a: &Rotation, b: &Rotation) -> bool {
-    // For a small angle the distance of unit quaternions is half the angle.
+    // For small angles the distance of unit quaternions is half the angle.
     let sign = if a.coords.dot(&b.coords) < 0.0 { -1.0 } else { 1.0 };
     (a.coords - b.coords * sign).norm_squared() < (0.5 * SAME_RAD).powi(2)
 }
 
-/// Misinterpretations that are the same map on every rotation; no log can distinguish them.
+/// Misinterpretations that are the same map; no log distinguishes them.
 #[derive(Clone, Debug)]
 pub struct MisinterpretationClass {
-    /// Most common first: by the ranks of both conventions ([`Convention::usual_rank`]), then those read as
-    /// `euler:xyz`. Never empty.
+    /// By the ranks of both conventions ([`Convention::usual_rank`]), then those read as `euler:xyz`. Never
+    /// empty.
     pub members: Vec<Misinterpretation>,
 }
 
-/// All misinterpretations between two different conventions of [`Convention::all`], grouped by map. The
-/// class with the most common member is first.
-///
-/// None is the identity or the transpose of a rotation.
+/// All misinterpretations between conventions of [`Convention::all`], grouped by map, most common first.
+/// None is the identity or a transpose.
 pub fn misinterpretation_classes() -> &'static [MisinterpretationClass] {
     static CLASSES: LazyLock<Vec<MisinterpretationClass>> =
         LazyLock::new(|| classes_of(Convention::all()));
@@ -106,7 +102,7 @@ fn classes_of(conventions: &[Convention]) -> Vec<MisinterpretationClass> {
         .flat_map(|&is| conventions.iter().map(move |&read_as| Misinterpretation { is, read_as }))
         .filter(|misinterpretation| misinterpretation.is != misinterpretation.read_as)
         .collect();
-    // The sort is stable: ties keep the order of `conventions`.
+    // Stable: ties keep the order of `conventions`.
     misinterpretations.sort_by_key(|Misinterpretation { is, read_as }| {
         (is.usual_rank() + read_as.usual_rank(), *read_as != Convention::RPY)
     });
@@ -138,12 +134,12 @@ fn is_same_set(a: &[Rotation], b: &[Rotation]) -> bool {
     a.len() == b.len() && a.iter().all(|x| b.iter().any(|y| is_same(x, y)))
 }
 
-/// Quaternion components in the wrong order.
+/// Wrong order of quaternion components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum QuaternionOrderError {
-    /// The four numbers are `quat:wxyz` and were read as `quat:xyzw`.
+    /// `quat:wxyz` read as `quat:xyzw`.
     WxyzReadAsXyzw,
-    /// The four numbers are `quat:xyzw` and were read as `quat:wxyz`.
+    /// `quat:xyzw` read as `quat:wxyz`.
     XyzwReadAsWxyz,
 }
 
@@ -151,7 +147,7 @@ impl QuaternionOrderError {
     /// Both orders.
     pub const BOTH: [Self; 2] = [Self::WxyzReadAsXyzw, Self::XyzwReadAsWxyz];
 
-    /// Returns the true components x, y, z, w for the logged ones.
+    /// True components x, y, z, w.
     pub fn true_xyzw(self, logged_xyzw: [f64; 4]) -> [f64; 4] {
         let [x, y, z, w] = logged_xyzw;
         match self {
@@ -161,17 +157,17 @@ impl QuaternionOrderError {
     }
 }
 
-/// Misinterpretation of the rotations or poses of a stream.
+/// Misinterpretation of a stream's rotations or poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Misread<String>", into = "Misread<String>")]
 pub enum RotationError {
-    /// Three numbers of one convention were converted as another.
+    /// Wrong convention of three numbers.
     Misread(Misinterpretation),
-    /// The quaternion components are in the other order.
+    /// Wrong order of quaternion components.
     Quaternion(QuaternionOrderError),
-    /// The rotation is inverted, but not the position.
+    /// Inverted rotation, correct position.
     Transposed,
-    /// The whole pose is inverted.
+    /// Inverted pose.
     Inverted,
 }
 
@@ -244,7 +240,7 @@ mod tests {
                 for _ in 0..20 {
                     let truth = rotation_from_rotvec(Vec3::from(random.triple(PI)));
                     is.branches(&truth, &mut shown);
-                    // A pendant shows a rotation vector up to a whole turn, and Euler angles on any branch.
+                    // Pendants show rotation vectors up to a whole turn, Euler angles on any branch.
                     for numbers in &shown[..2] {
                         let logged = read_as.rotation(*numbers);
                         class.members[0].true_rotations(&logged, &mut rotations);
@@ -307,8 +303,8 @@ mod tests {
         let members: usize =
             misinterpretation_classes().iter().map(|class| class.members.len()).sum();
         assert_eq!(members, 29 * 28);
-        // Checked with SciPy on random rotations. The 251 maps, the identity, the transpose and a
-        // quaternion order are the 254 different maps of 603 hypotheses.
+        // Checked with SciPy on random rotations. With the identity, the transpose and a quaternion order,
+        // the 251 maps are 254 of 603 hypotheses.
         assert_eq!(misinterpretation_classes().len(), 443);
         assert_eq!(classes_of(&Convention::all()[..25]).len(), 251);
     }
@@ -331,7 +327,6 @@ mod tests {
     #[test]
     fn a_quaternion_slip_is_undone() {
         let (w, x, y, z) = (0.9, 0.1, -0.2, 0.3);
-        // (w, x, y, z) read as (x, y, z, w), and the reverse.
         assert_eq!(QuaternionOrderError::WxyzReadAsXyzw.true_xyzw([w, x, y, z]), [x, y, z, w]);
         assert_eq!(QuaternionOrderError::XyzwReadAsWxyz.true_xyzw([y, z, w, x]), [x, y, z, w]);
     }

@@ -1,7 +1,7 @@
-//! Poses, rotations and conversions between rotation conventions.
+//! Poses, rotations and conversions.
 //!
-//! `a_from_b` maps coordinates in frame b to coordinates in frame a; ROS TF with parent a and child b is
-//! `a_from_b`. Only this module constructs rotations from numbers.
+//! `a_from_b` maps coordinates in b to coordinates in a; it is ROS TF with parent a and child b. Only this
+//! module constructs rotations from numbers.
 
 #![allow(
     clippy::disallowed_methods,
@@ -35,21 +35,21 @@ pub use rotation::{
 pub use rotation_encoding::RotationEncoding;
 pub use units::{AngleUnit, LengthScale, Misread, UnitError, Units};
 
-/// A rigid transform `a_from_b`; translation in metres.
+/// Rigid transform `a_from_b`, m.
 pub type Pose = Isometry3<f64>;
 
-/// A rotation `a_from_b`.
+/// Rotation `a_from_b`.
 pub type Rotation = UnitQuaternion<f64>;
 
-/// A vector of three components; the variable's name states its unit and frame.
+/// Three components; the variable's name states unit and frame.
 pub type Vec3 = Vector3<f64>;
 
-/// Creates a pose from a translation (m) and a rotation.
+/// From a translation (m) and a rotation.
 pub fn pose(xyz: [f64; 3], rotation: Rotation) -> Pose {
     Pose::from_parts(Translation3::new(xyz[0], xyz[1], xyz[2]), rotation)
 }
 
-/// Returns the translation of `pose`, m.
+/// Translation, m.
 pub fn xyz_of(pose: &Pose) -> [f64; 3] {
     pose.translation.vector.into()
 }

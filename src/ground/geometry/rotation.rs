@@ -1,29 +1,27 @@
 use super::{Rotation, Vec3};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
 
-/// Converts a quaternion x, y, z, w of any positive norm to a rotation.
-///
-/// `None` if the norm is zero, tiny or not finite.
+/// From a quaternion of any norm; `None` if it is zero, tiny or not finite.
 pub fn rotation_from_xyzw(q_xyzw: [f64; 4]) -> Option<Rotation> {
     let [x, y, z, w] = q_xyzw;
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).filter(|q| q.w.is_finite())
 }
 
-/// Returns the components x, y, z, w of a rotation, with w ≥ 0.
+/// Components x, y, z, w, with w ≥ 0.
 pub fn xyzw_from_rotation(rotation: &Rotation) -> [f64; 4] {
     let sign = if rotation.w < 0.0 { -1.0 } else { 1.0 };
     [rotation.i, rotation.j, rotation.k, rotation.w].map(|c| sign * c)
 }
 
-/// Converts a rotation vector (axis times angle, rad) to a rotation: `exp([r]×)`.
+/// From axis times angle, rad: `exp([r]×)`.
 pub fn rotation_from_rotvec(rotvec: Vec3) -> Rotation {
     Rotation::from_scaled_axis(rotvec)
 }
 
-/// Converts a rotation to a rotation vector, rad, with norm ≤ π.
+/// Axis times angle, rad, with norm ≤ π.
 ///
-/// Also accurate for small angles: `2·atan2(|v|, w)` about `v` (Solà, "Quaternion kinematics for the
-/// error-state Kalman filter", eq. 106).
+/// Accurate for small angles: `2·atan2(|v|, w)` about `v` (Solà, "Quaternion kinematics for the error-state
+/// Kalman filter", eq. 106).
 pub fn rotvec_from_rotation(rotation: &Rotation) -> Vec3 {
     let [x, y, z, w] = xyzw_from_rotation(rotation);
     let v = Vec3::new(x, y, z);
@@ -34,14 +32,13 @@ pub fn rotvec_from_rotation(rotation: &Rotation) -> Vec3 {
     v * (2.0 * norm.atan2(w) / norm)
 }
 
-/// Converts roll, pitch, yaw about fixed axes, rad, as in URDF and tf2: `Rz(yaw)·Ry(pitch)·Rx(roll)`.
+/// From angles about fixed axes, rad, as in URDF and tf2: `Rz(yaw)·Ry(pitch)·Rx(roll)`.
 pub fn rotation_from_rpy(rpy: [f64; 3]) -> Rotation {
     Rotation::from_euler_angles(rpy[0], rpy[1], rpy[2])
 }
 
-/// Returns the rotation closest to a matrix given by rows, and the matrix's largest deviation from
-/// orthonormality `max |RᵀR − I|`. `None` if the matrix is not finite or not close to a rotation
-/// (determinant ≤ 0 or deviation > 0.5).
+/// Closest rotation, and the matrix's largest deviation `max |RᵀR − I|`. `None` if it is not finite or not
+/// close to a rotation (determinant ≤ 0 or deviation > 0.5).
 pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)> {
     let matrix = Matrix3::from_fn(|r, c| rows[r][c]);
     let defect = (matrix.transpose() * matrix - Matrix3::identity()).abs().max();
@@ -54,8 +51,8 @@ pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)>
     Some((UnitQuaternion::from_rotation_matrix(&rotation), defect))
 }
 
-/// Rotation `a_from_b` that best maps vectors b to vectors a, from their correlation `Σ a·bᵀ` (Wahba 1965, by SVD).
-/// The identity if the decomposition fails.
+/// Rotation `a_from_b` that best maps vectors b to vectors a, from `Σ a·bᵀ` (Wahba 1965, by SVD); the
+/// identity if that fails.
 pub fn rotation_by_wahba(correlation: &Matrix3<f64>) -> Rotation {
     let svd = correlation.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
@@ -66,9 +63,7 @@ pub fn rotation_by_wahba(correlation: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * flip * v_t))
 }
 
-/// Angle of the rotation from `a` to `b`, rad, in [0, π].
-///
-/// All orientation errors use this angle, never a difference of quaternions or Euler angles.
+/// Angle from `a` to `b`, rad, in [0, π]; the measure of all orientation errors.
 pub fn angle_between(a: &Rotation, b: &Rotation) -> f64 {
     rotvec_from_rotation(&(a.inverse() * b)).norm()
 }

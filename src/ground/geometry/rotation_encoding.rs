@@ -1,4 +1,4 @@
-//! Encodings of a rotation in the numbers of a pose.
+//! Encodings of a rotation in numbers.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use super::{Convention, ConventionError};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum RotationEncoding {
-    /// Three numbers in this convention.
+    /// Three numbers.
     Three(Convention),
     /// Quaternion x, y, z, w.
     Xyzw,
@@ -21,21 +21,20 @@ pub enum RotationEncoding {
     Rows,
     /// Matrix by columns.
     Columns,
-    /// First two columns of a matrix, the usual output of learned policies (Zhou et al., *On the Continuity
-    /// of Rotation Representations in Neural Networks*, CVPR 2019).
+    /// First two columns of a matrix, as learned policies output (Zhou et al., *On the Continuity of
+    /// Rotation Representations in Neural Networks*, CVPR 2019).
     TwoColumns,
-    /// First two rows of a matrix (PyTorch3D's `matrix_to_rotation_6d`).
+    /// First two rows (PyTorch3D's `matrix_to_rotation_6d`).
     TwoRows,
-    /// Unit vector along the axis, followed by the angle.
+    /// Unit axis, then angle.
     AxisAngle,
 }
 
 impl RotationEncoding {
-    /// Parses an encoding that can be declared: three numbers or a quaternion. The layout of all others is
-    /// identified from the numbers.
+    /// Parses a declarable encoding: three numbers or a quaternion. Others are identified from the numbers.
     ///
     /// # Errors
-    /// If the name is unknown or cannot be declared.
+    /// If the name is unknown or not declarable.
     pub fn from_declared_name(name: &str) -> Result<Self, ConventionError> {
         match name.parse()? {
             coding @ (Self::Three(_) | Self::Xyzw | Self::Wxyz) => Ok(coding),
@@ -43,17 +42,17 @@ impl RotationEncoding {
         }
     }
 
-    /// Whether the numbers include angles.
+    /// Whether it includes angles.
     pub fn has_angles(self) -> bool {
         matches!(self, Self::Three(_) | Self::AxisAngle)
     }
 
-    /// Whether the numbers are a matrix, or two columns or rows of one.
+    /// Whether it is a matrix or part of one.
     pub fn is_matrix(self) -> bool {
         matches!(self, Self::Rows | Self::Columns | Self::TwoColumns | Self::TwoRows)
     }
 
-    /// Rank by usage; 0 is the most common.
+    /// Rank by usage, 0 first.
     pub fn usual_rank(self) -> u8 {
         match self {
             Self::Three(convention) => convention.usual_rank(),

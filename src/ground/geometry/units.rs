@@ -8,7 +8,6 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct LengthScale(f64);
 
-/// Units of positions: metres per unit, symbol and name.
 const COMMON_LENGTH_UNITS: [(f64, &str, &str); 10] = [
     (1.0, "m", "metres"),
     (1e-3, "mm", "millimetres"),
@@ -28,7 +27,7 @@ impl LengthScale {
     /// Millimetres.
     pub const MILLIMETRE: Self = Self(1e-3);
 
-    /// Creates a unit from its length in metres.
+    /// From its length in metres.
     pub fn from_m(metres: f64) -> Self {
         Self(metres)
     }
@@ -38,7 +37,7 @@ impl LengthScale {
         self.0
     }
 
-    /// The units of positions in common use.
+    /// Units in common use.
     pub fn common() -> impl Iterator<Item = Self> {
         COMMON_LENGTH_UNITS.iter().map(|(metres, ..)| Self(*metres))
     }
@@ -47,7 +46,7 @@ impl LengthScale {
         COMMON_LENGTH_UNITS.iter().find(|(metres, ..)| (self.0 / metres - 1.0).abs() < 1e-9)
     }
 
-    /// Name of the unit, such as `centimetres`; for an unnamed unit its length in metres.
+    /// Name, such as `centimetres`, or its length in metres.
     pub fn words(self) -> String {
         self.entry()
             .map_or_else(|| format!("numbers of {self} each"), |(.., name)| (*name).to_owned())
@@ -61,7 +60,7 @@ impl Default for LengthScale {
 }
 
 impl fmt::Display for LengthScale {
-    /// Symbol, such as `cm`; for an unnamed unit its length in metres, such as `0.0043 m`.
+    /// Symbol, such as `cm`, or the length, such as `0.0043 m`.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.entry() {
             Some((_, symbol, _)) => out.write_str(symbol),
@@ -134,7 +133,7 @@ impl AngleUnit {
         }
     }
 
-    /// The unit that it is usually confused with: degrees for radians, radians for all others.
+    /// Unit it is confused with: degrees for radians, else radians.
     pub fn other(self) -> Self {
         match self {
             Self::Radian => Self::Degree,
@@ -142,7 +141,7 @@ impl AngleUnit {
         }
     }
 
-    /// Its symbol.
+    /// Symbol.
     pub fn symbol(self) -> &'static str {
         match self {
             Self::Radian => "rad",
@@ -163,7 +162,7 @@ impl AngleUnit {
     }
 }
 
-/// A value and the interpretation that was wrongly used for it.
+/// True and wrong interpretation of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Misread<T> {
@@ -187,22 +186,22 @@ impl Misread<LengthScale> {
     }
 }
 
-/// Declared units, such as `mm, deg`; `None` if not declared.
+/// Units, such as `mm, deg`; `None` if not declared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Units {
-    /// The unit of positions.
+    /// Of positions.
     pub length: Option<LengthScale>,
-    /// The unit of angles.
+    /// Of angles.
     pub angle: Option<AngleUnit>,
 }
 
 /// Error of [`Units::set_symbol`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnitError {
-    /// Neither a unit of length nor of angle.
+    /// No unit of length or angle.
     Unknown,
-    /// Contradicts a unit of the same kind that was already declared.
+    /// Another unit was declared before.
     Contradiction,
 }
 
@@ -210,7 +209,7 @@ impl Units {
     /// Adds a unit.
     ///
     /// # Errors
-    /// If the symbol is not a unit, or contradicts an earlier one.
+    /// If the symbol is unknown or contradicts an earlier one.
     pub fn set_symbol(&mut self, symbol: &str) -> Result<(), UnitError> {
         let angle = AngleUnit::ALL.into_iter().find(|unit| unit.symbol() == symbol);
         let is_known = match (angle, symbol.parse()) {
@@ -221,7 +220,7 @@ impl Units {
         is_known.then_some(()).ok_or(UnitError::Contradiction)
     }
 
-    /// Returns these units, completed from `others`.
+    /// Completes these units from `others`.
     pub fn or(self, others: Self) -> Self {
         Self { length: self.length.or(others.length), angle: self.angle.or(others.angle) }
     }

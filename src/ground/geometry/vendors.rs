@@ -1,4 +1,4 @@
-//! Rotation encodings of arm vendors, libraries and formats, from `vendors.toml`.
+//! Rotation encodings of vendors, libraries and formats, from `vendors.toml`.
 
 use std::sync::LazyLock;
 
@@ -6,29 +6,29 @@ use serde::{Deserialize, Deserializer};
 
 use super::{Convention, RotationEncoding, Units};
 
-/// A vendor, library or format, with its rotation encoding.
+/// Rotation encoding of a vendor, library or format.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VendorUse {
-    /// The vendor or library.
+    /// Vendor or library.
     pub who: String,
-    /// The display, function or type.
+    /// Display, function or type.
     pub what: String,
-    /// Encoding of the rotation.
+    /// Encoding.
     #[serde(rename = "convention")]
     pub coding: RotationEncoding,
     /// Units, if determined.
     #[serde(default)]
     pub units: Units,
-    /// Whether a reliable source confirms it.
+    /// Confirmed by a reliable source.
     #[serde(rename = "confidence", deserialize_with = "is_confirmed")]
     pub is_confirmed: bool,
-    /// Whether it was checked by executing the library.
+    /// Checked by executing the library.
     #[serde(rename = "checked", default)]
     pub is_checked: bool,
-    /// Frames of the pose, if a controller reports it.
+    /// Frames of a controller's pose.
     pub pose: Option<String>,
-    /// Source of the information.
+    /// Source.
     pub source: String,
     id: Option<String>,
 }
@@ -40,14 +40,14 @@ fn is_confirmed<'de, D: Deserializer<'de>>(from: D) -> Result<bool, D::Error> {
 impl VendorUse {
     /// Whether a confirmed arm controller reports it.
     pub fn is_vendor(&self) -> bool {
-        /// First library in the table; arm vendors precede it.
+        /// Arm vendors precede it in the table.
         const FIRST_LIBRARY: &str = "ROS";
         let library = FACTS.uses.iter().position(|entry| entry.who == FIRST_LIBRARY);
         let own = FACTS.uses.iter().position(|entry| std::ptr::eq(entry, self));
         self.is_confirmed && own < library
     }
 
-    /// Describes the entry in a clause, for the reason of a stream's role.
+    /// Clause for the reason of a stream's role.
     pub fn description(&self) -> String {
         let Self { who, what, coding, units, .. } = self;
         let pose = self.pose.as_ref().map_or(String::new(), |pose| format!(": {pose}"));
@@ -58,15 +58,14 @@ impl VendorUse {
 /// Name of an Euler order in a library.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LibraryName {
-    /// The library.
+    /// Library.
     pub who: String,
     /// Name of the order.
     pub name: String,
-    /// Source of the information.
+    /// Source.
     pub source: String,
 }
 
-/// Patterns of a library's names of orders.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Naming {
@@ -93,23 +92,23 @@ pub fn uses() -> &'static [VendorUse] {
     &FACTS.uses
 }
 
-/// Names of vendors' and formats' conventions, such as `kuka`.
+/// Names of vendors and formats, such as `kuka`.
 pub fn names() -> impl Iterator<Item = &'static str> {
     uses().iter().filter_map(|entry| entry.id.as_deref())
 }
 
-/// Returns the vendor or format with this name, ignoring case.
+/// Finds a vendor or format by name, ignoring case.
 pub fn find(name: &str) -> Option<&'static VendorUse> {
     let wanted = name.trim().to_lowercase();
     uses().iter().find(|entry| entry.id.as_ref() == Some(&wanted))
 }
 
-/// Returns the entries with this encoding.
+/// Entries with this encoding.
 pub fn uses_of(coding: RotationEncoding) -> impl Iterator<Item = &'static VendorUse> {
     uses().iter().filter(move |entry| entry.coding == coding)
 }
 
-/// Names of `coding` in libraries, if it is an Euler order with numbers in the order of the turns.
+/// Library names of an Euler order with numbers in the order of the turns.
 pub fn library_names(coding: RotationEncoding) -> Vec<LibraryName> {
     let RotationEncoding::Three(Convention::Euler(order)) = coding else { return Vec::new() };
     if order.is_labelled_by_axis() {

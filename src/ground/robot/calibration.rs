@@ -1,12 +1,11 @@
-//! Calibrations: measured origins of an arm's joints.
+//! Measured origins of an arm's joints.
 //!
 //! For any arm: the JSON of `poseaudit calibrate`, with the name and origin of each joint (xyz in m; roll,
 //! pitch, yaw in rad, as in a URDF's `<origin>`).
 //!
-//! Universal Robots measures every arm and stores the result in the controller, whose poses use it. The ROS
-//! driver's `ur_calibration` extracts it as YAML. `ur_description` uses the six numbers of each block as
-//! the origin of one joint (`urdf/ur_macro.xacro` of UniversalRobots/Universal_Robots_ROS2_Description), in
-//! the same format. Blocks are named after the child link of the joint.
+//! For Universal Robots: the YAML that the driver's `ur_calibration` extracts from the controller.
+//! `ur_description` uses the six numbers of each block as the origin of a joint (`urdf/ur_macro.xacro` of
+//! UniversalRobots/Universal_Robots_ROS2_Description). Blocks are named after the joint's child link.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -20,7 +19,7 @@ use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
 
-/// Joint of each block, in the order of [`Blocks`].
+/// In the order of [`BLOCKS`].
 const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -30,25 +29,23 @@ const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
-/// Block names, in the order of [`JOINTS`].
 const BLOCKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 
-/// Maximum change of a joint's origin by a calibration, m and rad. Larger changes indicate another arm.
+/// Larger changes of an origin indicate another arm, m and rad.
 const MOST_M: f64 = 0.05;
 const MOST_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Measured origins of an arm's joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// Name of its source.
+    /// Name of the source.
     pub source: String,
-    /// Identifier in the controller, such as `calib_2327696229793275135`.
+    /// In the controller, such as `calib_2327696229793275135`.
     pub hash: Option<String>,
     /// Name, `parent_from_joint` and line of each joint.
     origins: Vec<(String, Pose, usize)>,
 }
 
-/// The parts of the file of `poseaudit calibrate` that are read.
 #[derive(Deserialize)]
 struct Written {
     schema: String,
@@ -62,7 +59,7 @@ struct WrittenJoint {
     rpy: [f64; 3],
 }
 
-/// Schema of that file.
+/// Schema of the JSON.
 pub const CALIBRATION_SCHEMA: &str = "poseaudit.calibration/1";
 
 #[derive(Deserialize)]
@@ -92,10 +89,10 @@ struct Block {
 }
 
 impl Calibration {
-    /// Reads the file at `path`.
+    /// Reads a file.
     ///
     /// # Errors
-    /// As [`Calibration::from_text`], or if the file cannot be read as text.
+    /// As [`Calibration::from_text`], or if it is not text.
     pub fn from_file(path: &Path) -> Result<Self, RobotError> {
         let file = path.display().to_string();
         let text = super::text_of(path)
@@ -103,11 +100,10 @@ impl Calibration {
         Self::from_text(&text, &file)
     }
 
-    /// Parses the YAML of `ur_calibration` or the JSON of `poseaudit calibrate`; `source` is its name in
-    /// errors.
+    /// Parses YAML or JSON; `source` is its name in errors.
     ///
     /// # Errors
-    /// If the layout is wrong, a block or number is missing, or a number is invalid; with the line.
+    /// If the layout is wrong or a number is missing or invalid; with the line.
     pub fn from_text(text: &str, source: &str) -> Result<Self, RobotError> {
         let refuse = |error: serde_saphyr::Error| {
             let what = error.without_snippet().to_string().lines().collect::<Vec<_>>().join(", ");
@@ -155,7 +151,7 @@ impl Calibration {
         Ok(Self { source: source.to_owned(), hash: None, origins })
     }
 
-    /// Source and identifier: `arm.yaml (calib_23…)`.
+    /// `arm.yaml (calib_23…)`.
     pub fn label(&self) -> String {
         match &self.hash {
             Some(hash) => format!("{} ({hash})", self.source),
@@ -181,7 +177,7 @@ impl Block {
 }
 
 impl Robot {
-    /// Finds the prefixes under which this robot has all joints of `calibration`, one for each such arm.
+    /// Prefixes of the arms in this robot that have all joints of `calibration`.
     pub fn prefixes_of(&self, calibration: &Calibration) -> Vec<String> {
         let Some((first, ..)) = calibration.origins.first() else { return Vec::new() };
         let firsts =
@@ -193,8 +189,7 @@ impl Robot {
         firsts.filter(has_all).map(str::to_owned).collect()
     }
 
-    /// Writes the origins of the UR joints with `prefix` as YAML of `ur_calibration`, with the identifier
-    /// `hash`. `None` if the robot has no such joints.
+    /// YAML of `ur_calibration` for the UR joints with `prefix`; `None` if there are none.
     pub fn ur_calibration(&self, prefix: &str, hash: &str) -> Option<String> {
         let mut text = "kinematics:\n".to_owned();
         for (block, joint) in BLOCKS.iter().zip(JOINTS) {
@@ -212,11 +207,11 @@ impl Robot {
         Some(text)
     }
 
-    /// Returns a copy in which the joints with `prefix` have the origins of `calibration`.
+    /// Copy in which the joints with `prefix` have the origins of `calibration`.
     ///
     /// # Errors
-    /// If the robot lacks such a joint, or an origin would move by more than 5 cm or 5°. The calibration
-    /// then belongs to another arm, or the model has other frames than `ur_description`.
+    /// If a joint is missing, or an origin would move by more than 5 cm or 5°: another arm, or a model with
+    /// other frames than `ur_description`.
     pub fn calibrated(&self, prefix: &str, calibration: &Calibration) -> Result<Robot, RobotError> {
         let mut robot = self.clone();
         for (joint, origin, line) in &calibration.origins {
@@ -296,7 +291,7 @@ kinematics:
         let text = NOMINAL.replace("forearm: {x: -0.425", "forearm: {x: -0.426");
         let calibration = Calibration::from_text(&text, "arm.yaml").unwrap();
         let calibrated = ur5e().calibrated("", &calibration).unwrap();
-        // The forearm extends along −x of the base with all joints at zero.
+        // At zero, the forearm extends along −x of the base.
         let zero = [0.0; 6];
         let tool = |robot: &Robot| base_from_tool(robot, &zero).translation.vector;
         let moved = tool(&calibrated) - tool(&ur5e());

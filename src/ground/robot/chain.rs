@@ -12,9 +12,9 @@ use super::model::{Joint, LinkId, PathStep, Robot};
 
 /// Kinematic chain from a base link to a tip link.
 ///
-/// The coordinates are the independently movable joints on the path, from base to tip; a mimic joint moves
-/// with its driver and is not a coordinate. Positions `q` are joint positions in rad or m, even if the path
-/// passes a joint from child to parent.
+/// Its coordinates are the independently movable joints on the path, from base to tip; a mimic joint moves
+/// with its driver. `q` are joint positions, rad or m, even if the path passes a joint from child to
+/// parent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     base_name: String,
@@ -23,12 +23,12 @@ pub struct Chain {
     joint_kinds: Vec<JointKind>,
     limits: Vec<Limits>,
     steps: Vec<Step>,
-    /// Tip in the frame of the last step.
+    /// In the frame of the last step.
     step_from_tip: Rigid,
     max_reach_m: Derived,
 }
 
-/// Cached derived value, ignored when chains are compared.
+/// Cached; ignored in comparisons.
 #[derive(Debug, Clone, Default)]
 struct Derived(OnceLock<f64>);
 
@@ -38,24 +38,24 @@ impl PartialEq for Derived {
     }
 }
 
-/// One motion of the path, in a frame whose z axis is the axis of motion.
+/// A motion about or along the z axis of its frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Step {
-    /// Frame of this step before its motion, in the frame of the previous step after its motion.
+    /// Before this motion, in the previous step's frame after its motion.
     pub previous_from_step: Rigid,
-    /// Driving coordinate: motion = `factor · q[coordinate] + offset`.
+    /// Motion = `factor · q[coordinate] + offset`.
     pub coordinate: usize,
     pub factor: f64,
     pub offset: f64,
     pub slides: bool,
-    /// Child link of the joint in this step's frame, after the motion or, for upward steps, before it.
+    /// Child link of the joint, after the motion or, for upward steps, before it.
     step_from_child: Rigid,
     upwards: bool,
-    /// Whether the joint is the coordinate's own joint rather than a mimic.
+    /// Not a mimic joint.
     is_own: bool,
 }
 
-/// A pose as a matrix; cheaper to multiply and to translate along z than a quaternion.
+/// A matrix is cheaper to multiply and to translate along z than a quaternion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Rigid {
     pub rotation: Matrix3<f64>,
@@ -63,11 +63,11 @@ pub(super) struct Rigid {
 }
 
 impl Robot {
-    /// Builds the chain from `base` to `tip` through their lowest common ancestor.
+    /// Builds the chain through the lowest common ancestor of `base` and `tip`.
     ///
     /// # Errors
-    /// If base and tip are equal, no joint between them moves, a floating or planar joint lies between
-    /// them, or a mimic joint between them has an invalid driver.
+    /// If base and tip are equal, no joint between them moves, one is floating or planar, or a mimic joint
+    /// has an invalid driver.
     ///
     /// # Panics
     /// If a link belongs to another robot with more links.
@@ -89,7 +89,7 @@ impl Robot {
         Ok(builder.finish(base_name, tip_name))
     }
 
-    /// Finds the joint that finally drives `joint`, with the factor and offset of its position.
+    /// Joint that finally drives `joint`, with factor and offset.
     fn driver<'a>(&'a self, joint: &'a Joint) -> Result<(&'a Joint, f64, f64), ChainError> {
         let (mut driver, mut factor, mut offset) = (joint, 1.0, 0.0);
         for _ in self.joints() {
@@ -111,12 +111,11 @@ impl Robot {
     }
 }
 
-/// Builder of a chain along a path.
 struct Builder<'a> {
     robot: &'a Robot,
     coordinates: Vec<&'a Joint>,
     steps: Vec<Step>,
-    /// Transform from the last step's frame, after its motion, to the current end of the path.
+    /// From the last step's frame, after its motion, to the end of the path so far.
     since_last_step: Pose,
 }
 
@@ -145,7 +144,7 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// Downwards, the motion follows the fixed part of the joint; upwards, the negated motion precedes it.
+    /// Downwards, the motion follows the joint's fixed part; upwards, the negated motion precedes it.
     fn push_motion(&mut self, path_step: &PathStep<'a>) -> Result<(), ChainError> {
         let &PathStep { joint, upwards } = path_step;
         let (driver, factor, offset) = self.robot.driver(joint)?;
@@ -197,12 +196,12 @@ impl Chain {
         self.joint_names.len()
     }
 
-    /// Names of the coordinates' joints, from base to tip.
+    /// From base to tip.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }
 
-    /// Type of each coordinate's joint: revolute, continuous or prismatic.
+    /// Revolute, continuous or prismatic.
     pub fn joint_kinds(&self) -> &[JointKind] {
         &self.joint_kinds
     }
@@ -212,32 +211,32 @@ impl Chain {
         &self.limits
     }
 
-    /// Name of the base link.
+    /// Base link.
     pub fn base_name(&self) -> &str {
         &self.base_name
     }
 
-    /// Name of the tip link.
+    /// Tip link.
     pub fn tip_name(&self) -> &str {
         &self.tip_name
     }
 
-    /// Computes `base_from_tip` at joint positions `q`.
+    /// Computes `base_from_tip` at `q`.
     ///
     /// # Panics
-    /// If the length of `q` differs from `dof`.
+    /// If `q` has not `dof` values.
     pub fn forward(&self, q: &[f64]) -> Pose {
         self.walk(q, |_, _, _| ()).to_pose()
     }
 
-    /// Computes `base_from_tip` and its geometric Jacobian. Column i is the linear velocity of the tip's
-    /// origin (m/s) and the angular velocity of the tip (rad/s), both in base, at unit speed of joint i.
+    /// Computes `base_from_tip` and its geometric Jacobian: column i is the tip's linear (m/s) and angular
+    /// velocity (rad/s) in base at unit speed of joint i.
     ///
-    /// Each revolute step adds `z × (tip − origin)` and `z`; each prismatic step adds `z` and zero
-    /// (Siciliano et al., "Robotics", eq. 3.30), times its factor.
+    /// Revolute steps add `z × (tip − origin)` and `z`, prismatic steps `z` and zero, times the factor
+    /// (Siciliano et al., "Robotics", eq. 3.30).
     ///
     /// # Panics
-    /// If the length of `q` or `jacobian` differs from `dof`.
+    /// If `q` or `jacobian` has not `dof` values.
     pub fn forward_with_jacobian(&self, q: &[f64], jacobian: &mut [[f64; 6]]) -> Pose {
         assert_eq!(jacobian.len(), self.dof(), "one column per coordinate");
         jacobian.fill([0.0; 6]);
@@ -264,12 +263,11 @@ impl Chain {
         self.steps.first().map_or_else(Pose::identity, first)
     }
 
-    /// Computes `base_from_link` of the child link of each coordinate's joint.
-    ///
-    /// For a driving joint outside the path, uses the first mimic joint on the path.
+    /// Computes `base_from_link` of the child link of each coordinate's joint, or of its first mimic joint
+    /// on the path.
     ///
     /// # Panics
-    /// If the length of `q` differs from `dof`.
+    /// If `q` has not `dof` values.
     pub fn joint_frames(&self, q: &[f64], out: &mut Vec<Pose>) {
         out.clear();
         out.resize(self.dof(), Pose::identity());
@@ -283,7 +281,7 @@ impl Chain {
         });
     }
 
-    /// Unit vector of each coordinate's joint axis, in the joint's child link.
+    /// Unit vector of each coordinate's axis, in the child link.
     pub fn joint_axes(&self) -> Vec<Vec3> {
         let own = |coordinate: usize| {
             let mut steps = self.steps.iter().filter(move |step| step.coordinate == coordinate);
@@ -294,11 +292,11 @@ impl Chain {
         (0..self.dof()).map(|coordinate| own(coordinate).map_or_else(Vec3::z, axis)).collect()
     }
 
-    /// Approximate reach: the largest distance found between the origins of base and tip, m.
+    /// Approximate reach: largest distance found between the origins of base and tip, m.
     ///
-    /// It never exceeds the true reach and is rarely more than 1 % lower. The search starts from the middle
-    /// and the quarters of the joint ranges; each joint in turn takes the best of 48 positions. Revolute
-    /// joints without limits cover ±π; prismatic joints without limits stay at zero.
+    /// Never above the true reach, and rarely more than 1 % below. From the middle and the quarters of the
+    /// ranges, each joint in turn takes the best of 48 positions. Revolute joints without limits cover ±π;
+    /// such prismatic joints stay at zero.
     pub fn max_reach_m(&self) -> f64 {
         *self.max_reach_m.0.get_or_init(|| {
             let ranges: Vec<[f64; 2]> = (0..self.dof()).map(|joint| self.range(joint)).collect();
@@ -331,7 +329,6 @@ impl Chain {
         self.walk(q, |_, _, _| ()).translation.norm()
     }
 
-    /// Range of positions to search; at most one turn for a revolute joint.
     fn range(&self, joint: usize) -> [f64; 2] {
         use std::f64::consts::PI;
         let Limits { lower, upper, .. } = self.limits[joint];
@@ -345,18 +342,17 @@ impl Chain {
         }
     }
 
-    /// The motions of the path, from base to tip.
     pub(super) fn steps(&self) -> &[Step] {
         &self.steps
     }
 
-    /// The tip in the frame of the last motion.
+    /// In the frame of the last motion.
     pub(super) fn step_from_tip(&self) -> &Rigid {
         &self.step_from_tip
     }
 
-    /// Walks the path and calls `visit` with each step and its frame in base before and after the motion;
-    /// returns `base_from_tip`.
+    /// Calls `visit` with each step and its frame in base before and after the motion; returns
+    /// `base_from_tip`.
     #[inline]
     fn walk(&self, q: &[f64], mut visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
         assert_eq!(q.len(), self.dof(), "one position per coordinate");
@@ -375,7 +371,7 @@ impl Chain {
     }
 }
 
-/// A rotation that maps z to the unit vector `axis`; the identity if they are equal.
+/// Maps z to the unit vector `axis`; the identity if equal.
 pub fn turn_z_to(axis: &Vec3) -> Rotation {
     Rotation::rotation_between(&Vec3::z(), axis)
         .unwrap_or_else(|| Rotation::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI))
@@ -398,7 +394,7 @@ impl Rigid {
         self.rotation.column(2).into_owned()
     }
 
-    /// Rotation about its own z axis: only the x and y columns change.
+    /// Only the x and y columns change.
     #[inline]
     fn turned_about_z(mut self, angle_rad: f64) -> Self {
         let (sin, cos) = angle_rad.sin_cos();

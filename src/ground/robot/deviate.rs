@@ -4,36 +4,33 @@ use super::joint::JointKind;
 use super::model::{LinkId, Robot};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 
-/// Links along a chain whose frames may deviate, and the joints whose origins contain the deviation.
-///
-/// Link 0 carries the first moving joint; link i is moved by the joint of coordinate i − 1.
+/// Links of a chain that may deviate. Link i > 0 is moved by coordinate i − 1; link 0 carries the first
+/// moving joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkPath {
     /// `base_from_link` of link 0.
     pub base_from_first: Pose,
-    /// Names of the links.
+    /// Link names.
     pub links: Vec<String>,
     /// Axis of the joint that moves each link except link 0, in that link.
     pub axes: Vec<Vec3>,
     /// Whether that joint is prismatic.
     pub slides: Vec<bool>,
-    /// For each link, the index of the joint whose origin contains its deviation; `None` for a last link
-    /// that is the tip.
+    /// Joint whose origin contains each link's deviation; `None` for a last link that is the tip.
     deviation_joints: Vec<Option<usize>>,
-    /// Index of each moving joint.
     joints: Vec<usize>,
 }
 
 impl LinkPath {
-    /// Whether the model can represent a deviation of link `index`.
+    /// Whether link `index` can deviate.
     pub fn can_deviate(&self, index: usize) -> bool {
         self.deviation_joints.get(index).is_some_and(Option::is_some)
     }
 }
 
 impl Robot {
-    /// Returns the links from `base` to `tip`. `None` if no joint on the path moves, or if a moving joint
-    /// is a mimic or is passed from child to parent.
+    /// Links from `base` to `tip`. `None` if no joint on the path moves, or a moving one is a mimic or
+    /// passed from child to parent.
     pub fn link_path(&self, base: LinkId, tip: LinkId) -> Option<LinkPath> {
         let path = self.path(base, tip);
         let moves = |kind: JointKind| kind != JointKind::Fixed;
@@ -64,9 +61,9 @@ impl Robot {
         Some(links)
     }
 
-    /// Returns a copy in which each link along `path` deviates by a pose in its own frame (m, rad), and in
-    /// which the joint zeros are added to the model (`q_true = q_reported + zero`; rad or m). Deviations
-    /// that the model cannot represent are ignored.
+    /// Copy in which each link along `path` deviates by a pose in its frame (m, rad), and zeros are added
+    /// to the joints (`q_true = q_reported + zero`; rad or m). Ignores deviations that the model cannot
+    /// represent.
     pub fn with_deviations(&self, path: &LinkPath, deviations: &[Pose], zeros: &[f64]) -> Robot {
         let mut origins: Vec<Pose> =
             self.joints().iter().map(|joint| joint.parent_from_joint).collect();

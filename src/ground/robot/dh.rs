@@ -12,18 +12,18 @@ use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 use super::error::Problem;
 use super::joint::{JointDraft, JointKind, Limits, MOST};
 
-/// Convention of a DH table. The table must declare it.
+/// Declared convention of a DH table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DhConvention {
-    /// Denavit and Hartenberg, Spong: a row rotates about z first.
+    /// A row rotates about z first.
     Standard,
     /// Craig: a row rotates about x first.
     Modified,
 }
 
 impl DhConvention {
-    /// Name used in tables.
+    /// Name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Standard => "standard",
@@ -40,16 +40,15 @@ impl DhConvention {
     }
 }
 
-/// The DH table behind a robot's joints.
+/// DH table behind a robot's joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DhModel {
     /// Declared convention.
     pub convention: DhConvention,
-    /// `parent_from_joint` of every joint, in file order, under the other convention.
+    /// `parent_from_joint` in file order, under the other convention.
     pub(super) other_origins: Vec<Pose>,
 }
 
-/// Type of the joint of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum RowKind {
@@ -58,7 +57,7 @@ pub(super) enum RowKind {
     Prismatic,
 }
 
-/// The `[dh]` table; rows are `[a, d, alpha, theta_offset]` in m and rad.
+/// Rows are `[a, d, alpha, theta_offset]` in m and rad.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DhTable {
@@ -85,9 +84,8 @@ pub(super) struct DhTable {
 }
 
 impl DhTable {
-    /// Creates one movable joint per row, about or along its z axis, and a fixed joint to the tip.
-    ///
-    /// Joint i moves `link_i`; in the modified convention this is frame i.
+    /// One movable joint per row, about or along its z axis, and a fixed joint to the tip. Joint i moves
+    /// `link_i`, in the modified convention frame i.
     pub(super) fn joints(&self, at: usize) -> Result<Vec<JointDraft>, Problem> {
         self.check_finite()?;
         let names = self.per_row("joint_names", self.joint_names.as_deref(), |row| {
@@ -109,7 +107,6 @@ impl DhTable {
         Ok(joints)
     }
 
-    /// `parent_from_joint` of every row's joint and of the fixed joint to the tip, under `convention`.
     fn origins(&self, convention: DhConvention) -> Vec<Pose> {
         let mut before = pose(self.pre_xyz, rotation_from_rpy(self.pre_rpy));
         let mut origins = Vec::with_capacity(self.rows.len() + 1);
@@ -122,7 +119,6 @@ impl DhTable {
         origins
     }
 
-    /// The data that the robot keeps.
     pub(super) fn model(&self) -> DhModel {
         let other_origins = self.origins(self.convention.other());
         DhModel { convention: self.convention, other_origins }
@@ -145,7 +141,6 @@ impl DhTable {
         Err(Problem::NotFinite { element: "[dh]".to_owned() })
     }
 
-    /// The given values, one per row, or the default of each row.
     fn per_row<T: Clone>(
         &self,
         what: &str,
@@ -172,9 +167,7 @@ impl From<RowKind> for JointKind {
     }
 }
 
-/// Fixed parts of a row before and after its motion about or along z.
-///
-/// Motion, `Rz(theta_offset)` and `Dz(d)` share the axis, so they commute.
+/// Fixed parts before and after the motion, which commutes with `Rz(theta_offset)` and `Dz(d)`.
 fn split(convention: DhConvention, [a, d, alpha, theta_offset]: [f64; 4]) -> (Pose, Pose) {
     let across = pose([a, 0.0, 0.0], rotation_from_rpy([alpha, 0.0, 0.0]));
     let along = pose([0.0, 0.0, d], rotation_from_rpy([0.0, 0.0, theta_offset]));

@@ -7,18 +7,18 @@ use super::joint::JointKind;
 use super::model::{LinkId, Robot};
 use crate::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rpy, xyz_of};
 
-/// Maximum FK difference of a converted table, m and rad.
+/// Maximum FK difference, m and rad.
 const SAME: f64 = 1e-9;
-/// Axes closer to parallel than this have no unique common normal, rad.
+/// Below this angle, rad, axes have no unique common normal.
 const PARALLEL: f64 = 1e-12;
 
 impl Robot {
     /// Converts the joints from `base` to `tip` to a DH table in the format of [`Robot::from_toml`]. `None`
-    /// if a joint is prismatic or a mimic, or if FK of the table differs.
+    /// if a joint is prismatic or a mimic, or if FK differs.
     ///
-    /// Treats joint axes as lines: row i leads from the common normal of axes i − 1 and i to that of axes i
-    /// and i + 1 (Craig, *Introduction to Robotics*, ch. 3.5). The common normal of nearly parallel axes is
-    /// far away, which causes large `d` that cancel.
+    /// Joint axes are lines: row i leads from the common normal of axes i − 1 and i to that of axes i and i
+    /// + 1 (Craig, *Introduction to Robotics*, ch. 3.5). That of nearly parallel axes is far away and
+    /// causes large `d` that cancel.
     pub fn to_dh(&self, base: LinkId, tip: LinkId, convention: DhConvention) -> Option<String> {
         let chain = self.chain(base, tip).ok()?;
         if chain.joint_kinds().contains(&JointKind::Prismatic) {
@@ -32,13 +32,13 @@ impl Robot {
             Some(frames[joint] * pose([0.0; 3], super::turn_z_to(&own.axis)))
         };
         let axes: Vec<Pose> = (0..n).map(axis).collect::<Option<_>>()?;
-        // Frame i has z along axis i and x along the common normal to axis i + 1.
+        // Frame i: z along axis i, x along the common normal to axis i + 1.
         let mut at = Vec::with_capacity(n);
         for joint in 0..n {
             let line = axes[joint];
             at.push(axes.get(joint + 1).map_or(line, |next| on_common_normal(&line, next)));
         }
-        // Modified rows lead from frame i − 1 to frame i; `pre` leads to frame 0.
+        // Modified rows lead from frame i − 1 to i; `pre` leads to frame 0.
         let mut rows = Vec::new();
         let pre = at[0];
         let mut before = at[0];
@@ -51,7 +51,7 @@ impl Robot {
         let (pre, rows, post) = match convention {
             DhConvention::Modified => (pre, rows, post),
             DhConvention::Standard => {
-                // A standard row combines Rz and Dz of one row with Rx and Dx of the next.
+                // A standard row combines Rz and Dz of a row with Rx and Dx of the next.
                 let next =
                     |row: usize| rows.get(row + 1).map_or([0.0; 2], |next| [next[0], next[2]]);
                 let standard = |(row, own): (usize, &[f64; 4])| {
@@ -75,7 +75,7 @@ impl Robot {
     }
 }
 
-/// Frame with its origin and z on the axis `line`, and x along the common normal to the axis `next`.
+/// Origin and z on the axis `line`, x along the common normal to `next`.
 fn on_common_normal(line: &Pose, next: &Pose) -> Pose {
     let [z, other] = [line, next].map(|pose| pose.rotation * Vec3::z());
     let between = next.translation.vector - line.translation.vector;
@@ -94,7 +94,7 @@ fn on_common_normal(line: &Pose, next: &Pose) -> Pose {
     Pose::from_parts(origin.into(), rotation)
 }
 
-/// `[a, d, alpha, theta]` of a frame whose z axis intersects the previous x axis at a right angle.
+/// `[a, d, alpha, theta]` if the z axis intersects the previous x axis at a right angle.
 fn modified_row(step: &Pose) -> [f64; 4] {
     let z = step.rotation * Vec3::z();
     let alpha = (-z.y).atan2(z.z);

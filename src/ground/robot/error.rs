@@ -1,10 +1,9 @@
-//! Errors of models and chains: problem, place and advice.
+//! Errors of models and chains, with place and advice.
 
 use std::fmt;
 
 use super::joint::JointKind;
 
-/// A problem with its byte offset in the text.
 pub(super) type Located = (usize, Problem);
 
 /// Error of reading a robot model.
@@ -20,14 +19,13 @@ impl RobotError {
         Self { file: file.to_owned(), line, problem }
     }
 
-    /// Creates the error for a problem at a byte offset of `text`.
     pub(super) fn located(file: &str, text: &str, (offset, problem): Located) -> Self {
         let before = &text.as_bytes()[..offset.min(text.len())];
         let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
         Self::new(file, Some(line), problem)
     }
 
-    /// Name of the text, with the line if known: `arm.urdf:12`.
+    /// `arm.urdf:12`; without the line if unknown.
     pub fn place(&self) -> String {
         match self.line {
             Some(line) => format!("{}:{line}", self.file),
@@ -35,7 +33,7 @@ impl RobotError {
         }
     }
 
-    /// The problem; its message names the link, the joint and the value.
+    /// Names link, joint and value.
     pub fn problem(&self) -> &Problem {
         &self.problem
     }
@@ -53,7 +51,7 @@ impl std::error::Error for RobotError {
     }
 }
 
-/// Problem in the text of a model.
+/// Problem in a model's text.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages document the variants")]
 pub enum Problem {
@@ -121,7 +119,7 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// What the user can do, as a short clause.
+    /// What the user can do.
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Unreadable(_) => "check that it exists and is a URDF or a TOML file",

@@ -5,17 +5,17 @@ use crate::geometry::{Pose, Vec3};
 /// Type of motion of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
-    /// Rotates about its axis between limits, rad.
+    /// About its axis between limits, rad.
     Revolute,
-    /// Rotates about its axis without limits, rad.
+    /// About its axis without limits, rad.
     Continuous,
-    /// Slides along its axis, m.
+    /// Along its axis, m.
     Prismatic,
     /// Does not move.
     Fixed,
-    /// Moves freely; not supported in a chain.
+    /// Not supported in a chain.
     Floating,
-    /// Moves in a plane; not supported in a chain.
+    /// Not supported in a chain.
     Planar,
 }
 
@@ -41,22 +41,22 @@ impl JointKind {
         }
     }
 
-    /// Parses a URDF name.
+    /// From a URDF name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// Whether one number defines the position of the joint.
+    /// Whether one number is its position.
     pub const fn has_position(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }
 }
 
-/// Maximum length, position or factor in a model: 1000 km, or as many turns. Squares and sums then stay
-/// finite, and accurate to a micrometre.
+/// Largest length, position or factor: 1000 km, or as many turns. Squares and sums stay finite and accurate
+/// to a micrometre.
 pub(super) const MOST: f64 = 1e6;
 
-/// Limits of a joint, each if the model states it: rad and rad/s, or m and m/s if prismatic.
+/// Stated limits of a joint: rad and rad/s, or m and m/s if prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Lowest position.
@@ -68,31 +68,29 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Removes limits that have no effect, such as 1e308.
+    /// Removes limits without effect, such as 1e308.
     pub(super) fn within_reason(self) -> Self {
         let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MOST);
         Self { lower: kept(self.lower), upper: kept(self.upper), velocity: kept(self.velocity) }
     }
 }
 
-/// `position = multiplier · master's position + offset`, as in URDF's `<mimic>`.
+/// URDF's `<mimic>`: `position = multiplier · master's position + offset`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mimic {
-    /// Name of the driving joint.
+    /// Driving joint.
     pub joint: String,
-    /// Factor of its position.
+    /// Factor.
     pub multiplier: f64,
     /// Offset, rad or m.
     pub offset: f64,
 }
 
-/// A link name with the byte offset of its declaration.
 pub(super) struct LinkDraft {
     pub name: String,
     pub at: usize,
 }
 
-/// A parsed joint whose links are still names.
 pub(super) struct JointDraft {
     pub name: String,
     pub kind: JointKind,

@@ -1,4 +1,4 @@
-//! SIMD forward kinematics: four configurations at once.
+//! SIMD forward kinematics.
 
 use nalgebra::Matrix3;
 use wide::f64x4;
@@ -7,10 +7,8 @@ use crate::geometry::{Pose, Vec3};
 
 use super::chain::{Chain, Rigid};
 
-/// Configurations per batch.
 const LANES: usize = 4;
 
-/// One pose per lane, as matrix columns.
 #[derive(Clone, Copy)]
 struct Rigids {
     columns: [[f64x4; 3]; 3],
@@ -18,7 +16,7 @@ struct Rigids {
 }
 
 impl Chain {
-    /// Computes `base_from_tip` for each row of `q_rows` (row-major, one position per coordinate).
+    /// Computes `base_from_tip` for each row of `q_rows` (row-major).
     ///
     /// # Panics
     /// If the last row is incomplete.
@@ -97,14 +95,13 @@ impl Rigids {
     }
 }
 
-/// Sine and cosine of each lane, within two units in the last place. Uses the polynomials of Cephes
-/// (Moshier, `sin.c`) after subtracting the nearest multiple of π/2 in three parts.
+/// Within two units in the last place. Subtracts the nearest multiple of π/2 in three parts, then uses the
+/// polynomials of Cephes (Moshier, `sin.c`).
 #[inline]
 fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
-    /// Adding and subtracting this constant rounds to the nearest integer; the integer is in the last bits
-    /// of the sum.
+    /// Adding and subtracting it rounds to an integer, which is in the last bits of the sum.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
-    /// Above this angle the three-part reduction loses digits, rad.
+    /// Above this, rad, the reduction loses digits.
     const MOST_RAD: f64 = 1e5;
     const HALF_PI: [f64; 3] =
         [1.570_796_310_901_641_8, 1.589_325_471_229_585_7e-8, 6.123_233_995_736_766e-17];
@@ -139,8 +136,8 @@ fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
     let cos = f64x4::ONE - square * f64x4::HALF + square * square * sum(COS);
     let (sin, cos) = (sin.to_array().map(f64::to_bits), cos.to_array().map(f64::to_bits));
     let quarter = shifted.to_array().map(f64::to_bits);
-    // Sine and cosine are exchanged in odd quadrants. The sine is negative in the last two quadrants, the
-    // cosine in the middle two.
+    // Odd quadrants exchange sine and cosine. The sine is negative in the last two, the cosine in the
+    // middle two.
     let either = |own: [u64; 4], other: [u64; 4], from: u64| {
         f64x4::new(std::array::from_fn(|lane| {
             let odd = 0_u64.wrapping_sub(quarter[lane] & 1);
@@ -175,8 +172,7 @@ mod tests {
         assert!([sin, cos].iter().all(|of| of.as_array()[..2].iter().all(|one| one.is_nan())));
     }
 
-    /// Batches match single evaluations up to rounding, for every catalogue arm and different numbers of
-    /// rows.
+    /// Up to rounding.
     #[test]
     fn many_at_once_are_what_each_is() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(7);

@@ -1,8 +1,8 @@
 //! Robot models: trees of joints, their sources and forward kinematics.
 //!
-//! A [`Robot`] is read from a URDF, from TOML (joints or a Denavit-Hartenberg table) or from the
-//! [`catalogue`]; a [`Calibration`] can replace its joint origins. [`Robot::chain`] extracts the path
-//! between two links as a [`Chain`], which computes `base_from_tip` from joint positions.
+//! A [`Robot`] comes from a URDF, from TOML (joints or a Denavit-Hartenberg table) or from the
+//! [`catalogue`]; a [`Calibration`] replaces its joint origins. [`Robot::chain`] is the path between two
+//! links.
 
 mod calibration;
 pub mod catalogue;
@@ -44,10 +44,10 @@ use std::path::Path;
 use xml::MAX_TEXT_BYTES;
 
 impl Robot {
-    /// Reads the URDF or TOML file at `path`; the format is detected from the content.
+    /// Reads a URDF or TOML file.
     ///
     /// # Errors
-    /// As [`Robot::from_text`], or if the file cannot be read as text.
+    /// As [`Robot::from_text`], or if it is not text.
     pub fn from_file(path: &Path) -> Result<Robot, RobotError> {
         let file = path.display().to_string();
         let text =
@@ -55,7 +55,7 @@ impl Robot {
         Robot::from_text(&text, &file)
     }
 
-    /// Parses `text` as a URDF if it starts with `<`, otherwise as TOML; `source` is its name in errors.
+    /// Parses a URDF if `text` starts with `<`, otherwise TOML; `source` is its name in errors.
     ///
     /// # Errors
     /// If the model is invalid, with the line.
@@ -68,7 +68,6 @@ impl Robot {
     }
 }
 
-/// Reads the text at `path`, up to the maximum size of a model.
 fn text_of(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(MAX_TEXT_BYTES as u64 + 1).read_to_end(&mut bytes)?;
@@ -79,7 +78,6 @@ fn text_of(path: &Path) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// Removes the byte order mark that some editors write.
 fn without_bom(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }

@@ -13,27 +13,27 @@ use super::nearest::nearest;
 /// Robot: one tree of links and joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
-    /// Name of the model.
+    /// Name.
     pub name: String,
-    /// Source of the model: a file, a topic, or `catalogue`.
+    /// File, topic, or `catalogue`.
     pub source: String,
-    /// Base link declared by the model's author.
+    /// Declared base link.
     pub default_base: Option<String>,
-    /// Tip link declared by the model's author.
+    /// Declared tip link.
     pub default_tip: Option<String>,
     /// Link in which the controller expresses its poses.
     pub controller_base: Option<String>,
-    /// The link whose pose the controller reports.
+    /// Link whose pose the controller reports.
     pub controller_tip: Option<String>,
-    /// Alternative prefixes of this arm's joints and links in logs.
+    /// Other prefixes in logs.
     pub joint_prefixes: Vec<String>,
-    /// Alternative names of the arm.
+    /// Other names of the arm.
     pub aliases: Vec<String>,
-    /// Origin of the kinematic data, if the file declares it.
+    /// Origin of the data, if declared.
     pub provenance: Option<Provenance>,
-    /// DH table of the joints, if the model is one.
+    /// DH table, if any.
     pub dh: Option<DhModel>,
-    /// Text from which the model was read; `None` for catalogue arms.
+    /// `None` for catalogue arms.
     pub(super) text: Option<Arc<str>>,
     links: Vec<Link>,
     joints: Vec<Joint>,
@@ -42,64 +42,64 @@ pub struct Robot {
     root: LinkId,
 }
 
-/// Origin of a catalogue arm's kinematic data.
+/// Origin of a catalogue arm's data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Provenance {
     /// Manufacturer.
     pub vendor: String,
-    /// The manufacturer's name of the arm.
+    /// Manufacturer's name of the arm.
     pub model: String,
-    /// Repository and commit of the data.
+    /// Repository and commit.
     pub source: String,
     /// Licence of the source.
     pub licence: String,
 }
 
-/// Index of a link, valid for the robot that returned it.
+/// Valid for the robot that returned it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(usize);
 
 #[derive(Debug, Clone, PartialEq)]
 struct Link {
     name: String,
-    /// Index of the joint whose child it is.
+    /// Joint whose child it is.
     parent: Option<usize>,
-    /// Indices of the joints whose parent it is, in file order.
+    /// Joints whose parent it is, in file order.
     children: Vec<usize>,
 }
 
 /// A joint between two links.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
-    /// Name, unique within the robot.
+    /// Unique within the robot.
     pub name: String,
     /// Type of motion.
     pub kind: JointKind,
-    /// The link towards the root.
+    /// Link towards the root.
     pub parent: LinkId,
-    /// The link away from the root; its frame is the joint's frame after the motion.
+    /// Link away from the root, with the joint's frame after the motion.
     pub child: LinkId,
-    /// `parent_from_joint`: the pose of the child link in the parent link at position zero.
+    /// Pose of the child at position zero.
     pub parent_from_joint: Pose,
-    /// Unit vector of the axis of motion, in the joint's frame.
+    /// Unit vector, in the joint's frame.
     pub axis: Vec3,
-    /// Limits stated by the model.
+    /// Stated limits.
     pub limits: Limits,
-    /// The joint that drives this one, if any.
+    /// Driving joint.
     pub mimic: Option<Mimic>,
 }
 
-/// Byte offsets of the declarations of links and joints.
+/// Byte offsets of declarations.
 struct Offsets {
     links: Vec<usize>,
     joints: Vec<usize>,
 }
 
 impl Robot {
-    /// Builds the tree from links and joints.
+    /// Builds the tree.
     ///
     /// # Errors
-    /// If they do not form one tree with unique names.
+    /// If links and joints do not form one tree with unique names.
     pub(super) fn assemble(
         name: &str,
         source: &str,
@@ -133,34 +133,34 @@ impl Robot {
         })
     }
 
-    /// Source text, URDF or TOML; `None` for catalogue arms.
+    /// URDF or TOML; `None` for catalogue arms.
     pub fn text(&self) -> Option<&str> {
         self.text.as_deref()
     }
 
-    /// All links, in file order.
+    /// In file order.
     pub fn links(&self) -> impl Iterator<Item = LinkId> + '_ {
         (0..self.links.len()).map(LinkId)
     }
 
-    /// All joints, in file order.
+    /// In file order.
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// Returns the joint with this name.
+    /// The joint with this name.
     pub fn joint(&self, name: &str) -> Option<&Joint> {
         self.joint_ids.get(name).map(|&joint| &self.joints[joint])
     }
 
-    /// Sets the origin of the joint `name`, if it exists.
+    /// Ignores unknown joints.
     pub(super) fn move_joint(&mut self, name: &str, parent_from_joint: Pose) {
         if let Some(&joint) = self.joint_ids.get(name) {
             self.joints[joint].parent_from_joint = parent_from_joint;
         }
     }
 
-    /// Returns a copy with the joint origins `parent_from_joint`, in file order.
+    /// Copy with these joint origins, in file order.
     pub(super) fn with_origins(&self, parent_from_joint: &[Pose]) -> Robot {
         let mut robot = self.clone();
         for (joint, origin) in robot.joints.iter_mut().zip(parent_from_joint) {
@@ -169,8 +169,7 @@ impl Robot {
         robot
     }
 
-    /// Returns the robot that the same rows describe under the other DH convention. `None` if the model is
-    /// not a DH table.
+    /// Robot of the same rows under the other DH convention; `None` without a DH table.
     pub fn under_other_convention(&self) -> Option<Robot> {
         let dh = self.dh.as_ref()?;
         let mut robot = self.with_origins(&dh.other_origins);
@@ -179,15 +178,15 @@ impl Robot {
         Some(robot)
     }
 
-    /// Returns the link with this name.
+    /// The link with this name.
     pub fn link(&self, name: &str) -> Option<LinkId> {
         self.link_ids.get(name).copied()
     }
 
-    /// Returns the link with a name given by the user.
+    /// The link with a name given by the user.
     ///
     /// # Errors
-    /// [`ChainError::UnknownLink`] with the most similar names, or with root and leaves if there are none.
+    /// [`ChainError::UnknownLink`] with the most similar names, or else root and leaves.
     pub fn link_or_nearest(&self, name: &str) -> Result<LinkId, ChainError> {
         self.link(name).ok_or_else(|| {
             let mut instead = self.nearest_link_names(name);
@@ -203,44 +202,44 @@ impl Robot {
         })
     }
 
-    /// Returns the name of a link.
+    /// Name of a link.
     pub fn link_name(&self, link: LinkId) -> &str {
         &self.links[link.0].name
     }
 
-    /// Returns the root link.
+    /// Root link.
     pub fn root(&self) -> LinkId {
         self.root
     }
 
-    /// Returns the joint whose child is `link`; `None` for the root.
+    /// Joint whose child is `link`; `None` for the root.
     pub fn parent_joint(&self, link: LinkId) -> Option<&Joint> {
         self.links[link.0].parent.map(|joint| &self.joints[joint])
     }
 
-    /// Returns the joints whose parent is `link`, in file order.
+    /// Joints whose parent is `link`, in file order.
     pub fn child_joints(&self, link: LinkId) -> impl Iterator<Item = &Joint> {
         self.links[link.0].children.iter().map(|&joint| &self.joints[joint])
     }
 
-    /// Returns the links without children, in file order.
+    /// Links without children, in file order.
     pub fn leaf_links(&self) -> impl Iterator<Item = LinkId> + '_ {
         self.links().filter(|link| self.links[link.0].children.is_empty())
     }
 
-    /// Returns up to three link names similar to a misspelt `name`, most similar first.
+    /// Up to three link names similar to `name`, most similar first.
     pub fn nearest_link_names(&self, name: &str) -> Vec<&str> {
         nearest(name, self.links.iter().map(|link| link.name.as_str()))
     }
 
-    /// Returns `a_from_b` if only fixed joints connect the two links.
+    /// `a_from_b` if only fixed joints connect the links.
     pub fn fixed_transform(&self, a: LinkId, b: LinkId) -> Option<Pose> {
         let path = self.path(a, b);
         let fixed = path.iter().all(|step| step.joint.kind == JointKind::Fixed);
         fixed.then(|| path.iter().fold(Pose::identity(), |pose, step| pose * step.fixed_part()))
     }
 
-    /// Joints from `from` to `to`: up to their lowest common ancestor, then down.
+    /// Up to their lowest common ancestor, then down.
     pub(super) fn path(&self, from: LinkId, to: LinkId) -> Vec<PathStep<'_>> {
         let (mut up, mut down) = (self.joints_to_root(from), self.joints_to_root(to));
         while let (Some(a), Some(b)) = (up.last(), down.last())
@@ -259,8 +258,7 @@ impl Robot {
             .collect()
     }
 
-    /// Returns a copy with `rename` applied to every link and joint name; `None` if two names would become
-    /// equal.
+    /// `None` if two link or joint names would become equal.
     pub(super) fn renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
         let mut robot = self.with_joints_renamed(&rename)?;
         for link in &mut robot.links {
@@ -280,7 +278,7 @@ impl Robot {
         (robot.link_ids.len() == robot.links.len()).then_some(robot)
     }
 
-    /// Returns a copy with `rename` applied to every joint name; `None` if two names would become equal.
+    /// Copy with renamed joints; `None` if two names would become equal.
     pub fn with_joints_renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
         let mut robot = self.clone();
         for joint in &mut robot.joints {
@@ -295,15 +293,15 @@ impl Robot {
     }
 }
 
-/// One joint of a path through the tree.
+/// A joint on a path through the tree.
 pub(super) struct PathStep<'a> {
     pub joint: &'a Joint,
-    /// Whether the step leads from child to parent.
+    /// From child to parent.
     pub upwards: bool,
 }
 
 impl PathStep<'_> {
-    /// Transform across the step at position zero.
+    /// At position zero.
     pub(super) fn fixed_part(&self) -> Pose {
         if self.upwards {
             self.joint.parent_from_joint.inverse()
@@ -313,7 +311,7 @@ impl PathStep<'_> {
     }
 }
 
-/// Normalises `xyz`; returns an arbitrary axis for joint types without one.
+/// Arbitrary for joint types without an axis.
 ///
 /// # Errors
 /// If the axis is needed and is zero.
@@ -322,7 +320,7 @@ pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<V
         return Ok(Vec3::x());
     }
     let axis = Vec3::from(xyz);
-    // Scaled first, because the squares of large components overflow.
+    // Scaled first, because squares of large components overflow.
     let largest = axis.amax();
     let axis = (largest > 1e-9).then(|| (axis / largest).normalize());
     axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
@@ -386,7 +384,7 @@ fn connect(
     Ok((joints, joint_ids))
 }
 
-/// Finds the only root; every link already has at most one parent.
+/// Every link already has at most one parent.
 fn find_root(links: &[Link], joints: &[Joint], at: &Offsets) -> Result<LinkId, Located> {
     let reached = reach(links, joints);
     let looped = links.iter().zip(reached).find(|(_, reached)| !reached);
@@ -403,7 +401,7 @@ fn find_root(links: &[Link], joints: &[Joint], at: &Offsets) -> Result<LinkId, L
     Ok(LinkId(first))
 }
 
-/// For every link, whether it descends from a link without a parent.
+/// Whether each link descends from a link without a parent.
 fn reach(links: &[Link], joints: &[Joint]) -> Vec<bool> {
     let mut reached = vec![false; links.len()];
     let mut pending: Vec<usize> =

@@ -5,38 +5,38 @@ use std::collections::{BTreeSet, HashSet};
 
 use super::model::Robot;
 
-/// Mapping from a robot's joint names to the names in a log.
+/// Mapping from a robot's joint names to those in a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NameMatch {
-    /// Prefix to remove from the robot's names.
+    /// Prefix to remove.
     pub from_prefix: String,
-    /// Prefix to add instead; see [`Robot::with_prefix_replaced`].
+    /// Prefix to add, see [`Robot::with_prefix_replaced`].
     pub to_prefix: String,
-    /// Number of the robot's joints found in the log with this prefix.
+    /// Joints found in the log.
     pub matched: usize,
-    /// Number of independently movable joints of the robot.
+    /// Independently movable joints.
     pub joints: usize,
-    /// Number of characters in the two prefixes that this robot does not use.
+    /// Characters of the prefixes that this robot does not use.
     pub unknown_prefix_chars: usize,
 }
 
 impl NameMatch {
-    /// Whether every joint of the robot is in the log.
+    /// Whether the log has every joint.
     pub fn is_complete(&self) -> bool {
         self.matched == self.joints
     }
 
-    /// Returns the logged name of the robot's joint or link `name`.
+    /// Logged name of a joint or link.
     pub fn logged_name(&self, name: &str) -> String {
         with_prefix_replaced(name, &self.from_prefix, &self.to_prefix)
     }
 }
 
 impl Robot {
-    /// Finds prefixes that map this robot's joints to `logged` names. Best first: most joints, then fewest
-    /// unknown characters. Two identical arms in one log yield two matches.
+    /// Finds prefixes that map this robot's joints to `logged` names: most joints first, then fewest
+    /// unknown characters. Two identical arms yield two matches.
     ///
-    /// A log may add a namespace or `tf_prefix` to the names, or use one of `joint_prefixes`.
+    /// A log may add a namespace or `tf_prefix`, or use one of `joint_prefixes`.
     pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
         let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
         let own = self.own_joint_names();
@@ -66,9 +66,8 @@ impl Robot {
         matches
     }
 
-    /// Returns a copy with the prefix `from` of link and joint names replaced by `to`.
-    ///
-    /// Other names do not change. `None` if two names would become equal.
+    /// Copy with the prefix `from` of link and joint names replaced by `to`; `None` if two names would
+    /// become equal.
     pub fn with_prefix_replaced(&self, from: &str, to: &str) -> Option<Robot> {
         self.renamed(|name| with_prefix_replaced(name, from, to))
     }
@@ -78,8 +77,8 @@ impl Robot {
         self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
     }
 
-    /// Candidate prefixes of the joint names: the empty one, declared and common prefixes of all joints,
-    /// and the prefix of most joints (for an arm on a rail).
+    /// The empty prefix, declared and common prefixes of all joints, and that of most joints (for an arm on
+    /// a rail).
     fn own_prefixes<'a>(&'a self, names: &[&'a str]) -> BTreeSet<&'a str> {
         let declared = self.joint_prefixes.iter().map(String::as_str);
         let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
@@ -102,7 +101,6 @@ fn with_prefix_replaced(name: &str, from: &str, to: &str) -> String {
     }
 }
 
-/// Prefixes of any of `stems` in the logged names, sorted.
 fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
     let before = |name: &str, stem: &str| {
         let prefix = name.strip_suffix(stem)?;
@@ -111,8 +109,7 @@ fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
     logged.iter().flat_map(|name| stems.iter().filter_map(move |stem| before(name, stem))).collect()
 }
 
-/// Number of characters of `to` that precede a known prefix of the robot; without one, the length of both
-/// prefixes.
+/// Characters of `to` before a known prefix of the robot; without one, the length of both.
 fn unknown_prefix_chars(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) -> usize {
     if from.is_empty() {
         return to.len();
@@ -126,7 +123,7 @@ fn unknown_prefix_chars(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[
         .unwrap_or(from.len() + to.len())
 }
 
-/// Common prefix of all names up to a separator that a letter follows.
+/// Up to a separator that a letter follows.
 fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
     let first: &'a str = names.first()?;
     let ends = first.rmatch_indices(is_separator).map(|(at, separator)| at + separator.len());

@@ -1,6 +1,6 @@
 //! Suggestions for misspelt names.
 
-/// Returns up to three of `candidates` similar to `name`, most similar first, ignoring case.
+/// Up to three of `candidates` similar to `name`, most similar first, ignoring case.
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let furthest = (name.chars().count() / 3).max(1);
     let name = name.to_lowercase();

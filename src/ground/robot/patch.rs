@@ -15,39 +15,38 @@ use crate::geometry::{
     Convention, Pose, angle_between, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
 
-/// Tolerance of the origins in an edited text, m and rad.
+/// Of the edited origins, m and rad.
 const WRITTEN: f64 = 1e-9;
 
 /// Error of editing a model's text.
 #[derive(Debug, thiserror::Error)]
 pub enum PatchError {
-    /// The robot is from the catalogue or was not read from text.
+    /// From the catalogue or not from text.
     #[error("the model is not from a file or a description")]
     NoText,
-    /// The joint origins were replaced by a calibration, which would undo the edit.
+    /// A calibration replaced the origins and would undo the edit.
     #[error("the joint origins were replaced by a calibration")]
     Overlaid,
-    /// The layout is neither a URDF nor a DH table.
+    /// Neither a URDF nor a DH table.
     #[error("the text is neither a URDF nor a DH table")]
     Layout,
-    /// The edited text could not be parsed.
+    /// The result cannot be parsed.
     #[error("{0}")]
     Unreadable(#[from] RobotError),
-    /// The edited text does not have the intended effect.
+    /// The edit has not the intended effect.
     #[error("the format of joint '{0}' does not allow an edit")]
     NotPatched(String),
 }
 
-/// A replacement for a byte range of a text.
 type Edit = (Range<usize>, String);
 
 impl Robot {
-    /// Edits the text so that the joint zeros include `offsets`: FK of reported positions then equals the
-    /// previous FK of `position + offset` (`q_true = q_reported + offset`; rad, or m for prismatic joints).
+    /// Adds `offsets` to the joint zeros in the text: FK of reported positions becomes the previous FK of
+    /// `position + offset` (`q_true = q_reported + offset`; rad, or m for prismatic joints).
     ///
-    /// The origin of a joint becomes `parent_from_joint · motion(axis, offset)`. In a DH table, θ or d of
-    /// the row changes, and the convention if the robot uses the other one. Offsets of unknown joints are
-    /// ignored. The rest of the text stays.
+    /// A joint's origin becomes `parent_from_joint · motion(axis, offset)`. In a DH table, θ or d of the
+    /// row changes, and the convention if the robot uses the other one. Unknown joints are ignored; the
+    /// rest of the text stays.
     ///
     /// # Errors
     /// If there is no text, or it cannot be edited.
@@ -81,11 +80,10 @@ impl Robot {
         Ok(patched)
     }
 
-    /// Edits a URDF so that its joints have the origins of `to`, a copy of this robot. The rest of the text
-    /// stays.
+    /// Edits a URDF so that its joints have the origins of `to`, a copy of this robot.
     ///
     /// # Errors
-    /// If the text is missing, is not a URDF, or cannot be edited.
+    /// If the text is missing, no URDF, or cannot be edited.
     pub fn text_with_origins_of(&self, to: &Robot) -> Result<String, PatchError> {
         let text = self.text().ok_or(PatchError::NoText)?;
         if !is_xml(text) {
@@ -103,7 +101,7 @@ impl Robot {
         Ok(patched)
     }
 
-    /// Returns the text, with the DH convention that this robot uses, and the robot parsed from it.
+    /// Text with this robot's DH convention, and the robot parsed from it.
     fn own_text(&self) -> Result<(String, Robot), PatchError> {
         let text = self.text().ok_or(PatchError::NoText)?;
         let text = match &self.dh {
@@ -121,7 +119,6 @@ impl Robot {
     }
 }
 
-/// Sets the convention in the text of a DH table.
 fn of_convention(text: &str, convention: DhConvention) -> Option<String> {
     let table: DhText = toml::from_str(text).ok()?;
     let stated = table.dh.convention;
@@ -140,7 +137,7 @@ fn is_same(a: &Pose, b: &Pose) -> bool {
     apart.translation.vector.norm() < WRITTEN && angle_between(&a.rotation, &b.rotation) < WRITTEN
 }
 
-/// Motion of a joint by `offset`, in its own frame.
+/// In its own frame.
 fn motion(kind: JointKind, axis: &crate::geometry::Vec3, offset: f64) -> Pose {
     match kind {
         JointKind::Prismatic => pose((axis * offset).into(), rotation_from_rotvec(axis * 0.0)),
@@ -148,7 +145,6 @@ fn motion(kind: JointKind, axis: &crate::geometry::Vec3, offset: f64) -> Pose {
     }
 }
 
-/// Applies edits that do not overlap.
 fn edited(text: &str, mut edits: Vec<Edit>) -> String {
     edits.sort_by_key(|(place, _)| std::cmp::Reverse(place.start));
     let mut edited = text.to_owned();
@@ -158,7 +154,7 @@ fn edited(text: &str, mut edits: Vec<Edit>) -> String {
     edited
 }
 
-/// Formats a number with at most twelve decimals, without trailing zeros.
+/// At most twelve decimals, no trailing zeros.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.12}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
@@ -180,7 +176,6 @@ struct DhRows {
     rows: Vec<[Spanned<f64>; 4]>,
 }
 
-/// Edits θ or d of the rows whose joints have an offset.
 fn dh_edits(
     text: &str,
     own: &Robot,
@@ -199,12 +194,10 @@ fn dh_edits(
     Ok(edits.collect())
 }
 
-/// Formats a number as a TOML float.
 fn decimal(number: &str) -> String {
     if number.contains('.') { number.to_owned() } else { format!("{number}.0") }
 }
 
-/// Edits the origins of joints that change.
 fn urdf_edits(
     text: &str,
     own: &Robot,
@@ -235,7 +228,7 @@ fn urdf_edits(
     Ok(edits)
 }
 
-/// Sets an attribute of a joint's origin; inserts the attribute or the element if it is missing.
+/// Sets an attribute of a joint's origin; inserts attribute or element if missing.
 fn attribute_edit(
     text: &str,
     joint: Node<'_, '_>,

@@ -1,4 +1,4 @@
-//! Robots in TOML, with the schema of the catalogue.
+//! Robots in TOML, with the catalogue's schema.
 
 use std::collections::HashSet;
 
@@ -15,12 +15,11 @@ use super::model::{Provenance, Robot, unit_axis};
 use super::without_bom;
 
 impl Robot {
-    /// Parses a robot in TOML, in m and rad: `[[joint]]` tables as in URDF, or a `[dh]` table.
-    ///
-    /// If there are both, the joints are used. `source` is the file's name in errors.
+    /// Parses TOML in m and rad: `[[joint]]` tables as in URDF (which take precedence), or a `[dh]` table.
+    /// `source` is its name in errors.
     ///
     /// # Errors
-    /// If the text does not match the schema, or its joints do not form one tree.
+    /// If it does not match the schema, or its joints do not form one tree.
     pub fn from_toml(text: &str, source: &str) -> Result<Robot, RobotError> {
         let text = without_bom(text);
         let table: RobotTable = parse(text, source)?;
@@ -31,7 +30,6 @@ impl Robot {
     }
 }
 
-/// Parses TOML; errors include the line.
 pub(super) fn parse<T: serde::de::DeserializeOwned>(
     text: &str,
     source: &str,
@@ -43,7 +41,6 @@ pub(super) fn parse<T: serde::de::DeserializeOwned>(
     })
 }
 
-/// TOML table of one robot.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RobotTable {
@@ -74,7 +71,6 @@ pub(super) struct RobotTable {
     _note: Option<String>,
 }
 
-/// One `[[joint]]`: the fields of a URDF joint.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct JointTable {
@@ -94,7 +90,6 @@ struct JointTable {
 }
 
 impl RobotTable {
-    /// Converts the table to a robot.
     pub(super) fn into_robot(mut self, source: &str) -> Result<Robot, Located> {
         if let Some(found) = self.units.take_if(|units| units != "m, rad") {
             return Err((0, Problem::Units { found }));
@@ -115,7 +110,6 @@ impl RobotTable {
         Ok(robot)
     }
 
-    /// Joints of the table; if it has only a DH table, its joints and the table.
     fn joint_drafts(&mut self) -> Result<(Vec<JointDraft>, Option<DhModel>), Located> {
         if !self.joints.is_empty() {
             let joints: Result<_, _> = self.joints.drain(..).map(joint_draft).collect();
@@ -177,7 +171,6 @@ fn joint_draft(table: Spanned<JointTable>) -> Result<JointDraft, Located> {
     })
 }
 
-/// Links named by the joints, in the order of first appearance.
 fn links_of(joints: &[JointDraft]) -> Vec<LinkDraft> {
     let mut seen = HashSet::new();
     let mentions =
@@ -250,7 +243,7 @@ mod tests {
         assert_eq!(compared, 33);
     }
 
-    /// The stated maxima belong to other positions, hence the factor.
+    /// The factor allows for maxima at other positions.
     fn assert_agrees(table: RobotTable, dh: &DhTable, stated: &StatedDifference) {
         let drafts = dh.joints(0).unwrap();
         let of_rows = Robot::assemble("dh", "dh", links_of(&drafts), drafts).unwrap();

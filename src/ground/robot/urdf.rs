@@ -1,6 +1,4 @@
-//! Parser for the kinematics of a URDF; all other elements are ignored.
-//!
-//! Format and defaults: <https://wiki.ros.org/urdf/XML/joint>.
+//! Kinematics of a URDF. Format and defaults: <https://wiki.ros.org/urdf/XML/joint>.
 
 use roxmltree::Node;
 
@@ -13,14 +11,12 @@ use super::model::{Robot, unit_axis};
 use super::xml::document;
 
 impl Robot {
-    /// Parses a URDF; `source` is its file or topic in errors.
-    ///
-    /// Reads only `<link>` and `<joint>`. Defaults as in URDF: identity for a missing origin, x for a
-    /// missing axis; axes are normalised.
+    /// Parses `<link>` and `<joint>` of a URDF; `source` is its file or topic in errors. A missing origin
+    /// is the identity, a missing axis x; axes are normalised.
     ///
     /// # Errors
-    /// If the text is not a URDF, contains xacro, declares entities, has an invalid number or too many
-    /// elements, or is not one tree.
+    /// If it is not a URDF or not one tree, contains xacro, declares entities, has an invalid number or too
+    /// many elements.
     pub fn from_urdf(text: &str, source: &str) -> Result<Robot, RobotError> {
         let document = document(text);
         let robot = document.and_then(|document| read_robot(document.root_element(), source));
@@ -73,7 +69,6 @@ fn read_joint(node: Node) -> Result<JointDraft, Located> {
     })
 }
 
-/// A joint's node, with its name in errors.
 struct Element<'a> {
     node: Node<'a, 'a>,
     label: String,
@@ -98,7 +93,7 @@ impl<'a> Element<'a> {
         Ok(pose(xyz, rotation))
     }
 
-    /// Rotation from `quat_xyzw`, an alternative to `rpy` in newer URDFs.
+    /// `quat_xyzw`, an alternative to `rpy` in newer URDFs.
     fn quaternion(&self) -> Result<Option<Rotation>, Located> {
         const EXPECTED: &str = "a quaternion x y z w";
         let Some(components) = self.numbers::<4>("origin", "quat_xyzw", EXPECTED)? else {
@@ -109,7 +104,7 @@ impl<'a> Element<'a> {
         rotation_from_xyzw(components).map(Some).ok_or_else(bad)
     }
 
-    /// Absent or infinite limits count as none; so do position limits of a continuous joint.
+    /// Infinite limits, and position limits of a continuous joint, count as none.
     fn limits(&self, kind: JointKind) -> Result<Limits, Located> {
         let limit = |attribute| -> Result<Option<f64>, Located> {
             Ok(self.number("limit", attribute)?.filter(|value| value.is_finite()))
@@ -138,7 +133,6 @@ impl<'a> Element<'a> {
         Ok(self.numbers(tag, attribute, "a finite number")?.map(|[number]| number))
     }
 
-    /// Parses `N` finite numbers of an optional attribute.
     fn numbers<const N: usize>(
         &self,
         tag: &str,
@@ -154,7 +148,6 @@ impl<'a> Element<'a> {
         numbers.map(Some).ok_or_else(|| self.bad_number(tag, attribute, text, expected))
     }
 
-    /// Parses an optional attribute; the number may be infinite.
     fn number(&self, tag: &str, attribute: &'static str) -> Result<Option<f64>, Located> {
         let Some(text) = self.attribute(tag, attribute) else { return Ok(None) };
         let number = text.trim().parse().ok().filter(|x: &f64| !x.is_nan());

@@ -1,6 +1,4 @@
-//! Visual and collision shapes of a URDF.
-//!
-//! Only read to draw a robot, and leniently: invalid visuals are ignored. Format:
+//! Visual and collision shapes of a URDF, to draw a robot; invalid ones are ignored. Format:
 //! <https://wiki.ros.org/urdf/XML/link>.
 
 use roxmltree::Node;
@@ -16,23 +14,23 @@ use super::{LinkId, Robot};
 pub struct Visual {
     /// The link.
     pub link: LinkId,
-    /// Pose of the visual in the link's frame.
+    /// Pose in the link.
     pub link_from_visual: Pose,
-    /// Its shape.
+    /// Shape.
     pub shape: Shape,
 }
 
-/// Shape of a visual, centred on its frame.
+/// Shape, centred on its frame.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Shape {
     /// Mesh file.
     Mesh {
-        /// Path in the model, such as `package://ur_description/meshes/base.dae`.
+        /// Such as `package://ur_description/meshes/base.dae`.
         uri: String,
-        /// Scale factors of x, y and z.
+        /// Of x, y and z.
         scale: [f64; 3],
     },
-    /// Box with these edge lengths along x, y and z, m.
+    /// Edge lengths along x, y and z, m.
     Box([f64; 3]),
     /// Cylinder along z.
     Cylinder {
@@ -41,17 +39,17 @@ pub enum Shape {
         /// Length, m.
         length_m: f64,
     },
-    /// Sphere with this radius, m.
+    /// Radius, m.
     Sphere(f64),
 }
 
 impl Robot {
-    /// Returns the visuals of the links, in file order. Empty if the model is not a URDF.
+    /// In file order; empty if the model is not a URDF.
     pub fn visuals(&self) -> Vec<Visual> {
         self.drawn("visual")
     }
 
-    /// Returns the collision shapes of the links, in file order.
+    /// Collision shapes, in file order.
     pub fn collisions(&self) -> Vec<Visual> {
         self.drawn("collision")
     }
@@ -59,7 +57,7 @@ impl Robot {
     fn drawn(&self, element: &'static str) -> Vec<Visual> {
         let document = self.text().map(document);
         let Some(Ok(document)) = document else { return Vec::new() };
-        // Links may have been renamed since the file was read, but keep their order.
+        // Links may be renamed but keep their order.
         let links = named(document.root_element(), "link").zip(self.links());
         let visuals = links.flat_map(|(node, link)| {
             named(node, element).filter_map(move |visual| visual_of(link, visual))
@@ -101,7 +99,6 @@ fn named<'a, 'input>(
     node.children().filter(move |child| child.is_element() && child.tag_name().name() == name)
 }
 
-/// Parses `N` numbers of plausible magnitude.
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let words =
         text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.abs() <= MOST));

@@ -1,4 +1,4 @@
-//! Writes a robot's kinematics as a URDF: links, joints, origins, axes, limits.
+//! Writes a robot's kinematics as a URDF.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use super::patch::numbers;
 use crate::geometry::{Convention, xyz_of};
 
 impl Robot {
-    /// Converts the robot to a URDF with its kinematics only.
+    /// URDF of links, joints, origins, axes and limits.
     pub fn to_urdf(&self) -> String {
         let mut text =
             format!("<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n", escaped(&self.name));

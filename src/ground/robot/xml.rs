@@ -1,24 +1,20 @@
-//! XML parsing of untrusted models. Documents that would exhaust time or memory are rejected before
-//! parsing.
+//! XML of untrusted models. Documents that would exhaust time or memory are rejected before parsing.
 
 use roxmltree::{Document, Error, ParsingOptions};
 
 use super::error::Problem;
 
-/// Maximum size of a model's text, bytes. The URDF of a humanoid has about 200 kB.
+/// Maximum size, bytes. The URDF of a humanoid has about 200 kB.
 pub(super) const MAX_TEXT_BYTES: usize = 8 << 20;
-/// Maximum number of elements, texts and comments.
+/// Elements, texts and comments.
 const MAX_NODES: u32 = 200_000;
-/// Maximum nesting depth.
 const MAX_DEPTH: usize = 100;
-/// Maximum number of attributes per element; the parser compares all pairs.
+/// Per element; the parser compares all pairs.
 const MAX_ATTRIBUTES: usize = 256;
-/// Maximum number of namespace declarations; the parser copies those of an element to its descendants.
+/// Declarations; the parser copies those of an element to its descendants.
 const MAX_NAMESPACES: usize = 512;
 
-/// Parses `text`.
-///
-/// Declared entities are rejected: 400 kB of entities expand to 40 GB.
+/// Rejects declared entities: 400 kB of them expand to 40 GB.
 ///
 /// # Errors
 /// The byte offset and the problem.
@@ -48,13 +44,12 @@ fn more(limit: usize, what: &'static str) -> Problem {
     Problem::TooMuch { what, limit }
 }
 
-/// Byte offset of the line of the error.
 fn place(text: &str, error: &Error) -> usize {
     let row = error.pos().row.saturating_sub(1) as usize;
     text.split_inclusive('\n').take(row).map(str::len).sum()
 }
 
-/// Scans the tags of `text` and rejects documents that would take the parser too much time or memory.
+/// Rejects documents that would take the parser too much time or memory.
 fn bounded(text: &str) -> Result<(), (usize, Problem)> {
     if text.len() > MAX_TEXT_BYTES {
         return Err((0, more(MAX_TEXT_BYTES, "bytes")));
@@ -93,7 +88,7 @@ fn bounded(text: &str) -> Result<(), (usize, Problem)> {
     Ok(())
 }
 
-/// Length of the tag at the start of `text`; a `>` between quotes does not end it.
+/// A `>` between quotes does not end the tag.
 fn tag_length(text: &str) -> Option<usize> {
     let mut quote = None;
     for (at, byte) in text.bytes().enumerate() {
@@ -129,7 +124,7 @@ mod tests {
         assert!(refusal(&format!("<r>{}</r>", "<a/>".repeat(200_000))).contains("200000 elements"));
         let deep = format!("{}{}", "<a>".repeat(101), "</a>".repeat(101));
         assert!(refusal(&deep).contains("100 nested elements"));
-        // The parser would take minutes for each of these.
+        // Each would take minutes.
         let of_one: String = (0..100_000).fold("<a ".to_owned(), |mut text, at| {
             let _ = write!(text, "a{at}='' ");
             text

@@ -1,19 +1,19 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
-/// Estimate with its standard error, in the unit of the field that contains it.
+/// Estimate, in the unit of the containing field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// The estimate.
+    /// Estimate.
     pub value: f64,
-    /// Standard error, corrected for the autocorrelation of the residuals.
+    /// Corrected for autocorrelated residuals.
     pub std_error: f64,
-    /// Effective degrees of freedom behind `std_error`.
+    /// Effective degrees of freedom.
     pub dof: f64,
 }
 
 impl Measured {
-    /// Half-width of the interval with coverage `confidence` (Student's t with `dof` degrees of freedom).
+    /// Of the interval with this coverage (Student's t).
     pub fn half_width(&self, confidence: f64) -> f64 {
         if !self.std_error.is_finite() {
             return f64::INFINITY;
@@ -21,40 +21,38 @@ impl Measured {
         quantile(0.5 + 0.5 * confidence, self.dof) * self.std_error
     }
 
-    /// Interval with coverage `confidence`.
+    /// Interval with this coverage.
     pub fn interval(&self, confidence: f64) -> [f64; 2] {
         let half = self.half_width(confidence);
         [self.value - half, self.value + half]
     }
 
-    /// Returns the estimate multiplied by `factor`.
+    /// Multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_error: self.std_error * factor.abs(), ..*self }
     }
 }
 
-/// Length of a measured vector, with the significance of its difference from zero.
+/// Length of a measured vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredLength {
-    /// The length. Its interval includes zero unless zero is rejected.
+    /// Its interval includes zero unless zero is rejected.
     pub norm: Measured,
-    /// p-value of the joint test that all components are zero.
+    /// For all components being zero.
     pub p_value: f64,
 }
 
 impl MeasuredLength {
-    /// Estimates the length of `vector` from the `covariance` of its errors, which has `dof` degrees of
-    /// freedom.
+    /// Estimates the length of `vector` from the `covariance` of its errors, with `dof` degrees of freedom.
     ///
-    /// Noise makes a vector longer: `E|v̂|² = |v|² + tr C`. Therefore `|v|²` is estimated by `|v̂|² − tr
-    /// C`, with variance `4 vᵀCv + 2 tr C²` for normal errors (Mathai and Provost, *Quadratic Forms in
-    /// Random Variables*, 1992, §3.2). On average, `4 v̂ᵀCv̂` exceeds that by `2 tr C²`, which compensates
-    /// for its low values if noise shortens the vector. The bounds of the interval are computed from the
-    /// squared length.
+    /// Noise lengthens a vector: `E|v̂|² = |v|² + tr C`. `|v|²` is therefore estimated by `|v̂|² − tr C`,
+    /// with variance `4 vᵀCv + 2 tr C²` for normal errors (Mathai and Provost, *Quadratic Forms in Random
+    /// Variables*, 1992, §3.2). `4 v̂ᵀCv̂` exceeds that by `2 tr C²` on average, which compensates for
+    /// shortening by noise. The bounds are computed from the squared length.
     pub fn estimate(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
-        /// Standard deviations in half of a 95 % interval; rounded down, so a bound at zero stays at zero.
+        /// Standard deviations in half of a 95 % interval, rounded down to keep a bound at zero.
         const HALF: f64 = 1.9599;
-        /// The interval includes zero if the p-value exceeds this.
+        /// p-value above which the interval includes zero.
         const SURE: f64 = 1e-3;
         /// Standard deviations by which noise may have shortened a vector.
         const UNLUCKY: f64 = 1.4;
@@ -69,7 +67,7 @@ impl MeasuredLength {
         let (mut above, mut below) =
             ((square + reach).sqrt() - value, value - (square - reach).max(0.0).sqrt());
         if square <= reach || p_value > SURE {
-            // Near zero the distribution of the square is skewed, and noise may have shortened the vector.
+            // Near zero, the distribution of the square is skewed and noise may have shortened the vector.
             above = above.max(v.norm() + UNLUCKY * largest_std_error(covariance) - value);
             below = value;
         }
@@ -78,13 +76,11 @@ impl MeasuredLength {
     }
 }
 
-/// Largest standard error over all directions.
 fn largest_std_error(covariance: &DMatrix<f64>) -> f64 {
     covariance.clone().symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
-/// p-value of the hypothesis that all components are zero: Hotelling's T² test, or Wald's test if `dof` is
-/// large.
+/// For all components being zero: Hotelling's T² test, or Wald's if `dof` is large.
 pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
     let Some(cholesky) = covariance.clone().cholesky() else {
         return 1.0;
@@ -100,11 +96,10 @@ pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64)
     FisherSnedecor::new(count, dof.max(2.0)).map_or(1.0, |f| f.sf(statistic / count))
 }
 
-/// Degrees of freedom from which the normal quantile replaces Student's t: it differs by less than 0.3 %
-/// even at p = 1 − 1e-6, and also works for infinite `dof`.
+/// Degrees of freedom from which the normal quantile replaces Student's t. The difference is below 0.3 %
+/// even at p = 1 − 1e-6.
 const MANY: f64 = 2000.0;
 
-/// Quantile `p` of Student's t with `dof` degrees of freedom.
 fn quantile(p: f64, dof: f64) -> f64 {
     if dof >= MANY {
         return Normal::standard().inverse_cdf(p);
@@ -118,7 +113,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Values of SciPy 1.17: `scipy.stats.t.ppf(p, dof)`.
+    /// SciPy 1.17: `scipy.stats.t.ppf(p, dof)`.
     #[test]
     fn quantiles_are_those_of_tables() {
         for (p, dof, expected) in [
@@ -133,7 +128,6 @@ mod tests {
         assert!((just_below / quantile(1.0 - 1e-6, 2000.0) - 1.0).abs() < 0.004);
     }
 
-    /// Lengths of noisy copies of `true_vector` with standard errors `sigma`.
     fn lengths(true_vector: [f64; 3], sigma: [f64; 3]) -> Vec<MeasuredLength> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3, sigma.map(|s| s * s)));

@@ -6,16 +6,16 @@ pub mod thin;
 pub use measured::joint_p_value;
 pub use measured::{Measured, MeasuredLength};
 
-/// Ratio of the standard deviation to the median magnitude for normal noise: 1/Φ⁻¹(3/4).
+/// Standard deviation per median magnitude of normal noise: 1/Φ⁻¹(3/4).
 pub const STD_DEV_PER_MEDIAN: f64 = 1.4826;
 
-/// Quantile of `values` at `part` (0 to 1); `None` if there are no values. Reorders `values`.
+/// Quantile at `part` (0 to 1); `None` without values. Reorders `values`.
 pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// Median; the upper of the two middle values if their number is even.
+/// The upper one of two middle values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }

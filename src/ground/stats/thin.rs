@@ -1,14 +1,13 @@
-//! Selection of rows for plots of long streams.
+//! Rows of long streams for plots.
 
-/// Every k-th row and the last one, with the smallest k that keeps at most `most` rows.
+/// Every k-th row and the last, with the smallest k for at most `most` rows.
 pub fn even_rows(rows: usize, most: usize) -> Vec<usize> {
     let step = rows.div_ceil(most.max(1)).max(1);
     let last = rows.checked_sub(1).filter(|last| last % step != 0);
     (0..rows).step_by(step).chain(last).collect()
 }
 
-/// Rows with the minimum and maximum of each series in equal intervals, in order, so no peak is lost. Keeps
-/// about `most` rows; keeps all if there are at most `most`.
+/// Minima and maxima of each series in equal intervals, in order: about `most` rows, or all if not more.
 pub fn extreme_rows(series: &[&[f64]], most: usize) -> Vec<usize> {
     let rows = series.first().map_or(0, |values| values.len());
     if rows <= most {

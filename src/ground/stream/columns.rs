@@ -1,25 +1,22 @@
 use crate::time::Clock;
 
-/// Times of every row of a stream in nanoseconds, one entry per row in each column.
-///
-/// `header` is 0 for an unset stamp, as in ROS; `unstamped` marks types without a header stamp.
+/// Times of every row, ns, one entry per row in each column.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Times {
-    /// Stamp in the message's header (for /tf: of that transform).
+    /// Header stamp (for /tf: of that transform); 0 if unset.
     pub header: Vec<i64>,
-    /// When the recorder received the message.
+    /// When it was recorded.
     pub log: Vec<i64>,
-    /// When the sender published it. Empty if it equals the receive time in every row, as most recorders
-    /// write. See [`Times::on`].
+    /// When it was sent. Empty if equal to the receive times, as most recorders write.
     publish: Vec<i64>,
-    /// Sequence number of the message; empty, or 0 throughout, if the sender does not count.
+    /// Sequence number; empty or 0 if the sender does not count.
     pub sequence: Vec<u32>,
-    /// Whether the type has no stamp. `header` is then 0 throughout, which is not a fault of the sender.
+    /// The type has no stamp, so `header` is 0.
     pub unstamped: bool,
 }
 
 impl Times {
-    /// Appends the times of one row.
+    /// Appends one row.
     pub fn push(&mut self, header: i64, log: i64, publish: i64) {
         if publish != log || !self.publish.is_empty() {
             self.publish.extend_from_slice(&self.log[self.publish.len()..]);
@@ -29,7 +26,7 @@ impl Times {
         self.log.push(log);
     }
 
-    /// Appends the times of all rows of `later`.
+    /// Appends all rows of `later`.
     pub fn append(&mut self, later: &Self) {
         if !(self.publish.is_empty() && later.publish.is_empty()) {
             self.publish.extend_from_slice(&self.log[self.publish.len()..]);
@@ -40,7 +37,7 @@ impl Times {
         self.sequence.extend_from_slice(&later.sequence);
     }
 
-    /// Appends the times of one row of `later`.
+    /// Appends one row of `later`.
     pub fn append_row(&mut self, later: &Self, row: usize) {
         self.push(later.header[row], later.log[row], later.nanos_on(Clock::Publish)[row]);
         self.sequence.extend(later.sequence.get(row));
@@ -51,12 +48,12 @@ impl Times {
         self.log.len()
     }
 
-    /// Whether there is no row.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.log.is_empty()
     }
 
-    /// The column of `clock`, in nanoseconds.
+    /// Column of `clock`, ns.
     pub fn nanos_on(&self, clock: Clock) -> &[i64] {
         match clock {
             Clock::Header => &self.header,
@@ -66,7 +63,7 @@ impl Times {
         }
     }
 
-    /// Stable sort order of the rows by `clock`; `None` if they are already sorted.
+    /// Stable sort order by `clock`; `None` if already sorted.
     pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
         let column = self.nanos_on(clock);
         if column.is_sorted() {
@@ -77,8 +74,8 @@ impl Times {
         Some(order)
     }
 
-    /// Subtracts `lateness` (ns) from every time, as a function of the nanoseconds since the first time on
-    /// the same clock. Unset headers stay unset.
+    /// Subtracts `lateness` (ns), a function of the nanoseconds since the first time on the same clock.
+    /// Unset headers stay unset.
     pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
         for column in [&mut self.header, &mut self.log, &mut self.publish] {
             let first = column.iter().copied().filter(|nanos| *nanos != 0).min().unwrap_or(0);
@@ -88,8 +85,7 @@ impl Times {
         }
     }
 
-    /// Replaces the times on `clock`. If the receive times follow the headers at a constant delay, as in
-    /// tables, they move too.
+    /// Replaces the times on `clock`. Receive times at a constant delay, as in tables, move too.
     pub fn restamp(&mut self, clock: Clock, nanos: Vec<i64>) {
         let delay = self
             .log
@@ -129,48 +125,47 @@ fn permute<T: Copy>(column: &mut Vec<T>, order: &[usize]) {
     *column = order.iter().map(|&row| column[row]).collect();
 }
 
-/// Positions and velocities of one joint, one entry per row of its [`JointColumns`].
+/// Positions and velocities of one joint, one per row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumn {
-    /// Joint name as the log spells it.
+    /// Name in the log.
     pub name: String,
-    /// Joint position, rad or m; NaN if the message lacks this joint.
+    /// Position, rad or m; NaN if missing.
     pub position: Vec<f64>,
-    /// Joint velocity, rad/s or m/s; NaN if the message has none.
+    /// Velocity, rad/s or m/s; NaN if missing.
     pub velocity: Vec<f64>,
 }
 
-/// Upper bound of a plausible magnitude, in any unit. Its square does not overflow.
+/// Largest plausible magnitude, in any unit. Its square does not overflow.
 const MOST: f64 = 1e12;
 
-/// Whether a value is plausible: finite and at most 1e12 in magnitude.
+/// Whether a value is finite and at most 1e12 in magnitude.
 pub fn is_usable(value: f64) -> bool {
     value.abs() <= MOST
 }
 
-/// A JointState topic: one column per joint name, with common rows.
+/// A JointState topic.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumns {
     /// Times of the rows.
     pub times: Times,
-    /// The header's frame, usually empty.
+    /// Header frame, usually empty.
     pub frame_id: String,
-    /// One column per joint name, in the order of first appearance.
+    /// In the order of first appearance.
     pub joints: Vec<JointColumn>,
-    /// Messages dropped because the numbers of names and positions differ.
+    /// Dropped messages with unequal numbers of names and positions.
     pub wrong_length: u64,
-    /// Messages that name a joint twice with different positions; the last position is used.
+    /// Messages with two positions of a joint; the last is used.
     pub contradictory: u64,
-    /// Positions dropped because they are not [`is_usable`], in messages that were otherwise kept.
+    /// Dropped positions that are not [`is_usable`].
     pub not_finite: u64,
-    /// The same count per joint, up to the last joint with any.
+    /// The same per joint, up to the last with any.
     pub unusable: Vec<u64>,
-    /// Whether the type carries no names; the names here are then the driver's defaults.
+    /// The type has no names; these are the driver's defaults.
     pub unnamed: bool,
-    /// Whether the positions were assumed to be degrees because of their magnitude. They are rad here.
+    /// Positions were assumed to be degrees because of their magnitude. They are rad here.
     pub converted_from_degrees: bool,
-    /// Factor and offset that converted each logged position, if it was in neither rad nor degrees;
-    /// otherwise empty.
+    /// Factor and offset that converted each position from a unit other than rad and degrees; else empty.
     pub conversions: Vec<[f64; 2]>,
 }
 
@@ -179,15 +174,15 @@ pub struct JointColumns {
 pub struct PoseColumns {
     /// Times of the rows.
     pub times: Times,
-    /// Frame that the poses are expressed in (the parent), without a leading `/`.
+    /// Parent frame, without a leading `/`.
     pub frame_id: String,
-    /// Frame whose poses these are (the child), without a leading `/`; empty if the type has none.
+    /// Child frame, without a leading `/`; may be empty.
     pub child_frame_id: String,
-    /// Position as logged, nominally in metres.
+    /// Position as logged, nominally m.
     pub xyz: Vec<[f64; 3]>,
-    /// Quaternion as logged, in the order of the message's fields x, y, z, w.
+    /// Quaternion as logged: x, y, z, w.
     pub q_xyzw: Vec<[f64; 4]>,
-    /// Rows dropped because a value is not [`is_usable`].
+    /// Dropped rows with values that are not [`is_usable`].
     pub not_finite: u64,
 }
 
@@ -196,43 +191,43 @@ pub struct PoseColumns {
 pub struct ImuColumns {
     /// Times of the rows.
     pub times: Times,
-    /// Frame of the sensor, without a leading `/`.
+    /// Sensor frame, without a leading `/`.
     pub frame_id: String,
-    /// `world_from_imu` as logged (REP 145), fields x, y, z, w; all zero if unknown.
+    /// `world_from_imu` as logged (REP 145), x, y, z, w; all zero if unknown.
     pub q_xyzw: Vec<[f64; 4]>,
-    /// Angular velocity in the sensor's frame, rad/s.
+    /// Angular velocity, sensor frame, rad/s.
     pub gyro: Vec<[f64; 3]>,
-    /// Linear acceleration (specific force) in the sensor's frame, m/s².
+    /// Specific force, sensor frame, m/s².
     pub accel: Vec<[f64; 3]>,
-    /// Whether any message declares an orientation (`orientation_covariance[0] != -1`).
+    /// Whether a message declares an orientation (`orientation_covariance[0] != -1`).
     pub has_orientation: bool,
-    /// Rows dropped because a value is not [`is_usable`].
+    /// Dropped rows with values that are not [`is_usable`].
     pub not_finite: u64,
 }
 
-/// Bare arrays with a constant number of values, such as `std_msgs/Float64MultiArray`.
+/// Arrays of constant length, such as `std_msgs/Float64MultiArray`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ArrayColumns {
     /// Times of the rows.
     pub times: Times,
     /// Values per row.
     pub width: usize,
-    /// Row-major values, `width` per row.
+    /// Row-major values.
     pub values: Vec<f64>,
-    /// Whether nothing identifies the numbers, as in a table with meaningless column names.
+    /// Nothing identifies the numbers.
     pub unnamed: bool,
-    /// Messages dropped because their length differs from `width`, the length of the first message.
+    /// Dropped messages not as long as the first.
     pub wrong_length: u64,
-    /// Rows dropped because a value is not [`is_usable`].
+    /// Dropped rows with values that are not [`is_usable`].
     pub not_finite: u64,
 }
 
-/// Texts, such as `robot_description`. Equal texts of a latched topic are stored once.
+/// Texts, such as `robot_description`; equal texts of a latched topic once.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TextColumns {
     /// Times of the rows.
     pub times: Times,
-    /// The text of each row.
+    /// Text of each row.
     pub text: Vec<String>,
 }
 
@@ -241,20 +236,20 @@ pub struct TextColumns {
 pub enum Columns {
     /// Joint states.
     Joints(JointColumns),
-    /// Poses, split by (frame, child frame) in the order of first appearance.
+    /// Poses by (frame, child frame), in the order of first appearance.
     Poses(Vec<PoseColumns>),
-    /// Transforms of a TF topic, split by (parent, child) in the order of first appearance.
+    /// Transforms by (parent, child), in the order of first appearance.
     Transforms(Vec<PoseColumns>),
     /// IMU readings.
     Imu(ImuColumns),
-    /// Bare number arrays.
+    /// Number arrays.
     Array(ArrayColumns),
     /// Texts.
     Text(TextColumns),
 }
 
 impl Columns {
-    /// Times of each part: of each transform or pose, or of the whole topic.
+    /// Times of each transform or pose, or of the topic.
     pub fn times(&self) -> Vec<&Times> {
         match self {
             Columns::Joints(joints) => vec![&joints.times],
@@ -282,8 +277,8 @@ impl Columns {
 }
 
 impl Columns {
-    /// Keeps the given rows of each part, in the order of [`Columns::times`], and removes poses and transforms
-    /// without rows and without dropped samples.
+    /// Keeps the given rows of each part of [`Columns::times`], and removes poses and transforms without
+    /// rows and dropped samples.
     pub fn retain(&mut self, rows: &[Vec<usize>]) {
         match self {
             Columns::Joints(joints) => rows.iter().for_each(|rows| joints.select(rows)),
@@ -297,7 +292,7 @@ impl Columns {
         }
     }
 
-    /// Sets the counts of dropped samples to zero, except those of the parts for which `is_kept` returns true.
+    /// Zeroes the counts of dropped samples unless `is_kept`.
     pub fn clear_dropped(&mut self, is_kept: impl Fn(usize) -> bool) {
         match self {
             Columns::Joints(joints) if !is_kept(0) => {
@@ -318,8 +313,7 @@ impl Columns {
 }
 
 impl Columns {
-    /// Frees the values of poses and IMUs, except the parts (index and times) for which `kept` returns
-    /// true. The times of all rows stay.
+    /// Frees values of poses and IMUs, but not their times, unless `kept` (part index and times).
     pub fn release_values(&mut self, kept: impl Fn(usize, &Times) -> bool) {
         match self {
             Columns::Poses(poses) | Columns::Transforms(poses) => {
@@ -337,13 +331,13 @@ impl Columns {
 }
 
 impl JointColumns {
-    /// Counts a position of joint `joint` that is not [`is_usable`].
+    /// Counts a position that is not [`is_usable`].
     pub fn drop_value(&mut self, joint: usize) {
         self.not_finite += 1;
         self.count_unusable(joint, 1);
     }
 
-    /// Counts dropped positions of a joint, without changing [`JointColumns::not_finite`].
+    /// Counts dropped positions, without changing [`JointColumns::not_finite`].
     pub fn count_unusable(&mut self, joint: usize, count: u64) {
         if count > 0 && self.unusable.len() <= joint {
             self.unusable.resize(joint + 1, 0);
@@ -404,7 +398,7 @@ impl ImuColumns {
 }
 
 impl ArrayColumns {
-    /// The numbers of row `row`.
+    /// Numbers of one row.
     pub fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.width..(row + 1) * self.width]
     }

@@ -1,8 +1,7 @@
 //! Columns of one topic, filled by decoders and read by all later stages.
 //!
-//! A decoder appends rows as they arrive. [`Times::sort_permutation`] and the `sort_by` methods then sort a
-//! stream by the clock that the audit uses. Nothing here knows the meaning of a topic or its file.
-//! Rotations stay as logged (`_xyzw`, raw arrays); only `geometry` converts numbers to rotations.
+//! Decoders append rows as they arrive; the `sort_by` methods then sort them by the audit's clock.
+//! Rotations stay as logged (`_xyzw`, raw arrays).
 
 mod columns;
 mod tracks;

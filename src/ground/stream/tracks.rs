@@ -1,9 +1,7 @@
 use crate::geometry::{AngleUnit, LengthScale, Rotation, Vec3};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
 
-/// Positions of the joints of a chain over time, on a common time grid.
-///
-/// Times are seconds from the run's origin, strictly increasing.
+/// Joint positions over time. Times are seconds from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
 pub struct JointTrack {
     /// Sample times, s.
@@ -12,16 +10,15 @@ pub struct JointTrack {
     pub dof: usize,
     /// Positions, row-major, `dof` per row, rad or m.
     pub q: Vec<f64>,
-    /// Velocities, same layout, rad/s or m/s; as logged if they agree with the positions, otherwise
-    /// differentiated.
+    /// Velocities, same layout; as logged if they agree with the positions, otherwise differentiated.
     pub qd: Vec<f64>,
-    /// Standard deviations of the position and velocity noise of each joint, which second differences
-    /// underestimate after smoothing; empty if unknown.
+    /// Standard deviations of each joint's position and velocity, which second differences underestimate
+    /// after smoothing; empty if unknown.
     pub noise: Vec<[f64; 2]>,
 }
 
 impl JointTrack {
-    /// Converts the values of all revolute joints from degrees to radians.
+    /// Converts revolute joints from degrees.
     pub fn convert_from_degrees(&mut self, slides: &[bool]) {
         for values in [&mut self.q, &mut self.qd] {
             for row in values.chunks_exact_mut(self.dof.max(1)) {
@@ -36,28 +33,27 @@ impl JointTrack {
         self.t_s.len()
     }
 
-    /// Whether there is no sample.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.t_s.is_empty()
     }
 
-    /// Positions at sample `row`, rad or m.
+    /// Positions at `row`.
     pub fn row(&self, row: usize) -> &[f64] {
         &self.q[row * self.dof..(row + 1) * self.dof]
     }
 
-    /// First and last sample time, s.
+    /// First and last time, s.
     pub fn span(&self) -> Option<(f64, f64)> {
         Some((*self.t_s.first()?, *self.t_s.last()?))
     }
 
-    /// Interpolates positions (cubic Hermite) and velocities (linear) at time `t_s` into `q` and `qd`,
-    /// `dof` values each. Velocities are not the slope of the cubic, which would amplify the noise of the
-    /// positions. Returns false and writes nothing outside the track's span and in gaps during which a
-    /// joint moved. A gap is longer than 2 s, or longer than 0.1 s and ten adjacent intervals.
+    /// Interpolates positions (cubic Hermite) and velocities (linear) into `q` and `qd`, `dof` values each.
+    /// The slope of the cubic would amplify position noise. Returns false and writes nothing outside the
+    /// track and in gaps in which a joint moved: longer than 2 s, or than 0.1 s and ten adjacent intervals.
     ///
-    /// `cursor` stores the last interval, so a sweep in time order costs O(1) per call. Hermite basis:
-    /// Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
+    /// `cursor` stores the last interval: O(1) per call in time order. Hermite basis: Press et al.,
+    /// *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
     pub fn at(&self, t_s: f64, cursor: &mut usize, q: &mut [f64], qd: &mut [f64]) -> bool {
         let Some(left) = bracket(&self.t_s, t_s, cursor) else {
             return false;
@@ -80,13 +76,13 @@ impl JointTrack {
         true
     }
 
-    /// Whether the interval after sample `left` is too long for interpolation, and a joint moved in it.
+    /// Whether the interval after `left` is too long and a joint moved in it.
     fn is_gap(&self, left: usize) -> bool {
         const LONG_S: f64 = 0.1;
         const PERIODS: f64 = 10.0;
-        /// Intervals above this are gaps regardless of the adjacent ones, s.
+        /// A gap regardless of adjacent intervals, s.
         const UNTOLD_S: f64 = 2.0;
-        /// Change and speed that a joint at rest may show: rad or m, and rad/s or m/s.
+        /// Change and speed of a joint at rest: rad or m, and rad/s or m/s.
         const STILL: (f64, f64) = (1e-3, 1e-2);
         let interval = |left: usize| Some(self.t_s.get(left + 1)? - self.t_s[left]);
         let is_longer =
@@ -106,7 +102,7 @@ impl JointTrack {
     }
 }
 
-/// The index `i` with `t[i] ≤ t_s ≤ t[i+1]`, or `None` outside the span of `t`.
+/// `i` with `t[i] ≤ t_s ≤ t[i+1]`; `None` outside `t`.
 fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
     let last = t.len().checked_sub(1)?;
     if last == 0 || !(t[0]..=t[last]).contains(&t_s) {
@@ -123,11 +119,10 @@ fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
     Some(left)
 }
 
-/// Standard deviation of the noise between samples, in the unit of `q`. Computed from the median magnitude
-/// of second differences, to which smooth motion contributes little; long series are subsampled evenly. 0
-/// for fewer than three samples.
+/// Standard deviation of the noise between samples, in the unit of `q`, from the median magnitude of second
+/// differences. Long series are subsampled; 0 for fewer than three samples.
 pub fn sample_noise(q: &[f64]) -> f64 {
-    /// This number determines the median within 1 %.
+    /// Determines the median within 1 %.
     const ENOUGH: usize = 25_000;
     let some = q.windows(3).step_by(q.len().div_ceil(ENOUGH).max(1));
     let mut bends: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
@@ -137,11 +132,11 @@ pub fn sample_noise(q: &[f64]) -> f64 {
 /// Orientations of a pose stream.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Orientations {
-    /// Rotations `reference_from_child` as logged.
+    /// `reference_from_child` as logged.
     Rotations(Vec<Rotation>),
-    /// Three bare numbers per sample with undeclared convention.
+    /// Three numbers per sample, undeclared convention.
     Numbers(Vec<[f64; 3]>),
-    /// Orientations that were never set, with their number.
+    /// Never set, with their number.
     Unset(usize),
 }
 
@@ -155,27 +150,27 @@ impl Orientations {
         }
     }
 
-    /// Whether there is no sample.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// Poses over time. Times are seconds from the run's origin, strictly increasing.
+/// Poses over time. Times as in [`JointTrack`].
 #[derive(Clone, Debug)]
 pub struct PoseTrack {
     /// Sample times, s.
     pub t_s: Vec<f64>,
-    /// Positions in the reference frame as logged, nominally in m.
+    /// Positions in the reference frame as logged, nominally m.
     pub xyz: Vec<Vec3>,
-    /// Orientations, one per position.
+    /// One per position.
     pub orientation: Orientations,
-    /// Units declared by the caller, if any.
+    /// Units declared by the caller.
     pub declared: Option<DeclaredUnits>,
 }
 
 impl PoseTrack {
-    /// Whether any two of its poses differ.
+    /// Whether any two poses differ.
     pub fn changes(&self) -> bool {
         let turns = match &self.orientation {
             Orientations::Rotations(all) => all.windows(2).any(|pair| pair[0] != pair[1]),
@@ -186,28 +181,27 @@ impl PoseTrack {
     }
 }
 
-/// Units that the caller declared for a stream. Positions and orientations are converted with them; they
-/// may be wrong.
+/// Declared units, already applied to the stream; they may be wrong.
 #[derive(Clone, Debug, Default)]
 pub struct DeclaredUnits {
-    /// The unit of positions: metres or millimetres.
+    /// Of positions: m or mm.
     pub length: LengthScale,
-    /// The unit of angles.
+    /// Of angles.
     pub angle: AngleUnit,
-    /// The orientations if the angles were in the other unit; `None` if there are no angles.
+    /// Orientations in the other unit; `None` without angles.
     pub in_other_angles: Option<Vec<Rotation>>,
 }
 
-/// IMU readings over time. Times are seconds from the run's origin, strictly increasing.
+/// IMU readings over time. Times as in [`JointTrack`].
 #[derive(Clone, Debug, Default)]
 pub struct ImuTrack {
     /// Sample times, s.
     pub t_s: Vec<f64>,
-    /// `world_from_imu`, one per sample; empty if the log has no orientation.
+    /// `world_from_imu`, one per sample; may be empty.
     pub orientation: Vec<Rotation>,
-    /// Angular velocity in the sensor's frame, rad/s.
+    /// Angular velocity, sensor frame, rad/s.
     pub gyro: Vec<Vec3>,
-    /// Specific force in the sensor's frame, m/s².
+    /// Specific force, sensor frame, m/s².
     pub accel: Vec<Vec3>,
 }
 

@@ -1,4 +1,4 @@
-//! Catalogue of arms: one embedded data file per vendor, with source and licence.
+//! Arms in embedded files, one per vendor, with source and licence.
 
 use std::sync::LazyLock;
 
@@ -10,7 +10,6 @@ use super::names::NameMatch;
 use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
-/// The embedded files.
 pub(super) const VENDORS: [(&str, &str); 15] = [
     ("abb.toml", include_str!("abb.toml")),
     ("annin.toml", include_str!("annin.toml")),
@@ -34,17 +33,17 @@ struct Vendor {
     robot: Vec<RobotTable>,
 }
 
-/// A catalogue arm whose joint names match a log.
+/// Catalogue arm whose joint names match a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// The arm with its catalogue names.
+    /// With its catalogue names.
     pub robot: &'static Robot,
-    /// Mapping to the log's names.
+    /// To the log's names.
     pub names: NameMatch,
 }
 
 impl Candidate {
-    /// Returns the arm with the log's names; `None` if they are not unique.
+    /// With the log's names; `None` if not unique.
     pub fn renamed(&self) -> Option<Robot> {
         self.robot.with_prefix_replaced(&self.names.from_prefix, &self.names.to_prefix)
     }
@@ -65,13 +64,12 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     entries().iter().map(|robot| robot.name.as_str())
 }
 
-/// Finds an arm by name or alias. Ignores case and treats `-` and spaces as `_`. The vendor's name and a
-/// suffix may be omitted if only one arm matches: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` is
-/// `abb_irb120_3_58`.
+/// Finds an arm by name or alias, ignoring case; `-` and spaces are `_`. Vendor and suffix may be omitted
+/// if unique: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` is `abb_irb120_3_58`.
 pub fn find(name: &str) -> Option<&'static Robot> {
     let wanted = normalised(name);
     let is_called = |robot: &&Robot| robot.name == wanted || robot.aliases.contains(&wanted);
-    // A vendor's name has one or two words; a model's name starts with a letter and contains a digit.
+    // A vendor has one or two words; a model starts with a letter and contains a digit.
     let is_model = wanted.starts_with(|first: char| first.is_ascii_alphabetic())
         && wanted.contains(|c: char| c.is_ascii_digit());
     let is_short_for = |robot: &&Robot| {
@@ -85,8 +83,8 @@ pub fn find(name: &str) -> Option<&'static Robot> {
     })
 }
 
-/// Suggests up to three names or aliases for a misspelt or shortened `name`, most similar first: those that
-/// contain it, else similar ones with or without the vendor's name.
+/// Up to three names or aliases like a misspelt or shortened `name`, most similar first. Those that contain
+/// it precede similar ones, with or without vendor.
 pub fn nearest_names(name: &str) -> Vec<&'static str> {
     let wanted = normalised(name);
     let aliases = || entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
@@ -112,9 +110,8 @@ pub fn nearest_names(name: &str) -> Vec<&'static str> {
 /// Finds arms with at least half of their joints among the `logged` names, best first.
 ///
 /// Sorted by the share of joints in the log, then by their number, then by the fewest unknown prefix
-/// characters. Two arms in one log yield separate candidates, with different `names.to_prefix`. Many arms
-/// have generic names such as `joint_1`; equal candidates keep the order of the catalogue, and only the
-/// motion can distinguish them.
+/// characters. Two arms in one log yield two candidates. Many arms have names such as `joint_1`; equal
+/// candidates keep the catalogue's order, and only the motion distinguishes them.
 pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
     let mut candidates: Vec<Candidate> = entries()
         .iter()
