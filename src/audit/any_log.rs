@@ -1,4 +1,4 @@
-//! Property test: no log makes the audit panic, however unusual its robot, joints and streams.
+//! No log makes the audit panic, however unusual its robot, joints and streams.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -18,7 +18,6 @@ const START: i64 = 1_760_000_000_000_000_000;
 const PERIOD: i64 = 20_000_000;
 const ROWS: i64 = 120;
 
-/// A joint of a tree: its parent (`None` for the previous link), its kind and the joint it mimics.
 #[derive(Clone, Debug)]
 struct Branch {
     parent: Option<Index>,
@@ -28,8 +27,6 @@ struct Branch {
     axis: [f64; 3],
 }
 
-/// A topic of joint states: name, prefix of the joint names, order of the joints, and an occasional odd
-/// value.
 #[derive(Clone, Debug)]
 struct States {
     topic: &'static str,
@@ -40,7 +37,6 @@ struct States {
     rows: i64,
 }
 
-/// A pose stream: name, frames, and whether it contains FK of the robot.
 #[derive(Clone, Debug)]
 struct Poses {
     topic: &'static str,
@@ -177,7 +173,6 @@ fn any_log() -> impl Strategy<Value = AnyLog> {
     )
 }
 
-/// Position of a joint in a row.
 fn q_at(joint: usize, row: i64) -> f64 {
     let (t_s, joint) = (row as f64 * 1e-9 * PERIOD as f64, joint as f64);
     0.1 * joint - 0.3 + 0.5 * ((1.1 + 0.4 * joint) * t_s + joint).sin()
@@ -195,7 +190,6 @@ impl AnyLog {
         index.index(self.branches.len())
     }
 
-    /// Parent link of joint `at`.
     fn parent(&self, at: usize) -> usize {
         self.branches[at].parent.map_or(at, |index| index.index(at + 1))
     }

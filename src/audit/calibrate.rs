@@ -18,23 +18,23 @@ use crate::robot::Robot;
 use crate::run::{Arm, PoseSource, PoseSourceKind, Run, robot_of};
 use crate::stream::JointTrack;
 
-/// Frame offsets above this are not link deviations, m and rad.
+/// Larger frame offsets are not link deviations, m and rad.
 const MOST_M: f64 = 10e-3;
 const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// A stream of one of the logs, as input of the calibration.
+/// Stream as calibration input.
 #[derive(Clone, Debug)]
 pub struct Taken {
-    /// The file.
+    /// File.
     pub log: PathBuf,
     /// Topic, or its substitute for a table.
     pub topic: String,
     /// Source of the poses.
     pub witness: PoseSourceKind,
-    /// Encoding of the rotations, if it differs from the log's.
+    /// Encoding of the rotations if not the log's.
     pub reading: Option<String>,
-    /// Base link of the poses.
+    /// Base link.
     pub base: String,
-    /// Tip link of the poses.
+    /// Tip link.
     pub tip: String,
     pub(super) joints: JointTrack,
     pub(super) columns: Vec<usize>,
@@ -47,43 +47,40 @@ pub struct Taken {
     pub(super) reference_is_free: bool,
     pub(super) tool: Pose,
     pub(super) tool_is_free: bool,
-    /// Names of joints with a zero offset.
     pub(super) zeros: Vec<String>,
 }
 
 /// Result of a calibration.
 #[derive(Debug)]
 pub struct Calibrated {
-    /// Nominal model of the arm.
+    /// Nominal model.
     pub drawing: Robot,
-    /// Names of the chain's joints.
+    /// Joint names of the chain.
     pub joints: Vec<String>,
-    /// Streams used, in the order of [`ArmCalibration::streams`].
+    /// In the order of [`ArmCalibration::streams`].
     pub streams: Vec<Taken>,
     /// Data left out, with the reasons.
     pub left_out: Vec<String>,
-    /// The estimated calibration.
+    /// Estimated calibration.
     pub found: ArmCalibration,
     /// Joints that moved too little.
     pub still: Vec<UnmovedJoint>,
-    /// Command line that plans a more informative motion.
+    /// Command that plans a more informative motion.
     pub plan: Option<String>,
-    /// Reason for writing no file; `None` if the calibration is accepted.
+    /// Why no file is written; `None` if the calibration is accepted.
     pub refused: Option<String>,
-    /// Files that were read.
     pub(crate) read: Places,
 }
 
 impl Taken {
-    /// Whether its rotations carry no information.
+    /// Its rotations carry no information.
     pub fn rotation_is_blind(&self) -> bool {
         self.rotation_is_blind
     }
 }
 
 impl Calibrated {
-    /// Source of the poses. If it is the controller, the result is the controller's kinematics rather than
-    /// the arm's.
+    /// The controller only yields its own kinematics, not the arm's.
     pub fn witness(&self) -> PoseSourceKind {
         let of = |witness| self.streams.iter().all(|stream| stream.witness == witness);
         match (of(PoseSourceKind::External), of(PoseSourceKind::Controller)) {
@@ -99,8 +96,8 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
     Trouble { kind: TroubleKind::Log, what: what.into(), place, remedy: remedy.to_owned() }
 }
 
-/// Calibrates the arm of `options.logs`, each a separate run, without writing files. If `topic` is given,
-/// only its poses are used.
+/// Calibrates the arm of `options.logs`, each a separate run, without writing files. `topic` restricts the
+/// poses.
 ///
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
@@ -114,7 +111,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         };
         let (robot, taken, others) = match found {
             Ok(found) => found,
-            // Skip unusable logs if there are several.
+            // Several logs: skip unusable ones.
             Err(trouble) if options.logs.len() > 1 && trouble.kind == TroubleKind::Log => {
                 left_out.push(format!("{}: {}", path.display(), trouble.what));
                 continue;
@@ -143,7 +140,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         };
         return Err(trouble(place, what, "run `poseaudit audit` on it for the reason"));
     };
-    // Prefer external trackers, which observe the arm itself; the controller only knows its encoders.
+    // Only external trackers observe the arm itself.
     if streams.iter().any(|stream: &Taken| stream.witness == PoseSourceKind::External) {
         let (outside, others): (Vec<Taken>, Vec<Taken>) =
             streams.into_iter().partition(|stream| stream.witness == PoseSourceKind::External);
@@ -166,7 +163,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
     Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
 }
 
-/// Command line that plans a motion around the configurations of `stream`.
+/// Around the configurations of `stream`.
 fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     let [base, tip] = [&stream.base, &stream.tip].map(|name| drawing.link(name));
     let chain = drawing.chain(base?, tip?).ok()?;
@@ -185,7 +182,6 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     Some(format!("{call} --for calibration{outside}"))
 }
 
-/// Whether two models have the same joints with the same origins.
 fn is_same_arm(a: &Robot, b: &Robot) -> bool {
     let origins = |robot: &Robot| -> Vec<(String, Pose)> {
         robot.joints().iter().map(|joint| (joint.name.clone(), joint.parent_from_joint)).collect()
@@ -213,9 +209,8 @@ fn words(why: CalibrationFailure) -> (&'static str, &'static str) {
     }
 }
 
-/// Fits the link deviations to the streams. Drops a minority of streams that the calibration does not
-/// improve, because the arm may have been in a different state. If it does not improve most streams, all
-/// are kept and the result is rejected.
+/// Drops a minority of streams that the calibration does not improve: the arm may have been in a different
+/// state. If it does not improve most streams, keeps all and rejects the result.
 fn fitted_to_most(
     robot: &Robot,
     streams: &mut Vec<Taken>,
@@ -277,7 +272,6 @@ fn fitted(
 
 pub(super) type FromLog = (Robot, Vec<Taken>, Vec<String>);
 
-/// The arm of a log, its pose streams, and the data left out.
 fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog, Trouble> {
     let log = log::open(&[path.to_path_buf()], &options.read)?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
@@ -323,10 +317,8 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
     }
 }
 
-/// Converts a stream to calibration input.
-///
 /// # Errors
-/// The reason for leaving it out.
+/// The reason for leaving the stream out.
 fn taken(
     path: &Path,
     arm: &Arm,
@@ -402,7 +394,6 @@ fn taken(
     })
 }
 
-/// Encoding of the rotations, if it differs from the log's.
 pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
     let reading = match found.encoding.as_ref().ok()?.best {
         PoseEncoding::AsLogged => return None,

@@ -1,4 +1,4 @@
-//! The demo: a log with four planted faults, audited and compared with them.
+//! A log with four planted faults, audited and compared with them.
 
 use std::error::Error;
 use std::fs::File;
@@ -12,24 +12,24 @@ use crate::report::{Report, Trouble, TroubleKind, write_whole};
 use crate::stats::Measured;
 use crate::synth;
 
-/// File name of the demo's log.
+/// File name of the log.
 pub const DEMO_LOG: &str = "demo.mcap";
 
-/// A demo run: the planted faults and the report.
+/// A demo run.
 #[derive(Clone, Debug)]
 pub struct Demo {
-    /// The report on the log.
+    /// Report on the log.
     pub report: Report,
-    /// The planted faults.
+    /// Planted faults.
     pub planted: Vec<Planted>,
 }
 
 /// A planted fault.
 #[derive(Clone, Debug)]
 pub struct Planted {
-    /// The fault with its value, for messages.
+    /// The fault with its value.
     pub what: String,
-    /// Whether the audit found it at the right size.
+    /// Found at the right size.
     pub recovered: bool,
 }
 
@@ -59,12 +59,10 @@ fn write(log: &Path) -> Result<(), Box<dyn Error>> {
     })
 }
 
-/// Innermost cause of an error.
 fn cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
     error.source().map_or(error, cause)
 }
 
-/// The faults of [`synth::demo`], and whether a finding reports each at the right size.
 fn planted(findings: &[Finding]) -> Vec<Planted> {
     let has = |topic: Option<&str>, joint: Option<&str>, is_it: &dyn Fn(&Cause) -> bool| {
         findings.iter().any(|finding| {

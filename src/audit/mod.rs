@@ -1,4 +1,4 @@
-//! The audit: reads a log into runs, evaluates the rules on each, and builds the report.
+//! Reads a log into runs, evaluates the rules on each, and builds the report.
 
 #[cfg(test)]
 mod any_log;
@@ -22,21 +22,18 @@ pub use calibrate::{Calibrated, Taken, calibrate};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
 pub use options::{Options, Policy};
 
-/// Report contents about the files themselves.
 pub(crate) struct Read {
     summary: LogSummary,
     lost: ReadLosses,
 }
 
 impl Read {
-    /// Notes the changes made by a corrections file.
     pub fn note_corrections(&mut self, given: &GivenCorrections<'_>) {
         let path = given.file.to_owned();
         let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
         self.summary.notes.extend(notes);
     }
 
-    /// Adds a note about the run to its first file.
     fn note(&mut self, what: &str) {
         if let Some(file) = self.summary.files.first() {
             let path = file.path.clone();
@@ -85,27 +82,25 @@ impl Read {
     }
 }
 
-/// An audited run: the report with the data it is based on. Outputs are written from it.
+/// An audited run: the report and its data.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Audited {
-    /// The report.
+    /// Report.
     pub report: Report,
-    /// The run; its longest segment if the clock restarted.
+    /// Its longest segment if the clock restarted.
     pub run: Run,
-    /// Estimates on the run, as used by the rules.
+    /// Estimates used by the rules.
     pub evidence: RunEvidence,
     /// Index of that segment.
     pub(crate) segment: usize,
-    /// Whether there are several segments.
     is_part: bool,
-    /// Files that were read.
     pub(crate) read: Places,
 }
 
 impl Audited {
-    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is reported (ING001);
-    /// if it is the longest, its error is returned.
+    /// Audits each segment as a separate run. Reports a segment that cannot be audited (ING001); returns
+    /// the error of the longest.
     pub(crate) fn of(
         mut log: Log,
         options: &Options,
@@ -146,7 +141,7 @@ impl Audited {
                 }),
             }
         }
-        // Losses of the file are reported with the first segment.
+        // Losses of the file belong to the first segment.
         if let Some(first) = parts.first_mut().filter(|_| !unaudited.is_empty()) {
             first.evidence.losses.extend(unaudited);
             first.evaluation = evaluate(&first.evidence, &options.policy.rules);
@@ -164,7 +159,6 @@ impl Audited {
         self
     }
 
-    /// Data for the report's pictures.
     pub(crate) fn figures(&self) -> Figures {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
@@ -172,8 +166,8 @@ impl Audited {
         Figures { of_longest_segment: self.is_part, ..drawn }
     }
 
-    /// The report alone. Columns of a long log take as long to free as the report takes to write, so they
-    /// are freed in the background.
+    /// The report alone. Columns are freed in the background: for a long log that takes as long as writing
+    /// the report.
     pub fn into_report(self) -> Report {
         let Self { report, run, evidence, .. } = self;
         rayon::spawn(|| drop((run, evidence)));
@@ -181,7 +175,6 @@ impl Audited {
     }
 }
 
-/// An audited segment of a run.
 struct Part {
     run: Run,
     evidence: RunEvidence,
@@ -189,9 +182,9 @@ struct Part {
     seconds: f64,
 }
 
-/// Builds the report on all segments; `main` is the longest.
+/// `main` is the longest segment.
 fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Report {
-    /// Segments shorter than this fraction of the longest are short.
+    /// Fraction of the longest segment.
     const SHORT: f64 = 0.2;
     let (segment, main) = (main, &parts[main]);
     if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
@@ -256,7 +249,6 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     }
 }
 
-/// Note on a run with several segments.
 fn note(parts: &[Part]) -> String {
     let lengths: Vec<String> =
         parts.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
@@ -286,7 +278,6 @@ impl Part {
     }
 }
 
-/// Report on a run that was read but not audited.
 pub(crate) fn summary(run: &Run, read: Read) -> Report {
     Report::of_log(read.summary, robots(run), streams(run))
 }

@@ -1,5 +1,3 @@
-//! Input and settings of an audit.
-
 use std::path::PathBuf;
 
 use crate::checks::Settings;
@@ -17,9 +15,9 @@ pub struct Options {
     pub read: ReadOptions,
     /// Settings for the run.
     pub run: RunOptions,
-    /// Corrections file, applied to the streams before the rules are evaluated.
+    /// Corrections applied to the streams before the audit.
     pub corrections: Option<PathBuf>,
-    /// Config file that the settings come from, for the report.
+    /// Origin of the settings, for the report.
     pub config: Option<PathBuf>,
     /// Criteria for failure.
     pub policy: Policy,
@@ -28,11 +26,11 @@ pub struct Options {
 /// Criteria for failure.
 #[derive(Clone, Debug)]
 pub struct Policy {
-    /// Selection and thresholds of the rules.
+    /// Selection and thresholds.
     pub rules: Settings,
-    /// Lowest severity that fails the run; `None` if no finding does.
+    /// Lowest severity that fails the run; `None` for none.
     pub fail_on: Option<Severity>,
-    /// Whether an inconclusive verdict also fails the run.
+    /// An inconclusive verdict fails the run.
     pub fail_on_inconclusive: bool,
 }
 
@@ -48,7 +46,7 @@ impl Options {
     pub fn places(&self) -> Places {
         let mut places = Places::default();
         self.logs.iter().for_each(|log| places.reads_log(log));
-        // A robot that is not a file is a catalogue name.
+        // Other robots are catalogue names.
         let robots = self.run.robots.iter().filter_map(RobotSource::file);
         robots.for_each(|robot| places.reads("the robot", robot));
         let calibrations = self.run.calibrations.iter();

@@ -1,4 +1,4 @@
-//! Tables of configurations, as input of a calibration.
+//! Calibration input from tables of configurations.
 
 use std::path::Path;
 
@@ -11,13 +11,12 @@ use crate::robot::{LinkId, Robot};
 use crate::run::{PoseSourceKind, RunOptions};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Rows are placed 1 s apart, with the arm at rest for half of it, because tables have no times.
+/// Tables have no times: rows are 1 s apart, with the arm at rest for half of it.
 const ROW_S: f64 = 1.0;
 const REST_S: f64 = 0.5;
-/// Minimum number of rows for a calibration.
 const LEAST_ROWS: usize = 6;
 
-/// Reads the table at `path`; `None` if the file is not a table.
+/// `None` if the file is not a table.
 pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
     Ok(read_calibration_table(path)?.map(Table))
 }
@@ -25,7 +24,7 @@ pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
 pub(super) struct Table(CalibrationTable);
 
 impl Table {
-    /// The poses as a calibration stream. Their encoding is resolved against the arm in `options`.
+    /// Resolves their encoding against the arm in `options`.
     pub fn taken(&self, path: &Path, options: &RunOptions) -> Result<FromLog, Trouble> {
         let Self(table) = self;
         let call = |what: String, remedy: &str| {
@@ -119,7 +118,6 @@ impl Table {
     }
 }
 
-/// Base and tip of the chain.
 fn ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
     let link = |given: &Option<String>, usual: &Option<String>| {
         let name = given.as_ref().or(usual.as_ref());

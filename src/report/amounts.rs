@@ -1,9 +1,6 @@
-//! Estimates formatted for people.
-
 use crate::finding::{Estimate, Unit};
 
-/// Formats an estimate in everyday units with its 95 % interval, if it has one. An encoding shows the
-/// actual and the assumed one.
+/// In everyday units with the 95 % interval. An encoding shows the actual and the assumed one.
 pub(crate) fn shown(estimate: &Estimate) -> String {
     match estimate {
         Estimate::Scalar { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
@@ -18,15 +15,14 @@ pub(crate) fn shown(estimate: &Estimate) -> String {
     }
 }
 
-/// Formats an actual and an assumed encoding.
 pub(crate) fn reading(is: &str, read_as: &str) -> String {
     format!("{is} read as {read_as}")
 }
 
-/// `15.0 ± 0.2 ms`. A symbol without a [`Unit`] is appended as it is written.
+/// `15.0 ± 0.2 ms`. Symbols without a [`Unit`] are appended as they are.
 pub(crate) fn of_unit(symbol: &str, name: &str, value: f64, ci95: Option<[f64; 2]>) -> String {
     match (Unit::from_symbol(symbol, name), ci95) {
-        // The lower end of a length is clipped at zero, so use the upper one.
+        // The lower end of a length is clipped at zero.
         (Some(unit), Some([_, high])) => unit.show_interval(value, high - value, false),
         (Some(unit), None) => unit.show(value),
         (None, _) => format!("{value:.3} {symbol}"),

@@ -21,13 +21,13 @@ use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-/// Maximum number of gaps per stream.
+/// Gaps per stream.
 const MOST_SILENCES: usize = 60;
 
-/// Maximum number of pose streams per arm that are plotted without a finding.
+/// Pose streams per arm that are plotted without a finding.
 const DRAWN: usize = 16;
 
-/// Data series of the plots of a run and its findings. `corrected` returns an arm's corrected joint states.
+/// `corrected` returns an arm's corrected joint states.
 pub(crate) fn figures(
     run: &Run,
     facts: &RunEvidence,
@@ -66,19 +66,18 @@ pub(crate) fn figures(
     figures
 }
 
-/// Converts times to seconds from the start of the run.
+/// Seconds from the start of the run.
 struct Clock<'a> {
     run: &'a Run,
     start: Stamp,
 }
 
 impl Clock<'_> {
-    /// Converts a stamp.
     fn of_stamp_s(&self, stamp: Stamp) -> f64 {
         stamp.seconds_since(self.start)
     }
 
-    /// Converts seconds from the run's origin.
+    /// From the run's origin.
     fn of_origin_s(&self, t_s: f64) -> f64 {
         t_s + self.run.origin.seconds_since(self.start)
     }
@@ -135,7 +134,7 @@ fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
             is_best,
             is: names.is,
             read_as: names.read_as,
-            // The best one was refined by the fit.
+            // The fit refined the best one.
             rms_rad: if is_best { reading.best_rad } else { *rms_rad },
         }
     };
@@ -143,7 +142,7 @@ fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
 }
 
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
-    /// Range of correlations beyond twice the latency, s.
+    /// Plotted beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
     let figure = |(source, imu): (&ImuSource, &StreamEvidence<ImuEvidence>)| {
         let found = &imu.diagnosis;
@@ -188,7 +187,7 @@ fn timeline(clock: &Clock) -> Vec<TimelineRow> {
     run.streams.iter().enumerate().filter_map(row).collect()
 }
 
-/// Longest gaps of a stream in time order, and the number of others.
+/// The longest in time order, and the number of others.
 fn silences(clock: &Clock, rhythm: Option<&Rhythm>) -> (Vec<Silence>, usize) {
     let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.wanted);
     let holes = parts.flat_map(|part| &part.holes);

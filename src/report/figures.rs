@@ -4,76 +4,76 @@
 
 use crate::time::Stamp;
 
-/// Data of all plots of a report.
+/// All plots of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
-    /// Duration of the run, s.
+    /// Of the run, s.
     pub duration_s: f64,
-    /// Whether the data cover only the longest segment, because the clock was reset during the run.
+    /// Only the longest segment: the clock was reset.
     pub of_longest_segment: bool,
     /// Pose streams and /tf.
     pub poses: Vec<PoseFigure>,
     /// IMUs.
     pub imus: Vec<ImuFigure>,
-    /// Plots specific to single findings, with the index of the finding in the report.
+    /// With the finding's index in the report.
     pub own: Vec<(usize, Own)>,
-    /// First stamp of the run, the origin of all times.
+    /// Origin of all times.
     pub start: Option<Stamp>,
-    /// Time spans of all streams.
+    /// One row per stream.
     pub timeline: Vec<TimelineRow>,
-    /// Transforms of the log and fixed joints of the models.
+    /// Of the log, and fixed joints of the models.
     pub frames: Vec<FrameEdge>,
 }
 
-/// Plot specific to one finding.
+/// Plot for one finding.
 #[derive(Clone, Debug)]
 pub enum Own {
-    /// Vibration: spectrum in Hz and rms m, and path in s and m.
+    /// Vibration.
     Shake {
-        /// Frequency and rms.
+        /// Hz and rms in m.
         spectrum: Vec<[f64; 2]>,
-        /// Time and position along the axis with most motion.
+        /// Time and position along the axis with most motion, m.
         trace: Vec<[f64; 2]>,
     },
     /// Hand-eye closure.
     HandEye {
-        /// Time, distance in m and angle in rad of the closure error of each view.
+        /// Time and closure error of each view, m and rad.
         each: Vec<[f64; 3]>,
-        /// Viewing directions of the target, rad about two axes normal to the mean direction.
+        /// Of the target, rad about two axes normal to the mean direction.
         views: Vec<[f64; 2]>,
-        /// Positions of the target in the camera frame, m.
+        /// Target in the camera frame, m.
         seen: Vec<[f64; 3]>,
     },
-    /// Commanded line: position along it in m, deviation in m and in rad.
+    /// Commanded line: position along it in m, deviation in m and rad.
     Line {
-        /// Tip by FK, relative to the line between its end points.
+        /// By FK, relative to the line between its end points.
         tip: Vec<[f64; 3]>,
-        /// The command.
+        /// Command.
         command: Vec<[f64; 3]>,
     },
-    /// Rest positions of the arm and their goals, m in the base frame.
+    /// Rest positions and goals, m in the base frame.
     Rests(Vec<[[f64; 3]; 2]>),
     /// Time and deviation from a valid rotation.
     Norms(Vec<[f64; 2]>),
-    /// Axes of an IMU in its link, as columns of rotation matrices.
+    /// In its link, as matrix columns.
     ImuAxes {
-        /// The link.
+        /// Link.
         link: String,
         /// Estimated from the motion.
         found: [[f64; 3]; 3],
         /// From the log's frames.
         logged: Option<[[f64; 3]; 3]>,
     },
-    /// Time and three rates of a gyro, rad/s.
+    /// Gyro.
     Gyro {
-        /// The rates.
+        /// Time and rates, rad/s.
         rates: Vec<[f64; 4]>,
-        /// Whether only samples at rest are included.
+        /// Only samples at rest.
         at_rest: bool,
-        /// Estimated bias.
+        /// Estimated bias, rad/s.
         bias: Option<[f64; 3]>,
     },
-    /// Up direction from the accelerometer in the orientation's world frame: x and y as angles, rad.
+    /// Accelerometer's up in the orientation's world frame: x and y as angles, rad.
     Tilt(Vec<[f64; 2]>),
     /// A joint.
     Joint(JointFigure),
@@ -82,139 +82,138 @@ pub enum Own {
 /// One joint, in rad or m.
 #[derive(Clone, Debug, Default)]
 pub struct JointFigure {
-    /// The joint.
+    /// Name.
     pub joint: String,
-    /// Whether it is prismatic.
+    /// Prismatic.
     pub slides: bool,
-    /// Times, s.
+    /// s.
     pub t_s: Vec<f64>,
     /// Positions.
     pub position: Vec<f64>,
-    /// Recorded velocities. Empty if there are none.
+    /// Recorded; may be empty.
     pub velocity: Vec<f64>,
-    /// Rates computed from the positions.
+    /// From the positions.
     pub rate: Vec<f64>,
-    /// Position limits.
+    /// Lower and upper.
     pub limits: [Option<f64>; 2],
-    /// Velocity limit.
+    /// Limit.
     pub top_speed: Option<f64>,
 }
 
-/// Errors of one pose stream, with one entry per sample in each column. The columns `before_…` are empty if
-/// the stream's frame is not connected to the arm in the log.
+/// One entry per sample. `before_…` is empty if the log does not connect the stream's frame to the arm.
 #[derive(Clone, Debug, Default)]
 pub struct PoseFigure {
-    /// The arm.
+    /// Arm.
     pub robot: String,
-    /// The stream's topic.
+    /// Topic.
     pub topic: String,
-    /// Whether it is derived from the joint states, such as /tf.
+    /// From the joint states, such as /tf.
     pub is_derived: bool,
     /// Stamps, s.
     pub t_s: Vec<f64>,
-    /// Position error against recorded FK, m.
+    /// Against recorded FK, m.
     pub before_m: Vec<f64>,
-    /// Rotation error against recorded FK, rad.
+    /// Against recorded FK, rad.
     pub before_rad: Vec<f64>,
-    /// Position error after correcting all findings, m.
+    /// After all corrections, m.
     pub after_m: Vec<f64>,
-    /// Rotation error after correcting all findings, rad.
+    /// After all corrections, rad.
     pub after_rad: Vec<f64>,
-    /// Distance of FK from the origin of the reference frame, m.
+    /// FK from the origin of the reference frame, m.
     pub reach_m: Vec<f64>,
-    /// Tip position by FK in the reference frame, m.
+    /// FK in the reference frame, m.
     pub at_m: Vec<[f64; 3]>,
-    /// Residual at latencies around the estimate: latency in s, rms m, rms rad.
+    /// Residual around the estimate: latency in s, rms m, rms rad.
     pub left_by_latency: Vec<[f64; 3]>,
-    /// Latency profile over the run.
+    /// Latency profile.
     pub latency_course: Vec<CoursePoint>,
-    /// Residual of each rotation encoding.
+    /// By rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
 /// One IMU.
 #[derive(Clone, Debug, Default)]
 pub struct ImuFigure {
-    /// The arm.
+    /// Arm.
     pub robot: String,
-    /// The IMU's topic.
+    /// Topic.
     pub topic: String,
-    /// Stamp in s, and yaw error of the IMU against FK in rad.
+    /// Stamp in s, and yaw error against FK in rad.
     pub yaw_error: Vec<[f64; 2]>,
-    /// Stamp in s, and heading by the IMU and by FK in rad. Empty if no axis has a heading throughout.
+    /// Stamp in s, heading by IMU and FK in rad. Empty if no axis always has one.
     pub headings: Vec<[f64; 3]>,
-    /// Correlation of its angular speed with FK's: latency in s, correlation.
+    /// Angular speed against FK's: latency in s, correlation.
     pub correlation_by_latency: Vec<[f64; 2]>,
-    /// Latency profile over the run.
+    /// Latency profile.
     pub latency_course: Vec<CoursePoint>,
-    /// Residual of each rotation encoding.
+    /// By rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
-/// Latency of a stream in a window of about a second.
+/// Latency in a window of about a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoursePoint {
-    /// Middle of the window, s.
+    /// Middle, s.
     pub t_s: f64,
-    /// Latency relative to the whole run's, s.
+    /// Relative to the whole run's, s.
     pub beyond_s: f64,
-    /// Half width of its 95 % interval, s.
+    /// Of the 95 % interval, s.
     pub half_width_s: f64,
 }
 
-/// Residual of one rotation encoding of a stream.
+/// Residual of one rotation encoding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReadingScore {
-    /// Actual encoding of the numbers in this hypothesis.
+    /// Hypothetical actual encoding.
     pub is: String,
     /// Assumed encoding.
     pub read_as: String,
-    /// Whether it is the stream as logged.
+    /// The stream as logged.
     pub is_as_logged: bool,
-    /// Whether the audit selects this encoding.
+    /// Selected by the audit.
     pub is_best: bool,
-    /// Residual angle, rms rad.
+    /// rad.
     pub rms_rad: f64,
 }
 
 /// Time span of one stream.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimelineRow {
-    /// Its topic.
+    /// Topic.
     pub topic: String,
-    /// Child frame, if the topic has several streams.
+    /// If the topic has several streams.
     pub frame: Option<String>,
     /// First and last stamp, s.
     pub span_s: [f64; 2],
     /// Samples per second.
     pub rate_hz: Option<f64>,
-    /// Number of messages or samples.
+    /// Messages or samples.
     pub count: u64,
-    /// Number of samples that could not be used.
+    /// Unusable samples.
     pub dropped: u64,
-    /// Longest intervals with missing samples, in time order.
+    /// Longest gaps, in time order.
     pub silences: Vec<Silence>,
-    /// Number of further such intervals.
+    /// Number of other gaps.
     pub silences_left_out: usize,
 }
 
-/// Interval with missing samples.
+/// Gap in a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Silence {
     /// Start and end, s.
     pub span_s: [f64; 2],
-    /// Number of missing samples at the stream's period.
+    /// Samples, at the stream's period.
     pub missing: usize,
 }
 
-/// A transform between two frames.
+/// Transform between two frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameEdge {
-    /// The parent frame.
+    /// Parent frame.
     pub parent: String,
-    /// The child frame.
+    /// Child frame.
     pub child: String,
-    /// Origin of the transform.
+    /// Origin.
     pub kind: FrameEdgeKind,
 }
 
@@ -225,6 +224,6 @@ pub enum FrameEdgeKind {
     Moving,
     /// Published as static.
     Still,
-    /// Fixed joint of the model that the log does not publish.
+    /// Fixed joint of the model, not published.
     Model,
 }

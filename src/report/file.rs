@@ -4,13 +4,12 @@ use std::path::{Path, PathBuf};
 
 use crate::boundary::StagedFile;
 
-/// Calls `write` with a temporary file and moves it to `path` when it is complete, so an interruption keeps
-/// the old file. Creates the parent folders. Writes directly to a path that is not a regular file, such as
-/// a pipe. A symbolic link is kept and its target, if in the same folder, is replaced.
+/// Writes a temporary file and moves it to `path` when complete, so an interruption keeps the old file.
+/// Creates the parent folders. Writes directly to pipes and the like. Keeps a symbolic link and replaces
+/// its target.
 ///
 /// # Errors
-/// If `write` fails or the file cannot be created. Also if a link points outside its folder or the existing
-/// file is read-only.
+/// If `write` fails, the file cannot be created or is read-only, or a link points outside its folder.
 pub fn write_whole<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
@@ -26,7 +25,6 @@ pub fn write_whole<E: From<io::Error>>(
     fs::create_dir_all(folder)?;
     let mut beside = tempfile::Builder::new();
     beside.prefix(".poseaudit-");
-    // Keep the permissions of the old file.
     let of_old = fs::metadata(&path).map(|metadata| metadata.permissions()).ok();
     if let Some(permissions) = of_old.or_else(permissions) {
         beside.permissions(permissions);
@@ -37,7 +35,7 @@ pub fn write_whole<E: From<io::Error>>(
     Ok(())
 }
 
-/// Resolves `path` to the file to replace, following a link within the same folder.
+/// Follows a link within the same folder.
 ///
 /// # Errors
 /// If the link points outside its folder, or if the file is read-only.
@@ -64,13 +62,12 @@ pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
     Ok(target)
 }
 
-/// Returns whether `path` is an open descriptor of this process, such as `/dev/stdout`. It is written
-/// directly.
+/// Such as `/dev/stdout`: written directly.
 pub(crate) fn is_descriptor(path: &Path) -> bool {
     path.starts_with("/dev") || path.starts_with("/proc")
 }
 
-/// Default permissions of a new file. Temporary files are accessible to the owner only.
+/// Temporary files are accessible to the owner only.
 #[cfg(unix)]
 fn permissions() -> Option<Permissions> {
     use std::os::unix::fs::PermissionsExt;

@@ -1,23 +1,21 @@
-//! Report formats.
-
 use std::fmt;
 use std::io::{self, Write};
 
 use super::{Report, github, html, json, junit, markdown, sarif, text};
 
-/// A format of the report.
+/// A report format.
 #[derive(Clone, Copy)]
 pub struct Format {
-    /// Name for `--format`.
+    /// For `--format`.
     pub name: &'static str,
-    /// File name in a folder of several formats.
+    /// In a folder of several formats.
     pub file_name: &'static str,
     /// Intended use.
     pub about: &'static str,
     write: fn(&Report, &mut dyn Write) -> io::Result<()>,
 }
 
-/// All formats. To add one, create a file in this folder and add an entry here.
+/// All formats. To add one, create a file in this folder and an entry here.
 pub static FORMATS: &[Format] = &[
     Format { name: "text", file_name: "report.txt", about: "For people", write: text::write },
     Format {
@@ -59,22 +57,22 @@ pub static FORMATS: &[Format] = &[
 ];
 
 impl Format {
-    /// Text format for terminals, the first of every list of formats.
+    /// Terminal format, the first of every list.
     pub fn text() -> &'static Format {
         &FORMATS[0]
     }
 
-    /// Format with the given name.
+    /// By name.
     pub fn named(name: &str) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.name == name)
     }
 
-    /// Returns whether this is the text format, whose errors go to stderr.
+    /// Its errors go to stderr.
     pub fn is_text(&self) -> bool {
         self.name == Self::text().name
     }
 
-    /// Returns whether the format shows [`Report::figures`].
+    /// Shows [`Report::figures`].
     pub fn is_pictured(&self) -> bool {
         matches!(self.name, "html" | "text")
     }

@@ -1,5 +1,5 @@
-//! Report as workflow commands, which GitHub shows as annotations. Sorted by severity, because GitHub shows
-//! only the first ten of each level.
+//! Report as workflow commands, which GitHub shows as annotations: the first ten of each level, so they are
+//! sorted by severity.
 
 use std::io::{self, Write};
 
@@ -7,7 +7,7 @@ use super::Report;
 use super::outline::Outline;
 use crate::finding::{Finding, Severity};
 
-/// Writes an annotation for each finding, and one for the verdict.
+/// Writes an annotation per finding, and one for the verdict.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let says = Outline::of(report);
     let file = report.log.files.first().map(|file| file.path.display().to_string());
@@ -55,12 +55,12 @@ fn command(
     writeln!(out, "::{level} {file}title={}::{}", property(title), data(message))
 }
 
-/// Escapes the message of a command, which ends at a line break.
+/// A message ends at a line break.
 fn data(text: &str) -> String {
     text.replace('%', "%25").replace('\r', "%0D").replace('\n', "%0A")
 }
 
-/// Escapes the value of a property, which also ends at a colon or a comma.
+/// A value also ends at a colon or a comma.
 fn property(text: &str) -> String {
     data(text).replace(':', "%3A").replace(',', "%2C")
 }

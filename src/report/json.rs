@@ -1,4 +1,4 @@
-//! Report for programs: one JSON object in SI units.
+//! Report as one JSON object in SI units.
 
 use std::io::{self, Write};
 
@@ -6,13 +6,13 @@ use schemars::generate::SchemaSettings;
 
 use super::Report;
 
-/// Writes the report. Numbers that are not finite become `null`.
+/// Numbers that are not finite become `null`.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, report)?;
     writeln!(out)
 }
 
-/// JSON schema of a report, ending with a newline; `docs/poseaudit.report.schema.json`.
+/// `docs/poseaudit.report.schema.json`, ending with a newline.
 pub fn schema() -> String {
     let settings = SchemaSettings::draft07().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<Report>();

@@ -1,7 +1,7 @@
-//! Report as JUnit XML for CI systems: one suite per rule, with one case per subject.
+//! Report as JUnit XML: one suite per rule, with one case per subject.
 //!
-//! A case fails if its finding fails the run. Inconclusive and inapplicable checks are skipped, with the
-//! reason. A finding that does not fail the run is written to the output of its case.
+//! A case fails if its finding fails the run; other findings go to the output of their case. Inconclusive
+//! and inapplicable checks are skipped, with the reason.
 
 use std::io::{self, Write};
 
@@ -48,9 +48,9 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         tests.add_test_suite(suite(&format!("{} {}", rows[0].code, rows[0].name), cases));
     }
     let text = tests.to_string().map_err(io::Error::other)?;
-    // Replace two characters that XML forbids and the writer does not escape.
+    // XML forbids these two, and the writer does not escape them.
     let text = text.replace(['\u{fffe}', '\u{ffff}'], "\u{fffd}");
-    // The schema used by Jenkins does not allow this attribute on the root.
+    // Jenkins' schema does not allow it on the root.
     let skipped = format!(" skipped=\"{}\"", tests.skipped);
     out.write_all(text.replacen(&skipped, "", 1).as_bytes())
 }
@@ -92,7 +92,6 @@ fn skipped(why: String) -> TestCaseStatus {
     status
 }
 
-/// Message, meaning and fix of findings.
 fn words(says: &Outline, found: &[&Finding]) -> String {
     let blocks = found.iter().map(|finding| {
         let head = format!("{}: {}", finding.severity.name(), finding.message);

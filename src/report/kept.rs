@@ -1,5 +1,3 @@
-//! Reads a stored JSON report.
-
 use std::fs;
 use std::path::Path;
 
@@ -8,10 +6,10 @@ use serde_json::Value;
 use super::{Report, SCHEMA, Trouble, TroubleKind};
 
 impl Report {
-    /// Reads the report at `path`.
+    /// Reads a report.
     ///
     /// # Errors
-    /// If it cannot be read, or if it is not a report with this schema.
+    /// If it cannot be read, or has another schema.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let trouble = |place: String, what: String| Trouble {
             kind: TroubleKind::Call,
@@ -38,7 +36,7 @@ impl Report {
                 return Err(trouble(place, format!("not a report: its schema is not `{SCHEMA}`")));
             }
         }
-        // Parse the text again, because only that reports line numbers.
+        // Only parsing the text reports line numbers.
         serde_json::from_slice(&text)
             .map_err(|error| trouble(at(&error), format!("not a report: {error}")))
     }

@@ -1,7 +1,6 @@
 //! Report as GitHub Markdown for a pull request comment: verdict and causes first, the rest folded.
 //!
-//! Names of topics, joints and files come from the log and are escaped. They cannot end a table cell, start
-//! an HTML element or mention a user.
+//! Names from the log are escaped: they cannot end a table cell, start an HTML element or mention a user.
 
 use std::io::{self, Write};
 
@@ -26,7 +25,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     header(report, &says, out)?;
     findings(report, &says, out)?;
-    // Without findings, the inconclusive checks matter most, so unfold them.
+    // Without findings, the inconclusive checks matter most.
     folded("Inconclusive", says.open_lines(), report.verdict == Verdict::Inconclusive, out)?;
     folded("Ignored", says.ignored(), true, out)?;
     folded("Passed", says.passed().lines(), false, out)?;
@@ -67,13 +66,13 @@ fn findings(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<
     writeln!(out)
 }
 
-/// Message, effect and confounders of a finding.
+/// With effect and confounders.
 fn what(finding: &Finding, says: &Outline) -> String {
     let lines = std::iter::once(finding.message.clone()).chain(says.about(finding));
     lines.map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
-/// Writes lines in a collapsible section.
+/// Collapsible.
 fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> io::Result<()> {
     if lines.is_empty() {
         return Ok(());
@@ -86,7 +85,7 @@ fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> i
     writeln!(out, "\n</details>\n")
 }
 
-/// Formats a name as inline code.
+/// Inline code.
 pub(crate) fn code(name: &str) -> String {
     let is_tame = |c: char| c.is_ascii_alphanumeric() || "/_-. :,+=()".contains(c);
     let is_padded = name.starts_with(' ') || name.ends_with(' ');
@@ -96,7 +95,7 @@ pub(crate) fn code(name: &str) -> String {
     format!("<code>{}</code>", prose(name))
 }
 
-/// Escapes text so that no character has a meaning in Markdown or HTML.
+/// No character keeps a meaning in Markdown or HTML.
 pub(crate) fn prose(text: &str) -> String {
     let text = upright(text);
     let mut escaped = String::with_capacity(text.len());
@@ -109,10 +108,10 @@ pub(crate) fn prose(text: &str) -> String {
             '&' => escaped.push_str("&amp;"),
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
-            // Character references are safe in a table cell even after backslashes.
+            // References are safe in a table cell even after backslashes.
             '|' => escaped.push_str("&#124;"),
             '\\' => escaped.push_str("&#92;"),
-            // A zero-width space or a reference breaks a mention or the start of a link.
+            // Breaks a mention or the start of a link.
             '@' => escaped.push_str("@\u{200b}"),
             ':' if rest.peek() == Some(&'/') => escaped.push_str("&#58;"),
             '_' if is_between_words => escaped.push('_'),

@@ -1,5 +1,5 @@
-//! The audit report, with one file per output format. A format only renders; the content of a report is
-//! final when it is created.
+//! The audit report, with one file per output format. Formats only render: a report is complete when
+//! created.
 
 pub(crate) mod amounts;
 pub mod compare;
@@ -48,7 +48,7 @@ pub use trouble::{Trouble, TroubleKind};
 pub(crate) use workspace::{ArmWorkspace, coverage, reached};
 pub use workspace::{JointCoverage, WorkspaceRow};
 
-/// The schema of the JSON report.
+/// Schema of the JSON report.
 pub const SCHEMA: &str = "poseaudit.report/1";
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
@@ -89,19 +89,19 @@ pub struct Report {
     /// Motions that would resolve inconclusive checks.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub plans: Vec<PlanRow>,
-    /// Shell command that created the report.
+    /// Shell command that created it.
     #[serde(skip)]
     call: Option<String>,
-    /// Lowest severity that fails the run. `None` if nothing does.
+    /// Lowest severity that fails the run; `None` for none.
     #[serde(skip)]
     fail_on: Option<Severity>,
-    /// Whether an inconclusive verdict also fails the run.
+    /// An inconclusive verdict fails the run.
     #[serde(skip)]
     pub fails_open: bool,
-    /// Data of the plots, if requested.
+    /// If requested.
     #[serde(skip)]
     pub figures: Option<Figures>,
-    /// Thresholds that the configuration overrides.
+    /// Overridden by the configuration.
     #[serde(skip)]
     pub(crate) thresholds: Thresholds,
 }
@@ -169,7 +169,7 @@ pub struct FileRow {
 }
 
 impl FileRow {
-    /// Describes how much of an object was fetched. `None` for a local file.
+    /// How much of an object was fetched; `None` for a local file.
     pub fn fetched(&self) -> Option<String> {
         let (fetched, size) = (self.fetched_bytes? as f64, self.bytes as f64);
         let (megabytes, percent) = (fetched / 1e6, 100.0 * fetched / size.max(1.0));
@@ -188,8 +188,8 @@ pub struct NoteRow {
 }
 
 impl Report {
-    /// Creates the report from the evaluated checks. A finding of severity `fail_on` or above fails the
-    /// run; with `None`, nothing does.
+    /// Report of the evaluated checks. Findings of severity `fail_on` or above fail the run; with `None`,
+    /// none do.
     pub fn new(
         log: LogSummary,
         robots: Vec<RobotRow>,
@@ -218,7 +218,7 @@ impl Report {
         }
     }
 
-    /// Command that writes a recording of the same audit.
+    /// Writes a recording of the same audit.
     fn replay(&self) -> String {
         let call = self.call.clone().unwrap_or_else(|| {
             let logs = self.log.files.iter().map(|file| file.path.display().to_string());
@@ -228,14 +228,14 @@ impl Report {
         format!("{call} --rrd run.rrd")
     }
 
-    /// Stores the command line that created the report.
+    /// Stores the command line.
     pub fn called(mut self, words: &[String]) -> Self {
         let words: Vec<String> = words.iter().map(|word| tame::shell_word(word)).collect();
         self.call = Some(words.join(" "));
         self
     }
 
-    /// Report on the content of a log, without any evaluation.
+    /// Report without any evaluation.
     pub fn of_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
         Self { log, robots, streams, ..Self::empty() }
     }
@@ -245,7 +245,7 @@ impl Report {
         Self { error: Some(trouble), ..Self::empty() }
     }
 
-    /// Adds an error that limited the audit. A pass becomes inconclusive.
+    /// Adds an error that limited the audit: a pass becomes inconclusive.
     pub fn with_trouble(self, trouble: Trouble) -> Self {
         let verdict = match self.verdict {
             Verdict::Pass => Verdict::Inconclusive,
@@ -277,23 +277,23 @@ impl Report {
         }
     }
 
-    /// Warning threshold of a rule for amounts in `unit`. `None` if the rule has no such amount.
+    /// `None` if the rule has no amount in `unit`.
     pub(crate) fn warns_from(&self, rule: &Rule, unit: Unit) -> Option<f64> {
         let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
         Some(self.thresholds.threshold(rule, *own).warning)
     }
 
-    /// Returns whether a finding of this severity fails the run.
+    /// A finding of this severity fails the run.
     pub fn fails_on(&self, severity: Severity) -> bool {
         self.fail_on.is_some_and(|least| severity >= least)
     }
 
-    /// Codes of the rules that make the verdict INCONCLUSIVE.
+    /// Rules that make the verdict INCONCLUSIVE.
     pub fn undecided(&self) -> Vec<&'static str> {
         undecided(&self.checks).map(|rule| rule.code).collect()
     }
 
-    /// File at which to show the error: the first file of the log, else the one that could not be read.
+    /// The log's first file, else the one that could not be read.
     fn file_in_trouble(&self) -> Option<&Path> {
         let first = self.log.files.first().map(|file| file.path.as_path());
         let of_log = self.error.as_ref().filter(|trouble| trouble.kind == TroubleKind::Log);
@@ -316,7 +316,7 @@ impl Report {
     }
 }
 
-/// Error if rules about an arm were requested but none found its input in the log.
+/// Error if rules about an arm were requested and none found its input.
 fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
@@ -334,14 +334,12 @@ fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     })
 }
 
-/// Returns whether a hand-eye check was decided, which does not require an arm.
+/// A hand-eye check does not require an arm.
 pub(crate) fn tells_hand_eye(checks: &[CheckRow]) -> bool {
     checks.iter().any(|row| row.code.starts_with("HEC") && row.status.is_decided())
 }
 
-/// Computes the verdict. Fail if a finding reaches `fail_on`. Else inconclusive if a headline rule with
-/// input decided none of its subjects, or if a rule required for a pass is inconclusive on one. Subjects
-/// that no such log can decide are ignored.
+/// Fail if a finding reaches `fail_on`; else inconclusive if a headline rule is [`undecided`].
 fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>) -> Verdict {
     if fail_on.is_some_and(|least| findings.iter().any(|finding| finding.severity >= least)) {
         return Verdict::Fail;
@@ -350,8 +348,8 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if is_open { Verdict::Inconclusive } else { Verdict::Pass }
 }
 
-/// Headline rules with input that decided none of their subjects, or that must decide every subject and did
-/// not.
+/// Headline rules with input that decided none of their subjects, or must decide every subject and did not.
+/// Ignores subjects that no such log can decide.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
@@ -374,7 +372,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
 }
 
 impl Verdict {
-    /// Name in JSON and tables.
+    /// In JSON and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Verdict::Pass => "pass",
@@ -383,7 +381,7 @@ impl Verdict {
         }
     }
 
-    /// Verdict with the given name.
+    /// By name.
     pub fn named(name: &str) -> Option<Self> {
         let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
         all.into_iter().find(|verdict| verdict.name() == name)

@@ -1,4 +1,4 @@
-//! Text of a report, shared by all human-readable formats.
+//! Text shared by all human-readable formats.
 
 mod open;
 mod passed;
@@ -12,30 +12,26 @@ use crate::finding::{
 
 pub(crate) use passed::{Bound, Passed};
 
-/// Text generator for one report.
 pub(crate) struct Outline<'a> {
     report: &'a Report,
-    /// Whether there are several robots, so that subjects must include the robot.
+    /// Several: subjects must include the robot.
     robots: bool,
 }
 
-/// The rows of one rule.
 struct Outcomes<'a> {
-    /// Rows that passed, …
+    /// Passed, …
     plain: Vec<&'a CheckRow>,
-    /// … and passed rows with a remark.
+    /// … and passed with a remark.
     remarked: Vec<&'a CheckRow>,
-    /// Number of rows that were not skipped.
     asked: usize,
 }
 
 impl<'a> Outline<'a> {
-    /// Creates the text generator of `report`.
     pub fn of(report: &'a Report) -> Self {
         Self { report, robots: report.robots.len() > 1 }
     }
 
-    /// Reason for the verdict and counts of checks: `2 errors; 46 checks passed, 3 inconclusive`.
+    /// `2 errors; 46 checks passed, 3 inconclusive`.
     pub fn why(&self) -> String {
         let counts = self.checks_counted();
         match self.report.verdict {
@@ -83,7 +79,6 @@ impl<'a> Outline<'a> {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    /// Headline rules that decided nothing.
     fn undecided(&self) -> String {
         let named =
             undecided(&self.report.checks).map(|rule| format!("{} ({})", rule.code, rule.name));
@@ -99,12 +94,11 @@ impl<'a> Outline<'a> {
         Some(format!("{duration_s:.1} s, {} messages, {topics} topics", grouped(log.messages)))
     }
 
-    /// Subject of a check or a finding.
     pub fn subject(&self, subject: &Subject) -> String {
         subject.label_among(self.robots)
     }
 
-    /// Subjects of several checks. All joints of an arm are combined.
+    /// Combines all joints of an arm.
     fn subjects(&self, rows: &[&CheckRow]) -> String {
         let mut said = Vec::new();
         let mut rows = rows.to_vec();
@@ -130,7 +124,7 @@ impl<'a> Outline<'a> {
         }
     }
 
-    /// Lines below a finding's message: effect of the fault, meaning of the amount, and confounders.
+    /// Effect of the fault, meaning of the amount, and confounders.
     pub fn about(&self, finding: &Finding) -> Vec<String> {
         let evidence = &finding.evidence;
         let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
@@ -141,7 +135,6 @@ impl<'a> Outline<'a> {
             .collect()
     }
 
-    /// Confounders of a cause. `None` if there are none.
     fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
         let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
         (!others.is_empty()).then(|| format!("equally likely: {}", others.join(", ")))
@@ -160,7 +153,7 @@ impl<'a> Outline<'a> {
         format!("{} on {}{amount}", other.code, self.subject(&other.subject))
     }
 
-    /// Parameters that are observable only in combination, one line per motion that would separate them.
+    /// Parameters observable only in combination, one line per motion that would separate them.
     pub fn cannot_show(&self) -> Vec<String> {
         let streams = self.report.observability.iter();
         let lines = streams
@@ -168,7 +161,7 @@ impl<'a> Outline<'a> {
         lines.collect()
     }
 
-    /// Ignored findings, one line each with the reason.
+    /// One line each, with the reason.
     pub fn ignored(&self) -> Vec<String> {
         let said = self.report.ignored.iter().map(|IgnoredFinding { finding, reason, place }| {
             let (code, subject) = (finding.code, self.subject(&finding.subject));
@@ -178,7 +171,7 @@ impl<'a> Outline<'a> {
         said.collect()
     }
 
-    /// Table columns that were not used, one line per reason.
+    /// Table columns, one line per reason.
     pub fn unused(&self) -> Vec<String> {
         let is_of_table = |row: &&StreamRow| !row.columns.is_empty() || row.type_name == "unread";
         let is_unused = |row: &&StreamRow| ["ignored", "unassigned"].contains(&row.role);
@@ -195,7 +188,7 @@ impl<'a> Outline<'a> {
         lines.collect()
     }
 
-    /// Skipped checks, one line per reason.
+    /// One line per reason.
     pub fn skipped(&self) -> Vec<String> {
         let is_said = |row: &&CheckRow| {
             let mut known = self.report.ignored.iter().map(|known| &known.finding);
@@ -218,7 +211,6 @@ impl<'a> Outline<'a> {
         self.report.checks.iter().filter(move |row| row.code == code)
     }
 
-    /// Codes of all rows in order.
     fn codes(&self) -> Vec<&'static str> {
         let mut codes: Vec<&str> = self.report.checks.iter().map(|row| row.code).collect();
         codes.dedup();
@@ -231,7 +223,7 @@ fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
         && subject.joint.as_ref().is_some_and(|joint| robot.joints.contains(joint))
 }
 
-/// Formats a count with groups of three digits.
+/// Groups of three digits.
 fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
@@ -244,7 +236,6 @@ fn grouped(count: u64) -> String {
     text
 }
 
-/// Groups rows by key, in order of first occurrence.
 fn grouped_by<'a, R, K: PartialEq>(
     rows: impl Iterator<Item = &'a R>,
     key: impl Fn(&'a R) -> K,
@@ -260,7 +251,7 @@ fn grouped_by<'a, R, K: PartialEq>(
     groups
 }
 
-/// Abbreviates runs of three or more codes as `ORD002–005`.
+/// `ORD002–005` for three or more codes.
 fn ranges(codes: &[&str]) -> Vec<String> {
     let split = |code: &str| -> Option<(String, u32)> {
         let (family, number) = code.split_at_checked(3)?;

@@ -29,8 +29,7 @@ pub struct PlanRow {
     pub command: String,
 }
 
-/// Motions that would resolve inconclusive checks in `checks`, one per arm and purpose. `logs` are the
-/// files of the run.
+/// One per arm and purpose. `logs` are the files of the run.
 pub(crate) fn plans(
     run: &Run,
     evidence: &RunEvidence,
@@ -61,7 +60,7 @@ pub(crate) fn plans(
             codes.dedup();
             if !codes.is_empty() {
                 let (robot, name) = (arm.name.clone(), purpose.name());
-                // The frame of an independent reference and its measured point are unknown.
+                // The frame and the point of an independent reference are unknown.
                 let is_outside =
                     own_witness == Some(PoseSourceKind::External) && purpose.is_of_poses();
                 let outside = if is_outside { " --outside" } else { "" };
@@ -73,7 +72,7 @@ pub(crate) fn plans(
     plans
 }
 
-/// Command without its purpose. `None` if no readable source has the arm's model, or if the log has no
+/// Without the purpose. `None` if no readable source has the arm's model, or if the log has no
 /// configuration within the limits.
 fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
     let own = |name: &str, given: &Option<String>| {
@@ -93,25 +92,18 @@ fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<
     plan_around(&of).filter(|_| of.model.is_some() || logs.len() == 1)
 }
 
-/// Input for a suggested motion.
 pub(crate) struct PlanOf<'a> {
-    /// The robot with the log's link names.
     pub robot: &'a Robot,
-    /// Chain of the arm.
     pub chain: &'a Chain,
-    /// Joint states of the arm.
     pub joints: &'a JointTrack,
-    /// Column in the joint states of each joint of the chain.
     pub columns: &'a [usize],
-    /// Name or file of the model for `plan`, with the model. `None` to use the log.
+    /// Name or file for `plan`, and the model. `None` to use the log.
     pub model: Option<(String, Robot)>,
-    /// Path of the log.
     pub log: &'a Path,
-    /// Options that select the arm in the log.
     pub in_log: String,
 }
 
-/// `plan` command around a configuration in the joint states. `None` if none is within the limits.
+/// Around a configuration in the joint states. `None` if none is within the limits.
 pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
     let around: Vec<String> =
         posture(of.joints, of.columns, of.chain)?.iter().map(|q| shown(*q)).collect();
@@ -120,7 +112,7 @@ pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
         let log = shell_word(&of.log.display().to_string());
         return Some(format!("poseaudit plan {log}{} --around={around}", of.in_log));
     };
-    // Link names are the log's. Their order is the model's.
+    // Names are the log's; the order is the model's.
     let named = |name: &str| Some(robot.link_name(of.robot.link(name)?).to_owned());
     let (base, tip) = (named(of.chain.base_name())?, named(of.chain.tip_name())?);
     let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
@@ -133,7 +125,7 @@ pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
     Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(model)))
 }
 
-/// Model that `plan` can read by name or file, if the log does not contain the arm's model.
+/// By name or file, if the log does not contain the model.
 fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     let given = options.robots.iter().find(|source| {
         let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
@@ -148,10 +140,9 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     }
 }
 
-/// Configuration closest to the middle of each joint's positions, within the limits. Removes whole turns
-/// that the limits do not allow.
+/// Closest to the middle of each joint's positions, within the limits. Removes whole turns that the limits
+/// do not allow.
 fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<f64>> {
-    /// Maximum number of samples to determine the middle.
     const ENOUGH: usize = 20_000;
     let rows = || (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1));
     let middle = |&at: &usize| {
@@ -170,7 +161,7 @@ fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<
 
 fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     use std::f64::consts::TAU;
-    /// The displayed values are rounded.
+    /// Of the displayed values.
     const ROUNDING: f64 = 1e-3;
     for ((q, kind), limits) in q.iter_mut().zip(chain.joint_kinds()).zip(chain.limits()) {
         let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING;
@@ -211,7 +202,7 @@ mod tests {
         let q = vec![TAU + 0.5, -1.0, 1.0, 0.0, 0.0, -TAU - 0.25];
         let turned = within(&chain, q).expect("a posture");
         assert!((turned[0] - 0.5).abs() < 1e-12 && (turned[5] + 0.25).abs() < 1e-12, "{turned:?}");
-        // The elbow's range is less than a turn. Slightly more than half a turn is equivalent to the other
+        // The elbow's range is less than a turn: slightly more than half a turn is equivalent to the other
         // side.
         let folded = within(&chain, vec![0.0, 0.0, 3.5, 0.0, 0.0, 0.0]).expect("a posture");
         assert!((folded[2] - 3.5 + TAU).abs() < 1e-12, "{folded:?}");

@@ -1,4 +1,4 @@
-//! Report rows that describe the content of the log.
+//! Rows that describe the log.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -69,7 +69,7 @@ pub struct StreamRow {
     pub joint_lines: Vec<[f64; 2]>,
 }
 
-/// Merges the rows of all segments, one per stream.
+/// One row per stream of all segments.
 pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     let mut joined: Vec<StreamRow> = Vec::new();
     for row in rows {

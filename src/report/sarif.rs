@@ -1,7 +1,7 @@
 //! Report as SARIF 2.1.0 for code scanning.
 //!
-//! Each finding is a result; ignored ones are suppressed. Inconclusive checks are notifications of the
-//! invocation with their rule, because they are neither results nor passes.
+//! Findings are results; ignored ones are suppressed. Inconclusive checks are notifications of the
+//! invocation: they are neither results nor passes.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -19,9 +19,6 @@ const SCHEMA: &str =
     "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json";
 
 /// Writes the report.
-///
-/// # Errors
-/// If `out` cannot be written.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, &log(report))?;
     writeln!(out)
@@ -42,7 +39,7 @@ fn log(report: &Report) -> Value {
         "$schema": SCHEMA,
         "version": "2.1.0",
         "runs": [{
-            // Code scanning distinguishes the logs of one commit by the part before the last slash.
+            // The part before the last slash distinguishes the logs of one commit.
             "automationDetails": { "id": format!("poseaudit/{}/", artifact(report)) },
             "tool": {
                 "driver": {
@@ -63,12 +60,10 @@ fn log(report: &Report) -> Value {
     })
 }
 
-/// Identifies the log by its first file.
 fn artifact(report: &Report) -> String {
     report.log.files.first().map_or_else(String::new, |file| uri(&file.path))
 }
 
-/// Rule descriptor with the text of `explain`.
 fn descriptor(rule: &Rule) -> Value {
     let gravest = match rule.grade {
         Grade::Fixed(severity) => severity,
@@ -88,7 +83,7 @@ fn descriptor(rule: &Rule) -> Value {
     })
 }
 
-/// Error that limited the audit, and inconclusive checks.
+/// Inconclusive checks, and an error that limited the audit.
 fn notifications(report: &Report) -> Vec<Value> {
     let trouble = report.error.iter().map(|trouble| {
         let locations =
@@ -144,7 +139,6 @@ fn result(report: &Report, finding: &Finding) -> Value {
     })
 }
 
-/// Suppressed result of an ignored finding, with the reason.
 fn suppressed(report: &Report, known: &IgnoredFinding) -> Value {
     let mut result = result(report, &known.finding);
     let justification = format!("{} ({})", known.reason, known.place);
@@ -163,8 +157,7 @@ fn message(report: &Report, finding: &Finding) -> String {
     format!("{subject}{}{about}. Fix: {}", finding.message, finding.fix)
 }
 
-/// SARIF message. Escapes placeholders and links (SARIF 2.1.0, §3.11.5 and §3.11.6), since names in a log
-/// may look like either.
+/// Escapes placeholders and links (SARIF 2.1.0, §3.11.5 and §3.11.6): names in a log may look like either.
 fn said(text: &str) -> Value {
     let mut text = text.replace('{', "{{").replace('}', "}}");
     if text.contains("](") {
@@ -173,12 +166,11 @@ fn said(text: &str) -> Value {
     json!({ "text": text })
 }
 
-/// Index of a rule in the list of rules.
 fn index(code: &str) -> Option<usize> {
     checks::registry().iter().position(|rule| rule.code == code)
 }
 
-/// Fingerprint of a fault that is stable between runs: rule and subject, without amounts and file names.
+/// Stable between runs: rule and subject, without amounts and file names.
 fn cause(report: &Report, finding: &Finding) -> String {
     let is_file = |name: &str| report.log.files.iter().any(|file| file.path == Path::new(name));
     let parts = finding.subject.parts().map(|(kind, name)| {
@@ -187,7 +179,7 @@ fn cause(report: &Report, finding: &Finding) -> String {
     format!("{}{}", finding.code, parts.collect::<String>())
 }
 
-/// Location in a file. Logs have no lines, but viewers require one.
+/// Logs have no lines, but viewers require one.
 fn physical(path: &Path) -> Value {
     json!({ "artifactLocation": { "uri": uri(path) }, "region": { "startLine": 1 } })
 }
@@ -207,12 +199,12 @@ fn level(severity: Severity) -> &'static str {
     }
 }
 
-/// Converts a path to a URI: relative as given, absolute with the scheme `file`, or the URL of an object.
+/// Relative as given, absolute with the scheme `file`, or the URL of an object.
 fn uri(path: &Path) -> String {
     if let Some((scheme, rest)) =
         path.to_str().filter(|_| is_url(path)).and_then(|url| url.split_once("://"))
     {
-        // A web address is already encoded, an object key is not.
+        // Only a web address is already encoded.
         let is_web = matches!(scheme, "http" | "https");
         let rest = if is_web { rest.to_owned() } else { uri(Path::new(rest)) };
         return format!("{scheme}://{rest}");

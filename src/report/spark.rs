@@ -1,22 +1,19 @@
-//! Errors over time as a row of bars for a terminal.
+//! Errors over time as a row of bars.
 
 use super::Report;
 use super::figures::{Figures, ImuFigure, PoseFigure};
 use crate::finding::{Finding, Severity, Unit};
 
-/// Number of bars in a row.
 const CELLS: usize = 32;
 
-/// Bars from lowest to highest.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Cell without samples.
+/// Without samples.
 const NONE: char = '·';
 
-/// One line for each stream whose errors the findings explain, in the order of the figures. Empty without
-/// figures or faults.
+/// One line per stream whose errors the findings explain. Empty without figures or faults.
 pub(super) fn over_time(report: &Report) -> Vec<String> {
-    /// Findings must reduce the rms error below this fraction.
+    /// Fraction of the rms error that may remain.
     const EXPLAINED: f64 = 0.5;
     let is_fault = |found: &Finding| found.severity != Severity::Info;
     let figures = report.figures.as_ref().filter(|_| report.findings.iter().any(is_fault));
@@ -29,7 +26,7 @@ pub(super) fn over_time(report: &Report) -> Vec<String> {
     poses.chain(imus.filter_map(|imu| of_imu(figures, imu))).collect()
 }
 
-/// Shows distance or angle, whichever is larger at a lever arm of 1 m.
+/// Distance or angle, whichever is larger at a lever arm of 1 m.
 fn of_pose(figures: &Figures, figure: &PoseFigure, explained: f64) -> Option<String> {
     let sizes = |metres: &[f64], radians: &[f64]| [rms(metres), rms(radians)];
     let before = sizes(&figure.before_m, &figure.before_rad);
@@ -62,8 +59,7 @@ fn of_imu(figures: &Figures, figure: &ImuFigure) -> Option<String> {
     Some(format!("{bars}  {}: yaw {least} to {most} ahead of FK's", figure.topic))
 }
 
-/// Largest of `samples` (time in s, value) above `floor`, in each of [`CELLS`] intervals of `duration_s`.
-/// `None` if all are equal.
+/// Largest of `samples` (time in s, value) in each of [`CELLS`] intervals. `None` if all are equal.
 fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) -> Option<String> {
     let mut largest = [f64::NAN; CELLS];
     for (t_s, value) in samples {
@@ -80,7 +76,7 @@ fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) 
     (most > floor).then(|| largest.iter().map(bar).collect())
 }
 
-/// Root mean square of the finite values. NaN if there are none.
+/// Of the finite values; NaN if there are none.
 fn rms(errors: &[f64]) -> f64 {
     let finite = errors.iter().filter(|error| error.is_finite());
     let (sum, count) = finite.fold((0.0, 0.0), |(sum, n), error| (sum + error * error, n + 1.0));

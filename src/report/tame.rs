@@ -1,11 +1,10 @@
 use std::borrow::Cow;
 use std::fmt::{Display, Write as _};
 
-/// The replacement character.
 const STAND_IN: char = '\u{fffd}';
 
-/// Removes control characters from `text`, for a terminal or a line of a log. A name in a log can then not
-/// set colours, move the cursor or start a line. Characters that change the writing direction are escaped.
+/// Replaces control characters: a name from a log cannot set colours, move the cursor or start a line.
+/// Escapes characters that change the writing direction.
 pub fn tame(text: &str) -> Cow<'_, str> {
     match text.contains(char::is_control) {
         true => {
@@ -16,13 +15,13 @@ pub fn tame(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// Text from a file as part of a line of output; see [`tame`].
+/// [`tame`] for any text from a file.
 pub fn foreign(text: impl Display) -> String {
     tame(&text.to_string()).into_owned()
 }
 
-/// Escapes characters that change the writing direction, so that all text appears in its actual place. In
-/// JSON, YAML and TOML strings in double quotes, the value is unchanged.
+/// Escapes characters that change the writing direction. Strings in double quotes keep their value in JSON,
+/// YAML and TOML.
 pub fn upright(text: &str) -> Cow<'_, str> {
     if !text.contains(turns) {
         return Cow::Borrowed(text);
@@ -30,13 +29,13 @@ pub fn upright(text: &str) -> Cow<'_, str> {
     Cow::Owned(escaped(text, turns))
 }
 
-/// Quotes `text` for one line of JSON, YAML or TOML.
+/// One line of JSON, YAML or TOML.
 pub(crate) fn quoted(text: &str) -> String {
     let text = serde_json::Value::from(text).to_string();
     escaped(&text, |c| turns(c) || c.is_control())
 }
 
-/// Quotes `text` as one shell word.
+/// One shell word.
 pub fn shell_word(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%=,".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {
@@ -56,8 +55,8 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     })
 }
 
-/// Returns whether a character changes the writing direction, ends a line invisibly, or is a C1 terminal
-/// control that no format escapes.
+/// Changes the writing direction, ends a line invisibly, or is a C1 terminal control that no format
+/// escapes.
 fn turns(c: char) -> bool {
     matches!(
         c,

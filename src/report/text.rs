@@ -1,6 +1,6 @@
 //! Report for people: the verdict, the causes, passed checks and inconclusive checks.
 //!
-//! Styles are ANSI sequences. The caller strips them from `out` if colours are not supported.
+//! The caller strips ANSI styles if colours are not supported.
 
 use std::io::{self, Write};
 
@@ -11,10 +11,9 @@ use super::outline::{Bound, Outline};
 use super::{JointCoverage, Report, Verdict, WorkspaceRow, spark, tame};
 use crate::finding::{Finding, Severity};
 
-/// Width of the label column.
 const LABEL: usize = 16;
 
-/// Minimum and maximum line width on a terminal.
+/// Line width on a terminal.
 const NARROWEST: usize = 60;
 const WIDEST: usize = 120;
 
@@ -25,13 +24,13 @@ const GOOD: Style = AnsiColor::Green.on_default().bold();
 const STRONG: Style = Style::new().bold();
 const QUIET: Style = Style::new().dimmed();
 
-/// Writes the report with one line per statement, so that it can be searched.
+/// Writes one line per statement, so that it can be searched.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, None).write(out)
 }
 
-/// Writes the report for a terminal with the given number of columns. Lines wrap between words and are
-/// indented to the labels.
+/// Writes the report for a terminal with so many columns. Lines wrap between words and are indented to the
+/// labels.
 pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, Some(columns.clamp(NARROWEST, WIDEST))).write(out)
 }
@@ -39,7 +38,7 @@ pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io:
 struct Page<'a> {
     report: &'a Report,
     says: Outline<'a>,
-    /// Line width. `None` disables wrapping.
+    /// `None` disables wrapping.
     columns: Option<usize>,
 }
 
@@ -80,7 +79,7 @@ impl<'a> Page<'a> {
             let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
             self.line(out, STRONG, "log", &format!("{}{fetched}", file.path.display()))?;
         }
-        // Do not repeat the text of the error as a note.
+        // A note may repeat the error.
         let said = self.report.error.as_ref().map_or("", |trouble| trouble.what.as_str());
         for note in log.notes.iter().filter(|note| said.is_empty() || note.note != said) {
             let text = format!("{}: {}", note.path.display(), note.note);
@@ -135,14 +134,13 @@ impl<'a> Page<'a> {
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
         let passed = self.says.passed();
         let bounds: Vec<String> = passed.bounds.iter().map(Bound::sentence).collect();
-        // Without wrapping, write one line per item so that grep finds it.
+        // Without wrapping, grep finds one line per item.
         let bounds = if self.columns.is_some() { self.lists(&bounds, "; ") } else { bounds };
         let lists = bounds.into_iter().chain(self.lists(&passed.whole, ", "));
         let texts = lists.chain(self.lists(&passed.parts, "; ")).chain(passed.remarks);
         self.block(out, GOOD, "passed", texts.collect())
     }
 
-    /// Range of motion of an arm's joints and tip.
     fn workspace(&self, arm: &WorkspaceRow) -> String {
         let several = self.report.robots.len() > 1;
         let of = if several { format!("{}: ", arm.robot) } else { String::new() };
@@ -167,7 +165,6 @@ impl<'a> Page<'a> {
         }
     }
 
-    /// Suggested next commands.
     fn hints(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(first) = self.report.findings.first() else {
             return Ok(());
@@ -177,13 +174,12 @@ impl<'a> Page<'a> {
         self.call(out, "replay", &self.report.replay())
     }
 
-    /// Writes a command on one line without wrapping, so that it can be copied.
+    /// Never wraps, so that it can be copied.
     fn call(&self, out: &mut dyn Write, label: &str, call: &str) -> io::Result<()> {
         let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
         writeln!(out, "{QUIET}{label}{QUIET:#}{blanks}{}", tame(call))
     }
 
-    /// Writes lines; the first one has a label.
     fn block(
         &self,
         out: &mut dyn Write,
@@ -195,12 +191,11 @@ impl<'a> Page<'a> {
         labels.zip(&texts).try_for_each(|(label, text)| self.line(out, style, label, text))
     }
 
-    /// Writes one line with a label, which may be empty.
     fn line(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
         self.styled(out, style, label, &tame(text))
     }
 
-    /// Same as [`Page::line`] for a text that contains styles and is otherwise sanitized.
+    /// Like [`Page::line`] for a sanitized text with styles.
     fn styled(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
         let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
         let head = match label {
@@ -221,7 +216,6 @@ impl<'a> Page<'a> {
         textwrap::wrap(text, options).iter().try_for_each(|line| writeln!(out, "{line}"))
     }
 
-    /// Joins `items` with `separator`. On a terminal, wraps them next to the labels.
     fn lists(&self, items: &[String], separator: &str) -> Vec<String> {
         let width = self.columns.unwrap_or(usize::MAX);
         let mut lines: Vec<String> = Vec::new();

@@ -27,15 +27,15 @@ pub struct Trouble {
 /// Origin of a [`Trouble`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TroubleKind {
-    /// The call: an option or a missing file.
+    /// An option or a missing file.
     Call,
-    /// The log: unreadable, without an arm, or without a model of the arm.
+    /// Unreadable, without an arm, or without its model.
     #[default]
     Log,
 }
 
 impl Trouble {
-    /// Error for a file or folder that cannot be written.
+    /// A file or folder that cannot be written.
     pub fn unwritable(path: &Path, what: String, remedy: &str) -> Self {
         let (kind, place) = (TroubleKind::Call, path.display().to_string());
         Trouble { kind, what, place, remedy: remedy.to_owned() }

@@ -1,4 +1,4 @@
-//! Workspace covered by the arms of a run, for the report and tables.
+//! Workspace covered by the arms of a run.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,24 +47,19 @@ pub struct JointCoverage {
     pub visited: Option<f64>,
 }
 
-/// Workspace of one arm.
 pub(crate) struct ArmWorkspace<'a> {
-    /// Name of the arm.
     pub robot: &'a str,
-    /// Chain from base to tip.
     pub chain: &'a Chain,
-    /// Space reached by its tip.
     pub workspace: Workspace,
 }
 
-/// Range that each arm covered, and inconclusive checks due to too little motion. Excludes arms with
-/// misinterpreted joint states.
+/// Also names inconclusive checks due to too little motion. Excludes arms with misinterpreted joint states.
 pub(crate) fn coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
     let rows = run.arms.iter().filter(|arm| !is_misread(arm, &judged.findings));
     rows.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
 }
 
-/// Positions and poses reached by the tip of each arm, from all samples of its joint states.
+/// From all samples of the joint states.
 pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
     let arms = run.arms.iter().filter(|arm| !is_misread(arm, findings));
     let reached = arms.map(|arm| {
@@ -76,7 +71,7 @@ pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspac
     reached.collect()
 }
 
-/// Returns whether the unit or the order of an arm's joint states is misinterpreted.
+/// Unit or order of its joint states.
 pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm =
         |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
@@ -86,7 +81,6 @@ pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
 }
 
 fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRow> {
-    /// Maximum number of samples to determine the distance of the tip.
     const ENOUGH: usize = 20_000;
     let rows = Rows::of(run, arm);
     let some = (0..rows.len()).step_by(rows.len().div_ceil(ENOUGH).max(1));
@@ -122,8 +116,7 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
     })
 }
 
-/// Samples of all joints of an arm. All recorded ones if the joints share their messages, else those of the
-/// resampled track.
+/// All recorded samples if the joints share their messages, else those of the resampled track.
 struct Rows<'a> {
     arm: &'a Arm,
     samples: Vec<JointSamples<'a>>,
@@ -147,7 +140,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Time of a sample, s from the run's origin, and positions of the chain's joints.
+    /// Time in s from the run's origin, and the chain's joints.
     fn at(&self, row: usize) -> (f64, Vec<f64>) {
         let columns = self.arm.columns.iter();
         match self.samples.first() {

@@ -1,8 +1,7 @@
-//! Compares two reports: new, fixed, larger, smaller and no longer decidable causes.
+//! Compares two reports.
 //!
 //! Causes are matched by rule and subject. An amount has changed if the two 95 % intervals do not overlap
-//! and it differs by a tenth or more. The second condition is needed because the intervals of good logs are
-//! narrower than the differences between runs.
+//! and it differs by a tenth or more: good logs' intervals are narrower than the differences between runs.
 
 mod words;
 
@@ -13,10 +12,10 @@ use crate::report::{Report, Verdict};
 
 pub use words::{markdown, text};
 
-/// Minimum relative change of an amount.
+/// Relative change of an amount.
 const MATERIAL: f64 = 0.1;
 
-/// Change of a cause between two reports.
+/// Change of a cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Course {
@@ -24,45 +23,45 @@ pub enum Course {
     Appeared,
     /// Larger or more severe.
     Grew,
-    /// A different amount or encoding that is neither larger nor smaller, such as another sign.
+    /// Neither larger nor smaller, such as another sign.
     Changed,
     /// Unchanged within the intervals.
     Same,
     /// Smaller.
     Shrank,
-    /// No longer found, but the new log cannot decide the check.
+    /// No longer found, but not decided either.
     Untold,
-    /// Fixed: the check passes.
+    /// The check passes.
     Gone,
 }
 
-/// Cause in the old report, the new report, or both.
+/// Cause in either report.
 #[derive(Clone, Debug, Serialize)]
 pub struct Change {
-    /// How it changed.
+    /// Kind of change.
     pub course: Course,
-    /// Whether it fails the comparison.
+    /// It fails the comparison.
     pub regression: bool,
-    /// Code of the rule.
+    /// Rule.
     pub code: Word,
-    /// Subject of the finding.
+    /// Subject.
     pub subject: Subject,
-    /// Finding in the old report.
+    /// Old finding.
     pub old: Option<Finding>,
-    /// Finding in the new report.
+    /// New finding.
     pub new: Option<Finding>,
-    /// Why it is no longer decided, if so.
+    /// Why it is no longer decided.
     pub reason: Option<String>,
 }
 
-/// Check that passed before and is not decided by the new log.
+/// Check that passed before and is now undecided.
 #[derive(Clone, Debug, Serialize)]
 pub struct Lost {
-    /// Code of the rule.
+    /// Rule.
     pub code: Word,
-    /// Subject of the check.
+    /// Subject.
     pub subject: Subject,
-    /// Current status: inconclusive or skipped.
+    /// Inconclusive or skipped.
     pub status: Status,
     /// Reason for the status.
     pub reason: Option<String>,
@@ -72,21 +71,20 @@ pub struct Lost {
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     schema: &'static str,
-    /// Whether the new report is worse.
+    /// The new report is worse.
     pub regression: bool,
-    /// Old and new verdict.
+    /// Old and new.
     pub verdicts: [Verdict; 2],
-    /// Error that limited the new audit, if it is new.
+    /// Limited the new audit and not the old one.
     pub error: Option<String>,
-    /// All causes of both reports, regressions first.
+    /// Regressions first.
     pub causes: Vec<Change>,
-    /// Checks that passed before and are not decided now.
+    /// No longer decided.
     pub lost: Vec<Lost>,
 }
 
-/// Compares `old` and `new`. A new, larger or different finding of severity `fail_on` or above is a
-/// regression. So is a pass that became inconclusive, or a log that can no longer be audited. With `None`,
-/// nothing is.
+/// Compares two reports. Regressions are new, larger or different findings of severity `fail_on` or above,
+/// a pass that became inconclusive, and a log that can no longer be audited. With `None`, nothing is.
 pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Comparison {
     let fails = |severity: Severity| fail_on.is_some_and(|least| severity >= least);
     let mut causes: Vec<Change> = Vec::new();
@@ -105,7 +103,7 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
         });
     }
     for finding in causes_of(old).filter(|finding| same_cause(new, old, finding).is_none()) {
-        // Some rules pass on the whole log and fail on a part of it.
+        // Some rules pass on the whole log and fail on a part.
         let row = check(new, finding.code, &whom(old, &finding.subject))
             .or_else(|| check(new, finding.code, &Subject::default()));
         let (course, reason) = match row {
@@ -138,7 +136,7 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
     }
 }
 
-/// Findings of a report. If a cause occurs several times (in segments of a run), only the most severe one.
+/// If a cause occurs in several segments, only the most severe finding.
 fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().enumerate().filter_map(|(index, finding)| {
         let is_same =
@@ -147,7 +145,6 @@ fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     })
 }
 
-/// Finding in `report` with the same cause as `finding`, which belongs to `its`.
 fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option<&'a Finding> {
     let subject = whom(its, &finding.subject);
     let is_same =
@@ -155,7 +152,7 @@ fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option
     report.findings.iter().find(is_same)
 }
 
-/// Subject of a check or a finding, independent of the log's file name.
+/// Subject without the log's file name.
 fn whom(report: &Report, subject: &Subject) -> Subject {
     let is_file =
         |name: &String| report.log.files.iter().any(|file| file.path.to_str() == Some(name));
@@ -163,7 +160,6 @@ fn whom(report: &Report, subject: &Subject) -> Subject {
     Subject { topic: topic.filter(|topic| !is_file(topic)), ..subject.clone() }
 }
 
-/// Check of a rule on a subject, if there is one.
 fn check<'a>(report: &'a Report, code: &str, subject: &Subject) -> Option<&'a CheckRow> {
     let mut rows = report.checks.iter();
     rows.find(|row| row.code == code && &whom(report, &row.subject) == subject)
@@ -237,7 +233,6 @@ fn between(old: &Estimate, new: &Estimate) -> Course {
     }
 }
 
-/// Compares two numbers.
 fn amount(old: f64, old_ci95: Option<[f64; 2]>, new: f64, new_ci95: Option<[f64; 2]>) -> Course {
     let half = |value: f64, ci95: Option<[f64; 2]>| {
         ci95.map_or(0.0, |[low, high]| (high - value).max(value - low))

@@ -1,4 +1,4 @@
-//! Comparison for people: terminal text and Markdown.
+//! Comparison as terminal text and Markdown.
 
 use std::io::{self, Write};
 
@@ -8,10 +8,8 @@ use super::{Change, Comparison, Course, Lost};
 use crate::finding::{Estimate, Finding, Subject};
 use crate::report::{amounts, markdown as md, tame};
 
-/// Width of the label column.
 const LABEL: usize = 16;
 
-/// Subject text of a finding without a subject.
 const THE_RUN: &str = "the run";
 
 const BAD: Style = AnsiColor::Red.on_default().bold();
@@ -20,7 +18,6 @@ const GOOD: Style = AnsiColor::Green.on_default().bold();
 const QUIET: Style = Style::new().dimmed();
 
 impl Course {
-    /// Name in reports.
     const fn name(self) -> &'static str {
         match self {
             Course::Appeared => "new",
@@ -124,7 +121,7 @@ impl Comparison {
         if all.is_empty() { "no problems before or now".to_owned() } else { all.join(", ") }
     }
 
-    /// Subject of a cause or a check, with its robot if there are several.
+    /// With the robot if there are several.
     fn whom(&self, subject: &Subject) -> String {
         let causes = self.causes.iter().map(|change| &change.subject);
         let subjects = causes.chain(self.lost.iter().map(|lost| &lost.subject));
@@ -137,7 +134,6 @@ impl Comparison {
         }
     }
 
-    /// Describes a check that passed before and why it is not decided now.
     fn lost_words(&self, lost: &Lost) -> String {
         let (code, whom) = (&lost.code, self.whom(&lost.subject));
         let reason = lost.reason.as_deref().unwrap_or_default();
@@ -146,7 +142,6 @@ impl Comparison {
 }
 
 impl Change {
-    /// Old and new state.
     fn words(&self) -> String {
         match (&self.old, &self.new) {
             (Some(old), Some(new)) if self.course != Course::Same => {
@@ -166,7 +161,7 @@ impl Change {
     }
 }
 
-/// Severity and amount, or the message if there is no amount.
+/// The message if there is no amount.
 fn short(finding: &Finding) -> String {
     let is_known = |estimate: &&Estimate| estimate.value().is_none_or(f64::is_finite);
     let amount = finding.estimate.as_ref().filter(is_known);
@@ -174,7 +169,6 @@ fn short(finding: &Finding) -> String {
     format!("{} {said}", finding.severity.name())
 }
 
-/// Writes one line with its label.
 fn line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
     let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
     writeln!(out, "{style}{label}{style:#}{:blanks$}{}", "", tame(text))

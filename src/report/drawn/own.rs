@@ -1,4 +1,4 @@
-//! Data series of plots that are specific to single findings.
+//! Data series of plots for single findings.
 
 use super::Clock;
 use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, vibration_path};
@@ -11,12 +11,12 @@ use crate::report::figures::{JointFigure, Own};
 use crate::run::{Arm, ImuSource, ReferenceContent, TargetSource};
 use crate::stream::JointTrack;
 
-/// Maximum number of points in a plane.
+/// In a plane.
 const MOST_POINTS: usize = 400;
-/// Speed below which a joint rests, rad/s or m/s.
+/// Speed of a joint at rest, rad/s or m/s.
 const RESTS: f64 = 5e-3;
 
-/// Plots specific to findings, with the indices of the findings.
+/// With the indices of the findings.
 pub(super) fn figures(
     clock: &Clock,
     facts: &RunEvidence,
@@ -35,7 +35,6 @@ pub(super) fn figures(
     findings.iter().enumerate().filter_map(figure).collect()
 }
 
-/// Context of one finding.
 struct Found<'a> {
     clock: &'a Clock<'a>,
     facts: &'a RunEvidence,
@@ -107,7 +106,6 @@ impl<'a> Found<'a> {
         Some(Own::HandEye { each: each.collect(), views: views(&poses), seen: seen.collect() })
     }
 
-    /// Diagnosis of the finding's commands, with their content.
     fn commands(&self) -> Option<(&'a ReferenceContent, &'a ReferenceDiagnosis)> {
         let (_, facts) = self.arm()?;
         let own = facts.references.iter().find(|of| of.topic() == self.topic())?;
@@ -119,9 +117,8 @@ impl<'a> Found<'a> {
         Some((source.content.as_ref().ok()?, own.diagnosis.as_ref().ok()?.as_ref().ok()?))
     }
 
-    /// Line with the largest deviation.
     fn line(&self) -> Option<Own> {
-        /// Delay of the tip at the end of a line, s.
+        /// Of the tip at the end of a line, s.
         const LATER_S: f64 = 0.5;
         let (arm, _) = self.arm()?;
         let (content, found) = self.commands()?;
@@ -177,7 +174,7 @@ impl<'a> Found<'a> {
     }
 
     fn gyro(&self) -> Option<Own> {
-        /// Minimum number of samples at rest.
+        /// Samples at rest.
         const ENOUGH: usize = 20;
         let (arm, source, of) = self.imu()?;
         let track = &source.track;
@@ -208,9 +205,9 @@ impl<'a> Found<'a> {
         Some(Own::Tilt(rows.iter().step_by(step).filter_map(up).collect()))
     }
 
-    /// Joint of the finding, else the first joint of the arm.
+    /// By default, the first joint of the arm.
     fn joint(&self) -> Option<JointFigure> {
-        /// Window for differentiating positions, s.
+        /// For differentiating positions, s.
         const WINDOW_S: f64 = 0.05;
         let (arm, facts) = self.arm()?;
         let named = |name: &str| self.subject.joint.as_deref() == Some(name);
@@ -232,13 +229,11 @@ impl<'a> Found<'a> {
     }
 }
 
-/// Tip of an arm by FK.
 fn tip(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
     let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
     arm.chain.forward(&q)
 }
 
-/// Returns whether the arm rests at each time.
 fn at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let rests = |&t_s: &f64| {
@@ -247,7 +242,7 @@ fn at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
     t_s.iter().map(rests).collect()
 }
 
-/// Viewing directions of a target, as angles about two axes normal to the mean direction.
+/// As angles about two axes normal to the mean direction, rad.
 fn views(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
     let step = camera_from_target.len().div_ceil(MOST_POINTS).max(1);
     let seen = camera_from_target.iter().step_by(step);
@@ -265,8 +260,8 @@ fn views(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
     seen.iter().map(place).collect()
 }
 
-/// Compares the poses between two times with the straight line and slerp between their ends. Returns the
-/// position along the line in m, and the deviations in m and rad.
+/// Deviation of the poses between two times from the line and slerp between their ends: position along the
+/// line in m, deviations in m and rad.
 fn beside_chord(series: &PoseSeries, from_s: f64, to_s: f64) -> Vec<[f64; 3]> {
     let first = series.t_s.partition_point(|t_s| *t_s < from_s);
     let last = series.t_s.partition_point(|t_s| *t_s <= to_s);

@@ -1,35 +1,28 @@
-//! Tables that serve as plots: bars, and amounts with their intervals.
+//! Tables that serve as plots.
 
 use maud::{Markup, html};
 
 use crate::finding::Unit;
 
-/// Bar chart with one bar per row.
 #[derive(Clone, Debug)]
 pub struct Bars {
-    /// Short title.
     pub title: String,
-    /// Description in one sentence.
+    /// One sentence.
     pub says: String,
-    /// The rows.
     pub bars: Vec<Bar>,
 }
 
-/// Bar of a [`Bars`] chart.
 #[derive(Clone, Debug)]
 pub struct Bar {
-    /// Name of the bar.
     pub label: String,
-    /// Length of the bar.
     pub value: f64,
     /// Formatted value.
     pub shown: String,
-    /// Whether the audit selects this one.
+    /// Selected by the audit.
     pub is_best: bool,
 }
 
 impl Bars {
-    /// Renders the bars as a table.
     pub fn markup(&self) -> Markup {
         let most = self.bars.iter().map(|bar| bar.value).fold(f64::MIN_POSITIVE, f64::max);
         html! {
@@ -51,32 +44,27 @@ impl Bars {
     }
 }
 
-/// Amounts with their intervals on one axis through zero.
+/// Amounts on one axis through zero.
 #[derive(Clone, Debug)]
 pub struct Whiskers {
-    /// Short title.
     pub title: String,
-    /// Description in one sentence.
+    /// One sentence.
     pub says: String,
-    /// The rows.
     pub rows: Vec<Whisker>,
 }
 
-/// Amount with its interval.
 #[derive(Clone, Debug)]
 pub struct Whisker {
-    /// Name of the amount.
     pub label: String,
-    /// Amount and interval in SI units. `None` if it could not be determined.
+    /// With its interval, SI units. `None` if not determined.
     pub amount: Option<(f64, Option<[f64; 2]>, Unit)>,
-    /// Whether it is a finding.
+    /// It is a finding.
     pub is_fault: bool,
     /// Threshold in the unit of the amount.
     pub limit: Option<f64>,
 }
 
 impl Whiskers {
-    /// Renders the amounts as a table.
     pub fn markup(&self) -> Markup {
         html! {
             figure .picture {
@@ -116,10 +104,10 @@ impl Whiskers {
         }
     }
 
-    /// Length of half the axis. Contains every amount, and the intervals unless they would make the amounts
-    /// too small.
+    /// Half the axis. Contains every amount, and the intervals unless they would make the amounts too
+    /// small.
     fn full(&self, unit: Unit) -> f64 {
-        /// Maximum ratio of the axis to the largest amount, due to intervals.
+        /// Of the axis to the largest amount.
         const LONGER: f64 = 3.0;
         let alike = self.rows.iter().filter_map(|row| row.amount).filter(|(.., own)| *own == unit);
         let most = alike.clone().map(|(value, ..)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
@@ -128,7 +116,7 @@ impl Whiskers {
     }
 }
 
-/// Formats a fraction as a CSS percentage. 0 if it is not finite.
+/// 0 if not finite.
 pub fn percent(share: f64) -> String {
     let share = if share.is_finite() { share } else { 0.0 };
     format!("{:.2}%", 100.0 * share)

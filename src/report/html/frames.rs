@@ -1,4 +1,4 @@
-//! The tree of frames, as nested lists.
+//! Frame tree as nested lists.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,10 +7,9 @@ use maud::{Markup, html};
 use crate::report::figures::{Figures, FrameEdge, FrameEdgeKind};
 use crate::report::{RobotRow, StreamRow};
 
-/// Maximum depth of frames that are drawn. Real arms stay below it.
+/// Real arms stay below it.
 const DEEPEST: usize = 60;
 
-/// Section of the page.
 pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
     let tree = Tree::of(&figures.frames, robots);
     html! {
@@ -35,7 +34,7 @@ pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
     }
 }
 
-/// Frames of a stream as shown in the table of streams.
+/// For the table of streams.
 pub fn of_stream(stream: &StreamRow) -> Markup {
     let parent = stream.frame_id.as_deref().or(stream.reference.as_deref());
     let child = stream.child_frame_id.as_deref().or(stream.link.as_deref());
@@ -51,7 +50,7 @@ pub fn of_stream(stream: &StreamRow) -> Markup {
 struct Tree<'a> {
     children: BTreeMap<&'a str, Vec<&'a FrameEdge>>,
     parents: BTreeMap<&'a str, Vec<&'a str>>,
-    /// All frames in order of occurrence.
+    /// In order of occurrence.
     frames: Vec<&'a str>,
     named: BTreeSet<&'a str>,
 }
@@ -69,7 +68,7 @@ impl<'a> Tree<'a> {
             let (parent, child) = (edge.parent.as_str(), edge.child.as_str());
             tree.frames.extend([parent, child].into_iter().filter(|frame| known.insert(*frame)));
             let siblings = tree.children.entry(parent).or_default();
-            // Merge a transform of the log with the same one of the model.
+            // The log and the model may have the same transform.
             if !siblings.iter().any(|other| other.child == child) {
                 siblings.push(edge);
                 tree.parents.entry(child).or_default().push(parent);
@@ -86,8 +85,7 @@ impl<'a> Tree<'a> {
         self.frames().filter(|frame| !self.parents.contains_key(frame))
     }
 
-    /// Renders a frame with its children. A frame that was already drawn is named but not expanded, which
-    /// ends cycles.
+    /// A frame that was already drawn is not expanded, which ends cycles.
     fn branch(
         &self,
         frame: &'a str,

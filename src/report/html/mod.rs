@@ -1,7 +1,7 @@
 //! Report as one self-contained HTML page: verdict and findings first, each with its plots, then the rest.
 //!
-//! Names in the page come from the log and may be malicious. Text is escaped by [`maud`]. Data is embedded
-//! as JSON without `<`. The content security policy allows only the two scripts below, by their hashes.
+//! Names in the page come from the log and may be malicious: [`maud`] escapes text, data is JSON without
+//! `<`, and the content security policy allows only the two scripts below, by their hashes.
 
 mod bars;
 mod frames;
@@ -34,15 +34,13 @@ const UPLOT_STYLE: &str = include_str!("uplot/uPlot.min.css");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
-/// Maximum number of rows of all plots of a page, …
+/// Rows of all plots of a page, …
 const MOST_ROWS: usize = 45_000;
-/// … and minimum and maximum of one plot.
+/// … minimum and maximum of one plot.
 const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
-/// Maximum number of plots.
 const MOST_PLOTS: usize = 120;
 
-/// Writes the report. It contains only times and paths from the log and the call, so equal reports have
-/// equal bytes.
+/// Writes the report. All times and paths are from the log and the call, so equal reports have equal bytes.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     out.write_all(page(report).into_string().as_bytes())
 }
@@ -72,8 +70,8 @@ fn page(report: &Report) -> Markup {
     shell(&title, verdict_class(report), &body, data(&proofs, rows))
 }
 
-/// Self-contained page with this body. Only the scripts that draw `plots` may run. `plots` maps ids used in
-/// the body to the output of [`Plot::json`].
+/// Self-contained page. Only the scripts that draw `plots` may run; `plots` maps ids in the body to
+/// [`Plot::json`].
 pub(crate) fn shell(title: &str, class: &str, body: &Markup, plots: Map<String, Value>) -> Markup {
     let policy = format!(
         "default-src 'none'; style-src 'unsafe-inline'; script-src {} {}; base-uri 'none'; \
@@ -111,12 +109,12 @@ const fn verdict_class(report: &Report) -> &'static str {
     }
 }
 
-/// Id of a plot of a finding. Both indices start at 0.
+/// Both indices start at 0.
 fn plot_id(finding: usize, plot: usize) -> String {
     format!("plot-{}-{}", finding + 1, plot + 1)
 }
 
-/// Drops plots beyond [`MOST_PLOTS`] and returns their number.
+/// Drops plots beyond [`MOST_PLOTS`]; returns their number.
 fn limit(proofs: &mut [Proof]) -> usize {
     let (mut drawn, mut left_out) = (0, 0);
     for proof in proofs {
@@ -128,7 +126,6 @@ fn limit(proofs: &mut [Proof]) -> usize {
     left_out
 }
 
-/// Plot data for the script.
 fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
     let plots = proofs.iter().enumerate().flat_map(|(finding, proof)| {
         let plots = proof.plots.iter().enumerate();
@@ -137,12 +134,12 @@ fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
     plots.collect()
 }
 
-/// Serialises data for a script element. Escapes `<`, so that no name can end the element.
+/// Escapes `<`, so that no name can end the script element.
 fn embedded(plots: Map<String, Value>) -> String {
     Value::Object(plots).to_string().replace('<', "\\u003c")
 }
 
-/// Hash of a script for the content security policy.
+/// For the content security policy.
 fn hash(script: &str) -> String {
     format!("'sha256-{}'", BASE64_STANDARD.encode(Sha256::digest(script)))
 }

@@ -1,5 +1,3 @@
-//! Parts of the page, from header to footer.
-
 use std::iter::once;
 
 use maud::{Markup, html};
@@ -12,20 +10,15 @@ use crate::finding::Finding;
 use crate::report::outline::{Bound, Outline, Passed};
 use crate::report::{JointCoverage, Report, WorkspaceRow};
 
-/// Renders the parts of one page.
 pub struct Parts<'a> {
     pub report: &'a Report,
     pub outline: &'a Outline<'a>,
-    /// Evidence below each finding.
     pub proofs: &'a [Proof],
-    /// Maximum number of rows of one plot.
     pub rows: usize,
-    /// Number of plots that are omitted.
     pub left_out: usize,
 }
 
 impl Parts<'_> {
-    /// Name of the run, from its first file.
     pub fn name(&self) -> String {
         let files = &self.report.log.files;
         let name = |path: &std::path::Path| match path.file_name() {
@@ -63,7 +56,6 @@ impl Parts<'_> {
         }
     }
 
-    /// Verdict, and one line per cause.
     pub fn verdict(&self) -> Markup {
         html! {
             section .verdict aria-labelledby="verdict" {
@@ -97,7 +89,6 @@ impl Parts<'_> {
         }
     }
 
-    /// One section per finding.
     pub fn findings(&self) -> Markup {
         html! {
             section #findings aria-labelledby="findings-title" {
@@ -140,7 +131,7 @@ impl Parts<'_> {
         }
     }
 
-    /// Rule of a finding, if it is the first finding of that rule.
+    /// `None` unless it is the rule's first finding.
     fn rule_first_at(&self, index: usize) -> Option<&'static Rule> {
         let code = self.report.findings[index].code;
         let is_first = !self.report.findings[..index].iter().any(|other| other.code == code);
@@ -178,7 +169,6 @@ impl Parts<'_> {
         }
     }
 
-    /// Passed checks, inconclusive checks and the rest.
     pub fn rest(&self) -> Markup {
         let figures = self.report.figures.as_ref();
         let notes = self.report.log.notes.iter();
@@ -202,7 +192,6 @@ impl Parts<'_> {
         }
     }
 
-    /// Inconclusive checks with the action that would resolve them, and the reasons folded.
     fn open(&self) -> Markup {
         let groups = self.outline.could_not_tell();
         html! {
@@ -227,7 +216,6 @@ impl Parts<'_> {
         }
     }
 
-    /// Passed checks: bounded amounts, then the rest.
     fn passed(&self) -> Markup {
         let Passed { bounds, whole, parts, remarks } = self.outline.passed();
         let whole = whole.join(", ");
@@ -255,7 +243,6 @@ impl Parts<'_> {
         }
     }
 
-    /// Range of motion of the joints and the tip of each arm.
     fn workspace(&self) -> Markup {
         html! {
             @if !self.report.workspace.is_empty() {
@@ -333,7 +320,7 @@ fn row(bound: &Bound) -> Markup {
     }
 }
 
-/// Lines with a heading. Nothing if there are none.
+/// Nothing without lines.
 fn list(id: &str, title: &str, lines: &[String]) -> Markup {
     html! {
         @if !lines.is_empty() {
@@ -345,7 +332,7 @@ fn list(id: &str, title: &str, lines: &[String]) -> Markup {
     }
 }
 
-/// Formats a line whose leading rule codes are highlighted.
+/// Highlights leading rule codes.
 fn coded(line: &str) -> Markup {
     let is_code = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || "–, ".contains(c);
     let end = line.find(|c| !is_code(c)).unwrap_or(line.len());

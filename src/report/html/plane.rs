@@ -4,53 +4,41 @@ use maud::{Markup, html};
 
 use super::plot::Role;
 
-/// Plot of a plane with equal scale on both axes.
+/// Equal scale on both axes.
 #[derive(Clone, Debug, Default)]
 pub struct Plane {
-    /// Short title.
     pub title: String,
-    /// Description in one sentence, also used as the alternative text.
+    /// One sentence, also the alternative text.
     pub says: String,
-    /// Names and units of the axes. Empty to draw none.
+    /// Names and units. Empty to draw none.
     pub axes: [&'static str; 2],
-    /// The points.
     pub dots: Vec<Dot>,
-    /// Arrows.
     pub arrows: Vec<Arrow>,
-    /// Limit as a circle around the origin: radius in the axes' unit, and label.
+    /// Circle around the origin: radius in the axes' unit, and label.
     pub limit: Option<(f64, String)>,
 }
 
-/// A point.
 #[derive(Clone, Debug)]
 pub struct Dot {
-    /// Position.
     pub at: [f64; 2],
-    /// Size, 0 to 1.
+    /// 0 to 1.
     pub size: f64,
-    /// Role, which determines the colour.
     pub role: Role,
 }
 
-/// An arrow.
 #[derive(Clone, Debug)]
 pub struct Arrow {
-    /// Start.
     pub from: [f64; 2],
-    /// Tip.
     pub to: [f64; 2],
-    /// Label at the tip.
     pub label: String,
-    /// Role, which determines the colour.
     pub role: Role,
 }
 
 const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 320.0;
-/// Margins for axes and their numbers: left, right, top and bottom.
+/// For axes and numbers: left, right, top and bottom.
 const ROOM: [f64; 4] = [52.0, 14.0, 12.0, 40.0];
 
-/// Maps axis units to the picture.
 struct Scale {
     middle: [f64; 2],
     per_unit: f64,
@@ -75,7 +63,6 @@ impl Scale {
         Some(Self { middle: [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])], per_unit })
     }
 
-    /// Position in the picture: right and down.
     fn place(&self, at: [f64; 2]) -> [f64; 2] {
         let centre = [
             ROOM[0] + 0.5 * (WIDTH - ROOM[0] - ROOM[1]),
@@ -87,7 +74,7 @@ impl Scale {
         ]
     }
 
-    /// Round values of one axis within the picture.
+    /// Round values within the picture.
     fn ticks(&self, axis: usize) -> Vec<f64> {
         let inner = if axis == 0 { WIDTH - ROOM[0] - ROOM[1] } else { HEIGHT - ROOM[2] - ROOM[3] };
         let half = 0.5 * inner / self.per_unit;
@@ -103,12 +90,10 @@ impl Scale {
 }
 
 impl Plane {
-    /// Returns whether there is nothing to draw.
     pub fn is_empty(&self) -> bool {
         self.dots.is_empty() && self.arrows.is_empty()
     }
 
-    /// Renders the picture.
     pub fn markup(&self) -> Markup {
         let Some(scale) = Scale::of(self) else { return Markup::default() };
         html! {
@@ -168,7 +153,7 @@ impl Arrow {
             let y = to[1] - head * (unit[1] + side * 0.5 * unit[0]);
             format!("{},{}", px(x), px(y))
         };
-        // Place the label next to the tip, so that labels of overlapping arrows stay readable.
+        // Labels next to the tips of overlapping arrows stay readable.
         let is_left = unit[0] < -0.3;
         let beyond = [to[0] + if is_left { -8.0 } else { 8.0 }, to[1] + 9.0 * unit[1] + 4.0];
         let anchor = if is_left { "end" } else { "start" };
@@ -184,12 +169,10 @@ impl Arrow {
     }
 }
 
-/// Formats a coordinate of the picture to one decimal.
 fn px(at: f64) -> String {
     format!("{at:.1}")
 }
 
-/// Formats a number on an axis.
 fn number(tick: f64) -> String {
     let shown = format!("{tick:.4}");
     let shown = shown.trim_end_matches('0').trim_end_matches('.');

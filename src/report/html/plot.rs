@@ -5,63 +5,50 @@ use serde_json::{Value, json};
 
 use crate::stats::thin;
 
-/// Number of intervals in the table of a plot.
 const STRETCHES: usize = 20;
 
-/// Plot of one or more series over a common axis.
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
-    /// Short title.
     pub title: &'static str,
-    /// Arm of the stream.
     pub robot: String,
     /// Plotted stream.
     pub of: String,
-    /// Description in one sentence, also used as the alternative text.
+    /// One sentence, also the alternative text.
     pub says: String,
-    /// Values of the horizontal axis, ascending.
+    /// Ascending.
     pub x: Vec<f64>,
-    /// Name and unit of the horizontal axis.
+    /// Name and unit.
     pub x_label: &'static str,
-    /// Name and unit of the vertical axis.
+    /// Name and unit.
     pub y_label: &'static str,
-    /// The series.
     pub series: Vec<Series>,
-    /// Whether the vertical axis starts at zero.
+    /// The vertical axis starts at zero.
     pub from_zero: bool,
-    /// Marked position on the horizontal axis.
     pub mark: Option<Mark>,
-    /// Limits of the values.
     pub limits: Vec<Limit>,
-    /// Drawing style of the points.
     pub style: Style,
 }
 
-/// Limit line.
 #[derive(Clone, Debug)]
 pub struct Limit {
-    /// Position in the unit of its axis.
+    /// In the unit of its axis.
     pub at: f64,
-    /// Whether it is on the horizontal axis.
     pub is_along: bool,
-    /// Label. Empty if another limit has it.
+    /// Empty if another limit has it.
     pub label: String,
 }
 
-/// One series, with one value per position of the horizontal axis.
+/// One value per `x`.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// Name of the series.
     pub label: String,
-    /// Role, which determines the colour.
     pub role: Role,
-    /// Values.
     pub values: Vec<f64>,
-    /// Half width of each value's interval. Empty if there are none.
+    /// Of each value's interval; may be empty.
     pub half_widths: Vec<f64>,
 }
 
-/// Role of a series.
+/// Determines the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// As logged.
@@ -72,7 +59,7 @@ pub enum Role {
     Amount,
     /// Reference of an amount, or a fitted line.
     Beside,
-    /// Limit that is not constant.
+    /// Not constant.
     Limit,
 }
 
@@ -88,7 +75,6 @@ impl Role {
     }
 }
 
-/// Drawing style of the points of a plot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Style {
     /// Line with breaks at gaps of the log.
@@ -96,29 +82,23 @@ pub enum Style {
     Time,
     /// Continuous line.
     Curve,
-    /// Separate points.
     Points,
 }
 
-/// Marked position with its interval.
 #[derive(Clone, Debug)]
 pub struct Mark {
-    /// Position.
     pub at: f64,
-    /// Start and end.
     pub interval: Option<[f64; 2]>,
-    /// Label.
     pub label: String,
 }
 
 impl Plot {
-    /// Returns whether there is nothing to draw.
     pub fn is_empty(&self) -> bool {
         self.x.len() < 2 || self.series.is_empty()
     }
 
-    /// Renders the placeholder of the plot, a note if it is thinned, and a table of its values. Names the
-    /// stream unless it is `known` from the context.
+    /// Placeholder of the plot, a note if it is thinned, and a table of its values. Names the stream unless
+    /// it is `known` from the context.
     pub fn markup(&self, id: &str, known: Option<&str>, most_rows: usize) -> Markup {
         let rows = self.kept(most_rows).len();
         html! {
@@ -145,7 +125,6 @@ impl Plot {
         }
     }
 
-    /// JSON for the page's script.
     pub fn json(&self, most_rows: usize) -> Value {
         let rows = self.kept(most_rows);
         let longest = self.longest_step();
@@ -196,24 +175,21 @@ impl Plot {
         })
     }
 
-    /// Indices of the rows to draw.
     fn kept(&self, most_rows: usize) -> Vec<usize> {
         let series: Vec<&[f64]> = self.series.iter().map(|one| one.values.as_slice()).collect();
         thin::extreme_rows(&series, most_rows)
     }
 
-    /// Returns whether there is a gap longer than `longest` between two consecutive drawn rows.
     fn is_silence(&self, before: usize, after: usize, longest: f64) -> bool {
-        // Rows in between may be omitted, so test each single step.
+        // Rows in between may be omitted.
         let step = |row: usize| self.x[row + 1] - self.x[row];
         self.style == Style::Time && (before..after).any(|row| step(row) > longest)
     }
 
-    /// Longest step that a line spans.
     fn longest_step(&self) -> f64 {
-        /// As a fraction of the whole axis.
+        /// Of the whole axis.
         const SHARE: f64 = 0.02;
-        /// In median steps, which are a larger fraction for a short stream.
+        /// Median steps: a larger fraction for a short stream.
         const STEPS: f64 = 5.0;
         let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
         let mut steps: Vec<f64> = self.x.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -222,7 +198,6 @@ impl Plot {
         (SHARE * whole).max(STEPS * median)
     }
 
-    /// Minimum and maximum of each series in intervals of the axis.
     fn table(&self) -> Markup {
         let stretch = self.x.len().div_ceil(STRETCHES).max(1);
         let starts = (0..self.x.len()).step_by(stretch);
@@ -272,17 +247,17 @@ fn broken_or_none(
     if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, to_digits)) }
 }
 
-/// Rounds a position on an axis to four decimals.
+/// Four decimals.
 fn to_place(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// Rounds a value to five digits.
+/// Five digits.
 fn to_digits(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }
 
-/// Formats a value for the table with three digits. A dash if it is not finite.
+/// Three digits; a dash if not finite.
 fn shown(value: f64) -> String {
     if !value.is_finite() {
         return "–".to_owned();

@@ -14,28 +14,22 @@ use crate::geometry::RotationError;
 use crate::report::Report;
 use crate::report::figures::{Figures, ImuFigure, PoseFigure, ReadingScore};
 
-/// Maximum number of streams per finding. A joint or a whole arm may have many.
+/// A joint or a whole arm may have many.
 const MOST_STREAMS: usize = 3;
 
-/// Evidence shown below a finding.
 #[derive(Debug, Default)]
 pub struct Proof {
-    /// Line plots.
     pub plots: Vec<Plot>,
-    /// Plane plots.
     pub planes: Vec<Plane>,
-    /// Bar charts.
     pub bars: Vec<Bars>,
-    /// Amounts with intervals.
     pub whiskers: Vec<Whiskers>,
-    /// Indices (from 0) of findings that already show one of these plots, with its title.
+    /// Findings (from 0) that already show one of these plots, with its title.
     pub shown_by: Vec<(usize, &'static str)>,
     /// Section of the page that shows it: id and name.
     pub part: Option<(&'static str, &'static str)>,
 }
 
 impl Proof {
-    /// Returns whether nothing is shown.
     pub fn is_empty(&self) -> bool {
         self.plots.is_empty()
             && self.planes.is_empty()
@@ -46,8 +40,7 @@ impl Proof {
     }
 }
 
-/// Evidence of all findings of a report, in order. A shared plot appears with the first finding that uses
-/// it.
+/// A shared plot appears with the first finding that uses it.
 pub fn proofs(report: &Report) -> Vec<Proof> {
     let none = Figures::default();
     let figures = report.figures.as_ref().unwrap_or(&none);
@@ -73,12 +66,10 @@ pub fn proofs(report: &Report) -> Vec<Proof> {
         .collect()
 }
 
-/// A finding with the data of its plots.
 struct Case<'a> {
     report: &'a Report,
     figures: &'a Figures,
     finding: &'a Finding,
-    /// Index of the finding in the report.
     index: usize,
 }
 
@@ -170,7 +161,6 @@ impl Case<'_> {
         proof
     }
 
-    /// Amounts of the finding's rule for all subjects of this robot.
     fn amounts(&self) -> Option<Whiskers> {
         let rule = checks::find(self.finding.code).ok()?;
         let rows = self.checks(self.finding.code).flat_map(whiskers).map(|row| {
@@ -186,7 +176,7 @@ impl Case<'_> {
         })
     }
 
-    /// Pose streams of the finding: its topic's, else its robot's.
+    /// Of the topic, else of the robot.
     fn poses(&self) -> impl Iterator<Item = &PoseFigure> {
         let subject = &self.finding.subject;
         let is_its = |pose: &&PoseFigure| self.is_on(&pose.robot, &pose.topic);
@@ -206,20 +196,19 @@ impl Case<'_> {
         imus.filter(|imu| self.is_on(&imu.robot, &imu.topic)).take(MOST_STREAMS)
     }
 
-    /// Returns whether the finding refers to this stream. Several arms may share a topic such as /tf.
+    /// Several arms may share a topic such as /tf.
     fn is_on(&self, robot: &str, topic: &str) -> bool {
         let subject = &self.finding.subject;
         subject.topic.as_deref() == Some(topic)
             && subject.robot.as_deref().is_none_or(|its| its == robot)
     }
 
-    /// Checks of a rule for the robot of the finding.
     fn checks(&self, code: &str) -> impl Iterator<Item = &CheckRow> {
         let robot = &self.finding.subject.robot;
         self.report.checks.iter().filter(move |row| row.code == code && row.subject.robot == *robot)
     }
 
-    /// Estimated latency of a topic as a mark in ms.
+    /// ms.
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
         let row =
             self.checks(LAT001.code).find(|row| row.subject.topic.as_deref() == Some(topic))?;
@@ -285,18 +274,16 @@ impl Case<'_> {
         }
     }
 
-    /// Warning threshold of the finding's rule in this unit.
     fn own_limit(&self, unit: Unit) -> Option<f64> {
         self.report.warns_from(checks::find(self.finding.code).ok()?, unit)
     }
 
-    /// Limits of a rule for signed amounts on the horizontal axis. `factor` converts SI to the axis.
+    /// For signed amounts. `factor` converts from SI.
     fn limits_along(&self, rule: &Rule, unit: Unit, factor: f64) -> Vec<Limit> {
         let limits = both_signs(self.report.warns_from(rule, unit), unit, factor);
         limits.into_iter().map(|limit| Limit { is_along: true, ..limit }).collect()
     }
 
-    /// Zero offsets of all joints of the robot.
     fn offsets(&self) -> Option<Whiskers> {
         let rows = self.checks(ZER001.code).map(|row| {
             let joint = row.subject.label().to_owned();
@@ -362,7 +349,7 @@ impl Case<'_> {
     }
 }
 
-/// Limits of a signed amount. `factor` converts SI to the axis.
+/// `factor` converts from SI.
 fn both_signs(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     let label = limit.map_or(String::new(), |limit| format!("limit ±{}", unit.show(limit)));
     let ends =
@@ -370,7 +357,6 @@ fn both_signs(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     ends.map(|(at, label)| Limit { at: at * factor, is_along: false, label }).collect()
 }
 
-/// Limit of an unsigned amount. `factor` converts SI to the axis.
 fn one_sided(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     let limit = limit.map(|limit| Limit {
         at: limit * factor,
@@ -380,7 +366,6 @@ fn one_sided(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     limit.into_iter().collect()
 }
 
-/// Amount of a check. For a frame, length and angle.
 fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     let label = row.subject.label();
     let whisker = |what: &str, name: &str, value: f64, ci95, symbol: &str| {
@@ -428,7 +413,6 @@ fn headings(imu: &ImuFigure) -> Plot {
     }
 }
 
-/// Residual of each rotation encoding of a stream.
 fn readings(scores: &[ReadingScore]) -> Option<Bars> {
     let bars = scores.iter().map(|score| Bar {
         label: match (score.is_as_logged, score.is == score.read_as) {

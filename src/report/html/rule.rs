@@ -1,11 +1,11 @@
-//! Documentation of a rule below its finding.
+//! Documentation of a rule.
 
 use maud::{Markup, PreEscaped, html};
 use pulldown_cmark::{Event, Parser, TagEnd};
 
 use crate::checks::Rule;
 
-/// Collapsible section: meaning of the finding and when it misleads.
+/// Meaning of the finding and when it misleads.
 pub fn folded(rule: &Rule) -> Markup {
     html! {
         details .values .rule {
@@ -16,7 +16,7 @@ pub fn folded(rule: &Rule) -> Markup {
     }
 }
 
-/// Renders Markdown paragraphs, headings, lists and code as HTML. All text is escaped.
+/// Paragraphs, headings, lists and code. Escapes all text.
 fn rendered(markdown: &str) -> String {
     let mut out = String::new();
     for event in Parser::new(markdown) {

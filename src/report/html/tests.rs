@@ -11,13 +11,12 @@ use crate::report::figures::{
 use crate::report::{LogSummary, NoteRow, RobotRow, StreamRow};
 use crate::stats::Measured;
 
-/// Malicious topic name.
 const HOSTILE: &str = "/pose</script><img src=x onerror=alert(1)>\"'&";
 
 const POSE: &str = "/pose";
 const IMU: &str = "/imu";
 
-/// Finding of a rule that has plots.
+/// Of a rule that has plots.
 fn finding(code: &'static str, topic: &str) -> Finding {
     let measured = Measured { value: 1e-2, std_error: 1e-4, dof: 1e3 };
     let cause = match code {
@@ -72,7 +71,7 @@ fn report(findings: Vec<Finding>, figures: Figures) -> Report {
     Report { figures: Some(figures), ..report }
 }
 
-/// Stream of `rows` samples with a peak in each error.
+/// A peak in each error.
 fn pose_figure(topic: &str, rows: usize) -> PoseFigure {
     let wave = |rate: f64| -> Vec<f64> {
         (0..rows).map(|row| 0.012_345_678 * (1.0 + (rate * row as f64).sin())).collect()
@@ -123,7 +122,7 @@ fn written(report: &Report) -> String {
     String::from_utf8(page).expect("UTF-8")
 }
 
-/// Values of all attributes with this name, outside scripts and styles.
+/// Outside scripts and styles.
 fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
     let start = format!(" {name}=\"");
     let parts = page.split(&start).skip(1);
@@ -252,7 +251,6 @@ fn every_finding_of_every_rule_has_its_section() {
         let section = page.split(&start).nth(1).and_then(|rest| rest.split("</article>").next());
         let section = section.unwrap_or_else(|| panic!("{code} has no section"));
         assert!(section.contains(code) && section.contains("mend /pose"), "{code}");
-        // A plot, a reference to one, or a note that there is none.
         assert!(section.contains("<figure") || section.contains("class=\"note\""), "{code}");
     }
 }

@@ -1,13 +1,12 @@
-//! Time spans of the run's streams, and their gaps.
+//! Time spans and gaps of the streams.
 
 use maud::{Markup, html};
 
 use super::bars::percent;
 use crate::report::figures::{Figures, Silence, TimelineRow};
 
-/// Section of the page.
 pub fn section(figures: &Figures) -> Markup {
-    // Streams on another clock are elsewhere in time; the axis is the run's.
+    // Streams on another clock are elsewhere in time.
     let whole = figures.duration_s.max(f64::MIN_POSITIVE);
     html! {
         @if !figures.timeline.is_empty() {

@@ -5,12 +5,11 @@ use crate::checks::{self, motion_description, resolving_motion};
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 
-/// Action that would resolve a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Settles<'a> {
-    /// Record another motion of the arm.
+    /// Record another motion.
     Motion,
-    /// Find the cause of the residual reported by MDL001.
+    /// Find the cause of MDL001's residual.
     Residual,
     /// Action that ends the check's reason.
     Said(&'a str),
@@ -28,7 +27,7 @@ impl<'a> Settles<'a> {
         }
     }
 
-    /// Reason shared by all checks of the group, if there is one.
+    /// Shared by all checks of the group, or empty.
     const fn words(self) -> &'static str {
         match self {
             Settles::Motion => "not observable in this motion",
@@ -39,7 +38,7 @@ impl<'a> Settles<'a> {
 }
 
 impl Outline<'_> {
-    /// Inconclusive checks, one line per action that would resolve them.
+    /// One line per action.
     pub fn could_not_tell(&self) -> Vec<String> {
         let groups = grouped_by(self.open(), Settles::of);
         let lines = groups.into_iter().map(|(settles, rows)| {
@@ -52,7 +51,7 @@ impl Outline<'_> {
         lines.collect()
     }
 
-    /// Inconclusive checks with their reasons, one line per rule and reason.
+    /// One line per rule and reason.
     pub fn reasons(&self) -> Vec<String> {
         let groups = grouped_by(self.open(), |row| (row.code, row.reason.as_deref()));
         let lines = groups.into_iter().map(|((code, reason), rows)| {
@@ -65,8 +64,8 @@ impl Outline<'_> {
         self.report.checks.iter().filter(|row| row.status == Status::Inconclusive)
     }
 
-    /// `LAT001–003 on /pose, /tf`: combines rules that are inconclusive on the same subjects. Includes the
-    /// reason if no motion resolves them.
+    /// `LAT001–003 on /pose, /tf`: combines rules on the same subjects. Includes the reason if no motion
+    /// resolves them.
     fn items(&self, settles: Settles<'_>, rows: &[&CheckRow]) -> Vec<String> {
         let by_rule = grouped_by(rows.iter().copied(), |row| (row.code, why(settles, row)));
         let mut items: Vec<(Vec<&str>, String, Option<&str>)> = Vec::new();
@@ -84,17 +83,15 @@ impl Outline<'_> {
         said.collect()
     }
 
-    /// All inconclusive checks, parameters that need other motions, and the recommended motion with its
-    /// commands.
+    /// Checks, parameters that need other motions, and the recommended motion with its commands.
     pub fn open_lines(&self) -> Vec<String> {
         let plans = self.plans().into_iter().map(str::to_owned).collect();
         let recipe = self.recipe().into_iter().collect();
         [self.could_not_tell(), self.cannot_show(), recipe, plans].concat()
     }
 
-    /// Motion that would resolve inconclusive checks, as a sentence.
+    /// Motion that would resolve checks, as a sentence.
     pub fn recipe(&self) -> Option<String> {
-        /// Default duration of `plan`, s.
         const SECONDS: u32 = 60;
         let plans = &self.report.plans;
         let named = |purpose: &Purpose| plans.iter().any(|plan| plan.purpose == purpose.name());
@@ -122,7 +119,7 @@ impl Outline<'_> {
         Some(format!("record {SECONDS} s with {}{or}", parts.join("; ")))
     }
 
-    /// Commands that generate this motion, one per arm, quoted for a shell.
+    /// One per arm.
     pub fn plans(&self) -> Vec<&str> {
         let mut plans = Vec::new();
         let mut arms: Vec<&str> = Vec::new();
@@ -136,7 +133,7 @@ impl Outline<'_> {
     }
 }
 
-/// Reason of a check, if its group does not already state it.
+/// `None` if the group states it.
 fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
     match settles {
         Settles::Motion | Settles::Residual => None,
@@ -148,7 +145,6 @@ fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
     }
 }
 
-/// Half width of the interval of a single check, if it has an estimate.
 fn half_width(rows: &[&CheckRow]) -> String {
     let [row] = rows else { return String::new() };
     let Some(Estimate::Scalar { name, unit, ci95: Some([low, high]), .. }) = &row.estimate else {

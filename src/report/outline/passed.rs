@@ -1,36 +1,30 @@
-//! Passed checks, with the amounts that they bound.
+//! Passed checks and the amounts that they bound.
 
 use super::{Outcomes, Outline, ranges};
 use crate::checks;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 use crate::report::amounts::of_unit;
 
-/// Passed checks.
 #[derive(Default)]
 pub(crate) struct Passed {
-    /// Rules that bound an amount.
     pub bounds: Vec<Bound>,
-    /// Rules without an amount that passed on all subjects, with ranges of codes abbreviated.
+    /// Rules without an amount that passed on all subjects, as ranges of codes.
     pub whole: Vec<String>,
-    /// Rules that passed on some subjects, with these subjects.
+    /// Rules that passed on some subjects.
     pub parts: Vec<String>,
-    /// Remarks on passed checks.
     pub remarks: Vec<String>,
 }
 
-/// Amount bounded by a pass.
 pub(crate) struct Bound {
-    /// The rule.
     pub code: &'static str,
-    /// Name of the amount.
     pub name: &'static str,
-    /// Largest amount with its interval.
+    /// The largest, with its interval.
     pub amount: String,
-    /// Threshold. Empty if the rule has none.
+    /// Empty if the rule has no threshold.
     pub limit: String,
-    /// Number of amounts, if there are several.
+    /// Number of amounts, if several.
     pub of: Option<usize>,
-    /// Subjects that passed, if not all did.
+    /// If not all subjects passed.
     pub on: Option<String>,
 }
 
@@ -44,7 +38,6 @@ impl Bound {
 }
 
 impl Passed {
-    /// All lines: amounts, then lists and remarks.
     pub fn lines(self) -> Vec<String> {
         let bounds: Vec<String> = self.bounds.iter().map(Bound::sentence).collect();
         let lists = [self.whole.join(", "), self.parts.join("; ")].into_iter();
@@ -54,7 +47,7 @@ impl Passed {
 }
 
 impl Outline<'_> {
-    /// Summarises the passed checks. Empty if the log could not be audited.
+    /// Empty if the log could not be audited.
     pub fn passed(&self) -> Passed {
         let mut said = Passed::default();
         if self.report.error.is_some() {
@@ -88,8 +81,7 @@ impl Outline<'_> {
         said
     }
 
-    /// Largest amount among the passed rows. `asked` is the number of evaluated rows. `None` if no row has
-    /// an amount.
+    /// `asked` rows were evaluated. `None` if no row has an amount.
     fn bound(&self, code: &'static str, rows: &[&CheckRow], asked: usize) -> Option<Bound> {
         let sizes: Vec<(f64, &Estimate)> =
             rows.iter().filter_map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
@@ -122,7 +114,6 @@ impl<'a> Outcomes<'a> {
     }
 }
 
-/// Upper bound of a row's amount.
 fn size(row: &CheckRow) -> Option<f64> {
     let (value, ci95) = match row.estimate.as_ref()? {
         Estimate::Scalar { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
@@ -134,7 +125,7 @@ fn size(row: &CheckRow) -> Option<f64> {
     Some(ends.fold(value.abs(), f64::max)).filter(|size| size.is_finite())
 }
 
-/// Formats an estimate that passed. Values below the noise floor are not shown as zero.
+/// Does not show values below the noise floor as zero.
 fn amount(estimate: &Estimate) -> Option<String> {
     let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
         let unit = Unit::from_symbol(symbol, name)?;

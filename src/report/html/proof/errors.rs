@@ -54,7 +54,6 @@ impl Case<'_> {
         }
     }
 
-    /// Change point of the finding, if there is one.
     fn change(&self) -> Option<Mark> {
         let change = match self.finding.estimate.as_ref()? {
             Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
@@ -115,8 +114,7 @@ pub(super) fn over_reach(pose: &PoseFigure) -> Plot {
     }
 }
 
-/// Errors before and after correction. Before only if the stream's frame is connected to the arm in the
-/// log.
+/// Before correction only if the log connects the stream's frame to the arm.
 fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
     let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
     let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
@@ -164,9 +162,9 @@ fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
     }
 }
 
-/// Position errors of a stream over the workspace, in top and side view.
+/// Top and side view.
 pub(super) fn over_workspace(pose: &PoseFigure) -> Vec<Plane> {
-    /// Maximum number of points.
+    /// Of points.
     const MOST: usize = 300;
     let errors = if pose.before_m.is_empty() { &pose.after_m } else { &pose.before_m };
     let what = if pose.before_m.is_empty() { "after correction" } else { "as logged" };

@@ -7,7 +7,7 @@ use crate::report::html::plane::{Arrow, Dot, Plane};
 use crate::report::html::plot::{Limit, Mark, Plot, Role, Series, Style};
 
 impl Case<'_> {
-    /// Adds the finding's specific plot, if its data exist.
+    /// Adds nothing without data.
     pub(super) fn add_own(&self, proof: &mut Proof) {
         let own = self.figures.own.iter().filter(|(index, _)| *index == self.index);
         for (_, own) in own {
@@ -55,7 +55,7 @@ impl Case<'_> {
         }
     }
 
-    /// Number in the finding's evidence.
+    /// From the finding's evidence.
     fn evidence(&self, key: &str) -> Option<f64> {
         self.finding.evidence.more.get(key)?.as_f64()
     }
@@ -97,7 +97,6 @@ impl Case<'_> {
         }
     }
 
-    /// Closure error of each view.
     fn closures(&self, each: &[[f64; 3]]) -> [Plot; 2] {
         let parts = [
             ("Hand-eye residual of each view", 1, Unit::Metre, "mm", 1e3),
@@ -231,7 +230,6 @@ impl Case<'_> {
         }
     }
 
-    /// Positions and speeds of the joint.
     fn joint(&self, joint: &JointFigure) -> [Plot; 2] {
         let factor = if joint.slides { 1e3 } else { 1f64.to_degrees() };
         let [unit, rate] = if joint.slides { ["mm", "mm/s"] } else { ["°", "°/s"] };
@@ -285,7 +283,7 @@ impl Case<'_> {
         ]
     }
 
-    /// Formatted amount of the finding.
+    /// Of the finding.
     fn amount(&self) -> String {
         match &self.finding.estimate {
             Some(Estimate::Scalar { name, value, unit, .. }) => {
@@ -296,7 +294,7 @@ impl Case<'_> {
     }
 }
 
-/// Returns whether a plot reaches a tenth of its limit.
+/// A tenth of it.
 fn is_near_its_limit(plot: &Plot) -> bool {
     let values = plot.series.iter().flat_map(|series| &series.values);
     let most = values.map(|value| value.abs()).fold(0.0, f64::max);
@@ -307,7 +305,6 @@ fn series(label: &str, role: Role, values: impl Iterator<Item = f64>) -> Series 
     Series { label: label.to_owned(), role, values: values.collect(), half_widths: Vec::new() }
 }
 
-/// Plot of the viewing directions.
 fn seen_from(views: &[[f64; 2]]) -> Plane {
     Plane {
         title: "Viewing directions".to_owned(),
@@ -323,9 +320,9 @@ fn seen_from(views: &[[f64; 2]]) -> Plane {
     }
 }
 
-/// Axes of an IMU in its link, in an oblique view.
+/// Oblique view.
 fn imu_axes(link: &str, found: &[[f64; 3]; 3], logged: Option<&[[f64; 3]; 3]>) -> Plane {
-    // x to the left and down, y to the right, z up.
+    // x points left and down, y right, z up.
     let place = |at: &[f64; 3]| [at[1] - 0.5 * at[0], at[2] - 0.35 * at[0]];
     let axes = |columns: &[[f64; 3]; 3], size: f64, role: Role, prefix: &str| -> Vec<Arrow> {
         let named = columns.iter().zip(["x", "y", "z"]);
