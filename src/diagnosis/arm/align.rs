@@ -1,5 +1,3 @@
-//! Aligns a stream's samples with FK, before and after correction.
-
 use crate::decoded_stream::DecodedStream;
 use crate::model::{ExcludedComponents, PoseObservations, PredictionBuffers, StreamState};
 use crate::model_selection::SelectedModel;
@@ -7,7 +5,7 @@ use crate::{AlignedSamples, PoseStream};
 use ground::geometry::pose;
 use ground::stream::{JointTrack, Orientations};
 
-/// Aligns the stream's samples with FK, before and after correcting the selected causes.
+/// Before and after correcting the selected causes.
 pub(super) fn align(
     recorded: &JointTrack,
     stream: &PoseStream,

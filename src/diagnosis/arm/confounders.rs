@@ -1,10 +1,8 @@
-//! Estimates of single values of a fit, and their confounders.
-
 use super::fit::ArmFit;
 use crate::model_selection::{Cause, MIN_CAUSE_SEPARATION};
 use crate::{Confounder, EstimateResult, Measured, NotObservable};
 
-/// Estimates parameter `which` of `cause` when `causes` and the always-free causes are free.
+/// Parameter `which` of `cause` if `causes` and the always-free causes are free.
 pub(super) fn measured(
     fitted: &ArmFit,
     causes: &[Cause],
@@ -22,7 +20,7 @@ pub(super) fn measured(
     explanation.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
 }
 
-/// Confounders of `cause`: causes that explain the log as well in its place.
+/// Causes that explain the log as well in its place.
 pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
     let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
@@ -58,7 +56,7 @@ pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
         .collect()
 }
 
-/// Frames in the selected model that are collinear with the joint offset `cause`.
+/// Collinear with the joint offset `cause`.
 pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
     let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
@@ -87,7 +85,7 @@ pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder
         .collect()
 }
 
-/// Size of a frame change: its angle in rad, or its length in m if it does not rotate.
+/// Angle in rad, or length in m if it does not rotate.
 fn frame_size(twist: &[f64]) -> f64 {
     let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
     let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));

@@ -20,24 +20,22 @@ use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
-/// Maximum number of fitted samples per stream.
+/// Per stream.
 pub(crate) const FIT_SAMPLES: usize = 4000;
 
-/// Joint fit of all streams.
 pub(super) struct ArmFit {
     pub(super) model: SelectedModel,
     pub(super) candidates: CandidateCauses,
     /// Joint zeros with link deviations, if a nominal model is compared with a calibrated arm. Causes that
-    /// deviations of all links can imitate are then not reported.
+    /// deviations can imitate are then not reported.
     pub(super) deviations: Option<LinkDeviations>,
 }
 
-/// Whether the arm's links may deviate from the model.
+/// Whether links may deviate from the model.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum LinkModel {
-    /// They may deviate as usual.
     Deviate,
-    /// They are already corrected by the result of another segment.
+    /// Already corrected by another segment's result.
     AreKnown,
 }
 
@@ -55,7 +53,7 @@ pub(super) fn fit(
     let witnesses: Vec<&PoseObservations> =
         prepared.iter().map(|prepared| &prepared.observations).collect();
     let menu = candidate_causes(prepared, read, with_offsets);
-    // The streams share the joints, so start from the offsets of the stream with the most samples.
+    // The streams share the joints: start from the stream with most samples.
     let most = (0..prepared.len()).max_by_key(|&s| prepared[s].observations.len()).unwrap_or(0);
     let start = State {
         offsets: alone[most].offsets.clone(),
@@ -66,7 +64,7 @@ pub(super) fn fit(
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let most = (0..witnesses.len()).max_by_key(|&s| witnesses[s].len())?;
-    // Calibrations do not change a zero by more than this, rad or m.
+    // Calibrations do not change a zero by more, rad or m.
     let large = large_zeros(&explanation.state, read, 0.1);
     let is_open = with_offsets && allows_link_deviations(&explanation);
     let drawing = if is_open {
@@ -105,8 +103,7 @@ pub(super) fn fit(
     Some(ArmFit { model: explanation, candidates: menu, deviations: drawing })
 }
 
-/// Drops causes that usual link deviations can imitate, if constant frames have a small residual without
-/// them. Uses stream `s`.
+/// Applies if constant frames have a small residual of stream `s` without them.
 fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) -> ArmFit {
     let ArmFit { model: explanation, candidates: menu, .. } = &fitted;
     let small = small_causes(explanation, s);
@@ -118,7 +115,7 @@ fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usiz
     let undone = |causes: &[Cause]| {
         let mut state = explanation.state.clone();
         for (s, stream) in state.streams.iter_mut().enumerate() {
-            // A frame that is not a cause must be exactly the identity.
+            // A frame that does not count as a cause must be exactly the identity.
             if !is_held(Cause::Reference(s)) && stream.round_reference.is_none() {
                 stream.reference = Pose::identity();
             }
@@ -154,7 +151,7 @@ fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usiz
     let nominal = estimate_link_deviations(witnesses[s], &start.streams[s], &start.offsets);
     let explanation = select_model(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     let State { offsets, streams } = &explanation.state;
-    // In a known frame, the dropped causes may leave a constant offset, which usual links also have.
+    // Dropped causes may leave a constant offset in a known frame, as usual links do.
     let is_constant = || {
         let [m, rad] = constant_frame_residual(witnesses[s], &streams[s], offsets);
         witnesses[s].reference_known && m < MAX_EXPLAINED_M && rad < MAX_EXPLAINED_RAD
@@ -165,15 +162,15 @@ fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usiz
     }
 }
 
-/// Returns whether the residual of every stream is below MDL001's thresholds.
+/// Below MDL001's thresholds, for every stream.
 fn explains_all(explanation: &SelectedModel) -> bool {
     explanation.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < MAX_EXPLAINED_M && rms(&stream.residual[1]) < MAX_EXPLAINED_RAD
     })
 }
 
-/// Selected causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
-/// radial scale. Causes below MDL001's thresholds are not faults and are ignored.
+/// Causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
+/// radial scale. Causes below MDL001's thresholds are not faults.
 fn small_causes(explanation: &SelectedModel, s: usize) -> Vec<Cause> {
     let found = &explanation.state.streams[s];
     let is_near = |frame: &Pose| {
@@ -194,17 +191,16 @@ fn small_causes(explanation: &SelectedModel, s: usize) -> Vec<Cause> {
     explanation.causes.iter().filter(is_small).copied().collect()
 }
 
-/// Returns whether link deviations could explain the selected causes. This requires several causes, or one
-/// with a remaining residual.
+/// Requires several causes, or one with a remaining residual.
 fn allows_link_deviations(explanation: &SelectedModel) -> bool {
-    /// Maximum variance inflation of white noise. A larger one indicates a wrong model.
+    /// For white noise; a larger inflation indicates a wrong model.
     const MAX_NOISE_INFLATION: f64 = 1.5;
     let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::JointScale(_));
     explanation.causes.iter().filter(is_small).count() > 1
         || explanation.noise().iter().any(|noise| noise.inflation() > MAX_NOISE_INFLATION)
 }
 
-/// Joint offsets larger than `most`, rad or m, and all scales.
+/// Offsets above `most`, rad or m, and all scales.
 fn large_zeros(state: &State, read: &CorrectedJoints, most: f64) -> Vec<f64> {
     let kept = |(index, value): (usize, &f64)| {
         if index >= read.track.dof || value.abs() > most { *value } else { 0.0 }
@@ -212,8 +208,7 @@ fn large_zeros(state: &State, read: &CorrectedJoints, most: f64) -> Vec<f64> {
     state.offsets.iter().enumerate().map(kept).collect()
 }
 
-/// State of a stream without the causes that a calibration can imitate. Keeps frames that are unknown,
-/// round, or too large for a calibration.
+/// Keeps frames that are unknown, round, or too large for a calibration.
 pub(super) fn without_small_causes(explanation: &SelectedModel, stream: usize) -> StreamState {
     let found = &explanation.state.streams[stream];
     let is_large = |frame: &Pose| {
@@ -254,8 +249,7 @@ fn candidate_causes(
         } else if with_offsets {
             optional.push(Cause::Reference(s));
         }
-        // A stream that is derived from the joint states must agree with them, so it has no frame or scale
-        // causes.
+        // A stream derived from the joint states must agree with them: no frame or scale causes.
         if with_offsets {
             optional.extend([Cause::Tool(s), Cause::RadialScale(s)]);
         }
@@ -263,13 +257,13 @@ fn candidate_causes(
     CandidateCauses { always, optional }
 }
 
-/// Starting state from which a single stream fits best.
+/// State from which a single stream fits best.
 fn best_start(prepared: &DecodedStream, read: &CorrectedJoints, with_offsets: bool) -> State {
     let menu = candidate_causes(&[prepared], read, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
         let near = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
-        // Streams that copy the joints' stamps have exactly zero latency, a narrow minimum.
+        // Streams that copy the joints' stamps have zero latency, a narrow minimum.
         prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
     } else {
         vec![0.0]
@@ -307,8 +301,7 @@ fn best_start(prepared: &DecodedStream, read: &CorrectedJoints, with_offsets: bo
     with_base_turned(state, &prepared.observations)
 }
 
-/// Converts quarter turns of the first joint's zero to a base rotation. The two are equivalent, and base
-/// frames of different makers differ by such turns.
+/// Quarter turns of the first joint's zero are equivalent to a base rotation, which differs between makers.
 fn with_base_turned(mut state: State, witness: &PoseObservations) -> State {
     let Some(&first) = witness.columns.first() else { return state };
     let is_turning = witness.chain.joint_kinds().first() != Some(&JointKind::Prismatic);

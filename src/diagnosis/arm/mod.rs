@@ -33,15 +33,13 @@ use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
-/// Diagnoses the joint states and all pose streams that are independent references.
-///
-/// `most_lag_s` is the largest latency to search, s.
+/// Diagnoses joint states and independent pose streams; `most_lag_s` is the largest latency to search.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
     diagnose_with(joints, streams, most_lag_s, LinkModel::Deviate)
 }
 
-/// Same for a segment that is already corrected by the result of another one. The links are the same in
-/// both segments, so the residual is not due to link deviations.
+/// Diagnoses a segment already corrected by another's result: the links are the same, so they explain no
+/// residual.
 pub(super) fn diagnose_other_segment(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -79,12 +77,12 @@ fn diagnose_with(
         })
     };
     let mut reading = match is_confirmed(&CorrectedJoints::new(joints, &as_logged, &slides)) {
-        // If the positions as logged match FK, the joint states need no other encoding.
+        // The joint states need no other encoding.
         true => Ok(JointEncoding::default()),
         false => estimate_joint_encoding(joints, streams, &metres, most_lag_s),
     };
     if reading.is_err() {
-        // Wrong joint encodings can imitate another position unit.
+        // Wrong joint encodings can imitate another unit.
         let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
         for other in others.into_iter().filter(|other| *other != metres) {
             let by_other = estimate_joint_encoding(joints, streams, &other, most_lag_s);
@@ -96,11 +94,10 @@ fn diagnose_with(
     }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_credible() {
-        // Reject an encoding with a large residual.
         (reading, found) = (Err(NotObservable::NotExcited), by(&as_logged));
     }
     // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
-    // logged are explained with no more joint zeros.
+    // logged need no more joint zeros.
     let is_rewritten =
         found.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_))));
     if is_rewritten && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
@@ -118,7 +115,7 @@ fn diagnose_with(
     let astray = |found: &EncodingResult| {
         !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::is_far_from_fk)
     };
-    // An encoding must not break a stream that agrees with the joint states as logged.
+    // A stream that agrees with the joint states as logged must still do so.
     let is_alone = streams.len() < 2;
     let plain = LazyCell::new(|| by(&as_logged));
     let spoils = |found: &EncodingResult| !is_alone && !found.preserves_agreement(&plain);
@@ -126,7 +123,7 @@ fn diagnose_with(
         (reading, found) = (Ok(JointEncoding::default()), by(&as_logged));
     }
     if reading.is_err() || astray(&found) {
-        // Other faults may hide the joint names and units.
+        // Other faults may hide the encoding.
         for likely in likely_encodings(joints, streams, &metres, most_lag_s) {
             let by_it = by(&likely.encoding);
             if spoils(&by_it) {
@@ -160,7 +157,7 @@ fn diagnose_with(
             }
         }
     }
-    // The encoding is undetermined if no stream follows FK, even if some positions are close.
+    // If no stream follows FK, the encoding is undetermined.
     if astray(&found) && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         reading = Err(NotObservable::NotExcited);
     }
@@ -171,7 +168,6 @@ fn diagnose_with(
         }
     }
     let EncodingResult { offsets, mut scales, mut couplings, streams } = found;
-    // Remove scales that turned out to be 1.
     if let Ok(reading) = &mut reading {
         let is_one = |factor: f64| (factor - 1.0).abs() < FACTOR_TOLERANCE;
         scales.retain(|scale| !is_one(scale.factor.value));
@@ -185,20 +181,19 @@ fn diagnose_with(
     ArmDiagnosis { joints, streams }
 }
 
-/// A factor this close to 1 counts as 1. Over one turn it makes less than 0.1°.
+/// Counts as 1: less than 0.1° per turn.
 const FACTOR_TOLERANCE: f64 = 2e-4;
-/// Minimum ratio of the residual as logged to the residual with another joint encoding.
+/// Residual as logged over another joint encoding's.
 const MIN_IMPROVEMENT: f64 = 5.0;
-/// Same for degrees that are indicated by the range of the joint values.
+/// For degrees indicated by the range of values.
 const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
-/// Excess residual that counts as explained, rms m and rad. These are MDL001's thresholds.
+/// Excess residual that counts as explained, rms (MDL001's thresholds).
 const MAX_EXPLAINED_M: f64 = 1e-3;
 pub(super) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
-/// Maximum residual for a valid joint encoding: a fraction of the extent of the motion, or a length in m.
+/// For a valid joint encoding: of the motion's extent, or m.
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_M: f64 = 5e-3;
 
-/// Result for one encoding of the joints.
 struct EncodingResult {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
@@ -207,12 +202,11 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
-    /// Number of joint zeros in the selected model.
     fn zero_count(&self) -> usize {
         self.offsets.iter().filter(|offset| offset.is_chosen).count()
     }
 
-    /// Returns whether some stream is close to FK.
+    /// Some stream is close to FK.
     fn is_near(&self) -> bool {
         let near = |found: &PoseDiagnosis| {
             let most_m = (MAX_RESIDUAL_SHARE * extent_m(found)).max(MAX_RESIDUAL_M);
@@ -221,7 +215,7 @@ impl EncodingResult {
         self.streams.iter().any(near)
     }
 
-    /// Returns whether each stream that agrees with FK without frame errors in `other` also does so here.
+    /// Each stream that agrees with FK in `other`, without frame errors, still does.
     fn preserves_agreement(&self, other: &EncodingResult) -> bool {
         let agrees = |found: &PoseDiagnosis| {
             let is_explained = found.residual.as_ref().is_ok_and(|left| {
@@ -238,20 +232,19 @@ impl EncodingResult {
         pairs.into_iter().all(|(own, other)| !agrees(other) || agrees(own))
     }
 
-    /// Returns whether the encoding is credible. Some stream must be close to FK. A joint scale that is not
-    /// a plausible gear ratio is accepted only if everything is explained.
+    /// Some stream must be close to FK. A scale that is not a plausible gear ratio must explain everything.
     fn is_credible(&self) -> bool {
         let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
             || self.couplings.iter().any(|coupling| !coupling.is_round());
         self.is_near() && (!is_odd || self.unexplained().is_none())
     }
 
-    /// Sum of the excess residuals, m. Angles are weighted by an arm length of 0.3 m.
+    /// Sum over the streams. Angles are weighted by 0.3 m.
     fn total_residual_m(&self) -> f64 {
         self.streams.iter().map(|found| combined_m(&excess_residual(found))).sum()
     }
 
-    /// Stream with the largest excess residual, and the residual, if it is not explained.
+    /// Stream with the largest unexplained excess residual.
     fn unexplained(&self) -> Option<(usize, ResidualSize)> {
         let lefts = self.streams.iter().map(excess_residual).enumerate();
         let worst = lefts.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
@@ -261,13 +254,13 @@ impl EncodingResult {
     }
 }
 
-/// Excess residual of a stream. 1 m and 1 rad if it could not be decoded.
+/// 1 m and 1 rad if not decoded.
 fn excess_residual(found: &PoseDiagnosis) -> ResidualSize {
     match (&found.residual, &found.encoding) {
         (Ok(residual), Ok(_)) => {
             ResidualSize { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
         }
-        // Its positions are still valid. For example, the last joint may have the wrong sign.
+        // Positions are valid, e.g. if the last joint's sign is wrong.
         (Ok(residual), Err(NotObservable::DoesNotFollow(_))) => {
             ResidualSize { m: residual.excess_m.value, rad: Some(1.0) }
         }
@@ -281,17 +274,16 @@ fn combined_m(left: &ResidualSize) -> f64 {
     left.combined_m(0.3)
 }
 
-/// Extent of the tip's motion by FK, m.
+/// Extent of FK's positions.
 fn extent_m(found: &PoseDiagnosis) -> f64 {
     let fk: Vec<Vec3> =
         found.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
     spread(&fk)
 }
 
-/// Diagnoses a stream that is computed from the joint states, such as /tf. It can be late or wrongly
-/// assembled, but it is not an independent reference for the joint zeros.
-///
-/// It is compared with the joint states as recorded and as corrected by `encoding`; the better match counts.
+/// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference
+/// for joint zeros. Compares it with the joint states as recorded and as corrected by `reading`; the better
+/// match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,
     reading: Option<&JointEncoding>,
@@ -319,12 +311,12 @@ pub fn diagnose_derived(
 }
 
 impl JointDiagnosis {
-    /// Returns the largest change of a joint's zero during the run. `None` if it is constant.
+    /// Largest change of a joint's zero, if any.
     pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.zero.as_ref())
     }
 
-    /// Returns the largest change of a joint's scale during the run. `None` if it is constant.
+    /// Largest change of a joint's scale, if any.
     pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.factor.as_ref())
     }
@@ -338,17 +330,15 @@ impl JointDiagnosis {
         ScalarChange::largest(own.filter_map(of))
     }
 
-    /// Removes eccentricity above the usual level of gears, which no rule reports.
+    /// Removes eccentricity above the usual level, which no rule reports.
     pub fn without_eccentricity(&self) -> Self {
         let mut named = self.clone();
         named.compliance.retain(|bend| !bend.is_eccentric());
         named
     }
 
-    /// Corrects the joint states: change points, names and units, joint compliance, and the joint offsets
-    /// of the selected model.
-    ///
-    /// `prismatic_columns` flags the prismatic joints among the columns of `joints`.
+    /// Corrects change points, names and units, compliance, and the selected model's joint offsets.
+    /// `prismatic` flags columns of `joints`.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
         let mut unchanged = Cow::Borrowed(joints);
         for patch in &self.patches {
@@ -378,10 +368,8 @@ impl JointDiagnosis {
     }
 }
 
-/// Best correlation of a pose stream's speeds with FK's.
-///
-/// An array of bare numbers must also be positioned where the arm is, because joint angles in an array
-/// correlate with the motion as well.
+/// Best correlation of a pose stream's speeds with FK's. Bare numbers must also be positioned where the arm
+/// is, because an array of joint angles correlates too.
 pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<LagPeak> {
     let peak = candidate_lags(joints, stream, most_lag_s).first().copied()?;
     let placed = as_rotations(&stream.track.orientation).is_some() || {
@@ -391,7 +379,7 @@ pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) 
     Some(if placed { peak } else { LagPeak { correlation: 0.0, ..peak } })
 }
 
-/// Candidate lags of a pose stream from its speeds, best first.
+/// Candidate lags from speeds, best first.
 pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
     stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, most_lag_s)
 }
@@ -406,7 +394,7 @@ fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     prismatic
 }
 
-/// Fits all streams together and diagnoses each.
+/// Fits all streams together.
 fn diagnose(
     recorded: &JointTrack,
     read: &CorrectedJoints,

@@ -23,7 +23,7 @@ use crate::{
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
 
-/// Residual below which two latencies cannot be distinguished, rms rad, or m at an arm length of 1 m.
+/// Two latencies cannot be distinguished below it: rms rad, or m at an arm length of 1 m.
 const MIN_DISTINGUISHABLE_RAD: f64 = 2e-5;
 
 pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
@@ -58,7 +58,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
     }
 }
 
-/// Detected unit of positions, if it differs from the assumed one.
+/// Detected unit, if it differs from the assumed one.
 fn length_unit_error(
     stream: &PoseStream,
     placement: &PositionEncodingEstimate,
@@ -78,7 +78,7 @@ fn length_unit_error(
     Ok(Some(LengthUnitError { is, read_as, residual: UnitResiduals { as_logged, corrected } }))
 }
 
-/// Constant coordinates, with their range according to FK.
+/// Coordinates with their range by FK.
 fn constant_coordinates(
     stream: &PoseStream,
     prepared: &DecodedStream,
@@ -186,7 +186,7 @@ pub(super) fn stream_diagnosis(
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.encoding.clone();
     if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
-        // Latency, offsets and frames have been corrected since the encodings were compared.
+        // Latency, offsets and frames are now corrected.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
@@ -199,7 +199,7 @@ pub(super) fn stream_diagnosis(
         latency_s,
         delay_jitter: delays,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
-            // Stamp errors of this size at both ends would look like skew.
+            // Stamp errors at both ends look like skew.
             std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
             ..skew
         }),
@@ -223,15 +223,14 @@ pub(super) fn stream_diagnosis(
     }
 }
 
-/// Norm of the joint velocities at the sample before a time, rad/s.
+/// Speed at the sample before, rad/s.
 fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
     let row = joints.t_s.partition_point(|at_s| *at_s <= t_s).saturating_sub(1);
     let rates = joints.qd.chunks_exact(joints.dof.max(1)).nth(row).unwrap_or_default();
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 
-/// Returns whether a frame or scale error of stream `index` would be compensated by another one. At rest,
-/// only their sum is observable.
+/// Whether another error would compensate this one. At rest, only their sum is observable.
 fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
     let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, found) = (&explanation.state, &explanation.state.streams[index]);
@@ -255,8 +254,7 @@ fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
     others.iter().any(makes_up)
 }
 
-/// Other lags at which the stream matches FK equally well, because the motion repeats. `None` if there are
-/// none.
+/// Lags that match FK equally well in repetitive motion, if any.
 fn aliases(
     prepared: &DecodedStream,
     explanation: &SelectedModel,
@@ -268,7 +266,7 @@ fn aliases(
     let at = |latency_s: f64| {
         let mut state = StreamState { latency_s, ..found.clone() };
         if !witness.reference_known {
-            // Another lag may need another world frame, for example by one line of a raster.
+            // Another lag may need another world frame, e.g. by one line of a raster.
             state = with_frames_from_positions(witness, state, offsets);
         }
         witness.residual_at_latency(&state, offsets, MAX_SEARCH_SAMPLES)

@@ -1,5 +1,3 @@
-//! Joint estimates of a fit: offsets, scales and couplings.
-
 use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::decoded_stream::DecodedStream;
@@ -22,8 +20,7 @@ pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<Joint
     (0..dof).map(|_| offset()).collect()
 }
 
-/// Offset of every joint. Selected ones are estimated with only the selected causes free, the others with
-/// all joints free.
+/// Selected offsets are estimated with the selected causes free, the others with all joints free.
 pub(super) fn joint_offsets(
     fitted: &ArmFit,
     prepared: &[&DecodedStream],
@@ -85,7 +82,6 @@ fn is_prismatic(prepared: &[&DecodedStream], joint: usize) -> bool {
     })
 }
 
-/// Scales of the joints that have one.
 pub(super) fn joint_scales(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointScale> {
     let explanation = &fitted.model;
     let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
@@ -107,7 +103,6 @@ pub(super) fn joint_scales(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<Joint
     read.gains.iter().enumerate().filter_map(scale).collect()
 }
 
-/// Joint couplings with fitted factors.
 pub(super) fn joint_couplings(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointCoupling> {
     let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
         let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
@@ -118,12 +113,12 @@ pub(super) fn joint_couplings(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<Jo
     read.gains.iter().enumerate().filter_map(coupling).collect()
 }
 
-/// Estimate of entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
+/// Entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
 fn gain(fitted: &ArmFit, read: &CorrectedJoints, at: usize) -> Option<Measured> {
     measured(fitted, &fitted.model.causes, Cause::JointScale(read.track.dof + at), 0).ok()
 }
 
-/// Flags joints that move by more than 3° (or 50 mm) over the run.
+/// Joints that move by more than 3° (or 50 mm).
 fn moved_joints(joints: &JointTrack) -> Vec<bool> {
     (0..joints.dof)
         .map(|j| {
@@ -135,8 +130,8 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
         .collect()
 }
 
-/// Largest distance from a joint's axis to the tip, m/rad (1 for a prismatic joint). The maximum is over
-/// evenly spread joint positions (Halton 1960).
+/// Largest distance from axis to tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton
+/// 1960).
 fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
     const CONFIGURATIONS: u32 = 500;
     const HALTON_BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
@@ -163,7 +158,7 @@ fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
     prepared.iter().filter_map(lever).fold(0.0, f64::max)
 }
 
-/// Radical inverse: digits of `index` in `base`, mirrored at the point, in [0, 1).
+/// Digits of `index` in `base`, mirrored at the point, in [0, 1).
 fn radical_inverse(mut index: u32, base: u32) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0 / f64::from(base));
     while index > 0 {

@@ -15,51 +15,46 @@ use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Maximum number of samples per stream. More do not improve the estimate.
+/// Per stream; more do not improve the estimate.
 const MAX_SAMPLES: usize = 20_000;
-/// Number of blocks per stream, and of cross-validation folds.
+/// Per stream, for cross-validation.
 const BLOCKS: usize = 50;
 const FOLDS: usize = 5;
-/// Maximum number of iterations, and the step, in standard deviations, that ends them.
 const MAX_ITERATIONS: usize = 12;
 const CONVERGED_SIGMAS: f64 = 1e-3;
 
-/// Current estimate.
 #[derive(Clone)]
 pub(super) struct CalibrationState {
-    /// All parameters. Those of streams are relative to their initial values.
+    /// Those of streams are relative to their initial values.
     pub values: DVector<f64>,
-    /// Latency, reference and tool of each stream.
+    /// Latency, reference and tool.
     pub streams: Vec<(f64, Pose, Pose)>,
 }
 
-/// Linearised stream, with weights from its residuals.
 struct LinearizedStream {
     linear: Linear,
     weights: Vec<Weight>,
 }
 
 impl LinearizedStream {
-    /// Samples of a fold: every fifth block, starting at block `fold`.
+    /// Every fifth block, starting at `fold`.
     fn fold(&self, fold: usize) -> Vec<usize> {
         let stretch = self.linear.len().div_ceil(BLOCKS).max(1);
         (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
     }
 
-    /// Restricts the piece to one fold.
     fn part(&self, fold: usize) -> Self {
         let samples = self.fold(fold);
         let weights = self.weights.iter().map(|weight| weight.subset(&samples)).collect();
         Self { linear: self.linear.subset(&samples), weights }
     }
 
-    /// Residuals by kind after a step of the stream's parameters.
+    /// Residuals by kind.
     fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
         self.linear.residuals_after(step.as_slice())
     }
 }
 
-/// Stream with the data that are constant over the iterations.
 struct StreamSource<'a> {
     stream: &'a CalibrationStream<'a>,
     xyz: Vec<Vec3>,
@@ -117,8 +112,8 @@ pub(super) fn fit(
     let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
     let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
-    // A fit absorbs part of each sample's noise. Residuals shrink by the share of fitted degrees of
-    // freedom, scores by its square (MacKinnon and White 1985, HC3, on average).
+    // A fit absorbs noise: residuals shrink by the share of fitted degrees of freedom, scores by its square
+    // (MacKinnon and White 1985, HC3, on average).
     let fitted = (&inverse * &whole.matrix).trace();
     let taken = (fitted / whole.independent.max(1.0)).clamp(0.0, 0.9);
     let scores = system.scores(&pieces) / (1.0 - taken).powi(2);
@@ -172,7 +167,7 @@ pub(super) fn fit(
     })
 }
 
-/// Root mean square residual over some pieces of a stream, by kind.
+/// Residual by kind over pieces of a stream.
 fn rms_residual(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
     let rms = |kind: usize| {
         let all = || pieces.iter().flat_map(|piece| &piece[kind]);
@@ -189,7 +184,7 @@ impl<'a> StreamSource<'a> {
         Self { stream, xyz, stride, columns, still: vec![0.0; stream.joints.dof] }
     }
 
-    /// Range of each joint of the chain while poses are available.
+    /// Per joint of the chain while poses are available.
     fn spans(&self) -> Vec<f64> {
         let t_s = &self.stream.t_s;
         let (Some(first), Some(last)) = (t_s.first(), t_s.last()) else { return Vec::new() };
@@ -228,7 +223,6 @@ impl<'a> StreamSource<'a> {
     }
 }
 
-/// Equations of all streams of an arm.
 pub(super) struct CalibrationSystem<'a> {
     pub robot: &'a Robot,
     pub path: &'a LinkPath,
@@ -237,21 +231,21 @@ pub(super) struct CalibrationSystem<'a> {
 }
 
 impl CalibrationSystem<'_> {
-    /// Robot with the link deviations of `state`, without zeros.
+    /// Robot with link deviations, without zeros.
     fn links_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.with_deviations(self.path, &deviations, &[])
     }
 
-    /// Robot with the link deviations and zeros of `state`.
+    /// Robot with link deviations and zeros.
     fn robot_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.with_deviations(self.path, &deviations, &self.zeros(state))
     }
 
-    /// Zero of each joint of the chain.
+    /// Per joint of the chain.
     fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {
@@ -260,13 +254,13 @@ impl CalibrationSystem<'_> {
         zeros
     }
 
-    /// Chain of stream `s` with the link deviations of `state`.
+    /// Chain with the link deviations of `state`.
     pub fn chain(&self, s: usize, state: &CalibrationState) -> Option<Chain> {
         let stream = self.sources[s].stream;
         self.links_at(state).chain(stream.base, stream.tip).ok()
     }
 
-    /// Linearises all streams about `state`, with weights from the residuals there.
+    /// Weights are from the residuals there.
     fn linearize(&self, state: &CalibrationState, is_near: bool) -> Option<Vec<LinearizedStream>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
@@ -299,7 +293,6 @@ impl CalibrationSystem<'_> {
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
     }
 
-    /// Normal equations of all streams.
     fn normal(&self, pieces: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width());
         for (source, piece) in self.sources.iter().zip(pieces) {
@@ -327,17 +320,16 @@ impl CalibrationSystem<'_> {
         all
     }
 
-    /// Deviation of the parameters from their prior means.
     fn deviation_from_prior(&self, state: &CalibrationState) -> DVector<f64> {
         let mut values = state.values.clone();
-        // Frames, latencies and zeros have a flat prior, centred on the current value.
+        // Flat prior, centred on the current value.
         values
             .rows_mut(self.parameters.links.len(), values.len() - self.parameters.links.len())
             .fill(0.0);
         values
     }
 
-    /// Step to the maximum of the posterior for link deviations of size `link_m`, and the precision there.
+    /// Step to the maximum of the posterior, and the precision there.
     fn step(
         &self,
         normal: &Normal,
@@ -351,7 +343,7 @@ impl CalibrationSystem<'_> {
         Some((cholesky.solve(&right), cholesky))
     }
 
-    /// Size of the link deviations that maximises the marginal likelihood.
+    /// Maximises the marginal likelihood.
     fn best_link_m(&self, normal: &Normal, state: &CalibrationState) -> f64 {
         let (least, most, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
@@ -371,7 +363,7 @@ impl CalibrationSystem<'_> {
     }
 
     fn advance(&self, state: &mut CalibrationState, step: &DVector<f64>) {
-        // Adding two frame errors neglects their product; the next iteration corrects it.
+        // Neglects a product of frame errors, which the next iteration corrects.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
             let own = self.parameters.free_parameters_of(s);
@@ -393,7 +385,6 @@ impl CalibrationSystem<'_> {
         }
     }
 
-    /// Pose of stream `s`'s tip relative to the last joint.
     fn last_from_tip(&self, s: usize) -> Pose {
         let stream = self.sources[s].stream;
         let Ok(chain) = self.robot.chain(stream.base, stream.tip) else { return Pose::identity() };
@@ -402,8 +393,7 @@ impl CalibrationSystem<'_> {
         frames.last().map_or_else(Pose::identity, |last| last.inv_mul(&chain.forward(&q)))
     }
 
-    /// Residual with nominal links, after fitting frames and latencies: of all samples, and
-    /// cross-validated.
+    /// Residuals of all samples and cross-validated, after fitting frames and latencies.
     fn nominal_residuals(
         &self,
         pieces: &[LinearizedStream],
@@ -422,7 +412,7 @@ impl CalibrationSystem<'_> {
         self.sources.iter().zip(pieces).zip(folds).map(of).collect()
     }
 
-    /// Cross-validated residual, with all parameters fitted to the other folds.
+    /// Fits all parameters to the other folds.
     fn held_out(
         &self,
         pieces: &[LinearizedStream],
@@ -434,7 +424,7 @@ impl CalibrationSystem<'_> {
         self.cross_validated(pieces, of)
     }
 
-    /// Residual of each stream, with each fold predicted by a step from the equations of the other folds.
+    /// Each fold is predicted by a step from the others' equations.
     fn cross_validated(
         &self,
         pieces: &[LinearizedStream],

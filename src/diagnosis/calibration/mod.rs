@@ -1,10 +1,9 @@
 //! Kinematic calibration: estimates the deviation of each link from the nominal model.
 //!
-//! The six deviations of every link have a prior N(0, s²), with 0.1° per mm; s maximises the marginal
-//! likelihood, as for the zeros in [`crate::nominal_uncertainty`]. Gauss–Newton starts at the nominal model and
-//! maximises the posterior. Its weights are robust against outliers and account for autocorrelation.
-//! Covariances are sandwich estimates (White 1980) that include the prior. Reference: Hollerbach, Khalil,
-//! Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
+//! Deviations have a prior N(0, s²), with 0.1° per mm; s maximises the marginal likelihood, as for the
+//! zeros in [`crate::nominal_uncertainty`]. Gauss–Newton from the nominal model maximises the posterior,
+//! with weights for outliers and autocorrelation and sandwich covariances (White 1980). Reference:
+//! Hollerbach, Khalil, Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
 
 mod fit;
 mod observed;
@@ -19,47 +18,47 @@ use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
 use nalgebra::DMatrix;
 
-/// Pose stream used for the calibration.
+/// Pose stream to calibrate from.
 #[derive(Clone, Debug)]
 pub struct CalibrationStream<'a> {
-    /// Joint states with the encoding corrected, without zero correction.
+    /// Encoding corrected, zeros not.
     pub joints: &'a JointTrack,
-    /// Column of each joint of the chain.
+    /// Column per joint of the chain.
     pub columns: Vec<usize>,
-    /// Reference link of the poses, or its nominal counterpart if the reference is free.
+    /// Reference link of the poses (nominal if free).
     pub base: LinkId,
-    /// Link whose poses are measured, apart from the tool.
+    /// Measured link, apart from the tool.
     pub tip: LinkId,
-    /// Stamps, s.
+    /// Stamps.
     pub t_s: Vec<f64>,
-    /// Poses with the encoding corrected.
+    /// Encoding corrected.
     pub poses: Vec<Pose>,
     /// Coordinates without information.
     pub excluded: [bool; 3],
-    /// Whether the rotations carry no information.
+    /// Rotations without information.
     pub is_rotation_excluded: bool,
-    /// Latency, s: known, or the initial value if it is free.
+    /// Known, or initial if free.
     pub latency_s: f64,
-    /// Whether the latency is estimated.
+    /// Whether it is estimated.
     pub latency_is_free: bool,
-    /// Growth of the latency about the middle of the stream, s/s.
+    /// Growth of the latency about the stream's middle.
     pub skew: f64,
-    /// `stream_from_base`: known, or the initial value if it is free.
+    /// `stream_from_base`: known, or initial if free.
     pub reference: Pose,
-    /// Whether the base frame is estimated.
+    /// Whether it is estimated.
     pub reference_is_free: bool,
-    /// `tip_from_tool`: known, or the initial value if it is free.
+    /// `tip_from_tool`: known, or initial if free.
     pub tool: Pose,
-    /// Whether the tool frame is estimated.
+    /// Whether it is estimated.
     pub tool_is_free: bool,
 }
 
-/// Component of a link's deviation along or about a direction in its frame.
+/// Component of a link's deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkParameter {
-    /// Index of the link in [`ground::robot::LinkPath`].
+    /// Index in [`ground::robot::LinkPath`].
     pub link: usize,
-    /// Whether it is a rotation, rad, rather than a translation, m.
+    /// Rotation, rad, or translation, m.
     pub is_rotation: bool,
     /// Unit vector in the link's frame.
     pub direction: [f64; 3],
@@ -74,87 +73,86 @@ pub struct CalibrationResidual {
     pub rad: f64,
 }
 
-/// Residuals of a stream before and after calibration.
+/// Calibration of a stream. `held_out` is cross-validated over five folds of contiguous blocks.
 #[derive(Clone, Debug)]
 pub struct StreamCalibration {
-    /// Number of samples used.
+    /// Samples used.
     pub samples: usize,
-    /// Latency, s, if estimated.
+    /// Latency, if estimated.
     pub latency_s: Option<Measured>,
     /// `stream_from_base`, if estimated.
     pub reference: Option<Pose>,
     /// `tip_from_tool`, if estimated.
     pub tool: Option<Pose>,
-    /// Residual with nominal links, after fitting all other parameters.
+    /// Nominal links, all else fitted.
     pub before: CalibrationResidual,
-    /// Residual with calibrated links.
+    /// Calibrated links.
     pub after: CalibrationResidual,
-    /// Cross-validated residual with nominal links, over five folds of contiguous blocks.
+    /// Nominal links.
     pub held_out_before: CalibrationResidual,
-    /// Cross-validated residual with calibrated links, over the same folds.
+    /// Calibrated links.
     pub held_out_after: CalibrationResidual,
-    /// Noise per component of positions, m, and rotations, rad.
+    /// Per component of positions, m, and rotations, rad.
     pub noise: [f64; 2],
-    /// Factor by which autocorrelation inflates the variance of a mean.
+    /// Variance inflation of a mean by autocorrelation.
     pub inflation: [f64; 2],
-    /// Range of each joint of the chain, rad or m.
+    /// Range per joint, rad or m.
     pub spans: Vec<f64>,
 }
 
-/// Direction of the link parameters that the logs do not determine.
+/// Link parameters that the logs do not determine.
 #[derive(Clone, Debug)]
 pub struct UndeterminedDirection {
-    /// Parameters with their components of the direction (a unit vector, scaled by the prior), largest
-    /// first.
+    /// Parameter and component (of a unit vector, scaled by the prior), largest first.
     pub parts: Vec<(usize, f64)>,
-    /// Ratio of posterior to prior variance: 1 if nothing was learned.
+    /// Posterior over prior variance: 1 if nothing was learned.
     pub share: f64,
-    /// Tip displacement over the workspace by the remaining uncertainty, rms m.
+    /// Remaining tip displacement over the workspace, rms.
     pub effect_m: f64,
 }
 
-/// Rms error of FK over the whole workspace, up to free constant frames.
+/// Rms FK error over the workspace, up to constant frames.
 pub type FkUncertainty = CalibrationResidual;
 
 /// Calibrated arm.
 #[derive(Clone, Debug)]
 pub struct ArmCalibration {
-    /// Robot model with the deviations.
+    /// Robot with the deviations.
     pub robot: Robot,
-    /// Names of the links with estimated deviations.
+    /// Links with estimated deviations.
     pub links: Vec<String>,
-    /// Deviation of each link in its own frame: translation, m, and rotation vector, rad.
+    /// Deviations in each link's own frame: translation, m, and rotation vector, rad.
     pub deviations: Vec<[f64; 6]>,
-    /// Standard deviation of the link deviations, m (and 0.1° per mm).
+    /// Standard deviation of the deviations, m (and 0.1° per mm).
     pub link_m: f64,
     /// Estimated link parameters.
     pub parameters: Vec<LinkParameter>,
-    /// Joints of the chain with a free zero. Their values follow those of the links.
+    /// Chain joints with free zero; values follow the links'.
     pub zeros: Vec<usize>,
-    /// Estimates: link parameters, then zeros, m and rad.
+    /// Link parameters, then zeros, m and rad.
     pub values: Vec<f64>,
     /// Covariance of the values.
     pub covariance: DMatrix<f64>,
     /// Degrees of freedom of the noise.
     pub dof: f64,
-    /// Results for each stream.
+    /// Per stream.
     pub streams: Vec<StreamCalibration>,
     /// Directions that the logs do not determine.
     pub undetermined: Vec<UndeterminedDirection>,
-    /// Last step of the iteration, rms in standard deviations. `None` if it converged.
+    /// Rms in standard deviations. `None` if converged.
     pub remaining_step: Option<f64>,
-    /// Uncertainty of the calibrated FK over the whole workspace.
+    /// Calibrated FK.
     pub calibrated_uncertainty: FkUncertainty,
-    /// Uncertainty of the nominal FK, from the size of the deviations.
+    /// Nominal FK, from the deviations' size.
     pub nominal_uncertainty: FkUncertainty,
 }
 
-/// Reason why a calibration is not possible.
+/// Why calibration is not possible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CalibrationFailure {
-    /// The chain passes a joint from child to parent, or a mimic joint.
+    /// A joint is passed from child to parent, or mimics.
     Chain,
-    /// The streams have chains with different joints.
+    /// Chains with different joints.
     OtherJoints,
     /// Too few samples.
     TooFewSamples,
@@ -163,13 +161,13 @@ pub enum CalibrationFailure {
 }
 
 impl ArmCalibration {
-    /// Value with its standard error.
+    /// Value with standard error.
     pub fn value(&self, index: usize) -> Measured {
         let std_error = self.covariance[(index, index)].max(0.0).sqrt();
         Measured { value: self.values[index], std_error, dof: self.dof }
     }
 
-    /// Standard errors of a link's deviation; zero for components fixed by convention.
+    /// Standard errors of a deviation; zero for components fixed by convention.
     pub fn std_errors(&self, link: usize) -> [f64; 6] {
         std::array::from_fn(|axis| {
             let (turns, axis) = (axis >= 3, axis % 3);
@@ -187,7 +185,7 @@ impl ArmCalibration {
     }
 }
 
-/// Calibrates `robot` from `streams`. The zeros of the chain's joints `zeros` are free.
+/// Calibrates `robot`. The chain's joints `zeros` have free zeros.
 ///
 /// # Errors
 /// If the chain or the samples do not permit a calibration.

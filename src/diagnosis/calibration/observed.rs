@@ -5,12 +5,12 @@ use super::parameters::CalibrationParameters;
 use super::workspace::TipSensitivity;
 use nalgebra::{DMatrix, DVector};
 
-/// A direction is determined if its variance is below this share of its prior variance.
+/// Share of the prior variance, for a determined direction.
 const MAX_VARIANCE_SHARE: f64 = 0.5;
-/// Parameters with a smaller component in a direction are omitted from its description.
+/// Smaller ones are omitted from its description.
 const MIN_COMPONENT: f64 = 0.3;
 
-/// Directions not determined by `information`, the least determined first.
+/// The least determined first.
 pub(super) fn undetermined_directions(
     information: &DMatrix<f64>,
     parameters: &CalibrationParameters,
@@ -21,7 +21,7 @@ pub(super) fn undetermined_directions(
     let prior = parameters.prior(link_m);
     let mut of_links = information.view((0, 0), (links, links)).into_owned();
     if all > links {
-        // Marginalise over the other parameters.
+        // Marginalise over the others.
         let mut rest = information.view((links, links), (all - links, all - links)).into_owned();
         (0..all - links).for_each(|i| rest[(i, i)] += prior[links + i]);
         let both = information.view((0, links), (links, all - links));

@@ -1,34 +1,31 @@
 //! Parameters of a calibration, and the gauge that fixes unobservable ones.
 //!
-//! A deviation along or about a joint's axis has the same effect before and after the joint. This concerns
-//! rotation and translation along a revolute joint's axis, and all translations and the rotation about a
-//! prismatic joint's. By convention it is assigned to the frame before the joint, its origin. The result is
-//! the minimal set of 4n + 6 parameters for n revolute joints (Everett, Driels and Mooring, *Kinematic
-//! modelling for robot calibration*, ICRA 1987).
+//! Deviations along or about a joint's axis have the same effect before and after the joint (for a
+//! prismatic joint: all translations and the rotation about its axis). By convention they belong to the
+//! frame before it. This leaves the minimal 4n + 6 parameters for n revolute joints (Everett, Driels and
+//! Mooring, *Kinematic modelling for robot calibration*, ICRA 1987).
 
 use super::{CalibrationStream, LinkParameter};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::LinkPath;
 use nalgebra::{DMatrix, DVector};
 
-/// Ratio of angular to linear link deviations, rad/m: 0.1° per mm.
+/// 0.1° per mm.
 pub(super) use crate::link_deviations::RAD_PER_M;
 use crate::nominal_model::FREE_PRIOR;
 
-/// Parameters of all streams of one arm. Links and zeros, which are shared, come first.
+/// Shared links and zeros come first.
 pub(super) struct CalibrationParameters {
-    /// Link parameters.
     pub links: Vec<LinkParameter>,
-    /// Joints of the chain with a free zero.
+    /// Joints with a free zero.
     pub zeros: Vec<usize>,
-    /// Index of the first parameter of each stream, followed by the total number.
+    /// First parameter per stream, then the total.
     starts: Vec<usize>,
     joints: usize,
     free_parameters: Vec<FreeStreamParameters>,
     base_from_first: Vec<Pose>,
 }
 
-/// Free parameters of a stream.
 #[derive(Clone, Copy)]
 pub(super) struct FreeStreamParameters {
     pub latency: bool,
@@ -100,7 +97,7 @@ impl CalibrationParameters {
         self.free_parameters[stream]
     }
 
-    /// Prior precision of each parameter, for link deviations of size `link_m`.
+    /// Precision per parameter.
     pub fn prior(&self, link_m: f64) -> Vec<f64> {
         let links = self.links.iter().map(|one| match one.is_rotation {
             true => (RAD_PER_M * link_m).powi(-2),
@@ -110,8 +107,7 @@ impl CalibrationParameters {
         links.chain(std::iter::repeat_n(FREE_PRIOR.powi(-2), rest)).collect()
     }
 
-    /// Prior covariance of the shared parameters of a nominal model with link deviations of size `link_m`.
-    /// Zeros have the prior of link angles.
+    /// Prior of a nominal model's shared parameters. Zeros have the prior of link angles.
     pub fn nominal_covariance(&self, link_m: f64) -> DMatrix<f64> {
         let mut precision = self.prior(link_m);
         precision.truncate(self.shared());
@@ -119,8 +115,8 @@ impl CalibrationParameters {
         DMatrix::from_diagonal(&DVector::from_vec(precision).map(f64::recip))
     }
 
-    /// Mapping from the parameters to the columns of [`crate::nominal_model::link_frames`] for a stream: its
-    /// reference, each joint's child link, the latency, the zeros.
+    /// Maps parameters to columns of [`crate::nominal_model::link_frames`]: reference, each joint's child
+    /// link, latency, zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
         let own = self.free_parameters[stream];
         let mut columns =
@@ -141,7 +137,7 @@ impl CalibrationParameters {
         columns
     }
 
-    /// The same mapping for the shared parameters only, with known frames.
+    /// Maps the shared parameters, with known frames.
     pub fn shared_columns(&self, stream: usize) -> DMatrix<f64> {
         self.shared_columns_where(
             stream,
@@ -161,8 +157,7 @@ impl CalibrationParameters {
             let (shift, turn) = match one.link {
                 0 if own.reference => continue,
                 0 => {
-                    // The columns are derivatives at the stream's reference; transform the link's frame to
-                    // it.
+                    // Transform to the stream's reference, where the columns are derivatives.
                     let frame = &self.base_from_first[stream];
                     let turn = frame.rotation * turn;
                     (frame.rotation * shift + frame.translation.vector.cross(&turn), turn)
@@ -181,7 +176,7 @@ impl CalibrationParameters {
         columns
     }
 
-    /// Deviation of each link: translation in m, rotation vector in rad.
+    /// Translation in m, rotation vector in rad.
     pub fn deviations(&self, values: &[f64]) -> Vec<[f64; 6]> {
         let mut all = vec![[0.0; 6]; self.joints + 1];
         for (one, value) in self.links.iter().zip(values) {
@@ -193,14 +188,13 @@ impl CalibrationParameters {
         all
     }
 
-    /// Indices of a stream's own parameters.
+    /// A stream's own parameters.
     pub fn stream_range(&self, stream: usize) -> std::ops::Range<usize> {
         self.starts[stream]..self.starts[stream + 1]
     }
 }
 
-/// Unit vectors in the frame of `link` along which its deviation is distinguishable from one before its
-/// joint.
+/// Unit vectors along which a link's deviation is distinguishable from one before its joint.
 pub(super) fn distinguishable_axes(path: &LinkPath, link: usize, turns: bool) -> Vec<Vec3> {
     let all = || (0..3).map(|axis| Vec3::ith(axis, 1.0)).collect();
     if link == 0 {

@@ -25,11 +25,10 @@ impl Normal {
     }
 }
 
-/// Arm that deviates from its nominal model, and a log of it.
 struct Case {
     drawing: Robot,
     truth: Robot,
-    /// Link deviations, in the order of the parameters.
+    /// Link deviations in the order of the parameters.
     values: Vec<f64>,
     base: LinkId,
     tip: LinkId,
@@ -39,8 +38,7 @@ struct Case {
 }
 
 impl Case {
-    /// A UR5e over `seconds` with link deviations of `link_m` (and 0.1° per mm), whose joints oscillate by
-    /// `amplitude`.
+    /// UR5e with deviations of `link_m` (and 0.1° per mm), whose joints oscillate by `amplitude`.
     fn new(seed: u64, link_m: f64, seconds: f64, amplitude: [f64; 6]) -> Self {
         let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(seed));
         let drawing = catalogue::find("ur5e").expect("it is in the catalogue").clone();
@@ -116,7 +114,7 @@ impl Case {
         calibrate_arm(&self.drawing, &[self.stream()], &[]).expect("a calibration")
     }
 
-    /// The log with another base frame and another tool.
+    /// Log with another base frame and tool.
     fn elsewhere(&self, world: &Pose, tool: &Pose) -> CalibrationStream<'_> {
         CalibrationStream {
             poses: self.poses.iter().map(|pose| world * pose * tool).collect(),
@@ -129,7 +127,7 @@ impl Case {
     }
 }
 
-/// Rms difference of FK between two arms over the workspace, m and rad.
+/// Rms over the workspace, m and rad.
 fn apart(case: &Case, found: &Robot) -> (f64, f64) {
     let chains =
         [&case.truth, found].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
@@ -155,7 +153,6 @@ fn links_that_are_off_are_found_over_the_whole_workspace() {
         let (before_m, _) = apart(&case, &case.drawing);
         let (m, rad) = apart(&case, &found.robot);
         assert!(before_m > 1e-3 && m < 5e-6 && rad.to_degrees() < 0.001, "{before_m} {m} {rad}");
-        // The predicted error matches the actual one.
         assert!(
             m < 2.5 * found.calibrated_uncertainty.m && m > 0.3 * found.calibrated_uncertainty.m,
             "{m} {:?}",
@@ -183,7 +180,7 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
             parameters_inside += usize::from((low..=high).contains(truth));
             parameters += 1;
         }
-        // Observable combinations: FK over the workspace.
+        // FK over the workspace.
         for k in 0..20 {
             let q: Vec<f64> = (0..6)
                 .map(|joint| 2.9 * (f64::from(k) * 0.7 + 1.9 * f64::from(joint)).sin())
@@ -247,7 +244,7 @@ fn another_place_of_the_base_and_another_tool_change_no_link() {
     for (at, ((x, y), z)) in a.values.iter().zip(&b.values).zip(&c.values).enumerate() {
         let spread = a.value(at).std_error;
         assert!((x - y).abs() < 0.02 * spread, "{at}: {x} {y} {spread}");
-        // With another tool, rotation noise acts on another lever.
+        // Rotation noise acts on another lever.
         assert!((x - z).abs() < spread, "{at}: {x} {z} {spread}");
     }
 }

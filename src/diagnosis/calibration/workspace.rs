@@ -1,4 +1,4 @@
-//! Effect of link deviations on the tip over the whole workspace, independent of the logged motion.
+//! Effect of link deviations on the tip over the workspace.
 
 use super::FkUncertainty;
 use super::fit::{CalibrationState, CalibrationSystem};
@@ -10,11 +10,9 @@ use ground::stream::JointTrack;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 
-/// Number of random configurations that sample the workspace.
 const CONFIGURATIONS: usize = 300;
 
-/// Sensitivity of the tip to the shared parameters at configurations within the joint limits, after
-/// projecting out free constant frames.
+/// Sensitivity to the shared parameters within the joint limits, after projecting out free constant frames.
 pub(super) struct TipSensitivity {
     /// Six rows per configuration: position in m, rotation in rad.
     effects: DMatrix<f64>,
@@ -74,7 +72,7 @@ impl TipSensitivity {
         Self { effects }
     }
 
-    /// Uncertainty of the tip for a given covariance of the shared parameters.
+    /// Uncertainty for a covariance of the shared parameters.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> FkUncertainty {
         let spread = &self.effects * covariance;
         let (mut m, mut rad) = (0.0, 0.0);
@@ -86,13 +84,13 @@ impl TipSensitivity {
         FkUncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
     }
 
-    /// Displacement of the tip by a change of the shared parameters, rms m.
+    /// Tip displacement by a change, rms m.
     pub fn effect_m(&self, change: &DVector<f64>) -> f64 {
         self.uncertainty(&(change * change.transpose())).m
     }
 }
 
-/// Random configurations over the joint ranges, at rest, with a fixed seed.
+/// At rest, over the joint ranges.
 fn random_configurations(chain: &Chain) -> JointTrack {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
     let range = |(limits, kind): (&Limits, &JointKind)| {

@@ -7,7 +7,7 @@ use ground::stats::Measured;
 /// Change point of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChangePoint<Value, Size> {
-    /// S from the run's origin, by the affected stream's stamps.
+    /// Time, s from the run's origin, by the affected stream's stamps.
     pub at_s: f64,
     /// Half-width of the interval.
     pub within_s: f64,

@@ -40,7 +40,7 @@ impl BaselineSegment {
     }
 }
 
-/// Of one aspect.
+/// Compares one aspect of an encoding.
 type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {

@@ -14,13 +14,13 @@ const MIN_JUMP_RATIO: f64 = 6.0;
 const MAX_CHANGE_POINTS: usize = 8;
 /// Relative to the strongest.
 const MIN_RELATIVE_STRENGTH: f64 = 0.2;
-/// Of the longer window's strength; the shorter window then dates the jump.
+/// Share of the longer window's strength; the shorter window then dates the jump.
 const MIN_SHORT_WINDOW_STRENGTH: f64 = 0.3;
 const MIN_SEPARATION_S: f64 = 0.5;
 /// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
 
-/// Between two samples.
+/// Jump between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {
     /// Midpoint of the two stamps, from the run's origin.
@@ -62,7 +62,7 @@ pub(super) fn detect_jumps(
     strongest(found)
 }
 
-/// Without FK: steps that exceed the mean of the adjacent ones.
+/// Detects steps that exceed the mean of the adjacent ones, without FK.
 fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     /// Numerical floor.
     const FLOOR_M: f64 = 1e-5;
@@ -85,7 +85,7 @@ fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
 /// Jumps such as a lost zero: steps that exceed the mean of the adjacent ones. Steps across a gap do not
 /// count, because the joint may have moved.
 pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
-    /// Rad or m.
+    /// In rad or m.
     const MIN_JUMP: f64 = 1e-3;
     let rows = joints.len();
     let gap_s = least_gap_s(&joints.t_s);
@@ -144,7 +144,7 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
     gaps.into_iter().take(MAX_GAPS).map(jump).collect()
 }
 
-/// In time order, at least [`MIN_SEPARATION_S`] apart.
+/// Jumps in time order, at least [`MIN_SEPARATION_S`] apart.
 pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
     let finer = |jump: &Jump| {
         found.iter().any(|other| {
@@ -172,7 +172,7 @@ fn jumps_in_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> 
     WINDOW_SAMPLES.into_iter().flat_map(|side| jumps_between_means(t_s, series, fk, side)).collect()
 }
 
-/// Between the means over `side` samples before and after.
+/// Compares means over `side` samples before and after.
 fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
     let n = series.len();
     if n < 4 * side + 20 {

@@ -12,7 +12,7 @@ use ground::geometry::{Vec3, rotvec_from_rotation};
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
 /// If the likelihood must also justify them, because the residual is mostly noise.
 const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
-/// Of a healthy stream.
+/// Upper bound for a healthy stream.
 const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
 
 /// Whether a stream's residual exceeds its noise in some segment.
@@ -100,7 +100,7 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
     vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
 }
 
-/// M and rad.
+/// Position, m, and rotation, rad.
 fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
     let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());

@@ -36,12 +36,12 @@ pub(super) use justification::{
 };
 use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
 
-/// Of a segment, relative to the baseline's; and its floor.
+/// Limit for a segment, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
 /// Smaller ratios of two segments may be the same noise.
 const MIN_NOISE_RATIO: f64 = 2.0;
-/// Of the whole run's residual; above it, changes do not explain it.
+/// Share of the whole run's residual; above it, changes do not explain it.
 const MAX_BASELINE_SHARE: f64 = 0.97;
 
 /// Diagnoses the arm as if nothing had changed. `found` is the diagnosis of the whole run. `None` if there
@@ -210,9 +210,9 @@ struct BaselineSegment {
 /// Any other segment.
 struct OtherSegment {
     span: Span,
-    /// On its own.
+    /// Diagnosis on its own.
     own: ArmDiagnosis,
-    /// After correction by the baseline: only the differences.
+    /// Diagnosis after correction by the baseline: only the differences.
     difference: ArmDiagnosis,
 }
 
@@ -300,7 +300,7 @@ impl BaselineSegment {
         told && !is_same_encoding(own, its)
     }
 
-    /// Over the baseline's latency extrapolated with its skew, s. `None` if not significant.
+    /// Increase over the baseline's latency extrapolated with its skew, s. `None` if not significant.
     fn latency_increase(&self, s: usize, other: &OtherSegment) -> Option<Measured> {
         /// Smaller steps are left to the latency profile.
         const MIN_LATENCY_STEP_S: f64 = 1e-3;
@@ -388,12 +388,12 @@ impl BaselineSegment {
 struct CorrectedRun {
     joints: JointTrack,
     patches: Vec<JointPatch>,
-    /// For the streams that changed.
+    /// Corrected poses of the streams that changed.
     tracks: Vec<Option<PoseTrack>>,
 }
 
 impl JointPatch {
-    /// To the baseline segment.
+    /// Maps the joint's positions to the baseline segment.
     pub(super) fn apply(&self, joints: &mut JointTrack) {
         let Self { column, from_s, to_s, factor, offset } = *self;
         let dof = joints.dof.max(1);
@@ -452,7 +452,7 @@ fn is_chosen(frame: &EstimateResult<FrameEstimate>) -> bool {
     frame.as_ref().is_ok_and(|frame| frame.is_chosen)
 }
 
-/// In the reference frame, without any other correction.
+/// Poses in the reference frame, without any other correction.
 fn decoded_poses(found: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
     found.aligned.corrected.iter().map(|pose| found.frame_correction.invert(pose))
 }

@@ -11,7 +11,7 @@ use ground::geometry::Pose;
 use ground::stats::Measured;
 
 impl BaselineSegment {
-    /// To `after`, the diagnosis of the corrected run.
+    /// Adds changes to `after`, the diagnosis of the corrected run.
     pub(super) fn report_changes<'a>(
         &self,
         run: &SplitRun,

@@ -8,7 +8,7 @@ use crate::latency_compensation::with_stamps;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
-/// Of some stream.
+/// At least one stream must have them.
 pub(super) const MIN_SEGMENT_SAMPLES: usize = 20;
 
 /// Change points are on the joint states' clock.
@@ -25,7 +25,7 @@ pub(super) struct SplitRun<'a> {
 pub(super) type Span = (f64, f64);
 
 impl SplitRun<'_> {
-    /// On the joint states' clock.
+    /// Times are on the joint states' clock.
     pub fn change_points(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
             let aligned = &found.streams[s].aligned;
@@ -57,7 +57,7 @@ impl SplitRun<'_> {
         from..to
     }
 
-    /// Of the stream that has most.
+    /// Samples of the stream that has most.
     pub fn samples(&self, span: Span) -> usize {
         (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }

@@ -1,21 +1,21 @@
-//! Search for tool positions in the arm's base frame. Only the tool offset is free, so absolute positions
-//! constrain the fit and motion of one or two joints is enough.
+//! Search for tool positions in the arm's base frame. Only the tool offset is free, so motion of one or two
+//! joints is enough.
 
 use super::{ColumnCandidate, JointColumns, MAX_TOOL_M, MappingConstraints, NumericTable};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 use rayon::prelude::*;
 
-/// Maximum residual, as a share of the position's extent, before the latency is fitted.
+/// Share of the position's extent, before the latency is fitted.
 const MAX_RESIDUAL_SHARE: f64 = 0.3;
-/// Maximum number of joint and position candidates, and of arms per candidate.
+/// Joint and position candidates, and arms per candidate.
 const MAX_CANDIDATES: usize = 8;
 const MAX_ARMS: usize = 4;
-/// Positions beyond this are in millimetres: no arm reaches 10 m.
+/// No arm reaches 10 m: larger positions are in millimetres.
 const MAX_REACH_M: f64 = 10.0;
 
 impl NumericTable {
-    /// Candidates whose positions fit in the base frame with only a tool offset, best first.
+    /// Uses only a tool offset; best first.
     pub(super) fn candidates_at_base(
         &self,
         wanted: &MappingConstraints,
@@ -69,8 +69,7 @@ impl NumericTable {
         kept
     }
 
-    /// Checks that a tool offset explains the position in the base frame at this latency, over the whole
-    /// table and at all speeds.
+    /// Compares the whole table at all speeds, at this latency.
     pub(super) fn agrees_at_base(
         &self,
         block: &JointColumns,
@@ -78,8 +77,8 @@ impl NumericTable {
         position: [usize; 3],
         lag_s: f64,
     ) -> bool {
-        /// Maximum residual as a share of the extent. Above the usual threshold, because the latency is
-        /// less precise than the residual at slow rows.
+        /// Share of the extent. Above the usual threshold, because the latency is less precise than the
+        /// residual.
         const MAX_FITTED_RESIDUAL_SHARE: f64 = 0.1;
         let rows = self.few_rows();
         let logged = PositionColumns::from_columns(self, position, &rows);
@@ -101,16 +100,16 @@ impl NumericTable {
     }
 }
 
-/// Position in metres, read from three columns.
+/// Position in metres.
 struct PositionColumns {
     position: [usize; 3],
     xyz: Vec<Vec3>,
-    /// Sum of squared distances from the mean, m².
+    /// Squared distances from the mean, m².
     extent: f64,
 }
 
 impl PositionColumns {
-    /// `None` if fewer than two coordinates move, or if the position is out of any arm's reach.
+    /// `None` if fewer than two coordinates move, or no arm reaches them.
     fn from_columns(sheet: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
         let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
         let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
@@ -126,8 +125,8 @@ impl PositionColumns {
         (extent > 0.0 && moving > 1 && is_near).then_some(Self { position, xyz, extent })
     }
 
-    /// Residual with the best tool offset, as a share of the extent. Tries the base frame and a base turned
-    /// by 180° about z. `None` if the residual is large or the tool is longer than [`MAX_TOOL_M`].
+    /// Residual with the best tool offset, as a share of the extent, in the base frame or one turned by
+    /// 180° about z. `None` if it is large or the tool longer than [`MAX_TOOL_M`].
     fn residual_share(&self, fk: &[Pose]) -> Option<f64> {
         [1.0, -1.0]
             .into_iter()
@@ -136,7 +135,7 @@ impl PositionColumns {
     }
 
     fn residual_share_rotated(&self, fk: &[Pose], turn: f64) -> Option<f64> {
-        // Rotations preserve lengths, so the least-squares tool offset is a mean.
+        // Rotations preserve lengths: the least-squares tool offset is a mean.
         let few = fk.len().div_ceil(super::SCREENING_ROWS / 2);
         let left = |step: usize| {
             let (mut count, mut sum, mut squares) = (0.0, Vec3::zeros(), 0.0);

@@ -3,35 +3,35 @@
 use super::{MIN_MOVING_JOINTS, NumericTable};
 use ground::stats::median;
 
-/// Minimum correlation between a column and the rate of another.
+/// Between a column and another's rate.
 const MIN_RATE_CORRELATION: f64 = 0.95;
 
-/// Time shift between two groups of columns with the same content.
+/// Time shift between two column groups.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupShift {
-    /// Delay of the second group, s.
+    /// Delay of the second group.
     pub delay_s: f64,
-    /// Residual after the shift, as a share of the spread.
+    /// Residual after it, of the spread.
     pub residual: f64,
 }
 
-/// Content of a column that is neither a joint nor a pose.
+/// A column that is neither joint nor pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ColumnContent {
     /// Never changes.
     Constant,
-    /// Takes two values.
+    /// Two values.
     TwoLevels,
-    /// Copy of that column with a time shift.
+    /// Shifted copy of that column.
     As(usize, GroupShift),
     /// Rate of that column.
     RateOf(usize),
-    /// Unrelated to the other columns.
+    /// Unrelated.
     Own,
 }
 
 impl NumericTable {
-    /// Time shift of `others` relative to `columns`. `None` if their content differs.
+    /// Shift of `others` relative to `columns`. `None` if their content differs.
     pub fn group_shift(&self, columns: &[usize], others: &[usize]) -> Option<GroupShift> {
         let series = |columns: &[usize]| -> Vec<Vec<f64>> {
             columns.iter().map(|&column| self.minus(column, self.mean(column))).collect()
@@ -39,8 +39,7 @@ impl NumericTable {
         self.shift_of(&series(columns), &series(others))
     }
 
-    /// Time shift between two columns that differ by `apart` at rest. On motion along a line, an offset
-    /// would otherwise pass as a delay.
+    /// Shift of columns that differ by `apart` at rest; on a line, an offset would pass as a delay.
     pub fn shift_with_offset(&self, column: usize, other: usize, apart: f64) -> Option<GroupShift> {
         let mean = self.mean(column);
         self.shift_of(&[self.minus(column, mean)], &[self.minus(other, mean - apart)])
@@ -55,7 +54,7 @@ impl NumericTable {
     }
 
     fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<GroupShift> {
-        /// Longest shift, s, and maximum residual as a share of the spread.
+        /// The residual is a share of the spread.
         const MAX_SHIFT_S: f64 = 1.0;
         const MAX_RESIDUAL_SHARE: f64 = 0.2;
         let rows = self.t_s.len();
@@ -85,13 +84,13 @@ impl NumericTable {
         Some(GroupShift { delay_s: (by as f64 + between) * step_s, residual: least.sqrt() })
     }
 
-    /// Median offset of `column` from `other` at rest, and the number of rows at rest. `None` if the
-    /// columns rest or move too little.
+    /// Median offset of `column` from `other`, and the number of rows at rest. `None` if they rest or move
+    /// too little.
     pub fn offset_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
-        /// A column rests if it changes by at most this share of its range over this time.
+        /// Share of the range over this time.
         const MAX_REST_CHANGE: f64 = 1e-3;
         const MIN_REST_S: f64 = 0.5;
-        /// Minimum rows at rest, and minimum time in motion. A single step is not a motion.
+        /// A single step is no motion.
         const MIN_REST_ROWS: usize = 20;
         const MIN_MOTION_S: f64 = 2.0;
         let reach = (0.5 * MIN_REST_S / self.step_s()).ceil() as usize;
@@ -114,7 +113,7 @@ impl NumericTable {
         median(&mut apart).filter(|_| tells).map(|apart| (apart, count))
     }
 
-    /// Classifies a column by its relation to the columns `beside`.
+    /// Relation to the columns `beside`.
     pub fn content(&self, column: usize, beside: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
         let [low, high] = self.range(column);
@@ -144,9 +143,9 @@ impl NumericTable {
         correlation(&self.paired_with_rates(column, of).collect::<Vec<_>>())
     }
 
-    /// Checks whether a column is the rate of another, in that column's unit per second.
+    /// Compares in that column's unit per second.
     pub(super) fn is_rate_of(&self, column: usize, of: usize) -> bool {
-        /// Maximum deviation as a share of the column's mean square.
+        /// Share of the column's mean square.
         const MAX_DEVIATION_SHARE: f64 = 0.05;
         let pairs = self.paired_with_rates(column, of);
         let (differing, own) = pairs.fold((0.0, 0.0), |(differing, own), (value, rate)| {
@@ -155,7 +154,6 @@ impl NumericTable {
         differing < MAX_DEVIATION_SHARE * own
     }
 
-    /// Values of a column, paired with the rate of another.
     fn paired_with_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
         let (values, own) = (&self.columns[column], &self.columns[of]);
         (1..own.len().saturating_sub(1)).map(|row| {
@@ -164,8 +162,7 @@ impl NumericTable {
         })
     }
 
-    /// Columns that contain the rates of `columns`, all at the same index offset. Only columns that move
-    /// are compared.
+    /// Columns of the rates of `columns`, at one index offset. Only columns that move are compared.
     pub fn rates_of(&self, columns: &[usize]) -> Option<Vec<usize>> {
         let count = self.columns.len();
         let moving: Vec<usize> = columns.iter().copied().filter(|&at| self.moves(at)).collect();
@@ -187,13 +184,13 @@ impl NumericTable {
         shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
     }
 
-    /// Longest run of columns whose rates follow at a constant index offset: positions and velocities. The
-    /// run may include columns that do not move.
+    /// Longest run of columns followed by their rates at a constant offset. It may include columns that do
+    /// not move.
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
-        // Positions and velocities belong to the same array.
+        // Positions and velocities share an array.
         let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
         for behind in MIN_MOVING_JOINTS..widest {
             let is_pair = |at: &usize| {
@@ -206,7 +203,7 @@ impl NumericTable {
                 let end = from + (from..count - behind).take_while(is_pair).count();
                 let moving = (from..end).filter(|&at| moves[at]).count();
                 if moving >= MIN_MOVING_JOINTS && best.as_ref().is_none_or(|best| moving > best.0) {
-                    // If the velocities follow directly, their offset is the number of joints.
+                    // If velocities follow directly, the offset is the number of joints.
                     let first = (from..end).find(|&at| moves[at]).unwrap_or(from);
                     let first = first.min(end.saturating_sub(behind).max(from));
                     best = Some((moving, first..end.min(first + behind), behind));

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::MAX_ROWS;
 
-/// Start of the window of rows with the most motion.
+/// Start of the window with the most motion.
 pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize {
     let spreads: Vec<f64> = columns
         .iter()
@@ -31,7 +31,6 @@ pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize 
     starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)
 }
 
-/// Subtracts the mean of each column.
 pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     for mut column in matrix.column_iter_mut() {
         let mean = column.mean();
@@ -40,8 +39,7 @@ pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     matrix
 }
 
-/// Residual sum of squares of each column of `logged` after regression on `design`, scaled for the degrees
-/// of freedom.
+/// Per column of `logged` after regression on `design`, scaled for the degrees of freedom.
 pub(super) fn residual_squares(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
     const RIDGE: f64 = 1e-9;
     let mut normal = design.transpose() * design;

@@ -1,9 +1,8 @@
 //! Identifies which columns of a table are an arm's joints and which are the position of its tool.
 //!
-//! A point on the tool is linear in FK's position and rotation, for any frame, unit and tool: `p =
-//! s·(R_b·(x + R·t)) + p_b`. Linear least squares therefore compares each block of joint candidates with
-//! all other columns at once. The best candidates are then fitted as pose streams, with latency, frame and
-//! tool free.
+//! A point on the tool is linear in FK, for any frame, unit and tool: `p = s·(R_b·(x + R·t)) + p_b`. Linear
+//! least squares compares each block of joint candidates with all other columns at once. The best are
+//! fitted as pose streams, with latency, frame and tool free.
 
 use std::f64::consts::PI;
 
@@ -28,65 +27,60 @@ use super::position_encoding::metres_by_size;
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 
-/// Maximum number of rows used, and their maximum rate.
 const MAX_ROWS: usize = 6000;
 const MAX_RATE_HZ: f64 = 110.0;
-/// Rows of the linear fits.
 const LINEAR_FIT_ROWS: usize = 150;
-/// Maximum residual of the linear fit, as a share of the position's extent. A fit to a few rows rejects
-/// poor candidates first.
+/// Share of the position's extent. A fit to a few rows rejects poor candidates first.
 const MAX_LINEAR_RESIDUAL_SHARE: f64 = 0.4;
 const MAX_SCREENING_RESIDUAL_SHARE: f64 = 0.55;
 const SCREENING_ROWS: usize = 50;
-/// Maximum number of joint and position candidates, and of arms per candidate.
+/// Joint and position candidates, and arms per candidate.
 const MAX_CANDIDATES: usize = 12;
 const MAX_ARMS: usize = 2;
-/// Candidates fitted first. If one leaves a residual below `CLEAR_RESIDUAL_SHARE` (share of the extent), candidates above
+/// Fitted first. If one is below `CLEAR_RESIDUAL_SHARE` of the extent, candidates above
 /// `COMPETITOR_RESIDUAL_SHARE` in the linear fit are skipped.
 const FIRST_CANDIDATES: usize = 4;
 const CLEAR_RESIDUAL_SHARE: f64 = 0.005;
 const COMPETITOR_RESIDUAL_SHARE: f64 = 0.25;
-/// Latencies of the search, s: zero first, the others only if zero finds no match.
+/// The others only if zero finds no match.
 const LAGS_S: [&[f64]; 2] = [&[0.0], &[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
-/// Maximum number of candidate arms for the search over latencies.
+/// For the search over latencies.
 const MAX_ARMS_FOR_LAGS: usize = 4;
-/// Tables with more columns are not searched.
+/// Larger tables are not searched.
 const MAX_COLUMNS: usize = 128;
-/// Rejects a position that a polynomial in time describes to within this share of its extent. Such a smooth
-/// curve fits almost any arm.
+/// Share of the extent: a position that a polynomial in time describes fits almost any arm.
 const MIN_POLYNOMIAL_RESIDUAL_SHARE: f64 = 0.05;
 const POLYNOMIAL_DEGREE: i32 = 6;
-/// Two turns. Larger values are not radians, and values beyond this many degrees are not degrees.
+/// Larger values are not radians, nor degrees beyond this many.
 const TWO_TURNS_RAD: f64 = 4.0 * PI;
-/// Tolerance beyond the joint limits, rad or m.
+/// Beyond the joint limits, rad or m.
 const LIMIT_TOLERANCE: f64 = 0.2;
-/// Maximum joint speed as a multiple of its limit. Joints without a limit use the catalogue's highest,
-/// rad/s.
+/// Multiple of the joint's limit or else the catalogue's highest.
 const MAX_SPEED_RATIO: f64 = 3.0;
 const DEFAULT_MAX_SPEED_RAD_S: f64 = 21.0;
-/// Minimum range of a column that moves, rad or m.
+/// For a column that moves, rad or m.
 const MIN_COLUMN_RANGE: f64 = 0.01;
-/// Minimum number of moving joints in a block.
+/// In a block.
 const MIN_MOVING_JOINTS: usize = 3;
-/// Maximum sample-to-sample noise of a moving column, as a share of its range.
+/// Sample-to-sample, of a moving column's range.
 const MAX_NOISE_SHARE: f64 = 0.2;
-/// Maximum residual of a position against FK: in m, or as a share of its extent.
+/// Limits for a position against FK: m, or share of its extent.
 const MAX_RESIDUAL_M: f64 = 3e-3;
 const MAX_RESIDUAL_SHARE: f64 = 0.01;
 
-/// Upper bound on the residual as a share of the extent, even for short motions.
+/// Bounds the share even for short motions.
 const MAX_RESIDUAL_SHARE_BOUND: f64 = 0.05;
 
-/// Maximum tool length in the arm's base frame, m.
+/// In the base frame.
 const MAX_TOOL_M: f64 = 0.5;
 
 /// Numeric columns of a table.
 pub struct NumericTable {
     t_s: Vec<f64>,
     columns: Vec<Vec<f64>>,
-    /// Source array of each column. Blocks do not span arrays.
+    /// Source array per column; blocks do not span arrays.
     homes: Vec<usize>,
-    /// Fastest change of each column over a few rows, per second.
+    /// Per second, over a few rows.
     steepest: Vec<f64>,
 }
 
@@ -94,51 +88,50 @@ pub struct NumericTable {
 pub struct MappingConstraints<'a> {
     /// Candidate arms.
     pub chains: &'a [&'a Chain],
-    /// Joint columns for each arm, in rad, if known.
+    /// Per arm, in rad, if known.
     pub joints: Option<&'a [Vec<usize>]>,
     /// Position columns, if known.
     pub position: Option<[usize; 3]>,
-    /// Columns already used for other data.
+    /// Used for other data.
     pub taken: &'a [usize],
-    /// Longest latency, s.
+    /// Longest latency.
     pub most_lag_s: f64,
 }
 
-/// Assignment of columns to joints and position.
+/// Columns of joints and position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ColumnMapping {
-    /// Index of the arm.
+    /// Arm's index.
     pub arm: usize,
-    /// Joint columns, from base to tip.
+    /// Base to tip.
     pub joints: Vec<usize>,
     /// Unit of the joint values.
     pub unit: JointValueUnit,
     /// Position columns.
     pub position: [usize; 3],
-    /// Residual of the position against FK, rms m.
+    /// Position residual against FK, rms.
     pub left_m: f64,
-    /// Rms distance of the positions from their mean, m.
+    /// Rms distance from their mean.
     pub spread_m: f64,
-    /// Distance of the point from the arm's tip, m.
+    /// Point's distance from the arm's tip.
     pub tool_m: f64,
-    /// Latency of the position, s.
+    /// Position's latency.
     pub lag_s: f64,
-    /// Whether the position fits in the arm's base frame with a tool of usual length. Only the tool is then
-    /// free.
+    /// Whether it fits in the base frame with only a usual tool free.
     #[serde(default)]
     pub is_at_base: bool,
-    /// Score of the fit: `n ln σ²` of the residual plus the penalties for frame and tool. Lower is better.
+    /// `n ln σ²` of the residual plus penalties for frame and tool; lower is better.
     #[serde(default)]
     pub score: f64,
 }
 
-/// Residual threshold for a position with that extent, m.
+/// Threshold for a position with that extent.
 fn limit_m(spread_m: f64) -> f64 {
     MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m)
 }
 
 impl ColumnMapping {
-    /// Whether FK and the position agree.
+    /// FK and position agree.
     pub fn fits(&self) -> bool {
         self.left_m <= limit_m(self.spread_m).min(MAX_RESIDUAL_SHARE_BOUND * self.spread_m)
     }
@@ -147,22 +140,21 @@ impl ColumnMapping {
         JointColumns { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
     }
 
-    /// Whether both assign the same columns with the same unit.
+    /// Same columns and unit.
     pub fn is_same(&self, other: &Self) -> bool {
         let of = |it: &Self| (it.joints.clone(), it.position);
         of(self) == of(other) && self.unit == other.unit
     }
 }
 
-/// Candidate joint and position columns, with the residual of the linear fit as a share of the extent.
+/// `share` is the linear fit's residual, of the extent.
 struct ColumnCandidate {
     block: JointColumns,
     position: [usize; 3],
     share: f64,
 }
 
-/// Column index of each joint, base to tip, for rows in chain order and for rows sorted by joint name
-/// (common in drivers).
+/// Column per joint, base to tip, in chain order and sorted by joint name (common in drivers).
 fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     let names = chain.joint_names();
     let mut sorted: Vec<&String> = names.iter().collect();
@@ -177,20 +169,19 @@ fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     orders
 }
 
-/// Columns that may be the joints of an arm.
+/// Candidate joints of an arm.
 #[derive(Clone)]
 pub struct JointColumns {
     /// Column indices.
     pub joints: Vec<usize>,
-    /// Unit of the joint values.
+    /// Unit of the values.
     pub unit: JointValueUnit,
-    /// Index of the arm.
+    /// Arm's index.
     pub arm: usize,
 }
 
 impl NumericTable {
-    /// Builds the sheet from rows at increasing times. Long tables are downsampled and cut to the window
-    /// with the most motion.
+    /// Takes rows at increasing times. Long tables are downsampled and cut to the most active window.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
         let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
         let rate_hz = t_s.len() as f64 / span_s.max(f64::MIN_POSITIVE);
@@ -207,11 +198,10 @@ impl NumericTable {
         sheet
     }
 
-    /// Fastest change of a column, ignoring outliers and jumps by a whole turn.
+    /// Ignores outliers and jumps by a whole turn.
     fn max_rate(&self, values: &[f64]) -> f64 {
-        /// Outliers last fewer rows than this.
         const OUTLIER_ROWS: usize = 4;
-        /// One turn in rad and in degrees, with a relative tolerance.
+        /// In rad and in degrees.
         const ONE_TURN: [f64; 2] = [2.0 * PI, 360.0];
         const TURN_TOLERANCE: f64 = 0.05;
         let step_s = self.step_s();
@@ -225,7 +215,7 @@ impl NumericTable {
         values.windows(OUTLIER_ROWS).map(rate).fold(0.0, f64::max)
     }
 
-    /// Mean time between rows, s.
+    /// Mean time between rows.
     pub fn step_s(&self) -> f64 {
         let span_s =
             self.t_s.last().zip(self.t_s.first()).map_or(0.0, |(last, first)| last - first);
@@ -237,27 +227,25 @@ impl NumericTable {
         self.homes[column]
     }
 
-    /// Whether the column's range exceeds the minimum for a moving joint.
+    /// Whether it moves enough for a joint.
     pub fn moves(&self, column: usize) -> bool {
         let [low, high] = self.range(column);
         high - low > MIN_COLUMN_RANGE
     }
 
-    /// Whether a column equals `value` in each row.
+    /// Whether each row has this value.
     pub fn is_always(&self, column: usize, value: f64) -> bool {
         self.columns[column].iter().all(|own| *own == value)
     }
 
-    /// Assignments of columns to an arm's joints and its tool position, best score first. Empty if none
-    /// fits.
+    /// Assignments, best score first. Empty if none fits.
     pub fn mappings(&self, wanted: &MappingConstraints) -> Vec<ColumnMapping> {
-        /// Assignments refitted with a free joint zero if no assignment fits without one.
+        /// With a free joint zero, if none fits without.
         const MAX_REFITS_WITH_ZERO: usize = 4;
         for lags_s in &LAGS_S[..if wanted.chains.len() > MAX_ARMS_FOR_LAGS { 1 } else { 2 }] {
             let mut all = self.fits_near(wanted, lags_s);
             let best = all.iter().min_by(|a, b| a.left_m.total_cmp(&b.left_m));
-            // At the wrong latency many arms fit equally well, and the right one may not be among those
-            // fitted.
+            // At a wrong latency many arms fit equally well, and the right one may not be fitted.
             if let Some(lag_s) = best.filter(|best| !best.fits()).map(|best| best.lag_s) {
                 all.extend(self.fits_near(wanted, &[lag_s]));
             }
@@ -281,7 +269,7 @@ impl NumericTable {
         Vec::new()
     }
 
-    /// Fits the best candidates of the linear search at the given latencies.
+    /// Best candidates of the linear search.
     fn fits_near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnMapping> {
         let of = |near: &ColumnCandidate| self.fit(wanted, &near.block, near.position, false);
         let mut near = self.candidates_at_base(wanted, lags_s);
@@ -296,15 +284,14 @@ impl NumericTable {
         all
     }
 
-    /// Whether some columns of a mapping are the rates of others: a joint or position column is then wrong.
+    /// Rates of others cannot be joints or positions.
     fn holds_own_rate(&self, mapping: &ColumnMapping) -> bool {
         let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
         let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
         moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate_of(at, of)))
     }
 
-    /// Refits a mapping found on another table for the arm `chain`. Frees a joint zero if the mapping does
-    /// not fit without one.
+    /// Refits a mapping of another table. Frees a joint zero if it does not fit without.
     pub fn refit(
         &self,
         mapping: &ColumnMapping,
@@ -325,7 +312,7 @@ impl NumericTable {
         Some(ColumnMapping { arm: mapping.arm, ..found })
     }
 
-    /// Blocks of columns that may be an arm's joints: smooth and within its limits.
+    /// Smooth columns within an arm's limits.
     pub fn blocks(&self, wanted: &MappingConstraints, arm: usize) -> Vec<JointColumns> {
         self.blocks_that_move(wanted, arm, MIN_MOVING_JOINTS)
     }
@@ -346,7 +333,7 @@ impl NumericTable {
         for home in homes {
             let own: Vec<usize> =
                 (0..self.columns.len()).filter(|&column| self.homes[column] == home).collect();
-            // Positions may be interleaved with velocities and efforts, joint by joint.
+            // Positions may alternate with velocities and efforts.
             for stride in 1..=3 {
                 let wide = (dof - 1) * stride + 1;
                 let windows = own
@@ -373,13 +360,12 @@ impl NumericTable {
         blocks
     }
 
-    /// Largest absolute value of the columns.
     fn max_abs(&self, columns: &[usize]) -> f64 {
         let ends = columns.iter().flat_map(|&column| self.range(column));
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
-    /// Whether the columns may be an arm's joints in this unit, with at least `fewest` of them moving.
+    /// Whether they can in this unit, with at least `fewest` moving.
     fn can_be_joints(
         &self,
         joints: &[usize],
@@ -394,7 +380,7 @@ impl NumericTable {
             let limits = chain.limits()[at];
             let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE
                 || high > limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE;
-            // Joints do not jump, but a rotation vector that passes 180° does.
+            // Joints do not jump; a rotation vector beyond 180° does.
             let fastest = MAX_SPEED_RATIO * limits.velocity.unwrap_or(DEFAULT_MAX_SPEED_RAD_S);
             let jumps = factor * self.steepest[column] > fastest;
             if is_beyond || jumps || !(high - low).is_finite() {
@@ -415,10 +401,10 @@ impl NumericTable {
         self.columns[column].iter().fold(ends, |[low, high], &q| [low.min(q), high.max(q)])
     }
 
-    /// Triples of columns that may be a position.
+    /// Columns that may be a position.
     pub fn positions(&self, taken: &[usize]) -> Vec<[usize; 3]> {
         let count = self.columns.len();
-        // In a row-major 4×4 matrix the position is every fourth number.
+        // Row-major 4×4 matrices have positions every fourth number.
         let triples = [1, 4].into_iter().flat_map(|stride| {
             (0..count.saturating_sub(2 * stride)).map(move |at| [at, at + stride, at + 2 * stride])
         });
@@ -430,7 +416,7 @@ impl NumericTable {
         triples.filter(fits).collect()
     }
 
-    /// Joint and position candidates with a small residual in the linear fit, best first.
+    /// Small residual in the linear fit, best first.
     fn linear_candidates(
         &self,
         wanted: &MappingConstraints,
@@ -510,7 +496,7 @@ impl NumericTable {
         kept
     }
 
-    /// Blocks for all arms, or the known joints.
+    /// Blocks of all arms, or the known joints.
     fn candidate_blocks(&self, wanted: &MappingConstraints, fewest: usize) -> Vec<JointColumns> {
         let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
             Some(joints) if joints[arm].len() == chain.dof() => {
@@ -523,14 +509,14 @@ impl NumericTable {
         wanted.chains.iter().enumerate().flat_map(of).collect()
     }
 
-    /// All columns at the given rows, centred.
+    /// Centred.
     fn at_rows(&self, rows: &[usize]) -> DMatrix<f64> {
         centred(DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
             self.columns[column][rows[row]]
         }))
     }
 
-    /// Evenly spaced rows, far enough from both ends for every latency of the search.
+    /// Evenly spaced, far enough from both ends for every latency.
     fn few_rows(&self) -> Vec<usize> {
         let longest_s = LAGS_S[1].iter().copied().fold(0.0, f64::max);
         let (Some(first), Some(last)) = (self.t_s.first(), self.t_s.last()) else {
@@ -544,7 +530,7 @@ impl NumericTable {
         (0..count).map(|at| inner[at * inner.len() / count]).collect()
     }
 
-    /// FK position and rotation at the given rows, centred.
+    /// FK position and rotation, centred.
     fn design(
         &self,
         block: &JointColumns,
@@ -563,7 +549,7 @@ impl NumericTable {
         centred(design)
     }
 
-    /// Joint positions at a time, interpolated linearly.
+    /// Interpolated linearly.
     fn joints_at(&self, block: &JointColumns, chain: &Chain, t_s: f64) -> Vec<f64> {
         let after = self.t_s.partition_point(|t| *t < t_s).clamp(1, self.t_s.len() - 1);
         let (before_s, after_s) = (self.t_s[after - 1], self.t_s[after]);
@@ -577,7 +563,7 @@ impl NumericTable {
         block.joints.iter().enumerate().map(at).collect()
     }
 
-    /// Fits latency, tool and (if needed) frame for a block and a position.
+    /// Latency, tool and (if needed) frame.
     fn fit(
         &self,
         wanted: &MappingConstraints,

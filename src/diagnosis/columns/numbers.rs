@@ -16,17 +16,17 @@ pub enum JointValueUnit {
     Degrees,
     /// Encoder ticks.
     Ticks {
-        /// Encoder resolution, bits per turn.
+        /// Bits per turn.
         bits: u8,
-        /// Whether mid-range is the zero position; otherwise 0 is.
+        /// Whether mid-range is zero.
         centred: bool,
     },
-    /// −100 … 100 across the joint's range.
+    /// −100 … 100 across the range.
     Shares,
 }
 
 impl JointValueUnit {
-    /// Factor and offset from the logged number to the joint position.
+    /// Maps logged numbers to joint positions.
     pub fn factor_and_offset(self, chain: &Chain, joint: usize) -> (f64, f64) {
         let limits = chain.limits()[joint];
         match (self, limits.lower.zip(limits.upper)) {
@@ -41,7 +41,7 @@ impl JointValueUnit {
         }
     }
 
-    /// Units compatible with values up to `most`. Shares of the range only for a few candidate arms.
+    /// Units for values up to `most`. Shares of the range only for a few candidate arms.
     pub(super) fn compatible_with(most: f64, are_few: bool) -> Vec<Self> {
         const SHARE: f64 = 100.5;
         const BITS: [u8; 5] = [10, 12, 13, 14, 16];
@@ -61,7 +61,7 @@ impl JointValueUnit {
         units
     }
 
-    /// Name of the unit for messages.
+    /// Name for messages.
     pub fn name(self) -> String {
         match self {
             Self::Radians => "rad".to_owned(),

@@ -6,15 +6,15 @@ use ground::robot::Chain;
 
 impl NumericTable {
     /// Whether the columns are the tool's rotation: 3 numbers in some convention, a quaternion in any
-    /// order, or a 3×3 matrix. `None` if the tool rotates too little. Compares angles between poses, which
-    /// do not depend on the frame, the tool or the order of components.
+    /// order, or a 3×3 matrix. Compares frame-independent angles between poses. `None` if the tool rotates
+    /// too little.
     pub fn is_tool_rotation(
         &self,
         mapping: &ColumnMapping,
         chain: &Chain,
         columns: &[usize],
     ) -> Option<bool> {
-        /// Number of rows compared, maximum difference, rad, and minimum rms rotation of the tool, rad.
+        /// The minimum rotation of the tool is rms.
         const COMPARED_ROWS: usize = 60;
         const MAX_DIFFERENCE_RAD: f64 = 0.05;
         const MIN_ROTATION_RAD: f64 = 0.2;
@@ -73,7 +73,7 @@ impl NumericTable {
         })
     }
 
-    /// Whether four columns form a unit quaternion in each row, and at least three of them move.
+    /// Whether each row is a unit quaternion, with three columns moving.
     pub fn is_quaternion(&self, columns: [usize; 4]) -> bool {
         let norm = |row: usize| {
             columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()

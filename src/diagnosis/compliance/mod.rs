@@ -32,7 +32,7 @@ pub(super) use shapes::{apply_compliance, motion_directions};
 
 /// Per stream.
 const MAX_SAMPLES: usize = 2000;
-/// Of the excess residual.
+/// Share of the excess residual.
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
 /// Backlash and sag then suffice.
 const SUFFICIENT_RESIDUAL_RATIO: f64 = 0.15;
@@ -55,7 +55,7 @@ struct ComplianceRun<'a> {
 struct ResidualSamples {
     /// Reported, all joints of the track.
     q: Vec<Vec<f64>>,
-    /// Of all joints.
+    /// Velocities of all joints.
     qd: Vec<Vec<f64>>,
     /// Row of the joint track before the sample, and fraction to the next.
     at: Vec<(usize, f64)>,
@@ -114,10 +114,10 @@ pub(super) fn diagnose_with_compliance(
     Some(after)
 }
 
-/// Of all pose streams. Angles are weighted by 0.3 m.
+/// Residual of all pose streams. Angles are weighted by 0.3 m.
 #[derive(Clone, Copy, Debug)]
 struct ArmResidual {
-    /// Of the excess residual.
+    /// Excess residual.
     rms_m: f64,
     /// Including noise.
     median_m: f64,
@@ -138,8 +138,8 @@ impl ArmResidual {
         Self { rms_m: streams().map(rms).sum(), median_m: streams().map(half).sum() }
     }
 
-    /// At most `share` of `other`. Sudden backlash has a residual at each reversal but a small median,
-    /// which relaxes the limit on the rms.
+    /// Whether it is at most `share` of `other`. Sudden backlash has a residual at each reversal but a
+    /// small median, which relaxes the limit on the rms.
     fn is_within(&self, share: f64, other: &Self) -> bool {
         let is_mostly = self.median_m < 0.5 * share * other.median_m;
         self.rms_m <= share * other.rms_m || (is_mostly && self.rms_m <= 1.5 * share * other.rms_m)

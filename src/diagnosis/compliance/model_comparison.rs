@@ -44,9 +44,9 @@ fn trimmed_residual_m(found: &ArmDiagnosis) -> f64 {
     found.streams.iter().map(of_stream).sum()
 }
 
-/// Without latencies and encodings. A change counts twice if the value is wrong before and after.
+/// Excludes latencies and encodings. A change counts twice if the value is wrong before and after.
 fn cause_count(found: &ArmDiagnosis) -> usize {
-    /// Of the step; smaller values count as zero.
+    /// Share of the step; smaller values count as zero.
     const MAX_ZERO_SHARE: f64 = 0.2;
     let JointDiagnosis { offsets, changes, compliance: bends, .. } = &found.joints;
     let of_zero = |zero: &ScalarChange| {

@@ -13,11 +13,11 @@ use std::sync::Arc;
 
 /// During the search. The profile depends weakly on it.
 const INITIAL_BACKLASH_RAD: f64 = 3e-3;
-/// Of the explainable excess residual.
+/// Share of the explainable excess residual.
 const MIN_EXPLAINED_SHARE: f64 = 0.03;
 /// Cycles per turn: joint, encoder, bearing.
 const ECCENTRICITY_ORDERS: [u32; 3] = [1, 2, 3];
-/// Of the largest gravity torque, to test for sag.
+/// Share of the largest gravity torque, to test for sag.
 const MIN_TORQUE_SHARE: f64 = 0.05;
 const MIN_STD_ERRORS: f64 = 4.0;
 /// Relative, of sag, due to the assumed link masses.
@@ -63,7 +63,7 @@ impl ComplianceTerm {
         }
     }
 
-    /// Rad, signed except for eccentricity.
+    /// In rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
             ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
@@ -83,7 +83,7 @@ impl ComplianceTerm {
     }
 }
 
-/// In addition to the compliance terms.
+/// Free parameters besides the compliance terms.
 pub(super) struct FreeParameters {
     pub zeros: Vec<bool>,
     /// Latency, radial scale, reference and tool per stream.
@@ -115,7 +115,7 @@ impl FreeParameters {
     }
 }
 
-/// On one linearisation.
+/// Search on one linearisation.
 pub(super) struct ComplianceSearch<'a> {
     run: &'a ComplianceRun<'a>,
     samples: &'a [ResidualSamples],
@@ -142,7 +142,7 @@ impl<'a> ComplianceSearch<'a> {
         Some(Self { run, samples, gravity, max_torque: most_torque, torques })
     }
 
-    /// On other samples of the run.
+    /// Same search on other samples.
     pub fn on_samples<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
     where
         'a: 'b,
@@ -167,7 +167,7 @@ impl<'a> ComplianceSearch<'a> {
             .then_some(ComplianceTerm { amount, ..term })
     }
 
-    /// That the motion can show.
+    /// Terms that the motion can show.
     fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
@@ -353,7 +353,7 @@ impl<'a> ComplianceSearch<'a> {
         if is_loaded { set } else { Vec::new() }
     }
 
-    /// Of the load change.
+    /// Resolution of the load change.
     fn step_s(&self) -> f64 {
         let (first, last) = self.run.joints.span().unwrap_or_default();
         (last - first) / (TRIAL_TIMES as f64 * f64::from(GRID_REFINEMENT))
@@ -387,7 +387,7 @@ impl<'a> ComplianceSearch<'a> {
         }
     }
 
-    /// As joint compliance.
+    /// Converts to joint compliance.
     pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
         let bend = |term: &ComplianceTerm| {
             let ComplianceTerm { column, amount, std_error, dof, .. } = *term;

@@ -14,7 +14,7 @@ pub(super) const USUAL_COMPLIANCE_RAD: f64 = 2.1e-3;
 pub struct JointCompliance {
     /// Joint's column.
     pub column: usize,
-    /// Rad: full backlash (negative if the link leads its encoder), largest sag over the run, or
+    /// In rad: full backlash (negative if the link leads its encoder), largest sag over the run, or
     /// eccentricity's amplitude.
     pub value: Measured,
     /// Profile over the motion.
@@ -39,7 +39,7 @@ pub enum ComplianceShape {
     },
 }
 
-/// After a reversal.
+/// Crossing after a reversal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklashCrossing {
     /// Friction holds the link until the backlash is crossed.
@@ -154,7 +154,6 @@ pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f6
         .collect()
 }
 
-/// Of hysteresis.
 fn play_operator(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);

@@ -16,7 +16,7 @@ pub(super) struct ComplianceSystem {
     pub linears: Vec<Linear>,
     pub weights: Vec<Vec<Weight>>,
     pub normal: Normal,
-    /// Of each stream's parameters in the full system.
+    /// Parameters of each stream in the full system.
     pub columns: Vec<Vec<usize>>,
     /// First column per term.
     pub starts: Vec<usize>,
@@ -50,7 +50,7 @@ impl ComplianceSystem {
         self.sum();
     }
 
-    /// Of the terms in `set` and the `free` parameters, ascending.
+    /// Indices of the terms in `set` and the `free` parameters, ascending.
     pub fn parameters(
         &self,
         terms: &[ComplianceTerm],

@@ -10,7 +10,7 @@ const MAX_POSES: usize = 120;
 /// For a rotation's axis to count.
 const MIN_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// While the target is visible; `setting` has the camera in the hand.
+/// Expects a `setting` with the camera in the hand.
 pub(super) fn rotation_diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
     let pairs = setting.pairs_at(lag_s, MAX_POSES);
     let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();

@@ -17,7 +17,7 @@ pub(in super::super) const WIDTH: usize = 13;
 const OFFSET_COLUMN: usize = 12;
 const NOISE_FLOOR_M_RAD: [f64; 2] = [1e-6, 1e-6];
 const MAX_ROUNDS: usize = 25;
-/// Of the remaining poses.
+/// Standard deviations of the remaining poses.
 const OUTLIER_SIGMAS: f64 = 6.0;
 /// Beyond it, outliers cannot be separated from data.
 const MAX_OUTLIER_SHARE: f64 = 0.35;
@@ -26,7 +26,7 @@ pub(super) struct HandEyeFit {
     pub camera: Pose,
     pub constant: Pose,
     pub offset_s: Measured,
-    /// Of position and rotation per component, m and rad.
+    /// Position and rotation noise per component, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
     /// Without outliers.
@@ -36,9 +36,9 @@ pub(super) struct HandEyeFit {
 /// Scale factors of the target's positions.
 #[derive(Clone, Copy, Debug)]
 pub struct TargetScale {
-    /// Of all coordinates; not 1 if the configured target size is wrong.
+    /// Factor of all coordinates; not 1 if the configured target size is wrong.
     pub size: Measured,
-    /// Of the depth; not 1 if the focal length is wrong.
+    /// Factor of the depth; not 1 if the focal length is wrong.
     pub depth: Measured,
     /// Depth coordinate: 0 to 2.
     pub along: usize,
@@ -110,7 +110,7 @@ impl HandEyeFit {
         combined_rad(self.sigma[0], self.sigma[1])
     }
 
-    /// With standard errors.
+    /// Pose with standard errors.
     pub fn camera(&self) -> CameraPose {
         let dof = self.offset_s.dof;
         let error = |first: usize| {
@@ -168,7 +168,7 @@ impl TargetScale {
     }
 }
 
-/// M and rad.
+/// Position and rotation, m and rad.
 fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     [
         seen.translation.vector - foretold.translation.vector,
@@ -199,7 +199,7 @@ impl HandEyeState {
         }
     }
 
-    /// At the poses selected by `keep`.
+    /// Linearises at the poses selected by `keep`.
     fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
         /// For the hand's velocity.
         const STEP_S: f64 = 0.01;
@@ -331,7 +331,7 @@ fn with_covariance(
         weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
-        /// Of three normal components, in standard deviations.
+        /// Length of three normal components, in standard deviations.
         const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();

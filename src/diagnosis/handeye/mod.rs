@@ -84,7 +84,7 @@ pub struct RotationDiversity {
 pub struct ClosureError {
     /// Poses compared, including outliers.
     pub poses: usize,
-    /// Beyond six standard deviations.
+    /// Errors beyond six standard deviations.
     pub outliers: usize,
     /// Position error.
     pub rms_m: f64,
@@ -126,7 +126,7 @@ pub struct HandEyeSolution {
     pub ratio: f64,
     /// Target's delay relative to the hand: a sample stamped *t* was measured at *t − offset*.
     pub offset_s: Measured,
-    /// On its mount.
+    /// Camera on its mount.
     pub camera: CameraPose,
     /// `base_from_target` or `hand_from_target`.
     pub target: Pose,
@@ -143,9 +143,9 @@ pub struct HandEyeSolution {
 pub struct HandEyeDiagnosis {
     /// Best correlation of angular speeds.
     pub follows: Option<LagPeak>,
-    /// While the target is visible.
+    /// Rotations while the target is visible.
     pub diversity: EstimateResult<RotationDiversity>,
-    /// For the poses as logged.
+    /// Solution for poses as logged.
     pub solution: EstimateResult<HandEyeSolution>,
     /// Encoding with a much smaller closure error, if any, and its solution.
     pub alternative: Option<(TargetEncoding, HandEyeSolution)>,
@@ -170,7 +170,7 @@ impl HandEyeDiagnosis {
         }
     }
 
-    /// With the alternative encoding if there is one.
+    /// Alternative encoding's solution if there is one.
     pub fn best(&self) -> Option<&HandEyeSolution> {
         let read = self.alternative.as_ref().map(|(_, solution)| solution);
         read.or(self.solution.as_ref().ok())
@@ -236,7 +236,7 @@ fn latency(
     found: &HandEyeDiagnosis,
     lags: &[f64],
 ) -> EstimateResult<Measured> {
-    /// Of the hand's rotation, for a target that follows it.
+    /// Share of the hand's rotation, for a target that follows it.
     const MAX_RESIDUAL_SHARE: f64 = 0.5;
     /// Another lag with a smaller ratio to the best fits equally well.
     const MAX_RESIDUAL_RATIO: f64 = 2.0;
@@ -278,7 +278,7 @@ fn latency(
 
 /// Best correlation peak and those close to it.
 fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
-    /// Of correlation, relative to the best peak.
+    /// Correlation below the best peak.
     const MAX_PEAK_DEFICIT: f64 = 0.1;
     const MAX_LAGS: usize = 3;
     /// Below it, only zero lag is tried.
@@ -291,7 +291,7 @@ fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
     near.take(MAX_LAGS).map(|peak| peak.lag_s).collect()
 }
 
-/// By the closure error of the closed form.
+/// Smallest closure error of the closed form.
 fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
         let misfits = CameraMount::ALL.map(|mount| {
@@ -365,7 +365,8 @@ fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<F
             .all(|error| error.is_finite())
             .then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
     };
-    // In the axes of the estimated camera; nearly the logged ones for any deviation of interest.
+    // The errors are in the axes of the estimated camera: nearly the logged ones for any deviation of
+    // interest.
     let length = of(pose.translation.vector.into(), camera.translation_error_m)?;
     let angle = of(turned.into(), camera.rotation_error_rad)?;
     Some(FrameEstimate {

@@ -74,7 +74,7 @@ impl PoseSeries {
     }
 }
 
-/// In the series' own frame. Shorter than 1 if the directions vary.
+/// Mean in the series' own frame. Shorter than 1 if the directions vary.
 pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     let directions = series.poses.iter().filter_map(|pose| {
         let xyz = pose.translation.vector;
@@ -127,7 +127,7 @@ impl<'a> HandEyeSetting<'a> {
         self.pairs_at(lag_s, usize::MAX).len()
     }
 
-    /// At most `most` pairs, evenly spaced, at delay `lag_s`.
+    /// Takes at most `most` pairs, evenly spaced, at delay `lag_s`.
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {

@@ -55,7 +55,7 @@ fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
     combined_rad(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
 
-/// Of carrier and camera, at several time distances.
+/// Rotations of carrier and camera over several time distances.
 fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
@@ -79,10 +79,10 @@ pub(super) fn angle_difference(pairs: &[PosePair]) -> f64 {
 
 /// Maps camera to carrier rotations. Several candidates if there is only one axis.
 fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
-    /// Of the first eigenvalue; below it there is only one axis.
+    /// Share of the first eigenvalue; below it there is only one axis.
     const MAX_SECOND_EIGENVALUE_SHARE: f64 = 0.01;
     const AXIS_CANDIDATES: usize = 12;
-    /// Of the largest rotation.
+    /// Share of the largest rotation.
     const MIN_ROTATION_SHARE: f64 = 0.3;
     /// Near half a turn the axis is ambiguous.
     const MAX_ROTATION_RAD: f64 = 2.9;

@@ -43,7 +43,7 @@ impl<'a> DecodedTarget<'a> {
         Self { series, encoding: TargetEncoding::AsLogged, stride }
     }
 
-    /// With stamps.
+    /// Decoded poses with stamps.
     pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
         let mut truths = Vec::new();
         let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
@@ -103,7 +103,7 @@ fn much_better_scale(
     as_logged: &HandEyeSolution,
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
-    /// Of the excess error, relative to the logged one and to the corrected total.
+    /// Ratio to the logged excess error and to the corrected total.
     const MAX_EXCESS_RATIO: f64 = 0.5;
     let with = |stretch: TargetScaleError| {
         let reading = TargetEncoding::Scaled(stretch);
@@ -151,7 +151,7 @@ fn alternative_encoding(
     closes(&solution, as_logged).then_some((reading, solution))
 }
 
-/// For the better mounting.
+/// Uses the better mounting.
 fn closure_error_with(
     streams: &HandEyeStreams,
     reading: TargetEncoding,

@@ -12,13 +12,13 @@ use ground::stream::ImuTrack;
 pub struct ImuStream<'a> {
     /// Measurements.
     pub track: &'a ImuTrack,
-    /// From the robot's base to the IMU's link.
+    /// Chain from the robot's base to the IMU's link.
     pub chain: &'a Chain,
     /// Column in the joint track per joint of `chain`.
     pub columns: &'a [usize],
     /// Standard error of the clock alignment; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// As logged, if present.
+    /// Logged `link_from_imu`, if present.
     pub link_from_imu: Option<Pose>,
     /// Latency already compensated in the stamps, to be reported with the rest.
     pub removed_ramp: Option<&'a LatencyRamp>,
@@ -27,7 +27,7 @@ pub struct ImuStream<'a> {
 /// Constant part of (gyro − FK rate).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroBias {
-    /// In the sensor's frame.
+    /// Bias in the sensor's frame.
     pub vector_rad_s: Vec3,
     /// Its length.
     pub length_rad_s: MeasuredLength,
@@ -72,7 +72,7 @@ pub enum GyroBiasProfile {
 /// Gyro whose axes are rotated against those of the orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroAxesRotation {
-    /// From the gyro's axes to the orientation's.
+    /// Rotation from the gyro's axes to the orientation's.
     pub imu_from_gyro: Rotation,
     /// Its angle.
     pub size_rad: MeasuredLength,
@@ -83,9 +83,9 @@ pub struct GyroAxesRotation {
 /// Direction opposite to gravity by the accelerometer, as unit vectors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UpDirections {
-    /// In the world frame of the orientation.
+    /// Direction in the orientation's world frame.
     pub in_world: Vec3,
-    /// In the arm's base frame, by FK and the estimated mount.
+    /// Direction in the arm's base, by FK and the estimated mount.
     pub in_base: Vec3,
 }
 
@@ -127,14 +127,14 @@ pub struct YawWarmUp {
 pub struct GyroScaleError {
     /// Along x, y and z; positive if the gyro measures too much.
     pub scale: [Measured; 3],
-    /// Of y and z, x and z, x and y towards each other, per axis.
+    /// Angles between y and z, x and z, x and y, per axis.
     pub misalignment_rad: [Measured; 3],
 }
 
 /// Yaw error of an IMU apart from constant drift.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct YawProfile {
-    /// In time order.
+    /// Jumps in time order.
     pub jumps: Vec<YawJump>,
     /// Density of the random walk, if any.
     pub walk_rad_per_sqrt_s: Option<f64>,
@@ -172,7 +172,7 @@ pub struct ImuDiagnosis {
     pub mount_rad: EstimateResult<MeasuredLength>,
     /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
-    /// If significant and both follow the arm.
+    /// Gyro against orientation, if significant and both follow the arm.
     pub axes_rotation: Option<GyroAxesRotation>,
     /// Change of the mount, if significant.
     pub mount_change: Option<ImuMountChange>,
@@ -180,7 +180,7 @@ pub struct ImuDiagnosis {
     pub conventions: ImuConventions,
     /// Gravity by the accelerometer against the vertical of the orientation.
     pub tilt_rad: EstimateResult<MeasuredLength>,
-    /// While the arm rests.
+    /// Direction opposite to gravity at rest.
     pub up: Option<UpDirections>,
     /// Constant part of (gyro − FK rate).
     pub gyro_bias: EstimateResult<GyroBias>,
@@ -195,9 +195,9 @@ pub struct ImuDiagnosis {
 pub struct HeadingPair {
     /// Time, s from the run's origin.
     pub t_s: f64,
-    /// By the IMU, unwrapped.
+    /// Heading by the IMU, unwrapped.
     pub imu_rad: f64,
-    /// By FK in the IMU's world frame, unwrapped.
+    /// Heading by FK in the IMU's world frame, unwrapped.
     pub fk_rad: f64,
 }
 

@@ -37,7 +37,7 @@ pub(super) struct ModelExtension {
     pub interval_s: [f64; 2],
     /// Residual sum of squares.
     pub squares: f64,
-    /// In variances of independent noise.
+    /// Reduction of the residual, in variances of independent noise.
     gain: f64,
 }
 

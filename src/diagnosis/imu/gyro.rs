@@ -171,7 +171,7 @@ impl Link<'_> {
         mount_of(&correlation, &logged)
     }
 
-    /// At least `window_s` long, without gaps, with FK at both ends.
+    /// Windows of at least `window_s`, without gaps, with FK at both ends.
     fn windows(&self, window_s: f64, delay: &Delay) -> Vec<RangeInclusive<usize>> {
         const MIN_GAP_PERIODS: f64 = 5.0;
         let t_s = &self.stream.track.t_s;
@@ -207,7 +207,7 @@ struct GyroModel<'a> {
     scale_error: Matrix3<f64>,
     has_scale_error: bool,
     bias_profile: Option<GyroBiasProfile>,
-    /// After a step, or at the start of a decay.
+    /// Bias change after a step, or at the start of a decay.
     changed_rad_s: Vec3,
     /// Time, 95 % interval, and rotation: `link_from_imu after = link_from_imu · slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
@@ -268,7 +268,7 @@ impl<'a> GyroModel<'a> {
         .collect()
     }
 
-    /// By the midpoint rule.
+    /// Midpoint rule.
     fn integrate(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();

@@ -38,7 +38,7 @@ use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::{DMatrix, Matrix3};
 
 pub(super) const MAX_IMU_FIT_SAMPLES: usize = 5000;
-/// Of speeds, for an IMU that follows the arm.
+/// Minimum for an IMU that follows the arm.
 const MIN_CORRELATION: f64 = 0.6;
 const MIN_FIT_SAMPLES: usize = 20;
 const MOUNT_SIGNIFICANCE: f64 = 1e-4;
@@ -57,7 +57,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
     diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
 }
 
-/// For a stream already converted.
+/// Diagnoses a stream already converted.
 pub(super) fn diagnose_mended(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -301,7 +301,7 @@ fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
     target += block;
 }
 
-/// From `Σ link·imuᵀ`. If the directions vary too little, selects the solution closest to `expected`.
+/// Mount from `Σ link·imuᵀ`. If the directions vary too little, selects the solution closest to `expected`.
 fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
     /// As a share of the best-observed directions.
     const EXPECTED_MOUNT_WEIGHT: f64 = 1e-2;

@@ -49,7 +49,7 @@ pub enum AccelUnit {
 impl AccelUnit {
     const ALL: [Self; 3] = [Self::G, Self::MilliG, Self::Gal];
 
-    /// In m/s².
+    /// Size in m/s².
     pub const fn in_m_s2(self) -> f64 {
         match self {
             Self::G => GRAVITY_M_S2,
@@ -75,7 +75,7 @@ pub struct GyroSaturation {
     pub limit_rad_s: f64,
     /// Saturated axes: 0 is x.
     pub axes: Vec<usize>,
-    /// Of the samples, 0 to 1.
+    /// Share of the samples, 0 to 1.
     pub share: f64,
     /// Largest FK rate about them.
     pub by_fk_rad_s: f64,
@@ -139,7 +139,7 @@ const EQUALITY_TOLERANCE: f64 = 1e-5;
 type RatePair = (usize, Vec3, Vec3);
 
 impl Link<'_> {
-    /// While the arm moves.
+    /// Samples while the arm moves.
     fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -163,11 +163,11 @@ impl Link<'_> {
     }
 }
 
-/// If the gyro matches the arm only in °/s.
+/// Residuals if the gyro matches the arm only in °/s.
 fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
-    /// Of the rms.
+    /// Share of the rms rate.
     const MIN_RATE_SHARE: f64 = 0.5;
-    /// Of the arm's rate, in °/s; larger residuals are not a gyro's.
+    /// Share of the arm's rate, in °/s; a gyro has smaller residuals.
     const MAX_RESIDUAL_SHARE: f64 = 0.7;
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
     let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
@@ -217,7 +217,7 @@ impl Alignment {
 /// Reversed gyro axis, if only left-handed axes match. Selects the axis whose mount is closest to the
 /// logged one.
 fn mirrored_axis(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
-    /// Of the right-handed residual and of the arm's rate.
+    /// Share of the right-handed residual and of the arm's rate.
     const MAX_RESIDUAL_SHARE: f64 = 0.3;
     if pairs.len() < MIN_FIT_SAMPLES {
         return None;
@@ -316,7 +316,7 @@ fn detect_saturation(
 
 /// Uses the samples at rest, or the whole run if the norm is nearly constant.
 fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
-    /// Of the median. A larger spread is motion, not gravity.
+    /// Share of the median. A larger spread is motion, not gravity.
     const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
     let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
         rows.map(|row| track.accel[row].norm()).collect()

@@ -132,7 +132,7 @@ impl Link<'_> {
         })
     }
 
-    /// With the branch chosen for every sample.
+    /// Initial model, with the branch chosen for every sample.
     fn orientation_model(
         &self,
         start: Delay,

@@ -67,8 +67,8 @@ struct Excited {
 }
 
 impl Excited {
-    /// Of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a factor of two
-    /// in variance; this adds another.
+    /// Share of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a factor of
+    /// two in variance; this adds another.
     const MAX_NOISE_SHARE: f64 = 0.25;
 
     fn new(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
@@ -137,7 +137,7 @@ impl Step {
         &excited.noise * level
     }
 
-    /// At the point of linearisation.
+    /// Covariance at the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let noise = self.noise(&excited);
         let Excited { free, basis, mut held, .. } = excited;

@@ -28,7 +28,7 @@ impl Link<'_> {
         sum.norm() / sizes
     }
 
-    /// While the arm rests.
+    /// Direction opposite to gravity while the arm rests.
     pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -48,7 +48,7 @@ impl Link<'_> {
         (count >= MIN_SAMPLES).then_some(UpDirections { in_world, in_base })
     }
 
-    /// From samples at rest.
+    /// Tilt from samples at rest.
     pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<MeasuredLength> {
         let track = self.stream.track;
         if track.orientation.is_empty() {

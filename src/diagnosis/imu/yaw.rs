@@ -106,7 +106,7 @@ struct BinFit {
     walk_ratio: f64,
     parameters: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// Of a bin, rad².
+    /// Variance of a bin, rad².
     variance: f64,
     log_likelihood: f64,
     dof: f64,
@@ -325,7 +325,7 @@ impl Bins {
     }
 }
 
-/// Of the noise, after removing components slower than some seconds.
+/// Correlation time of the noise, without components slower than some seconds.
 fn memory_s(samples: &[(f64, f64)]) -> f64 {
     const MAX_BLOCKS: f64 = 8.0;
     const MIN_BLOCK_S: f64 = 2.0;

@@ -5,9 +5,9 @@ use ground::stream::JointTrack;
 
 /// Decoded joint states.
 pub(in super::super) struct CorrectedJoints {
-    /// With corrected names and units.
+    /// Track with corrected names and units.
     pub track: JointTrack,
-    /// With large zeros added, if any.
+    /// Same with large zeros added, if any.
     approximate_track: Option<JointTrack>,
     /// Added to `approximate_track`, per joint, followed by a zero per gain.
     pub offsets: Vec<f64>,
@@ -47,7 +47,7 @@ impl CorrectedJoints {
         }
     }
 
-    /// For a stream computed from the joint states.
+    /// Corrects only names and units, for a stream computed from the joint states.
     pub fn for_derived(self) -> Self {
         let offsets = vec![0.0; self.track.dof];
         Self { approximate_track: None, offsets, gains: Vec::new(), ..self }
@@ -60,7 +60,7 @@ impl CorrectedJoints {
             && self.offsets[joint] != 0.0
     }
 
-    /// With approximate zeros corrected.
+    /// Track with approximate zeros corrected.
     pub fn approximate_track(&self) -> &JointTrack {
         self.approximate_track.as_ref().unwrap_or(&self.track)
     }

@@ -6,7 +6,7 @@ use ground::stats::Measured;
 /// Zero offset of one joint: `q_true = q_reported + offset`.
 #[derive(Clone, Debug)]
 pub struct JointOffset {
-    /// Rad or m.
+    /// Offset, rad or m.
     pub offset: EstimateResult<Measured>,
     /// Whether the model contains it.
     pub is_chosen: bool,
@@ -25,13 +25,13 @@ pub struct JointEncoding {
     pub degrees: Option<UnitResiduals>,
     /// Actual order: entry `i` is the joint logged under the name of joint `i`.
     pub permutation: Option<(Vec<usize>, UnitResiduals)>,
-    /// With individual unit or scale.
+    /// Joints with individual unit or scale.
     pub unit_errors: Vec<JointUnitError>,
     /// Applied after the slips.
     pub couplings: Vec<JointCoupling>,
     /// Approximate zeros to add per joint, rad or m; may be empty.
     pub zeros: Vec<f64>,
-    /// As logged and corrected, m, if not as logged.
+    /// Position residuals, m, if not as logged.
     pub residual: Option<UnitResiduals>,
     /// Residual of the next best encoding.
     pub runner_up_m: Option<f64>,
@@ -84,7 +84,7 @@ pub struct JointUnitError {
     pub column: usize,
     /// Unit of its values.
     pub unit: JointUnit,
-    /// To rad or m; approximate for `Scaled`.
+    /// Factor to rad or m; approximate for `Scaled`.
     pub factor: f64,
 }
 
@@ -108,7 +108,7 @@ pub struct JointScale {
     pub column: usize,
     /// 1 for rad or m.
     pub factor: Measured,
-    /// Rad or m; 0 if the zero is right.
+    /// Offset, rad or m; 0 if the zero is right.
     pub offset: f64,
 }
 

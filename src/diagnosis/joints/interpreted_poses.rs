@@ -32,7 +32,7 @@ pub(in super::super) struct ResidualSize {
 }
 
 impl ResidualSize {
-    /// With the angle at `lever_m`.
+    /// One length, with the angle at `lever_m`.
     pub fn combined_m(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
@@ -42,7 +42,7 @@ impl ResidualSize {
 pub(super) struct InterpretedPoses<'a> {
     pub chain: &'a Chain,
     pub xyz: Vec<Vec3>,
-    /// If used.
+    /// Rotations, if used.
     pub rotation: Option<Vec<Rotation>>,
     /// Row-major, in chain order.
     pub q: Vec<f64>,
@@ -59,7 +59,7 @@ impl InterpretedPoses<'_> {
         self.xyz.len()
     }
 
-    /// At most `most` samples, evenly spaced.
+    /// Keeps at most `most` samples, evenly spaced.
     pub fn thinned(&self, most: usize) -> Self {
         let step = self.len().div_ceil(most).max(1);
         let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
@@ -74,7 +74,7 @@ impl InterpretedPoses<'_> {
         }
     }
 
-    /// Without rotations.
+    /// Mirrors the positions and drops the rotations.
     pub fn mirrored(&self) -> Self {
         let mirror = |xyz: &Vec3| Vec3::new(-xyz.x, xyz.y, xyz.z);
         Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
@@ -96,7 +96,7 @@ impl InterpretedPoses<'_> {
         Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
     }
 
-    /// With the smallest residual.
+    /// Frames with the smallest residual.
     pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
         let expected = FkColumns::from_poses(fk);
         let by_positions = |turns: usize| {
@@ -161,7 +161,7 @@ impl InterpretedPoses<'_> {
         (sum / f64::from(count.max(1))).sqrt()
     }
 
-    /// With the best frames, as one length.
+    /// Residual with the best frames, as one length.
     pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         let fk = self.fk(map);
         self.residual_against(&fk, &self.fit_frames(&fk, freedom)).combined_m(self.lever_m)

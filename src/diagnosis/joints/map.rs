@@ -10,7 +10,7 @@ pub(super) struct Coupling {
     pub joint: usize,
     /// Driving.
     pub by: usize,
-    /// Of `joint` per unit of `by`.
+    /// Motion of `joint` per unit of `by`.
     pub factor: f64,
 }
 
@@ -63,8 +63,8 @@ impl JointMap {
         Self { from: from.to_vec(), ..self.clone() }
     }
 
-    /// From the zeros of revolute joints. Radians are unwrapped to within half a turn, others to the centre
-    /// of the joint's range.
+    /// Acts on the zeros of revolute joints. Radians are unwrapped to within half a turn, others to the
+    /// centre of the joint's range.
     pub fn remove_whole_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
         for (j, kind) in chain.joint_kinds().iter().enumerate() {
             if *kind == JointKind::Prismatic {

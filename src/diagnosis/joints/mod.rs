@@ -37,17 +37,17 @@ pub(super) use map::{half_turns, is_quarter_turn};
 
 /// For an interpretation other than the logged one.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;
-/// Of the motion's extent, for joint states accepted as logged.
+/// Share of the motion's extent, for joint states accepted as logged.
 const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.05;
 /// Stricter: reversed joint order moves an arm much like the inverse of an arm with rotated frames.
 const MAX_LOGGED_RESIDUAL_SHARE_ROTATED: f64 = 0.005;
-/// Of another interpretation at slow samples, before correcting latency and small causes.
+/// Limits for another interpretation at slow samples, before correcting latency and small causes.
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_RAD: f64 = 0.03;
-/// Of the extent.
+/// Share of the extent.
 pub(super) const MAX_FOLLOWING_RESIDUAL_SHARE: f64 = 0.3;
 
-/// Of a tip at rest.
+/// Spread of the positions of a tip at rest.
 const MAX_REST_SPREAD_M: f64 = 2e-3;
 /// Between a resting tip and FK, of the arm's reach.
 const MAX_REST_DISTANCE_SHARE: f64 = 0.03;
@@ -275,7 +275,7 @@ pub(super) fn single_zeros(
     zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
 }
 
-/// As logged, inverted, and positions only.
+/// Poses as logged, inverted, and positions only.
 fn views<'a>(
     joints: &JointTrack,
     stream: &PoseStream<'a>,
@@ -310,7 +310,7 @@ fn views<'a>(
     views
 }
 
-/// In columns of the joint track.
+/// Converts a map to columns of the joint track.
 fn to_encoding(
     dof: usize,
     stream: &PoseStream,
@@ -456,8 +456,8 @@ pub(super) fn follows_arm(
         && misfit(stream.chain, &moments) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&moments.xyz)
 }
 
-/// From speed correlation, and zero. At slow samples a remaining error has little effect, a wrong candidate
-/// has.
+/// Zero and peaks of the speed correlation. At slow samples a remaining error has little effect, a wrong
+/// candidate has.
 fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
@@ -474,7 +474,7 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64)
     lags
 }
 
-/// Rms m with a constant tool offset.
+/// Position residual with a constant tool offset, rms m.
 fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);
@@ -482,7 +482,7 @@ fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
-/// Rms m with constant frames.
+/// Position residual with constant frames, rms m.
 fn misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);

@@ -12,13 +12,13 @@ pub(super) struct SimultaneousSamples {
     pub xyz: Vec<Vec3>,
     /// If decoded.
     pub rotation: Option<Vec<Rotation>>,
-    /// Of the inverse poses, if there are rotations.
+    /// Positions of the inverse poses, if there are rotations.
     pub inverse_xyz: Option<Vec<Vec3>>,
     /// Row-major, in chain order.
     pub q: Vec<f64>,
 }
 
-/// By each joint's rms.
+/// Divides each joint's velocity by its rms.
 pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
     let mut evened = joints.clone();
     let rms = rms_speeds(joints);

@@ -32,7 +32,7 @@ const MIN_TOOL_ROTATION_RAD: f64 = 0.1;
 const TOOL_ROTATION_PRICE: f64 = 1.0;
 
 impl JointProposal {
-    /// At most `steps` steps.
+    /// Minimises the residual in at most `steps` steps.
     pub fn refine(
         &self,
         view: &InterpretedPoses,

@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
 const ROUGH_SAMPLES: usize = 20;
-/// Of the full refinement.
+/// Steps of the full refinement.
 const MAX_STEPS: usize = 25;
 /// More are preselected by a frame-free score on `SCREENING_SAMPLES` samples.
 const MAX_UNSCREENED_PROPOSALS: usize = 150;
@@ -23,7 +23,7 @@ const SCREENING_SAMPLES: usize = 12;
 /// To determine a joint's sign and scale.
 const MIN_MOTION_RAD: f64 = 0.05;
 const MIN_MOTION_M: f64 = 5e-3;
-/// Of another interpretation over the best, to exclude it.
+/// Ratio to the best residual that excludes another interpretation.
 const MIN_RESIDUAL_RATIO: f64 = 2.0;
 /// A costlier interpretation is selected only if the cheaper one exceeds this multiple of the least
 /// residual …
@@ -33,7 +33,7 @@ const RESIDUAL_FLOOR_M: f64 = 3e-4;
 const ORDER_PRICE: f64 = 1.5;
 /// Costlier sets of reversed joints are one mirrored axis instead.
 const MIRROR_PRICE: f64 = 1.2;
-/// Of their extent.
+/// Share of their extent.
 const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
 /// For a scale that is not round, and per joint beyond the model's limits.
 const ODD_SCALE_PRICE: f64 = 0.5;
@@ -42,7 +42,7 @@ const BEYOND_LIMIT_PRICE: f64 = 0.25;
 pub(super) struct JointInterpretation {
     pub map: JointMap,
     pub residual: ResidualSize,
-    /// At no higher price.
+    /// Next best residual at no higher price.
     pub runner_up_m: Option<f64>,
 }
 
@@ -81,12 +81,12 @@ impl InterpretationKind {
         InterpretationKind::Two,
         InterpretationKind::OrderAndOne,
     ];
-    /// For a stream already close to FK.
+    /// Kinds for a stream already close to FK.
     pub const FOR_SMALL_RESIDUALS: [InterpretationKind; 2] =
         [InterpretationKind::One, InterpretationKind::Coupled];
 }
 
-/// With a residual of at most `most`.
+/// Accepts a residual of at most `most`.
 pub(super) fn search_kind(
     view: &InterpretedPoses,
     kind: InterpretationKind,
@@ -96,7 +96,7 @@ pub(super) fn search_kind(
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
     if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), most) {
-        // As logged, the poses fit.
+        // The poses fit as logged.
         return SearchOutcome::Nothing;
     }
     if let (InterpretationKind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
@@ -172,7 +172,7 @@ fn refine_and_select(
 }
 
 fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
-    /// Rad or m.
+    /// In rad or m.
     const POSITION_TOLERANCE: f64 = 0.02;
     let dof = view.chain.dof();
     let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
@@ -303,7 +303,7 @@ fn common_gear(
     base: &JointMap,
     freedom: FreeFrames,
 ) -> Option<JointProposal> {
-    /// Of any joint, the minimum as a share of it, and the ratio of successive factors.
+    /// Maximum range of any joint, the minimum as a share of it, and the ratio of successive factors.
     const MAX_RANGE_RAD: f64 = 2.0 * TAU;
     const MIN_RANGE_SHARE: f64 = 0.01;
     const FACTOR_STEP: f64 = 1.04;
@@ -391,7 +391,7 @@ fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointPropos
         .collect()
 }
 
-/// Its zero, direction, unit or scale.
+/// Tries the joint's zero, direction, unit or scale.
 fn single_joint(
     view: &InterpretedPoses,
     base: &JointMap,

@@ -83,7 +83,7 @@ impl SingleJoint {
         Self { values, required: wanted, is_prismatic: slides, span: view.spans[map.from[joint]] }
     }
 
-    /// And its score (higher is better).
+    /// Best zero and its score (higher is better).
     pub fn best_zero(&self, factor: f64) -> (f64, f64) {
         if self.is_prismatic {
             let n = self.values.len().max(1) as f64;
@@ -138,7 +138,7 @@ impl SingleJoint {
         vec![(with_zero, self.best_zero(with_zero).0), (without, 0.0)]
     }
 
-    /// For a prismatic joint, with and without a zero.
+    /// Regression for a prismatic joint, with and without a zero.
     fn line(&self) -> Vec<(f64, f64)> {
         let n = self.values.len().max(1) as f64;
         let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;

@@ -6,8 +6,8 @@ use super::{
 use ground::stats::Measured;
 use nalgebra::{DMatrix, DVector};
 
-/// Squared residual of `samples`, in units of the noise, after compensating the latency `beyond_s`.
-/// Subtracts a constant in each window, because model error depends on the configuration.
+/// Residual in units of the noise, after compensating `beyond_s`. Each window has a free constant, because
+/// model error depends on configuration.
 pub(super) fn residual_after(
     samples: &[NormalizedSample],
     mut beyond_s: impl FnMut(usize) -> f64,
@@ -42,9 +42,8 @@ fn by_window(samples: &[NormalizedSample]) -> impl Iterator<Item = &[NormalizedS
     })
 }
 
-/// Least-squares sums for `residual = c − (a + b·load)·velocity` with a constant c for each window.
-/// `matrix` has the products of velocity and velocity times load; `right` has their products with the
-/// residual.
+/// Least squares of `residual = c − (a + b·load)·velocity` with a constant c per window: products of
+/// velocity and velocity times load, and theirs with the residual.
 #[derive(Clone, Copy, Default)]
 struct LoadSums {
     matrix: [f64; 3],
@@ -84,7 +83,7 @@ impl LoadSums {
         self
     }
 
-    /// Solves for the constant and the slope.
+    /// Constant and slope.
     fn solve(&self) -> Option<[f64; 2]> {
         let ([aa, ab, bb], [a, b]) = (self.matrix, self.right);
         let determinant = aa * bb - ab * ab;
@@ -93,12 +92,11 @@ impl LoadSums {
     }
 }
 
-/// Fits a latency that depends on load, which is the joint or tool speed, unfiltered or low-pass filtered.
-/// `None` if it does not.
+/// Load is the joint or tool speed, possibly low-pass filtered. `None` if the latency does not depend on
+/// it.
 pub(super) fn fit_load_dependence(samples: &[NormalizedSample]) -> Option<LatencyProfile> {
-    /// Time constants of the filter, s.
     const FILTER_TIMES_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
-    /// The load model must reduce the excess residual of a constant latency to at most this fraction.
+    /// Share of the excess residual with a constant latency.
     const MAX_RESIDUAL_RATIO: f64 = 0.5;
     let constant = residual_after(samples, {
         let zero = vec![0.0; samples.len()];
@@ -164,7 +162,7 @@ fn load_windows<'a>(
     })
 }
 
-/// Load at each sample, filtered by a first-order low-pass.
+/// First-order low-pass.
 fn filtered(samples: &[NormalizedSample], kind: usize, slow_s: f64) -> Vec<f64> {
     let mut state = samples.first().map_or(0.0, |sample| sample.loads[kind]);
     let mut before_s = samples.first().map_or(0.0, |sample| sample.t_s);
@@ -180,21 +178,21 @@ fn filtered(samples: &[NormalizedSample], kind: usize, slow_s: f64) -> Vec<f64> 
         .collect()
 }
 
-/// Fits a piecewise linear latency. It is a ramp if it is level before and after one segment. Selects the
-/// knots on `windows` and fits the levels to `samples`. `None` if no fit with few segments is significant.
+/// Selects knots on `windows` and fits levels to `samples`; a ramp if one segment is not level. `None` if
+/// no fit with few segments is significant.
 pub(super) fn fit_piecewise_linear(
     windows: &[LatencyWindow],
     samples: &[NormalizedSample],
 ) -> Option<LatencyProfile> {
-    /// Maximum number of inner knots.
+    /// Inner ones.
     const MAX_KNOTS: usize = 16;
-    /// Maximum number of samples for the fit of the levels.
+    /// To fit the levels.
     const MAX_SAMPLES: usize = 6000;
     let (first, last) = (windows.first()?, windows.last()?);
     let mut knots = vec![first.t_s, last.t_s];
     let of_windows = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
     let mut least = of_windows(&knots)?;
-    // A single knot hardly improves the fit of a ramp within the run, so try two at once.
+    // One knot barely improves the fit of a ramp within the run, so try two.
     if let Some((left, two)) = two_knots(windows, &knots, &of_windows)
         && least - left > MIN_CHI2_GAIN * (left / windows.len() as f64).max(1.0)
     {
@@ -221,7 +219,7 @@ pub(super) fn fit_piecewise_linear(
     let of_samples =
         |knots: &[f64]| Some(solve_levels(knots, total(&sample_sums(&thinned, knots)))?.1);
     let mut least = shift_knots(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
-    // A later knot can make an earlier one redundant.
+    // A later knot can make one redundant.
     loop {
         let fewer = (1..knots.len() - 1).filter_map(|at| {
             let mut fewer = knots.clone();
@@ -272,23 +270,22 @@ pub(super) fn fit_piecewise_linear(
     })
 }
 
-/// Number of parameters of a path with three segments: its levels and its inner knots.
+/// Levels and inner knots.
 pub(super) const THREE_SEGMENT_PARAMETERS: f64 = 6.0;
 
-/// χ² of the windows for the best path with three segments.
+/// Best path with three segments.
 pub(super) fn piecewise_chi2(windows: &[LatencyWindow]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
     let left = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
     Some(two_knots(windows, &ends, &left)?.0)
 }
 
-/// Finds the two inner knots between `ends` that minimise the residual. Returns the residual and all knots.
+/// Inner knots with the smallest residual; returns it and all knots.
 fn two_knots(
     windows: &[LatencyWindow],
     ends: &[f64],
     left: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<(f64, Vec<f64>)> {
-    /// Maximum number of trial times.
     const MAX_TRIAL_TIMES: usize = 40;
     let inner = windows.get(1..windows.len().saturating_sub(1))?;
     let times: Vec<f64> = inner
@@ -305,7 +302,7 @@ fn two_knots(
     with.min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// Levels at `knots`, fitted to `windows`. `None` if they are not all determined.
+/// `None` if not all levels are determined.
 pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Vec<f64>> {
     let windows: Vec<LatencyWindow> = windows
         .iter()
@@ -321,16 +318,14 @@ pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Ve
         .map(|(level_s, _)| level_s)
 }
 
-/// A knot is on the level of another if they differ by less than this fraction of the swing.
+/// Share of the swing, for knots on one level.
 const MAX_LEVEL_DIFFERENCE: f64 = 0.12;
-/// A knot is needed if removing it increases the residual by more than this fraction.
+/// Share of the residual, by removing the knot.
 const MIN_KNOT_GAIN: f64 = 0.01;
-/// Number of blocks of the jackknife (Quenouille 1956).
+/// Quenouille 1956.
 const JACKKNIFE_BLOCKS: usize = 20;
-/// A value is significant if it exceeds this many standard errors.
 const MIN_STD_ERRORS: f64 = 8.0;
 
-/// Normal equations for the levels at knots, and the sum of squares.
 #[derive(Clone)]
 struct KnotEquations {
     matrix: DMatrix<f64>,
@@ -350,17 +345,16 @@ impl KnotEquations {
     }
 }
 
-/// The two knots adjacent to a time, with their interpolation weights.
+/// Adjacent knots and their interpolation weights.
 fn hats(knots: &[f64], t_s: f64) -> [(usize, f64); 2] {
     let after = knots.partition_point(|knot| *knot <= t_s).clamp(1, knots.len() - 1);
     let part = ((t_s - knots[after - 1]) / (knots[after] - knots[after - 1])).clamp(0.0, 1.0);
     [(after - 1, 1.0 - part), (after, part)]
 }
 
-/// Solves for the levels. Returns them with the residual. A level without data, as while the arm rests, is
-/// close to its neighbours'.
+/// Levels and residual. A level without data, as at rest, is close to its neighbours'.
 fn solve_levels(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
-    /// Weight that ties adjacent levels, as a fraction of the mean information about a level.
+    /// Ties adjacent levels, as a share of the mean information about a level.
     const LEVEL_TIE_WEIGHT: f64 = 1e-5;
     let KnotEquations { mut matrix, right, square } = sums;
     debug_assert_eq!(right.len(), knots.len());
@@ -391,7 +385,7 @@ fn window_sums(windows: &[LatencyWindow], knots: &[f64]) -> KnotEquations {
     sums
 }
 
-/// Least-squares sums for `residual = c − level·velocity` with a constant c in each window.
+/// Least squares of `residual = c − level·velocity` with a constant c per window.
 fn sample_sums(samples: &[NormalizedSample], knots: &[f64]) -> Vec<KnotEquations> {
     let n = knots.len();
     let of_window = |own: &[NormalizedSample]| {
@@ -437,7 +431,7 @@ fn total(sums: &[KnotEquations]) -> KnotEquations {
     all
 }
 
-/// Jackknife standard error of a value computed from the windows' sums.
+/// Standard error from the windows' sums.
 fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) -> f64 {
     let all = total(sums);
     let parts = sums.chunks(sums.len().div_ceil(JACKKNIFE_BLOCKS).max(1));
@@ -457,7 +451,7 @@ fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) 
     ((n - 1.0) / n * spread).sqrt()
 }
 
-/// Moves each inner knot to minimise the residual, with decreasing steps. Returns the residual.
+/// Decreasing steps; returns the residual.
 fn shift_knots(
     knots: &mut [f64],
     steps_s: &[f64],
@@ -468,7 +462,6 @@ fn shift_knots(
     for &step_s in steps_s {
         for knot in 1..knots.len().saturating_sub(1) {
             for by_s in [step_s, -step_s] {
-                // Repeat while it improves.
                 loop {
                     let before = knots[knot];
                     knots[knot] += by_s;

@@ -19,7 +19,7 @@ fn speed(t_s: f64) -> f64 {
     velocity.norm() / 0.01
 }
 
-/// 20 s at 50 Hz with an additional latency `beyond_s`, noise, and a model error of `bent_m`.
+/// 20 s at 50 Hz with latency `beyond_s` and model error `bent_m`.
 fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedSamples {
     let mut random = crate::test_random::Lcg::new();
     let mut aligned = AlignedSamples::default();
@@ -91,7 +91,6 @@ fn a_ramp_is_told_with_its_ends() {
     assert!(found.is_unsteady && found.steps.is_empty());
 }
 
-/// Motion with stops.
 fn stop_and_go(t_s: f64) -> Pose {
     let (stop, part) = ((t_s / 2.0).floor(), (t_s / 2.0).fract());
     let u = (part / 0.7).min(1.0);
@@ -132,7 +131,6 @@ fn a_latency_that_goes_with_the_load_is_told_with_its_swing() {
     let swing_s = 0.015 * (most - least) / most;
     assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
     assert!(found.is_unsteady);
-    // A constant latency does not depend on load.
     let steady =
         latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a course");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));

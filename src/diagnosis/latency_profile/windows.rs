@@ -35,7 +35,7 @@ pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
     let noise = [0, 1].map(|kind| {
         let steps = lagging.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
-        // Numerical floor of a residual, m and rad.
+        // Floor, m and rad.
         (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
     });
     let scaled =
@@ -50,7 +50,7 @@ pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
     lagging.iter().map(sample).collect()
 }
 
-/// Estimates the latency in each window with enough variation of velocity.
+/// Uses windows with enough variation of velocity.
 pub(super) fn windows(samples: &[NormalizedSample], components: usize) -> Vec<LatencyWindow> {
     let mut windows = Vec::new();
     let mut rest = samples;
@@ -63,8 +63,7 @@ pub(super) fn windows(samples: &[NormalizedSample], components: usize) -> Vec<La
     windows
 }
 
-/// Least-squares slope of residual over velocity. The variance is inflated by (1 + ρ)/(1 − ρ) for the
-/// autocorrelation ρ of the residuals.
+/// Slope of residual over velocity. Autocorrelation ρ inflates the variance by (1 + ρ)/(1 − ρ).
 pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<LatencyWindow> {
     const MAX_AUTOCORRELATION: f64 = 0.98;
     let n = samples.len();
@@ -105,12 +104,12 @@ pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<
     let square: f64 = left.iter().map(|left| dot(left, left)).sum();
     let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
     let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
-    // The slope and the mean of each component use up degrees of freedom.
+    // The slope and each component's mean use them up.
     let free = components * (n - 1) - 1;
     let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
-    // Floor for the rounding of stamps to nanoseconds and of positions.
+    // Stamps rounded to nanoseconds, and positions.
     let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
-    // The rounding of joint positions to encoder steps can be biased over a whole window.
+    // Encoder rounding can be biased over a whole window.
     let rows = (components * n) as f64;
     let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n as f64;
     let std_error_s = std_error_s.hypot(joint_noise / (information / rows).sqrt());
@@ -118,7 +117,7 @@ pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<
     std_error_s.is_finite().then_some(LatencyWindow { t_s, delta_s, std_error_s })
 }
 
-/// χ² of the windows relative to their best line.
+/// Relative to their best line.
 pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
     let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
     let mean = |of: &dyn Fn(&LatencyWindow) -> f64| {
@@ -132,7 +131,7 @@ pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
     windows.iter().map(|window| window.weight() * beside(window).powi(2)).sum()
 }
 
-/// Level of each segment between `splits`, with its standard error, and the total χ².
+/// Levels between `splits`, and the total χ².
 pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measured>, f64) {
     let ends = splits.iter().copied().chain([windows.len()]);
     let starts = std::iter::once(0).chain(splits.iter().copied());
@@ -151,8 +150,7 @@ pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measur
     (levels, chi2)
 }
 
-/// Indices of windows at which the latency steps. The window that contains the step lies on neither level
-/// and increases the χ² of both.
+/// Where the latency steps. The window with the step lies on neither level and increases the χ² of both.
 pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
     let mut splits: Vec<usize> = Vec::new();
     while splits.len() < MAX_STEPS {

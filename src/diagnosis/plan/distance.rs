@@ -15,7 +15,7 @@ pub struct ArmCapsules {
 pub struct TargetVisibility {
     /// Camera pose.
     pub hand_from_camera: Pose,
-    /// In the base, m.
+    /// Target in the base, m.
     pub target: Vec3,
     /// Maximum angle of the target to the camera's z axis.
     pub half_rad: f64,
@@ -53,9 +53,8 @@ pub enum ClearanceViolation {
 const CONTACT_TOLERANCE_M: f64 = 5e-3;
 
 impl Clearances {
-    /// For an arm whose configuration `free` is collision-free. Segments connected by a path shorter than
-    /// twice their radii are not checked; segments already closer than `clear_m` must keep about that
-    /// distance.
+    /// `free` is a collision-free configuration. Segments connected by a path shorter than twice their
+    /// radii are not checked; segments closer than `clear_m` must keep about that distance.
     pub fn from_configuration(
         chain: &Chain,
         free: &[f64],
@@ -87,7 +86,7 @@ impl Clearances {
         keep
     }
 
-    /// Of the lowest point, m; infinite for the fixed first segment.
+    /// Lowest point, m; infinite for the fixed first segment.
     fn height(&self, points: &[Vec3], at: usize) -> f64 {
         match at {
             0 => f64::INFINITY,
@@ -95,7 +94,7 @@ impl Clearances {
         }
     }
 
-    /// In configuration `q`.
+    /// First violation at `q`.
     pub fn first_violation(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
         let points = points(chain, q);
         let parts = self.pairs.iter().find_map(|&(i, j, least)| {
@@ -140,7 +139,6 @@ impl Clearances {
 }
 
 impl TargetVisibility {
-    /// Between the camera's z axis and the target, rad.
     fn angle(&self, base_from_hand: &Pose) -> f64 {
         let camera = base_from_hand * self.hand_from_camera;
         let seen = camera.inverse() * nalgebra::Point3::from(self.target);
@@ -157,7 +155,7 @@ pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
     std::iter::once(Vec3::zeros()).chain(joints).chain([tip]).collect()
 }
 
-/// M (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
+/// Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9.
 fn between(one: &[Vec3], other: &[Vec3]) -> f64 {
     const MIN_SQUARED_LENGTH: f64 = 1e-12;
     let (d1, d2, r) = (one[1] - one[0], other[1] - other[0], one[0] - other[0]);

@@ -4,7 +4,7 @@ use super::JointMargins;
 use ground::stream::JointTrack;
 use std::f64::consts::{PI, TAU};
 
-/// Of the fastest sine, to check limits.
+/// Rate for limit checks, by the fastest sine.
 const SAMPLES_PER_PERIOD: usize = 16;
 
 /// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`.
@@ -13,7 +13,7 @@ const SAMPLES_PER_PERIOD: usize = 16;
 pub struct FourierMotion {
     /// Start and end, rad or m.
     pub around: Vec<f64>,
-    /// Of the motion.
+    /// Motion's duration.
     pub seconds: f64,
     /// Before and after it.
     pub rest_s: f64,
@@ -61,7 +61,7 @@ impl FourierMotion {
         sum
     }
 
-    /// At `count` evenly spaced times.
+    /// Samples at `count` even times.
     pub fn track(&self, count: usize) -> JointTrack {
         let last = count.max(2) - 1;
         let mut track = JointTrack { dof: self.dof(), ..JointTrack::default() };

@@ -6,9 +6,9 @@ use ground::stream::JointTrack;
 /// Limited quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LimitKind {
-    /// Position.
+    /// Lowest position.
     Lower,
-    /// Position.
+    /// Highest position.
     Upper,
     /// Speed.
     Speed,
@@ -23,7 +23,7 @@ pub struct LimitViolation {
     pub joint: usize,
     /// Limited quantity.
     pub bound: LimitKind,
-    /// Of the largest violation.
+    /// Time of the largest violation.
     pub t_s: f64,
     /// Value then, SI units.
     pub value: f64,
@@ -82,7 +82,7 @@ pub fn limit_violations(
     speed: &[f64],
     acceleration: &[f64],
 ) -> Vec<LimitViolation> {
-    /// In a file.
+    /// Rounding in a file.
     const ROUNDING_TOLERANCE: f64 = 1e-6;
     /// For finite differences of rounded values.
     const DIFFERENCE_TOLERANCE: f64 = 1e-2;

@@ -49,7 +49,7 @@ impl Purpose {
         matches!(self, Purpose::Zeros | Purpose::Calibration | Purpose::Latency)
     }
 
-    /// On the command line and in reports.
+    /// Name on the command line and in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Purpose::Zeros => "zeros",
@@ -64,9 +64,9 @@ impl Purpose {
 /// Properties of the measurement; noise is per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
-    /// Of a position.
+    /// Position noise.
     pub noise_m: f64,
-    /// Of a rotation.
+    /// Rotation noise.
     pub noise_rad: f64,
     /// Pose rate.
     pub rate_hz: f64,

@@ -17,11 +17,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Of a 95 % interval.
+/// For a 95 % interval.
 const HALF_WIDTH_SIGMAS: f64 = 1.959_963_985;
 /// Over the workspace, to evaluate a calibrated model.
 const CONFIGURATIONS: usize = 150;
-/// Of the prior; an observable parameter is below it.
+/// Share of the prior; an observable parameter is below it.
 const MAX_STD_DEVIATION_SHARE: f64 = 0.5;
 /// On a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for unobservable
 /// parameters.
@@ -36,7 +36,7 @@ pub enum PlannedQuantity {
     ZeroBesideLinks(usize),
     /// Tip position of the calibrated model, rms m.
     FkPosition {
-        /// Over the workspace, not only the motion.
+        /// Over the workspace, not the motion.
         everywhere: bool,
     },
     /// Tip rotation, rms rad.
@@ -44,13 +44,13 @@ pub enum PlannedQuantity {
         /// Over the workspace.
         everywhere: bool,
     },
-    /// S.
+    /// Latency, s.
     Latency,
     /// Position along an axis (0 to 2), m.
     CameraShift(usize),
     /// Rotation about an axis, rad.
     CameraTurn(usize),
-    /// Rad/s.
+    /// Yaw drift, rad/s.
     YawDrift,
     /// IMU's world about the base's x or y (0 or 1), rad.
     Tilt(usize),
@@ -61,7 +61,7 @@ pub enum PlannedQuantity {
 pub struct ExpectedPrecision {
     /// Its quantity.
     pub quantity: PlannedQuantity,
-    /// Of the 95 % interval, or rms at the tip. Infinite if undetermined.
+    /// Half of the 95 % interval, or rms at the tip. Infinite if undetermined.
     pub half_width: f64,
 }
 
@@ -94,7 +94,6 @@ impl PrecisionQuery {
         covariance.select_rows(&self.requested).select_columns(&self.requested)
     }
 
-    /// Log determinant of the covariance; lower is better.
     fn score(&self, information: &DMatrix<f64>) -> f64 {
         let known = Self {
             prior: self.prior.iter().map(|before| before.min(WEAK_PRIOR)).collect(),
@@ -146,7 +145,7 @@ impl<'a> LinearizedMotion<'a> {
         })
     }
 
-    /// If the estimator uses at most `most` samples.
+    /// Information in at most `most` samples.
     fn information(&self, most: usize) -> DMatrix<f64> {
         let &Sensing { noise_m, noise_rad, rate_hz, .. } = self.sensing;
         let mut weights = self.linear.even_weights();
@@ -162,7 +161,6 @@ impl<'a> LinearizedMotion<'a> {
         }
     }
 
-    /// Appends the yaw drift about the middle of the motion.
     fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
         let (width, middle_s) = (information.ncols(), self.t_s[0] + 0.5 * self.seconds);
         let mut with = information.resize(width + 1, width + 1, 0.0);
@@ -276,7 +274,7 @@ impl<'a> LinearizedMotion<'a> {
         question.score(&self.information(most))
     }
 
-    /// Of the requested quantities.
+    /// Precision of the requested quantities.
     pub fn expected_precisions(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let each = |question: &PrecisionQuery,
                     most: usize,
@@ -379,7 +377,6 @@ pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) ->
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
 }
 
-/// By link frames, latency and zeros.
 fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
@@ -406,7 +403,6 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     )
 }
 
-/// Over the workspace, 0.1 s apart.
 fn random_configurations(chain: &Chain) -> JointTrack {
     let mut random = Pcg64::seed_from_u64(1);
     let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };

@@ -23,7 +23,7 @@ const RESULT_CLEARANCE_HZ: f64 = 50.0;
 /// Their median serves as a baseline.
 const INITIAL_MOTIONS: usize = 15;
 const SEARCH_STEPS: usize = 1500;
-/// Of the room, tried until the clearance is kept.
+/// Tried in turn until the clearance is kept.
 const MARGIN_SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
 
 /// Result of the search, with expected precisions.
@@ -33,11 +33,11 @@ pub struct MotionPlan {
     pub series: FourierMotion,
     /// Fraction of the room used.
     pub share: f64,
-    /// Of the motion.
+    /// This motion.
     pub precision: Vec<ExpectedPrecision>,
-    /// Of the median random motion within the limits.
+    /// Median random motion within the limits.
     pub random_precision: Vec<ExpectedPrecision>,
-    /// With the joints moving in turn for the same time.
+    /// Joints moving in turn for the same time.
     pub one_by_one_precision: Vec<ExpectedPrecision>,
 }
 
@@ -52,7 +52,7 @@ pub enum Infeasible {
     NothingObservable,
 }
 
-/// At the evaluation rows. `None` if these are more than 2 s apart during motion.
+/// Samples evaluation rows. `None` if these are more than 2 s apart during motion.
 pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
     let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
@@ -124,7 +124,6 @@ pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
 
 struct MotionSearch<'a> {
     task: &'a PlanRequirements<'a>,
-    /// Without rests.
     seconds: f64,
     rest_s: f64,
     harmonics: usize,

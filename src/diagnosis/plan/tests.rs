@@ -157,7 +157,7 @@ proptest! {
                     prop_assert!(near.is_none(), "{near:?} at row {row} of {rows}");
                 }
             }
-            // With few joints the quantity may be unobservable.
+            // Few joints may leave the quantity unobservable.
             Err(why) => prop_assert!(why != Infeasible::NoMargin, "{why:?}"),
         }
     }
@@ -228,7 +228,6 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     ));
 }
 
-/// With noise.
 fn logged(chain: &Chain, motion: &JointTrack, late_s: f64, zeros: &[f64], seed: u64) -> PoseTrack {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut normal = |sigma: f64| {

@@ -40,7 +40,7 @@ const MIN_WINDOW_S: f64 = 0.1;
 const COMMAND_PERIODS: f64 = 2.5;
 const STATE_PERIODS: f64 = 4.0;
 const MAX_DELAY_S: f64 = 2.0;
-/// Rad or m.
+/// In rad or m.
 const MIN_MOTION: f64 = 0.01;
 
 /// Estimates the delay per commanded joint. `q` has `order.len()` numbers per row (NaN without a command);

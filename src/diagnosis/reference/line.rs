@@ -43,9 +43,9 @@ pub struct CommandedLine {
 /// Largest deviation of the tip beyond noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineDeviation {
-    /// From the line through its own ends.
+    /// Distance from the line through its own ends.
     pub distance_m: MeasuredLength,
-    /// From the slerp between its own ends.
+    /// Angle from the slerp between its own ends.
     pub angle_rad: MeasuredLength,
 }
 
@@ -92,7 +92,7 @@ impl PoseMotion {
     }
 }
 
-/// With the deviation per observation.
+/// Detects lines and measures each observation's deviation.
 pub(super) fn detect_lines(
     series: &PoseSeries,
     holds: &[Hold],
@@ -172,7 +172,7 @@ fn identify_interpolation(
 ) -> Option<String> {
     /// Rms; smaller deviations are a slerp with rounded numbers.
     const MIN_SLERP_DEVIATION_RAD: f64 = 5e-4;
-    /// Of the slerp's residual.
+    /// Share of the slerp's residual.
     const MAX_RESIDUAL_SHARE: f64 = 0.05;
     let rms = |guess: &dyn Fn(f64) -> Rotation| {
         let square =
@@ -209,8 +209,8 @@ fn identify_interpolation(
     (least <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
-/// From the line and slerp between the rests before and after, so delay and constant pose errors have no
-/// effect.
+/// Compares with line and slerp between the rests before and after, so delay and constant pose errors have
+/// no effect.
 fn line_deviation(
     line: &CommandedLine,
     way: &PoseMotion,
@@ -218,7 +218,7 @@ fn line_deviation(
     stop: &Hold,
     witness: &MeasuredPoses<'_>,
 ) -> Option<LineDeviation> {
-    /// Of the rests averaged to locate the ends.
+    /// Rests averaged to locate the ends.
     const END_S: f64 = 0.3;
     /// In path length: m, plus a share.
     const MAX_LENGTH_DIFFERENCE: (f64, f64) = (5e-3, 0.1);

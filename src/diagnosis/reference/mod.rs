@@ -111,11 +111,11 @@ pub fn infer_joint_order(
 /// Joint states and chain to the commanded tip.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandedArm<'a> {
-    /// As recorded.
+    /// Joint states as recorded.
     pub joints: &'a JointTrack,
     /// Base to tip.
     pub chain: &'a Chain,
-    /// In `joints`, per joint of `chain`.
+    /// Column in `joints` per joint of `chain`.
     pub columns: &'a [usize],
 }
 
@@ -279,9 +279,9 @@ fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
     constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
 }
 
-/// M and rad.
+/// Noise of position, m, and rotation, rad.
 fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
-    /// Of the specification: 1 µm and 1 µrad.
+    /// From the specification: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-6;
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for rest in rests {
@@ -296,7 +296,7 @@ fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
         .map(|left: Vec<[f64; 3]>| Noise::estimate(&left, &vec![1.0; left.len()], FLOOR))
 }
 
-/// With autocorrelation.
+/// Accounts for autocorrelation.
 fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
     let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
     noise.sigma * noise.sigma * inflation
@@ -383,7 +383,7 @@ fn command_tracking(
     most_lag_s: f64,
 ) -> Option<CommandTracking> {
     const MIN_CORRELATION: f64 = 0.7;
-    /// Of the highest; the equal peak with the smallest lag is selected.
+    /// Below the highest peak; the equal one with the smallest lag is selected.
     const MAX_PEAK_DEFICIT: f64 = 0.03;
     let CommandedArm { joints, chain, columns } = *arm;
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
@@ -407,11 +407,11 @@ fn command_tracking(
     })
 }
 
-/// Rms m and rad between FK and the command `delay_s` earlier, while the arm moves.
+/// Distance and angle, rms m and rad, between FK and the command `delay_s` earlier, while the arm moves.
 fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
     /// More rows do not improve the rms.
     const ENOUGH: usize = 4000;
-    /// Of a moving arm, rad/s or m/s.
+    /// Speed of a moving arm, rad/s or m/s.
     const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);

@@ -8,7 +8,7 @@ use ground::stream::{JointTrack, sample_noise};
 /// In shorter rests the motion has not settled.
 pub(super) const MIN_REST_S: f64 = 0.1;
 
-/// Without joint motion.
+/// Interval without joint motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rest {
     pub from_s: f64,
@@ -46,7 +46,7 @@ pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
 
 fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     const HALF_WINDOW_S: f64 = 0.1;
-    /// Rad/s or m/s: 2 mm/s at a radius of 1 m.
+    /// In rad/s or m/s: 2 mm/s at a radius of 1 m.
     const MAX_REST_SPEED: f64 = 2e-3;
     const SIGMAS: f64 = 4.0;
     let (rows, dof) = (joints.len(), joints.dof);
@@ -116,7 +116,7 @@ pub(super) fn poses_within(
     series.poses[from..to].iter()
 }
 
-/// Of nearly equal poses. `None` if the interval has none.
+/// Mean of nearly equal poses. `None` if the interval has none.
 pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
     let first = poses_within(series, from_s, to_s).next()?;
     let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);

@@ -15,9 +15,9 @@ pub struct RestError {
     pub commanded: Pose,
     /// Mean measured `base_from_tip`.
     pub measured: Pose,
-    /// Between the two.
+    /// Distance between them.
     pub distance_m: MeasuredLength,
-    /// Between the two.
+    /// Angle between them.
     pub angle_rad: MeasuredLength,
     /// Column and `q_measured − q_commanded`, rad or m, per commanded joint.
     pub joints: Vec<(usize, Measured)>,
@@ -70,13 +70,13 @@ impl RestErrorSpread {
 /// Following of a command stream by FK during motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandTracking {
-    /// Of the arm.
+    /// Delay of the arm.
     pub delay_s: f64,
-    /// Of the speeds at that delay.
+    /// Speed correlation at that delay.
     pub correlation: f64,
     /// Following error at equal stamps, rms m and rad.
     pub rms: (f64, f64),
-    /// After compensating the delay.
+    /// Error after compensating the delay.
     pub compensated: (f64, f64),
 }
 

@@ -3,13 +3,13 @@ use super::*;
 use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use ground::robot::catalogue;
 
-/// From 0 to 1 over one second.
+/// Smooth step over one second.
 fn blend(t_s: f64, from_s: f64) -> f64 {
     let u = (t_s - from_s).clamp(0.0, 1.0);
     u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
 }
 
-/// Over 6 s.
+/// Stamps over 6 s.
 fn times(rate_hz: f64) -> Vec<f64> {
     (0..(6.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect()
 }

@@ -51,7 +51,7 @@ impl<'a> OrientationModel<'a> {
         }
     }
 
-    /// Without changes.
+    /// Free parameters without changes.
     fn constant_parameters(moves: bool) -> Vec<usize> {
         let moving = [Self::LATENCY, Self::SKEW].into_iter().filter(move |_| moves);
         Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).chain(moving).collect()
@@ -116,7 +116,7 @@ impl<'a> OrientationModel<'a> {
         const MAX_RESIDUAL_RATIO: f64 = 0.5;
         /// Relative to those with a jump.
         const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
-        /// Of the walk that remains.
+        /// Share of the walk that remains.
         const MAX_WALK_SHARE: f64 = 0.3;
         let (linear, rows) = self.linearized();
         let asked = ExtensionTests::new(
