@@ -341,7 +341,7 @@ const SETTLE_SCALE: &str = "the scale of the target positions (lens, target size
 
 /// Fault of a chain that closes because the camera pose absorbs a wrong scale.
 fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
-    /// Ratio of significances from which the two factors are interchangeable.
+    /// Minimum ratio of significances for interchangeable factors.
     const MIN_SIGNIFICANCE_RATIO: f64 = 0.7;
     let scale = &solution.scale;
     let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();

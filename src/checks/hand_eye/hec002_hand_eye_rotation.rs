@@ -44,7 +44,7 @@ rule! {
     }
 }
 
-/// A shorter run is no calibration attempt, s.
+/// Minimum duration of a calibration attempt, s.
 const MIN_DURATION_S: f64 = 3.0;
 
 fn check(case: &Case) -> Vec<SubjectResult> {

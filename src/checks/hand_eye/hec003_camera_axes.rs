@@ -90,7 +90,7 @@ fn body_from_optical() -> Rotation {
     rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2])
 }
 
-/// Convention in which a target in this direction is ahead.
+/// Convention that puts a target in this direction ahead.
 fn axes_of_view(view: [f64; 3]) -> Option<CameraAxes> {
     let view = Vec3::from(view);
     let along = |axis: Vec3| view.dot(&axis) > MAX_VIEW_ANGLE_RAD.cos() * view.norm().max(1e-9);

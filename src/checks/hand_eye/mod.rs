@@ -1,4 +1,4 @@
-//! Hand-eye chains: a camera, a target, and the hand that moves one of them.
+//! Hand-eye chains: camera, target and the hand that moves one.
 
 mod chain;
 pub(super) mod hec001_hand_eye_closure;

@@ -23,9 +23,9 @@ rule! {
     /// hand-eye calibrations and makes visual servoing oscillate.
     ///
     /// ## Evidence
-    /// The lag at which the stream best follows forward kinematics, with sub-sample resolution and an
-    /// interval that allows for correlated noise. For a camera target it is the lag at which the hand-eye
-    /// chain closes best, fitted together with the camera's pose.
+    /// The lag that best aligns the stream with forward kinematics, with sub-sample resolution and an
+    /// interval that allows for correlated noise. For a camera target: the lag that best closes the
+    /// hand-eye chain, fitted together with the camera's pose.
     ///
     /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
     /// of the two is off, `indistinguishable` lists the other one.
@@ -64,7 +64,7 @@ struct StreamLatency<'a> {
     /// Stamps independent of the joint states'.
     has_independent_stamps: bool,
     latency: &'a EstimateResult<Measured>,
-    /// Skewed delays, of which the latency is the median.
+    /// Skewed delays; the latency is their median.
     delays: Option<&'a DelayJitter>,
 }
 
@@ -326,7 +326,7 @@ fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     stream.delays.map(mean).unwrap_or_default()
 }
 
-/// For a latency of half the tick to which the stamps of the stream (then early) or of the joint states are
+/// For a latency of half a tick, if the stamps of the stream (then early) or of the joint states are
 /// truncated.
 fn tick_suffix(
     case: &Case,

@@ -10,7 +10,7 @@ rule! {
     ///
     /// ## What it means
     /// One to three consecutive samples of a joint, pose or transform are at least five times as far from
-    /// their neighbours as any samples nearby, and the motion then continues from where it was. No arm
+    /// their neighbours as any samples nearby, and the motion then continues from its old place. No arm
     /// moves like that.
     ///
     /// ## Why it matters
@@ -25,7 +25,7 @@ rule! {
     /// - The estimate is the longest jump as logged, or the largest angle if no position jumps.
     ///
     /// ## How to fix
-    /// Check what is published then: a zero pose before the first measurement, a bit error between encoder
+    /// Check the source at that time: a zero pose before the first measurement, a bit error between encoder
     /// and driver, a tracker that locked on another target, or a second publisher. Drop such samples, or
     /// repeat the last valid one, at the source.
     ///

@@ -13,9 +13,8 @@ rule! {
     /// values arrive, or a node that upsamples by repetition.
     ///
     /// ## Why it matters
-    /// The stamps claim new values, but each value is as old as it was held. Differentiation gives
-    /// standstills and jumps, impossible accelerations and vibration at the true rate. Joining by stamp is
-    /// late by half the hold time.
+    /// The stamps hide the age of the values. Differentiation gives standstills and jumps, impossible
+    /// accelerations and vibration at the true rate. Joining by stamp is late by half the hold time.
     ///
     /// ## Evidence
     /// - `repeated` of `rows` in motion repeat the previous row.
