@@ -1,7 +1,5 @@
-//! Audits robot-arm pose logs.
-//!
-//! poseaudit reads one recorded run of a robot arm, recomputes its poses by forward kinematics, and finds
-//! wrong poses, timestamps and conventions, with their size and uncertainty.
+//! Audits robot-arm pose logs: reads one recorded run, recomputes its poses by forward kinematics, and
+//! finds wrong poses, timestamps and conventions, with size and uncertainty.
 //!
 //! ```no_run
 //! let options = poseaudit::Options { logs: vec!["run.mcap".into()], ..Default::default() };
@@ -15,9 +13,8 @@
 //!
 //! Data flows in one direction: bytes → [`log`] → [`run`] → [`evidence`] → [`checks`] → [`report`] →
 //! [`output`]. [`diagnosis`] estimates causes with models of [`robot`]. [`stream`], [`geometry`] and
-//! [`time`] are the base modules. [`desk`] is independent of this pipeline: it converts and compares single
-//! poses.
-// Public items document units and frames, and input from files must not cause a panic.
+//! [`time`] are the base modules. [`desk`] converts and compares single poses.
+// Public items document units and frames; input must not cause a panic.
 #![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(
     not(all(feature = "fix", feature = "recording", feature = "tables")),
@@ -56,8 +53,8 @@ use run::Run;
 /// Audits one run without writing files.
 ///
 /// # Errors
-/// If the call is invalid or the log cannot be read. A log without an arm or a model returns a report with
-/// [`Report::error`] set.
+/// If the call is invalid or the log cannot be read. Without an arm or a model, [`Report::error`] is set
+/// instead.
 pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     options.places().check()?;
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
@@ -70,16 +67,15 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, given)
 }
 
-/// Audits the data read so far of a log that is still being written ([`log::LogFollower`]). Corrections are not
-/// applied.
+/// Audits the data so far of a growing log ([`log::LogFollower`]), without corrections.
 ///
 /// # Errors
-/// If the call is invalid. A log without an arm or a model returns a report with the error.
+/// If the call is invalid. Without an arm or a model, the report has the error.
 pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, None)
 }
 
-/// Lists the topics of a log, with the role of each and why, without an audit.
+/// Lists the topics of a log with their roles, without an audit.
 ///
 /// # Errors
 /// If the log cannot be read.

@@ -1,8 +1,8 @@
-//! The inputs and outputs of a call: no output may overwrite an input or another output.
+//! Inputs and outputs of a call: no output may overwrite an input or another output. Checked before
+//! anything is read.
 //!
-//! Existing files are identified by device and inode, so links and different spellings of a path are the
-//! same file. New files are identified by their folder and name. Everything is checked before anything is
-//! read.
+//! Existing files are identified by device and inode, whatever their links and spelling, new ones by folder
+//! and name.
 
 use std::collections::HashSet;
 use std::fs::{self, Metadata};
@@ -13,7 +13,7 @@ use crate::config::FILE_NAME;
 use crate::log;
 use crate::report::{Trouble, TroubleKind, is_descriptor, replaceable};
 
-/// The files and folders of a call.
+/// Files and folders of a call.
 #[derive(Clone, Debug, Default)]
 pub struct Places {
     inputs: Vec<(&'static str, Place)>,
@@ -21,7 +21,7 @@ pub struct Places {
     outputs: Vec<Output>,
 }
 
-/// A folder in which any file may be read.
+/// A folder whose files may all be read.
 #[derive(Clone, Debug)]
 struct Tree {
     folder: Place,
@@ -30,18 +30,17 @@ struct Tree {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Content {
-    /// A log: a file added to it would become part of the log.
+    /// Files added to it would become part of it.
     Log,
-    /// Meshes: only existing files are read.
+    /// Only existing files are read.
     Meshes,
-    /// Fleet result tables.
+    /// Fleet results.
     Results,
 }
 
-/// A file to write, or a folder to write files into.
+/// A file, or a folder for files.
 #[derive(Clone, Debug)]
 struct Output {
-    /// The option that names it.
     option: &'static str,
     place: Place,
     kind: Kind,
@@ -50,41 +49,40 @@ struct Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     File,
-    /// A folder whose other files are kept.
+    /// Its other files are kept.
     Folder,
-    /// A folder reserved for the files of this option.
+    /// Reserved for this option.
     Own,
 }
 
-/// Location of a file that exists or will be created.
+/// A file that exists or will be created.
 #[derive(Clone, Debug)]
 struct Place {
-    /// The path as given.
     given: PathBuf,
-    /// The path without links, `.` and `..`.
+    /// Without links, `.` and `..`.
     path: PathBuf,
-    /// Metadata of the existing file.
+    /// If it exists.
     metadata: Option<Metadata>,
 }
 
 impl Places {
-    /// Registers the input `path`, described by `what`.
+    /// Registers an input.
     pub fn reads(&mut self, what: &'static str, path: &Path) {
         self.inputs.push((what, Place::of(path)));
     }
 
-    /// Registers a folder of meshes, in which any file may be read.
+    /// Registers a folder of meshes.
     pub fn reads_below(&mut self, folder: &Path) {
         self.trees.push(Tree { folder: Place::of(folder), content: Content::Meshes });
     }
 
-    /// Registers a folder of fleet results as input.
+    /// Registers fleet results as input.
     pub fn reads_results(&mut self, folder: &Path) {
         self.trees.push(Tree { folder: Place::of(folder), content: Content::Results });
     }
 
-    /// Registers the log at `path`: a file with its sidecars, or a folder with its content. Objects in
-    /// remote stores are ignored, and so is a `#episode` suffix.
+    /// Registers a log: a file with its sidecars, or a folder. Ignores remote objects and a `#episode`
+    /// suffix.
     pub fn reads_log(&mut self, path: &Path) {
         let Some(path) = log::local(path) else { return };
         let (path, _) = log::split_episode(&path);
@@ -96,7 +94,7 @@ impl Places {
                 .last()
                 .is_some_and(|tree| tree.content == Content::Log && tree.folder.given == *folder)
         };
-        // Consecutive episodes of a dataset share a folder.
+        // Consecutive episodes share a folder.
         let folder = folder.filter(|folder| !is_last(folder));
         let content = Content::Log;
         self.trees.extend(folder.map(|folder| Tree { folder: Place::of(&folder), content }));
@@ -106,22 +104,22 @@ impl Places {
         self.reads("the log", &path);
     }
 
-    /// Checks that stdout and stderr do not lead to one of `logs`, for a command without other outputs.
+    /// For commands without other outputs: checks stdout and stderr.
     ///
     /// # Errors
-    /// If one does.
+    /// If one leads to one of `logs`.
     pub fn only_read<'a>(logs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Trouble> {
         let mut places = Self::default();
         logs.into_iter().for_each(|log| places.reads_log(log));
         places.check()
     }
 
-    /// Registers the output file `path` of `option`.
+    /// Registers an output file.
     pub fn writes(&mut self, option: &'static str, path: &Path) {
         self.outputs.push(Output { option, place: Place::of(path), kind: Kind::File });
     }
 
-    /// Registers output files with these `names` in `folder`.
+    /// Registers output files in `folder`.
     pub fn writes_into(
         &mut self,
         option: &'static str,
@@ -132,15 +130,15 @@ impl Places {
         names.into_iter().for_each(|name| self.writes(option, &folder.join(name)));
     }
 
-    /// Registers `folder` as reserved for `option`.
+    /// Reserves `folder` for `option`.
     pub fn keeps(&mut self, option: &'static str, folder: &Path) {
         self.outputs.push(Output { option, place: Place::of(folder), kind: Kind::Own });
     }
 
-    /// Checks that no output overwrites an input or another output.
+    /// Checks all outputs.
     ///
     /// # Errors
-    /// If one would, or if an output cannot be written as a file or folder.
+    /// If one would overwrite an input or another output, or cannot be written.
     pub fn check(&self) -> Result<(), Trouble> {
         let standard = [standard(&io::stdout()), standard(&io::stderr())];
         for stream in standard.iter().flatten() {
@@ -188,7 +186,7 @@ impl Places {
 }
 
 impl Tree {
-    /// Explains why `output` may not be written. `None` if it may.
+    /// Why `output` may not be written, if so.
     fn refuses(&self, output: &Output) -> Option<String> {
         let Output { place, kind, .. } = output;
         let exists = place.metadata.is_some();
@@ -196,7 +194,7 @@ impl Tree {
         let folder = self.folder.given.display();
         match self.content {
             _ if exists && *kind == Kind::File && self.loses(place).is_some() => self.loses(place),
-            // A config belongs next to the log without being part of it.
+            // A config beside the log is not part of it.
             Content::Log if place.path.ends_with(FILE_NAME) && *kind == Kind::File => None,
             Content::Log if is_inside => {
                 Some(format!("it is inside the log {folder}, and would become part of it"))
@@ -205,8 +203,7 @@ impl Tree {
         }
     }
 
-    /// Explains why an existing file may not be replaced: it is inside the folder, or a link inside leads
-    /// to it.
+    /// Why an existing file may not be replaced: it is in the folder, or a link inside leads to it.
     fn loses(&self, place: &Place) -> Option<String> {
         let own = place.metadata.as_ref().filter(|metadata| metadata.is_file())?;
         let folder = self.folder.given.display();
@@ -225,7 +222,7 @@ impl Tree {
     }
 }
 
-/// Whether `file` is inside `folder`, directly or through a link.
+/// Directly or through a link.
 fn holds(folder: &Path, file: &Metadata) -> bool {
     let (mut open, mut seen) = (vec![folder.to_owned()], HashSet::new());
     while let Some(folder) = open.pop() {
@@ -246,7 +243,7 @@ fn holds(folder: &Path, file: &Metadata) -> bool {
 }
 
 impl Output {
-    /// Whether two outputs cannot both be written.
+    /// Whether they cannot both be written.
     fn collides(&self, other: &Self) -> bool {
         let (a, b) = (&self.place, &other.place);
         if a.is_device() || b.is_device() {
@@ -267,18 +264,17 @@ impl Place {
         Self { given: given.to_owned(), path, metadata }
     }
 
-    /// Whether both are the same file.
+    /// Whether they are the same file.
     fn is(&self, other: &Self) -> bool {
         let same = self.metadata.as_ref().zip(other.metadata.as_ref());
         self.path == other.path || same.is_some_and(|(a, b)| is_same(a, b))
     }
 
-    /// Whether it is neither file nor folder, such as a pipe: nothing is overwritten there.
+    /// Such as a pipe: nothing is overwritten.
     fn is_device(&self) -> bool {
         self.metadata.as_ref().is_some_and(|is| !is.is_file() && !is.is_dir())
     }
 
-    /// Checks that an output of this kind may be at this place.
     fn can_be(&self, kind: Kind) -> Result<(), String> {
         let is_folder = self.metadata.as_ref().map(Metadata::is_dir);
         match (kind, is_folder) {
@@ -297,7 +293,7 @@ impl Place {
     }
 }
 
-/// `path` without links, `.` and `..`, even if its end does not exist yet.
+/// Without links, `.` and `..`, even for a new file.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let known = path.ancestors().find_map(|above| Some((above, fs::canonicalize(above).ok()?)));
@@ -323,7 +319,7 @@ fn is_same(_: &Metadata, _: &Metadata) -> bool {
     false
 }
 
-/// The file that a standard stream is redirected to.
+/// Redirection of a standard stream.
 #[cfg(unix)]
 fn standard(stream: &impl std::os::fd::AsFd) -> Option<Place> {
     let file = fs::File::from(stream.as_fd().try_clone_to_owned().ok()?);

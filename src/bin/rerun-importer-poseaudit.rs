@@ -1,9 +1,8 @@
-//! Rerun importer: shows the audit of a log opened in the Rerun viewer.
-//!
-//! The viewer runs the programs `rerun-importer-*` on the PATH for each opened file, for MCAP in addition
-//! to its own reader (0.36 to 0.41). Arguments are the file and the recording that it belongs to
+//! Rerun importer: shows the audit of a log opened in the Rerun viewer. The viewer (0.36 to 0.41) runs the
+//! programs `rerun-importer-*` on the PATH for each opened file, for MCAP in addition to its own reader,
+//! with the file and its recording as arguments
 //! (<https://rerun.io/docs/concepts/logging-and-ingestion/importers/overview>). The program writes a
-//! recording to stdout; exit status 66 means that it does not handle the file.
+//! recording to stdout.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -18,7 +17,7 @@ use poseaudit::output::replay::Recording;
 #[global_allocator]
 static MEMORY: ReportingAllocator = ReportingAllocator;
 
-/// Exit status for a file that is not a log, or whose audit adds nothing.
+/// Not a log, or nothing to add.
 const INCOMPATIBLE: u8 = 66;
 
 fn main() -> ExitCode {
@@ -36,7 +35,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// The viewer's request.
 #[derive(Debug, PartialEq, Eq)]
 struct Call {
     log: PathBuf,
@@ -45,7 +43,7 @@ struct Call {
 }
 
 impl Call {
-    /// Parses the arguments. Ignores options without effect on an audit, and unknown ones of later viewers.
+    /// Ignores irrelevant and unknown options.
     fn of(arguments: impl Iterator<Item = OsString>) -> Option<Self> {
         let mut call = Self { log: PathBuf::new(), application: None, recording: None };
         let mut arguments = arguments.peekable();
@@ -73,14 +71,14 @@ impl Call {
                 _ => {}
             }
         }
-        // The layers belong to the recording that is already open, if there is one.
+        // Layers belong to the recording that is open, if any.
         let Self { log, application, recording } = call;
         let call =
             Self { log, application: opened.0.or(application), recording: opened.1.or(recording) };
         (!call.log.as_os_str().is_empty()).then_some(call)
     }
 
-    /// Writes the recording of the log's audit to stdout. `false` if nothing was recorded.
+    /// `false` if nothing was recorded.
     fn import(&self) -> io::Result<bool> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("audit.rrd");

@@ -1,4 +1,4 @@
-//! Audits of files given by the page.
+//! Audits files from the page.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,9 +17,8 @@ use crate::{Answer, misuse};
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
-    /// Name and kind of each file.
     files: Vec<File>,
-    /// Catalogue name of a robot.
+    /// Catalogue name.
     robot: Option<String>,
 }
 
@@ -68,7 +67,7 @@ fn written(report: &Report, format: &str) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// The exit status of the same call on the command line.
+/// Exit status on the command line.
 fn status(report: &Report) -> u8 {
     match (&report.error, report.verdict) {
         (Some(Trouble { kind: TroubleKind::Call, .. }), _) => 2,
@@ -80,7 +79,7 @@ fn status(report: &Report) -> u8 {
 }
 
 impl Asked {
-    /// The options of the audit, and the words of the equivalent command line.
+    /// Options, and the words of the equivalent command line.
     fn options(&self, files: Vec<Bytes>) -> Result<(Options, Vec<String>), Trouble> {
         let (mut logs, mut robots, mut configs) = (Vec::new(), Vec::new(), Vec::new());
         for (File { name, kind }, content) in self.files.iter().zip(files) {
@@ -107,8 +106,7 @@ impl Asked {
         });
         let given: Vec<RobotSource> = given.collect();
         let named = self.robot.as_deref().map(RobotSource::from);
-        // Robots of the config are read from the given files. A given model that the config does not name
-        // is the robot.
+        // A given model that the config does not name is the robot.
         for source in &mut run.robots {
             let file = given.iter().find(|file| file.model == source.model);
             source.text = file.and_then(|file| file.text.clone());

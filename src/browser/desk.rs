@@ -1,4 +1,4 @@
-//! Conversion and comparison of pasted poses.
+//! Converts and compares pasted poses.
 
 use std::io;
 
@@ -12,19 +12,17 @@ use serde::Deserialize;
 
 use crate::{Answer, misuse};
 
-/// A request with pasted poses.
+/// Request with pasted poses.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
-    /// Pose A.
     pose: String,
-    /// Encoding of pose A; unset parts are inferred.
+    /// Unset parts are inferred.
     coded: Option<String>,
-    /// Pose B, which should agree with A.
+    /// Should agree with A.
     other: Option<String>,
-    /// Encoding of pose B.
     other_coded: Option<String>,
-    /// Catalogue name of an arm whose fixed frames may lie between the two.
+    /// Catalogue arm whose fixed frames may lie between them.
     robot: Option<String>,
 }
 

@@ -1,5 +1,4 @@
-//! Functions called by the page's worker. An instance answers one question and is discarded with its
-//! memory.
+//! Functions for the page's worker. An instance answers one question and is discarded with its memory.
 #![allow(unsafe_code, reason = "bytes are passed by address")]
 
 use std::panic;
@@ -12,32 +11,31 @@ use crate::answer;
 
 #[link(wasm_import_module = "page")]
 unsafe extern "C" {
-    /// Receives the current step and the number of bytes read and in total.
+    /// Current step, bytes read, bytes in total.
     fn step(doing: *const u8, length: usize, read: f64, total: f64);
-    /// Receives the message of a panic.
+    /// Message of a panic.
     fn failed(said: *const u8, length: usize);
 }
 
-/// The files of the question, in its order.
+/// In the order of the question.
 static FILES: Mutex<Vec<Bytes>> = Mutex::new(Vec::new());
 
-/// Allocates `bytes` bytes, to be filled by the caller and returned to `file` or `ask`. Null if out of
-/// memory.
+/// Allocates memory that the caller fills and passes to `file` or `ask`. Null if out of memory.
 #[unsafe(no_mangle)]
 pub extern "C" fn room(bytes: usize) -> *mut u8 {
     let mut room = Vec::<u8>::new();
     if room.try_reserve_exact(bytes).is_err() {
         return std::ptr::null_mut();
     }
-    // Exact capacity, as `Vec::from_raw_parts` in `filled` requires.
+    // Exact capacity for `Vec::from_raw_parts`.
     room.resize(bytes, 0);
     room.leak().as_mut_ptr()
 }
 
-/// Takes the next file of the question.
+/// Takes the next file.
 ///
 /// # Safety
-/// `at` must come from `room(bytes)`, be filled, and be passed only once.
+/// `at` must come from `room(bytes)`, be filled, and be passed once.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn file(at: *mut u8, bytes: usize) {
     // SAFETY: guaranteed by the caller.
@@ -45,7 +43,7 @@ pub unsafe extern "C" fn file(at: *mut u8, bytes: usize) {
     FILES.lock().unwrap_or_else(PoisonError::into_inner).push(content.into());
 }
 
-/// Answers the question given as JSON. Returns the length of the answer, followed by the answer as JSON.
+/// Answers a JSON question. Returns the answer's length and its JSON.
 ///
 /// # Safety
 /// As for `file`.
@@ -61,7 +59,7 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     let files = std::mem::take(&mut *FILES.lock().unwrap_or_else(PoisonError::into_inner));
     let told = Mutex::new((0, ""));
     let progress = Progress::with_callback(move |progress| {
-        // Limited to 200 updates.
+        // At most 200 updates.
         let (read, total, doing) = (progress.read(), progress.total(), progress.activity());
         let now = (200 * read / total.max(1), doing);
         if std::mem::replace(&mut *told.lock().unwrap_or_else(PoisonError::into_inner), now) != now
@@ -76,7 +74,7 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     [length.to_le_bytes().as_slice(), &text].concat().leak().as_ptr()
 }
 
-/// Reclaims the memory allocated by `room`.
+/// Reclaims memory of `room`.
 ///
 /// # Safety
 /// As for `file`.

@@ -1,7 +1,5 @@
-//! poseaudit in a browser: takes a log as bytes and returns the report as a page.
-//!
-//! [`answer`] takes a [`Question`] with its files and returns the content of the page. `exports` has the C
-//! functions that the page's worker calls; they need no binding generator.
+//! poseaudit in a browser: [`answer`] takes a [`Question`] with its files and returns the page's content.
+//! `exports` has the C functions for the page's worker, without a binding generator.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 mod audit;
@@ -14,31 +12,30 @@ use poseaudit::log::Progress;
 use poseaudit::report::Trouble;
 use serde::{Deserialize, Serialize};
 
-/// A request of the page.
+/// Request of the page.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Question {
-    /// An audit of one run.
+    /// Audit of one run.
     Audit(audit::Asked),
     /// One pose in every convention, or a comparison of two.
     Desk(desk::Asked),
 }
 
-/// The answer to the page.
+/// Answer to the page.
 #[derive(Debug, Default, Serialize)]
 pub struct Answer {
-    /// Exit status of the same call on the command line.
+    /// Exit status on the command line.
     pub status: u8,
-    /// One line on what is wrong with the call or the log.
+    /// One line on an invalid call or log.
     pub error: Option<String>,
-    /// The answer as JSON, as on the command line.
+    /// JSON, as on the command line.
     pub json: String,
-    /// The answer for people: a page for an audit, text for a pose.
+    /// A page for an audit, text for a pose.
     pub shown: String,
 }
 
-/// Answers the question `question` (JSON). `files` are its files, in its order. Reports each step to
-/// `progress`.
+/// Answers the JSON `question`, with `files` in its order. Reports steps to `progress`.
 pub fn answer(question: &str, files: Vec<Bytes>, progress: Progress) -> Answer {
     let answered = match serde_json::from_str(question) {
         Ok(Question::Audit(asked)) => audit::answer(&asked, files, progress),
@@ -55,7 +52,6 @@ fn refused(trouble: &Trouble) -> Answer {
     Answer { status: 2, error: Some(trouble.to_string()), ..Answer::default() }
 }
 
-/// A trouble with the request.
 fn misuse(place: &str, what: impl ToString, remedy: &str) -> Trouble {
     let (what, place, remedy) = (what.to_string(), place.to_owned(), remedy.to_owned());
     Trouble { kind: poseaudit::report::TroubleKind::Call, what, place, remedy }

@@ -12,7 +12,6 @@ use super::how::{How, first};
 use super::progress::watched;
 use super::{Outcome, misuse, output, reports, say, statistics, view};
 
-/// The option for a baseline file.
 const BASELINE: &str = "--write-baseline";
 
 /// Audit one recorded run: find wrong poses, timestamps and conventions, with size and uncertainty
@@ -83,7 +82,7 @@ pub struct Args {
     require: Vec<Selector>,
 }
 
-/// The options of the audit, after checking that no output overwrites an input.
+/// The options, checked so that no output overwrites an input.
 fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     let options = Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..how };
     let mut places = options.places();
@@ -111,7 +110,7 @@ impl Args {
         Some(Recording { path, mesh_roots, ..Recording::default() })
     }
 
-    /// Writes the outputs other than the report. Returns those that failed.
+    /// Returns the outputs that failed.
     fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
         let recorded = self.rrd.as_deref().zip(self.recording());
         let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
@@ -123,7 +122,6 @@ impl Args {
         unwritten.collect()
     }
 
-    /// Writes the report or the statistics, and the baseline.
     fn emit(&self, report: &Report) -> Result<(), Trouble> {
         let written = match self.statistics {
             true => statistics::emit(report, &self.reports),
@@ -137,12 +135,12 @@ impl Args {
             (Some(path), Some(format)) => reports::emit(format, report, Some(path)),
             _ => Ok(()),
         };
-        // An error in one does not prevent the other.
+        // One error does not prevent the other.
         written.and(kept)
     }
 }
 
-/// Checks that the mesh folders exist and that a recording is written.
+/// Mesh folders must exist, and a recording must be written.
 fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
     if let Some(missing) = args.mesh_roots.iter().find(|root| !root.is_dir()) {
         let place = missing.display().to_string();
@@ -163,7 +161,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
     args.how.find_config(&args.logs)?;
     meshes_can_be_drawn(&args)?;
-    // Before the config is read, so that an error report about it cannot overwrite a file.
+    // Before reading the config: an error report must not overwrite a file.
     asked(&args, args.how.named())?;
     let viewer = args.view.then(|| view::viewer(view::OPTION)).transpose()?;
     if viewer.is_some() && args.rrd.is_none() {
@@ -194,7 +192,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         }
     };
     let report = report.called(&asked_alone());
-    // The report is written even if another output failed.
+    // Even if another output failed.
     let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
     emitted?;
@@ -213,7 +211,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     Ok(outcome)
 }
 
-/// The words of the call without output options and verbosity.
+/// The call without output options and verbosity.
 fn asked_alone() -> Vec<String> {
     const WITH_VALUE: [&str; 9] = [
         "--format",
@@ -229,7 +227,7 @@ fn asked_alone() -> Vec<String> {
     const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
     let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
     let words: Vec<String> = words.collect();
-    // Words after a final `--` are logs only if none is an option.
+    // Words after a final `--` are logs if none is an option.
     let is_plain = |word: &String| word == "--" || !word.starts_with('-');
     let logs =
         words.iter().rposition(|word| word == "--").filter(|&at| words[at..].iter().all(is_plain));

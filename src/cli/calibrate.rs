@@ -49,8 +49,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let Args { logs, mut how, out, topic, format } = args;
     how.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
-    // Before the config is read, so that an error in it is not reported before a file that would be
-    // overwritten.
+    // Before reading the config, so a file that would be overwritten is reported first.
     let mut places = with(how.named()).places();
     poseaudit::output::calibration::enter(&out, &mut places);
     places.check()?;

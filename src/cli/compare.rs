@@ -80,15 +80,14 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     Ok(if comparison.regression || is_open { Outcome::Findings } else { Outcome::Clean })
 }
 
-/// Side of the comparison.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Old,
     New,
 }
 
-/// The report at `path`, or of the log at `path`. For a new log that cannot be audited, a report of that
-/// error, which is worse than any baseline.
+/// The report at `path`, or of that log. A new log that cannot be audited yields a report that is worse
+/// than any baseline.
 fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
     if is_json(path) {
         return Report::from_file(path);
@@ -101,20 +100,19 @@ fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
             Ok(Report::of_trouble(trouble))
         }
-        // A file that is neither a log nor a report is an invalid call, and an unreadable OLD cannot be a
-        // baseline.
+        // An unreadable OLD cannot be a baseline, and other files are invalid calls.
         Err(trouble) => Err(Trouble { kind: TroubleKind::Call, ..trouble }),
         Ok(audited) => Ok(audited.into_report()),
     }
 }
 
-/// Whether a file that could not be audited is a log, possibly damaged.
+/// Whether the file is a log, possibly damaged.
 fn is_log(path: &Path) -> bool {
     let opened = log::open(&[path.to_owned()], &ReadOptions::default());
     !matches!(opened, Err(LogError::NotALog { .. } | LogError::Unsupported { .. }))
 }
 
-/// Whether the first character of a file opens a JSON object.
+/// Whether the first character opens a JSON object.
 fn is_json(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(64).read_to_end(&mut head));

@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// The chain between two links of a robot. Defaults to the robot's usual base and tip.
+/// Chain between two links. Defaults to the usual base and tip.
 pub(super) fn chain(
     robot: &Robot,
     base: Option<&str>,
@@ -101,7 +101,6 @@ pub(super) fn chain(
     })
 }
 
-/// Converts positions to SI units.
 fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
     use poseaudit::robot::JointKind::Prismatic;
     for row in q.chunks_mut(chain.dof()) {
@@ -158,7 +157,6 @@ fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
     })
 }
 
-/// The rows of the homogeneous matrix.
 pub(super) fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
     let matrix = pose.to_homogeneous();
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
@@ -170,11 +168,10 @@ fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::R
     write_pose(pose, out)
 }
 
-/// Writes position, quaternion, angles and matrix of a pose, one per line.
 pub(super) fn write_pose(pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64], digits: usize| {
         let number = |number: &f64| {
-            // Adding zero turns a negative zero into a positive one.
+            // Adding zero makes a negative zero positive.
             let scale = 10_f64.powi(digits as i32);
             let rounded = (number * scale).round() / scale + 0.0;
             format!("{:>1$.2$}", rounded, digits + 5, digits)

@@ -25,7 +25,7 @@ use super::output::Format;
 use super::progress::Logs;
 use super::{Outcome, fleet_report, misuse, output};
 
-/// Minimum default memory limit per log, bytes.
+/// Default limit per log, at least.
 const LEAST_MEMORY_BYTES: u64 = 512 << 20;
 
 /// Audit many logs, each in its own process, and store the results as Parquet
@@ -137,7 +137,7 @@ fn label(text: &str) -> Result<(String, String), String> {
     }
 }
 
-/// A size in bytes, with an optional unit KiB, MiB or GiB (K, M, G).
+/// Bytes, with an optional unit KiB, MiB or GiB (K, M, G).
 fn size_bytes(text: &str) -> Result<u64, String> {
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let shift = match text[end..].trim().to_ascii_lowercase().as_str() {
@@ -186,7 +186,6 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-/// The inputs and outputs of the call.
 fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
     let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
@@ -210,7 +209,7 @@ fn list_pending(
         for source in &left {
             match is_url(&source.path) {
                 true => write!(to, "{}", SourceName::from_path(&source.path))?,
-                // Unencoded, because paths may contain any bytes.
+                // Paths may contain any bytes.
                 false => to.write_all(source.path.as_os_str().as_encoded_bytes())?,
             }
             writeln!(to)?;
@@ -252,10 +251,10 @@ fn audit(
     outcomes
 }
 
-/// The command line of a worker: this call with `--worker`.
+/// This call with `--worker`.
 fn worker() -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
-    // Only global options may precede the name of the command.
+    // Only global options may precede the command.
     let args: Vec<OsString> = std::env::args_os().skip(1).collect();
     let name = args.iter().position(|word| word == "fleet").map_or(0, |at| at + 1);
     command.args(&args[..name]).arg("--worker").args(&args[name..]);
@@ -268,18 +267,17 @@ fn work(options: &Options, store: &Store, paged: bool) -> Result<Outcome, Troubl
     Ok(Outcome::Clean)
 }
 
-/// Summary of a call.
 #[derive(Serialize)]
 struct Summary<'a> {
     schema: &'static str,
     out: String,
-    /// Logs with a finding at or above `--fail-on`.
+    /// With a finding at or above `--fail-on`.
     failing: usize,
     #[serde(flatten)]
     outcomes: &'a Outcomes,
 }
 
-/// Maximum number of failed logs named in text.
+/// Failed logs listed as text.
 const MOST_NAMED: usize = 20;
 
 impl<'a> Summary<'a> {

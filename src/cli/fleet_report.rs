@@ -95,7 +95,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         select: args.select,
     };
     let report = FleetReport::of(&store, &question)?;
-    // Links need a base folder, which stdout does not have.
+    // Links need a base folder; stdout has none.
     let report = match args.output.as_deref().map(|path| path.parent()) {
         Some(Some(folder)) if !folder.as_os_str().is_empty() => report.linked_from(folder),
         Some(_) => report.linked_from(Path::new(".")),

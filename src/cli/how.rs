@@ -10,7 +10,7 @@ use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, Run
 
 use super::{misuse, say};
 
-/// Value of `--config` that searches for the config.
+/// Searches for the config.
 const AUTO: &str = "auto";
 
 /// The audit options.
@@ -83,10 +83,7 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl How {
-    /// For `--config auto`, finds the config nearest to the logs.
-    ///
-    /// # Errors
-    /// If there is none, or the logs have different ones.
+    /// Finds the config for `--config auto`. Fails if there is none or the logs have different ones.
     pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
         if self.config.as_deref() != Some(Path::new(AUTO)) {
             return Ok(());
@@ -121,7 +118,7 @@ impl How {
         Ok(())
     }
 
-    /// The files named on the command line, before the config is read.
+    /// Files on the command line, before reading the config.
     pub fn named(&self) -> poseaudit::Options {
         poseaudit::Options {
             run: RunOptions {
@@ -134,10 +131,7 @@ impl How {
         }
     }
 
-    /// The options of an audit: those of the config, overridden by the command line.
-    ///
-    /// # Errors
-    /// If the config cannot be read.
+    /// Options of the config, overridden by the command line.
     pub fn options(self) -> Result<poseaudit::Options, Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
         let mut options = config.as_ref().map(Config::options).unwrap_or_default();
@@ -155,7 +149,7 @@ impl How {
         run.tip = self.tip.or(run.tip.take());
         run.stamp = self.stamp.map_or(run.stamp, Into::into);
         run.max_latency_s = self.max_latency.unwrap_or(run.max_latency_s);
-        // A declaration on the command line replaces the config's only for the same topic.
+        // Replaces the config's declaration of the same topic only.
         run.declared.retain(|of| !self.declare.iter().any(|said| said.is_of(&of.topic)));
         run.declared.splice(..0, self.declare);
         if !self.select.is_empty() {
@@ -172,7 +166,7 @@ impl How {
     }
 }
 
-/// The leading folders of a pattern that have no wildcards.
+/// Leading folders without wildcards.
 fn before_wildcards(pattern: &Path) -> PathBuf {
     let is_plain = |part: &std::path::Component<'_>| {
         !part.as_os_str().to_string_lossy().contains(['*', '?', '[', '{'])
@@ -183,7 +177,6 @@ fn before_wildcards(pattern: &Path) -> PathBuf {
     }
 }
 
-/// `given`, or `other` if it is empty.
 pub fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
     if given.is_empty() { other } else { given }
 }

@@ -97,7 +97,7 @@ fn table(streams: &[StreamRow]) -> Table {
     table
 }
 
-/// `parent → child`, as far as the messages name them.
+/// `parent → child`, as named in messages.
 fn frames(stream: &StreamRow) -> String {
     match (&stream.frame_id, &stream.child_frame_id) {
         (Some(parent), Some(child)) => format!("{parent} → {child}"),

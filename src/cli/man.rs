@@ -40,14 +40,13 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// The man page of one command.
 struct Page {
-    /// File name, such as `poseaudit-audit.1`.
+    /// Such as `poseaudit-audit.1`.
     name: String,
     text: Vec<u8>,
 }
 
-/// The pages of a command and its subcommands.
+/// Including subcommands.
 fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
     let man = Man::new(command.clone());
     let mut text = Vec::new();

@@ -1,6 +1,5 @@
-//! The command line: parses the call, runs the command, and maps its outcome to an exit status.
-//!
-//! Reports go to stdout or to `--output`; messages go to stderr.
+//! The command line: parses the call, runs the command, and returns its outcome. Reports go to stdout or
+//! `--output`, messages to stderr.
 
 mod audit;
 mod calibrate;
@@ -35,18 +34,15 @@ use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
 
-/// How a command ended; determines the exit status.
+/// Determines the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// No finding at or above `--fail-on`.
     Clean,
-    /// A finding, or an inconclusive rule that is required.
+    /// A finding, or a required rule is inconclusive.
     Findings,
-    /// Invalid call.
     Misuse,
-    /// The log cannot be audited.
     Unusable,
-    /// Internal error.
     Fault,
 }
 
@@ -114,8 +110,7 @@ enum Command {
     Man(man::Args),
 }
 
-/// Parses the command line and runs the command. For invalid options `clap` prints the error and exits with
-/// status 2.
+/// Runs the command. For invalid options `clap` exits with status 2.
 pub fn run() -> Outcome {
     let result = Cli::try_parse().map_err(refused).and_then(|cli| {
         cli.say.apply();
@@ -150,7 +145,7 @@ fn follow(command: Command) -> Result<Outcome, Trouble> {
     }
 }
 
-/// The error for a log given in place of a command. `clap` reports every other error and ends the process.
+/// Error for a log in place of a command; `clap` reports all others and exits.
 fn refused(error: clap::Error) -> Trouble {
     let first = std::env::args_os().nth(1).map(PathBuf::from);
     match first.filter(|path| error.kind() == ErrorKind::InvalidSubcommand && path.exists()) {
@@ -162,20 +157,20 @@ fn refused(error: clap::Error) -> Trouble {
     }
 }
 
-/// Makes the process delete partially written files if it is interrupted or terminated.
+/// Deletes partial files on interruption or termination.
 pub fn end_on_signals() {
     #[cfg(unix)]
     {
         use signal_hook::consts::{SIGINT, SIGTERM};
         // Shells make background jobs ignore SIGINT.
         let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_passed_over(signal));
-        // If no handler can be installed, signals keep their default action.
+        // Otherwise signals keep their default action.
         let Ok(mut signals) = signal_hook::iterator::Signals::new(wanted) else { return };
         let handle = signals.handle();
         let heard = std::thread::Builder::new().spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 poseaudit::boundary::delete_staged_files();
-                // Ends the process with the default action of the signal.
+                // Ends the process by the signal.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
         });
@@ -185,11 +180,11 @@ pub fn end_on_signals() {
     }
 }
 
-/// Whether the parent process made this one ignore a signal.
+/// Whether the parent process made this one ignore it.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "querying the action of a signal")]
 fn is_passed_over(signal: i32) -> bool {
-    // SAFETY: the call writes only to the struct, which outlives it, and changes no action.
+    // SAFETY: writes only to the struct, which outlives the call, and changes no action.
     unsafe {
         let mut action: libc::sigaction = std::mem::zeroed();
         libc::sigaction(signal, std::ptr::null(), &mut action) == 0
@@ -197,9 +192,8 @@ fn is_passed_over(signal: i32) -> bool {
     }
 }
 
-/// Prints a one-line internal error and how to report it.
 pub fn fault(what: &str) -> Outcome {
-    // Thread libraries report only this if the system refuses a thread.
+    // Thread libraries report only this for a refused thread.
     match what.contains("spawn") || what.contains("ThreadPoolBuildError") {
         true => output::error(
             "out of memory: the system refuses to start more threads; allow more memory (ulimit -v) or more \
@@ -217,7 +211,6 @@ fn fault_line(what: &str) -> String {
     )
 }
 
-/// An error in the option `place`.
 fn misuse(place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) -> Trouble {
     let kind = TroubleKind::Call;
     Trouble { kind, what: what.into(), place: place.into(), remedy: remedy.into() }
@@ -242,7 +235,6 @@ mod tests {
         assert!(line.contains("cli/mod.rs:") && !line.contains('\n'), "{line}");
     }
 
-    /// The calls of poseaudit in the examples of a command.
     fn examples(command: &clap::Command) -> Vec<Vec<String>> {
         let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
         let whole = help.replace("\\\n", " ");
@@ -250,7 +242,7 @@ mod tests {
         calls.map(|call| words(call.split(['|', '>']).next().unwrap_or_default())).collect()
     }
 
-    /// Splits a line into words like a shell, as far as the examples need it.
+    /// Splits words like a shell, as far as needed.
     fn words(line: &str) -> Vec<String> {
         let parts = line.split('"').enumerate();
         let words = parts.flat_map(|(index, part)| match index % 2 {

@@ -1,4 +1,4 @@
-//! Output: stdout with colours on a terminal, files without.
+//! Output with colours on a terminal, without in files.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -22,18 +22,15 @@ pub enum Format {
     Json,
 }
 
-/// The option for the output file.
 pub const OUTPUT: &str = "--output";
 
 const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
-/// Prints an error line on stderr.
 pub fn error(what: impl Display) {
     anstream::eprintln!("{ERROR}error:{ERROR:#} {}", tame(&what.to_string()));
 }
 
-/// Prints a warning line on stderr.
 pub fn warning(what: impl Display) {
     if say::is_quiet() {
         return;
@@ -41,7 +38,7 @@ pub fn warning(what: impl Display) {
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
-/// A table without borders.
+/// Without borders.
 pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::NOTHING).set_header(header);
@@ -51,10 +48,10 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     table
 }
 
-/// Width of the terminal on stdout: `COLUMNS`, or the terminal's own width. `None` for a pipe or a file,
-/// where each statement stays on one line so that grep finds it.
+/// Terminal width: `COLUMNS` or its own. `None` for a pipe or file, whose statements stay on one line for
+/// grep.
 pub fn columns() -> Option<usize> {
-    /// Fallback for a terminal of unknown width.
+    /// Unknown width.
     const USUAL: usize = 100;
     if !io::stdout().is_terminal() {
         return None;
@@ -64,10 +61,8 @@ pub fn columns() -> Option<usize> {
     set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(USUAL))
 }
 
-/// Writes the output of `write` to the file at `path`, creating its parents, or to stdout. Bidirectional
-/// control characters are escaped.
-///
-/// A closed pipe on stdout is not an error.
+/// Writes to the file at `path`, creating its parents, or to stdout, with bidirectional control characters
+/// escaped. A closed pipe is no error.
 pub fn emit(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -82,7 +77,7 @@ pub fn emit(
     })
 }
 
-/// The same without escaping.
+/// Same, without escaping.
 pub fn exactly(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,

@@ -204,7 +204,7 @@ fn at_least_nothing(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A number above `LOW` and at most `HIGH`.
+/// Above `LOW`, at most `HIGH`.
 fn within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
     let number = finite(text)?;
     match number > f64::from(LOW) && number <= f64::from(HIGH) {
@@ -213,7 +213,6 @@ fn within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The warning that accompanies every motion.
 const OBSTACLES: &str = "NO COLLISION CHECKING: the cell, the payload and cables are not modelled; run at \
     low speed first, with a hand on the e-stop";
 
@@ -254,7 +253,7 @@ fn planned(args: &Args, planning: &Planning) -> Result<Outcome, Trouble> {
         return Ok(Outcome::Clean);
     }
     match args.output {
-        // A motion written to a file is described on stdout.
+        // Describes the file on stdout.
         Some(_) => emit(Format::Text, None)?,
         None => output::warning(OBSTACLES),
     }
@@ -285,7 +284,7 @@ fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Troub
     Ok(if checked.is_within() { Outcome::Clean } else { Outcome::Findings })
 }
 
-/// The error if no motion was found, and what would help.
+/// Error, and what would help, if no motion was found.
 fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
     match why {
         Infeasible::NoMargin => misuse(

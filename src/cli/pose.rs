@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     }
 }
 
-/// The poses given: one or two texts, or the numbers of one unquoted pose.
+/// One or two texts, or the numbers of one unquoted pose.
 fn poses(args: &Args) -> Vec<String> {
     let first: Vec<String> = [&args.pose, &args.other].into_iter().flatten().cloned().collect();
     match args.rest.is_empty() {
@@ -185,7 +185,7 @@ fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Troubl
     let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
     let robot = args.robot.as_deref().map(robot_of).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
-    // Frames in messages may be a world or a camera; frames on the command line must be links.
+    // Message frames may be a world or camera; frames on the command line must be links.
     for (option, given, names) in
         [("--is-frames", &args.is_frames, &is), ("--but-frames", &args.but_frames, &but)]
     {
@@ -209,7 +209,7 @@ fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Troubl
     Ok(if answer.verdict == Verdict::Open { Outcome::Findings } else { Outcome::Clean })
 }
 
-/// The frames given by `option`, otherwise those in the pasted texts.
+/// Frames given by `option`, otherwise of the pasted texts.
 fn frame_names(
     pasted: &[&Pasted],
     option: &str,

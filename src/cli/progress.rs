@@ -1,4 +1,4 @@
-//! Progress of reading a log, and of a fleet.
+//! Progress of a log, and of a fleet.
 
 use std::io::{self, IsTerminal};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -12,11 +12,11 @@ use poseaudit::log::Progress;
 
 use super::say;
 
-/// Minimum duration before a bar is shown.
+/// Before a bar is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
 const REDRAW: Duration = Duration::from_millis(100);
 
-/// Runs `work`. Shows a progress bar on stderr if it takes more than a second and stderr is a terminal.
+/// Shows a bar on stderr after a second if that is a terminal.
 pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let progress = Arc::new(Progress::default());
     if say::is_quiet() || !io::stderr().is_terminal() {
@@ -38,12 +38,12 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     });
     let result = timed(progress, work);
     drop(done);
-    // A failed or missing progress thread does not affect the work.
+    // A failed progress thread does not matter.
     let _ = watcher.map(thread::JoinHandle::join);
     result
 }
 
-/// Runs `work` and reports its duration in verbose mode.
+/// Reports the duration in verbose mode.
 fn timed<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let began = Instant::now();
     let result = work(Arc::clone(&progress));
@@ -67,10 +67,10 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     bar.set_position(read);
 }
 
-/// Interval between fleet progress lines without a terminal.
+/// Without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Fleet progress: a bar on a terminal, otherwise occasional lines.
+/// A bar on a terminal, otherwise occasional lines.
 pub struct Logs {
     bar: Option<ProgressBar>,
     began: Instant,
@@ -78,7 +78,6 @@ pub struct Logs {
 }
 
 impl Logs {
-    /// Starts progress of `total` logs.
     pub fn new(total: usize) -> Self {
         let bar = (!say::is_quiet() && io::stderr().is_terminal()).then(|| {
             let template = "{bar:30} {pos} of {len} logs, {per_sec}, {eta} left";
@@ -110,7 +109,6 @@ impl Logs {
         eprintln!("{done} of {total} logs, {rate:.2}/s{left}");
     }
 
-    /// Removes the bar.
     pub fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

@@ -36,7 +36,7 @@ pub struct Args {
     format: Format,
 }
 
-/// The topics published by drivers, from `drivers.toml`.
+/// Published topics, from `drivers.toml`.
 #[derive(Debug, Deserialize)]
 struct Drivers {
     driver: Vec<Driver>,
@@ -44,14 +44,13 @@ struct Drivers {
 
 #[derive(Debug, Deserialize)]
 struct Driver {
-    /// Manufacturer of the arms. `None` for topics that every arm has.
+    /// `None` for topics that every arm has.
     vendor: Option<String>,
     name: String,
     source: String,
     topics: Vec<Topic>,
 }
 
-/// A topic, with its role in an audit.
 #[derive(Clone, Debug, Deserialize)]
 struct Topic {
     topic: String,
@@ -64,13 +63,12 @@ static DRIVERS: LazyLock<Drivers> = LazyLock::new(|| {
     toml::from_str(include_str!("record_list/drivers.toml")).expect("the embedded table is valid")
 });
 
-/// Source of the topics: a log, or the drivers of an arm.
 enum Source {
     Log(Box<Report>),
     Arm(&'static Robot),
 }
 
-/// A question, with the available topics for it and its unmet needs.
+/// Available topics and unmet needs of a question.
 struct Answer {
     question: &'static Question,
     topics: Vec<Topic>,
@@ -117,7 +115,7 @@ fn source(of: &Path) -> Result<Source, Trouble> {
 }
 
 impl Source {
-    /// The drivers of the arm, or the general ones for a log.
+    /// General drivers for a log.
     fn drivers(&self) -> impl Iterator<Item = &'static Driver> {
         let vendor = match self {
             Source::Arm(robot) => robot.provenance.as_ref().map(|maker| maker.vendor.as_str()),
@@ -244,7 +242,7 @@ impl Source {
     }
 }
 
-/// The command that records all topics needed by any question.
+/// Records all topics that a question needs.
 fn command(answers: &[Answer]) -> String {
     let mut topics: Vec<&str> = Vec::new();
     for topic in answers.iter().flat_map(|answer| &answer.topics) {

@@ -26,16 +26,12 @@ pub struct Reports {
     output: Option<PathBuf>,
 }
 
-/// Parses the name of a format.
 pub fn format() -> impl TypedValueParser<Value = &'static Format> {
     let names = FORMATS.iter().map(|format| PossibleValue::new(format.name).help(format.about));
     PossibleValuesParser::new(names).try_map(|name| Format::named(&name).ok_or("no such format"))
 }
 
-/// Writes `report` in one format to the file at `path`, or to stdout.
-///
-/// # Errors
-/// If it cannot be written.
+/// Writes to the file at `path`, or to stdout.
 pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(), Trouble> {
     let columns = output::columns().filter(|_| format.is_text() && path.is_none());
     output::emit(path, |out| match columns {
@@ -45,10 +41,7 @@ pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(),
 }
 
 impl Reports {
-    /// Checks that every format has a destination.
-    ///
-    /// # Errors
-    /// If there are several formats and no folder.
+    /// Fails for several formats without a folder.
     pub fn can_be_followed(&self) -> Result<(), Trouble> {
         match (&self.output, self.each().as_slice()) {
             (_, [_]) => Ok(()),
@@ -76,12 +69,12 @@ impl Reports {
         }
     }
 
-    /// Format and path if there is only one format.
+    /// If there is only one format.
     pub fn only(&self) -> Option<(&'static Format, Option<&Path>)> {
         <[_; 1]>::try_from(self.each()).ok().map(|[format]| (format, self.output.as_deref()))
     }
 
-    /// Whether the report must contain a trouble. Text alone leaves it to stderr.
+    /// Whether the report must contain a trouble. Text leaves it to stderr.
     pub fn tell_trouble(&self) -> bool {
         self.formats.iter().any(|format| !format.is_text())
     }
@@ -91,17 +84,14 @@ impl Reports {
         self.formats.iter().any(|format| format.is_pictured())
     }
 
-    /// Writes `report` in every format.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
+    /// Writes every format.
     pub fn emit(&self, report: &Report) -> Result<(), Trouble> {
         match (&self.output, self.each().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => {
                 let path = |format: &Format| folder.join(format.file_name);
                 let written =
                     formats.iter().map(|format| emit(format, report, Some(&path(format))));
-                // An error in one does not prevent the others.
+                // One error does not prevent the others.
                 written.fold(Ok(()), Result::and)
             }
             (path, formats) => {
@@ -110,7 +100,7 @@ impl Reports {
         }
     }
 
-    /// The formats without duplicates.
+    /// Without duplicates.
     fn each(&self) -> Vec<&'static Format> {
         let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
         FORMATS.iter().filter(wanted).collect()

@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// A rule in SI units, with its text in Markdown.
+/// SI units, text in Markdown.
 fn as_json(rule: &Rule) -> Value {
     let thresholds = rule.grade.thresholds().iter().map(|threshold| {
         json!({

@@ -1,4 +1,4 @@
-//! Messages on stderr other than errors, and the colour mode.
+//! Messages on stderr except errors, and the colour mode.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -34,7 +34,6 @@ enum Colour {
     Never,
 }
 
-/// Verbosity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 enum Level {
@@ -48,7 +47,6 @@ static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
 const LABEL: Style = Style::new().dimmed();
 
 impl Say {
-    /// Sets verbosity and colours for the process.
     pub fn apply(self) {
         let level = match (self.quiet, self.verbose) {
             (true, _) => Level::Quiet,
@@ -69,20 +67,19 @@ fn is_said(level: Level) -> bool {
     LEVEL.load(Ordering::Relaxed) >= level as u8
 }
 
-/// Whether only errors go to stderr.
+/// Whether only errors are printed.
 pub fn is_quiet() -> bool {
     !is_said(Level::Usual)
 }
 
-/// Reports a written file on stderr.
 pub fn wrote(path: &Path) {
-    // Devices and pipes are not reported.
+    // Not for devices and pipes.
     if is_said(Level::Usual) && (path.is_file() || path.is_dir()) {
         line("wrote", &path.display().to_string());
     }
 }
 
-/// Prints a line on stderr in verbose mode.
+/// Printed in verbose mode.
 pub fn detail(label: &str, what: impl FnOnce() -> String) {
     if is_said(Level::Verbose) {
         line(label, &what());

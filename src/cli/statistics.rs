@@ -1,4 +1,4 @@
-//! Number of findings per rule, printed instead of a report.
+//! Number of findings per rule, instead of a report.
 
 use poseaudit::checks;
 use poseaudit::finding::{Finding, Severity};
@@ -8,23 +8,19 @@ use serde::Serialize;
 use super::output;
 use super::reports::Reports;
 
-/// The option.
 const STATISTICS: &str = "--statistics";
 
-/// The findings of one rule.
+/// Findings of one rule.
 #[derive(Serialize)]
 struct Row {
     code: &'static str,
     name: &'static str,
-    /// The highest severity.
+    /// Highest.
     severity: Severity,
     count: usize,
 }
 
-/// Checks that the requested format supports statistics.
-///
-/// # Errors
-/// If it does not.
+/// Fails if the format has no statistics.
 pub fn can_be_followed(reports: &Reports) -> Result<(), Trouble> {
     match reports.only() {
         Some((format, _)) if matches!(format.name, "text" | "json") => Ok(()),
@@ -35,10 +31,7 @@ pub fn can_be_followed(reports: &Reports) -> Result<(), Trouble> {
     }
 }
 
-/// Writes the counts in descending order.
-///
-/// # Errors
-/// If they cannot be written.
+/// Counts in descending order.
 pub fn emit(report: &Report, reports: &Reports) -> Result<(), Trouble> {
     let Some((format, path)) = reports.only() else { return Ok(()) };
     let rows = rows(&report.findings);

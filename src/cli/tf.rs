@@ -53,12 +53,9 @@ pub struct Args {
     format: Format,
 }
 
-/// A time in a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Time {
-    /// Seconds from its start.
     FromStart(f64),
-    /// Since the epoch.
     At(Stamp),
 }
 
@@ -74,7 +71,7 @@ impl FromStr for Time {
         if let Some(text) = text.strip_prefix('+') {
             return Ok(Self::FromStart(number(text)?));
         }
-        // An `f64` has too few digits for nanoseconds since the epoch.
+        // `f64` has too few digits for epoch nanoseconds.
         let (whole, part) = text.split_once('.').unwrap_or((text, ""));
         let nanos = format!("{part:0<9}");
         let digits = whole
@@ -121,11 +118,11 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 struct Rows<'a> {
     args: &'a Args,
     path: &'a TfPath<'a>,
-    /// The first time of the log.
+    /// Start of the log.
     start: Stamp,
 }
 
-/// How the pose at a time was obtained.
+/// Origin of the pose.
 fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
     match path.span() {
         None => "static",
@@ -136,7 +133,7 @@ fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
 }
 
 impl Rows<'_> {
-    /// The pose at a time; outside the common time range of all transforms, the pose at its nearest end.
+    /// Outside the common range of the transforms, the pose at its nearest end.
     fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
         let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
         self.path.at(held).map_err(io::Error::other)
@@ -216,7 +213,7 @@ impl Rows<'_> {
     }
 }
 
-/// Seconds since the epoch with nanosecond digits.
+/// With nanosecond digits.
 fn epoch(at: Stamp) -> String {
     let nanos = at.nanos();
     format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))

@@ -1,4 +1,4 @@
-//! The Rerun viewer: finds it and opens recordings, one or a sequence.
+//! Finds the Rerun viewer and opens one recording or a sequence.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -9,16 +9,11 @@ use tempfile::TempPath;
 
 use super::misuse;
 
-/// The option that opens the viewer.
 pub const OPTION: &str = "--view";
 
-/// Name of the viewer's program.
 const PROGRAM: &str = "rerun";
 
-/// Finds the viewer's program for an option of the call.
-///
-/// # Errors
-/// If it is not on the PATH.
+/// Finds the viewer for an option. Fails if it is not on the PATH.
 pub fn viewer(option: &str) -> Result<PathBuf, Trouble> {
     let name = format!("{PROGRAM}{}", env::consts::EXE_SUFFIX);
     let folders = env::var_os("PATH").unwrap_or_default();
@@ -29,16 +24,13 @@ pub fn viewer(option: &str) -> Result<PathBuf, Trouble> {
     })
 }
 
-/// Creates a file for an unnamed recording. It is readable only by this user and outlives this program, so
-/// that the viewer can read it.
-///
-/// # Errors
-/// If the file cannot be created.
+/// File for an unnamed recording, readable only by this user. It outlives this program, so the viewer can
+/// read it.
 pub fn place() -> Result<PathBuf, Trouble> {
     draft(OPTION)?.keep().map_err(|error| no_room(OPTION, &error.error))
 }
 
-/// Creates a file for a recording; it is deleted when the returned path is dropped.
+/// Deleted when the returned path is dropped.
 fn draft(option: &str) -> Result<TempPath, Trouble> {
     let made = tempfile::Builder::new().prefix("poseaudit-").suffix(".rrd").tempfile();
     made.map(tempfile::NamedTempFile::into_temp_path).map_err(|error| no_room(option, &error))
@@ -49,10 +41,7 @@ fn no_room(option: &str, error: &io::Error) -> Trouble {
     misuse(option, what, "free some space, or set TMPDIR to another folder")
 }
 
-/// Opens a recording in the viewer without waiting for it to close.
-///
-/// # Errors
-/// If the viewer cannot be started.
+/// Does not wait for the viewer to close.
 pub fn open(viewer: &Path, recording: &Path) -> Result<(), Trouble> {
     let mut command = Command::new(viewer);
     command.arg(recording).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -66,18 +55,17 @@ fn unstarted(viewer: &Path, error: &io::Error, remedy: impl Into<String>) -> Tro
     misuse(viewer.display().to_string(), format!("the viewer cannot be started: {error}"), remedy)
 }
 
-/// A viewer that receives a sequence of recordings: the one listening on a local port, or a new one.
+/// Viewer for a sequence of recordings: the one listening on a local port, or a new one.
 pub struct LiveViewer {
-    /// The viewer's program. It forwards its input to the listening viewer, or opens it itself.
+    /// Forwards its input to the listening viewer, or opens it.
     program: Child,
     port: u16,
-    /// Path of the next recording.
+    /// Next recording.
     next: TempPath,
 }
 
 impl LiveViewer {
-    /// # Errors
-    /// If the viewer's program is not on the PATH or cannot be started, or no recording can be created.
+    /// Fails if the viewer cannot be started or no recording can be created.
     pub fn at(option: &str, port: u16) -> Result<Self, Trouble> {
         let (viewer, next) = (viewer(option)?, draft(option)?);
         let mut command = Command::new(&viewer);
@@ -88,15 +76,12 @@ impl LiveViewer {
         Ok(Self { program, port, next })
     }
 
-    /// Path for the next recording.
+    /// Next recording.
     pub fn next(&self) -> &Path {
         &self.next
     }
 
-    /// Shows the recording at that path.
-    ///
-    /// # Errors
-    /// If the viewer does not accept it, for instance because it was closed.
+    /// Shows that recording. Fails if the viewer does not accept it, for instance because it was closed.
     pub fn show(&mut self) -> Result<(), Trouble> {
         let Some(pipe) = &mut self.program.stdin else { return Ok(()) };
         let given = fs::File::open(&self.next).and_then(|mut file| io::copy(&mut file, pipe));

@@ -19,7 +19,7 @@ use super::how::{How, positive_seconds};
 use super::output::Format;
 use super::{Outcome, misuse};
 
-/// Interval between checks for new data.
+/// Between checks for new data.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// Audit a log while it is recorded, and once more when it has ended; prints a line when the verdict
@@ -104,7 +104,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         if let Some(newest) = newest(&args.path)
             && current.as_ref().is_none_or(|current| *current.path() != newest)
         {
-            // A newer log means that the previous one has ended.
+            // A newer log ends the previous one.
             if let Some(before) = &mut current {
                 before.finish(&mut screen)?;
                 if is_over(before) {
@@ -123,7 +123,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
 }
 
-/// The path itself, or the most recently written log in the folder.
+/// The path, or the most recently written log in it.
 fn newest(path: &Path) -> Option<PathBuf> {
     /// Recorders create one folder per run.
     const DEPTH: usize = 3;

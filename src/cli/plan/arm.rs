@@ -10,11 +10,9 @@ use poseaudit::run::{Run, RunOptions, robot_of};
 use super::super::{fk, misuse};
 use super::Args;
 
-/// An arm and its moving chain.
 pub struct Planning {
-    /// The model.
     pub robot: Robot,
-    /// The chain from base to tip.
+    /// From base to tip.
     pub chain: Chain,
 }
 
@@ -56,12 +54,11 @@ impl Planning {
         Ok(Self { robot: arm.robot.clone(), chain: arm.chain.clone() })
     }
 
-    /// Whether joint `at` of the chain is prismatic.
     pub fn slides(&self, at: usize) -> bool {
         self.chain.joint_kinds()[at] == JointKind::Prismatic
     }
 
-    /// Converts a configuration to SI units.
+    /// Converts to SI units.
     pub fn posture(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
         let (found, wanted) = (given.len(), self.chain.dof());
         if found != wanted {

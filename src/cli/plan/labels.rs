@@ -6,13 +6,12 @@ use poseaudit::finding::Unit;
 use super::arm::Planning;
 use super::setup::Asked;
 
-/// Label of a quantity.
 pub struct Label {
-    /// Key in JSON.
+    /// JSON key.
     pub name: &'static str,
-    /// Text for people, without the joint or axis.
+    /// Without the joint or axis.
     pub said: String,
-    /// The joint or the axis.
+    /// Joint or axis.
     pub of: Option<String>,
     pub unit: Unit,
 }
@@ -70,7 +69,6 @@ impl Label {
         Self { name, said, of, unit }
     }
 
-    /// The whole label as one text.
     pub fn whole(&self) -> String {
         match &self.of {
             None => self.said.clone(),
@@ -80,7 +78,6 @@ impl Label {
     }
 }
 
-/// The limited quantity, in text and JSON.
 pub fn bound(bound: LimitKind) -> &'static str {
     match bound {
         LimitKind::Lower | LimitKind::Upper => "position",

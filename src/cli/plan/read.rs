@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::super::{misuse, output};
 
-/// The joints of a motion and its points, in file order.
+/// In file order.
 struct Listed {
     names: Vec<String>,
     t_s: Vec<f64>,
@@ -17,13 +17,9 @@ struct Listed {
     qd: Vec<Vec<f64>>,
 }
 
-/// Reads a motion from a file: CSV with columns for time and each joint, JSON of `plan`, or a
-/// JointTrajectory in YAML. The format is detected from the content.
-///
-/// # Errors
-/// If it has none of these formats, or does not have the arm's joints.
+/// Reads a motion: CSV with time and joint columns, JSON of `plan`, or a JointTrajectory in YAML, detected
+/// from the content. Fails if it is none of these or lacks a joint.
 pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
-    /// Maximum file size.
     const MOST_BYTES: u64 = 256 << 20;
     let place = || path.display().to_string();
     let bytes = std::fs::metadata(path).map(|it| it.len()).unwrap_or(0);
@@ -53,7 +49,7 @@ pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
 }
 
 impl Listed {
-    /// Orders the columns by the chain's joints. Missing speeds are computed from the positions.
+    /// Orders columns by the chain; derives missing speeds from positions.
     fn of(self, chain: &Chain) -> Result<JointTrack, String> {
         let places = chain.joint_names().iter().map(|name| {
             let at = self.names.iter().position(|own| own == name);
@@ -94,16 +90,16 @@ impl Listed {
     }
 }
 
-/// Whether given speeds agree with finite differences, within their discretisation error.
+/// Whether speeds match finite differences, within discretisation error.
 fn is_near(given: &[f64], by_positions: &[f64]) -> bool {
-    /// As a fraction of the highest speed.
+    /// Of the highest speed.
     const NEAR: f64 = 0.1;
     let highest = by_positions.iter().fold(1e-3_f64, |highest, speed| highest.max(speed.abs()));
     let off = given.iter().zip(by_positions).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     (off / given.len().max(1) as f64).sqrt() < NEAR * highest
 }
 
-/// Speeds by central differences, one-sided at the ends.
+/// Central differences, one-sided at the ends.
 fn differences(track: &JointTrack) -> Vec<f64> {
     let last = track.len() - 1;
     let at = |row: usize, joint: usize| {
@@ -198,7 +194,7 @@ fn of_yaml(text: &str) -> Result<Listed, String> {
         #[serde(default, alias = "nsecs")]
         nanosec: i64,
     }
-    // `ros2 topic echo` ends a message with a separator line.
+    // `ros2 topic echo` ends with a separator line.
     let document = text.trim_end().trim_end_matches("---").trim_end_matches("...");
     let Trajectory { joint_names, points } =
         serde_saphyr::from_str(document).map_err(|error| error.to_string())?;

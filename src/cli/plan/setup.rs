@@ -14,17 +14,15 @@ use super::super::misuse;
 use super::Args;
 use super::arm::Planning;
 
-/// Metres of a prismatic joint that correspond to one radian of a revolute joint.
+/// Prismatic motion equivalent to one radian.
 const SLIDE_M_PER_RAD: f64 = 0.2;
-/// Speed limit of a joint without a limit in the model, rad/s.
+/// Without a limit in the model.
 const USUAL_SPEED: f64 = 1.0;
-/// Radius of an arm segment without collision shapes in the model, as a fraction of the reach; typical of
-/// arms.
+/// Of the reach, without collision shapes in the model; typical of arms.
 const RADIUS: f64 = 0.06;
-/// Sample interval of written motions, s.
+/// Of written motions.
 const ROW_S: f64 = 0.02;
 
-/// The planning task.
 pub struct Asked {
     pub around: Vec<f64>,
     pub rooms: Vec<JointMargins>,
@@ -33,26 +31,23 @@ pub struct Asked {
     pub sensing: Sensing,
     pub keep: Clearances,
     pub seed: u64,
-    /// Names of the joints without a speed limit in the model.
+    /// Joints without a speed limit in the model.
     pub unlimited: Vec<String>,
-    /// Names of the arm segments.
+    /// Arm segments.
     parts: Vec<String>,
-    /// Whether the radius of each segment comes from the model.
+    /// Whether each radius comes from the model.
     pub told: Vec<bool>,
 }
 
-/// A given motion, checked against the task.
+/// A given motion, checked.
 pub struct Checked {
     pub promises: Vec<ExpectedPrecision>,
     pub beyond: Vec<LimitViolation>,
-    /// The first violated clearance, and its time, s.
+    /// First violated clearance and time, s.
     pub near: Option<(f64, ClearanceViolation)>,
 }
 
-/// The task of a motion around a configuration.
-///
-/// # Errors
-/// If the configuration is beyond a limit or below the floor.
+/// The task around a configuration. Fails if that is beyond a limit or below the floor.
 pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked, Trouble> {
     let names = planning.chain.joint_names();
     for ((name, limits), &q) in names.iter().zip(planning.chain.limits()).zip(&around) {
@@ -74,7 +69,7 @@ pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked
 }
 
 impl Asked {
-    /// The task around a configuration that may be beyond a limit.
+    /// The configuration may be beyond a limit.
     pub fn of_given(args: &Args, planning: &Planning, around: Vec<f64>) -> Self {
         let Planning { robot, chain } = planning;
         let amplitude = args.amplitude.to_radians();
@@ -152,12 +147,10 @@ impl Asked {
         }
     }
 
-    /// Samples a planned motion.
     pub fn motion(&self, planned: &MotionPlan) -> JointTrack {
         planned.series.track((self.seconds / ROW_S).ceil() as usize + 1)
     }
 
-    /// Describes a violated clearance.
     pub fn nearness(&self, near: &ClearanceViolation) -> String {
         match *near {
             ClearanceViolation::Parts(i, j, apart) => format!(
@@ -196,14 +189,14 @@ impl Checked {
         Self { promises, beyond, near }
     }
 
-    /// Whether the motion respects all limits and clearances.
+    /// Whether all limits and clearances hold.
     pub fn is_within(&self) -> bool {
         self.beyond.is_empty() && self.near.is_none()
     }
 }
 
-/// Radius of each arm segment, m, and whether it comes from the model: from the primitive collision shapes
-/// of a link, as far as they extend from the segment. Otherwise it is a fraction of the reach.
+/// Radius of each segment, m, and whether it comes from the model's primitive collision shapes, as far as
+/// they extend from the segment. Otherwise a fraction of the reach.
 fn radii(planning: &Planning, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let Planning { robot, chain } = planning;
     let usual = RADIUS * chain.max_reach_m();

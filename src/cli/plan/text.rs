@@ -1,4 +1,4 @@
-//! Describes a motion and what it shows, for people.
+//! Describes a motion for people.
 
 use std::io::{self, Write};
 
@@ -15,10 +15,9 @@ use super::labels::{self, Label};
 use super::setup::{Asked, Checked};
 use super::{OBSTACLES, write};
 
-/// A joint barely moves if the room on one side is less than this fraction of the room on the other.
+/// A joint with less room on one side, relative to the other, barely moves.
 const HARDLY: f64 = 0.2;
 
-/// Describes a planned motion.
 pub fn planned(
     planning: &Planning,
     asked: &Asked,
@@ -51,7 +50,6 @@ pub fn planned(
     kept(planning, asked, out)
 }
 
-/// Describes a given motion.
 pub fn checked(
     planning: &Planning,
     asked: &Asked,
@@ -101,7 +99,7 @@ fn heading(
     writeln!(out, "{name}: {base} → {tip}, {:.1} s, for {purpose}", last - first)
 }
 
-/// Expected uncertainties, with those of other motions for comparison.
+/// Expected uncertainties of this and other motions.
 fn promises(
     planning: &Planning,
     asked: &Asked,
@@ -149,7 +147,7 @@ fn promises(
     )
 }
 
-/// The motion of each joint and the range of the tip.
+/// Motion of the joints, range of the tip.
 fn motions(
     planning: &Planning,
     asked: &Asked,
@@ -195,7 +193,6 @@ fn motions(
     )
 }
 
-/// Clearances and limits that were applied.
 fn kept(planning: &Planning, asked: &Asked, out: &mut dyn Write) -> io::Result<()> {
     let keep = &asked.keep;
     let radii = &keep.body.radius_m;

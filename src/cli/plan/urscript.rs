@@ -12,7 +12,7 @@ use super::OBSTACLES;
 use super::arm::Planning;
 use super::setup::Asked;
 
-/// The joints of every UR arm, from base to tip.
+/// Every UR arm, base to tip.
 const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -21,13 +21,10 @@ const JOINTS: [&str; 6] = [
     "wrist_2_joint",
     "wrist_3_joint",
 ];
-/// Interval between two commands, s: a multiple of every controller's period.
+/// Between commands: a multiple of every controller's period.
 const STEP_S: f64 = 0.008;
 
-/// Checks that the arm has the joints of a UR.
-///
-/// # Errors
-/// If it does not.
+/// Fails unless the arm has a UR's joints.
 pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
     let names = chain.joint_names();
     match names.len() == JOINTS.len() && names.iter().zip(JOINTS).all(|(a, b)| a.ends_with(b)) {
@@ -40,8 +37,7 @@ pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
     }
 }
 
-/// Writes the program. It evaluates the sine series at run time, and starts only in the start
-/// configuration.
+/// Evaluates the sine series at run time; starts only in the start configuration.
 pub fn program(
     planning: &Planning,
     asked: &Asked,

@@ -14,10 +14,10 @@ use super::arm::Planning;
 use super::labels::{self, Label};
 use super::setup::{Asked, Checked};
 
-/// Points per second of a JointTrajectory; controllers interpolate between them.
+/// Of a JointTrajectory; controllers interpolate.
 const POINTS_HZ: f64 = 20.0;
 
-/// Writes time, positions and speeds, one row per sample.
+/// Time, positions and speeds of each sample.
 pub fn csv(planning: &Planning, motion: &JointTrack, out: &mut dyn Write) -> io::Result<()> {
     let names = planning.chain.joint_names();
     let mut writer = csv::Writer::from_writer(out);
@@ -33,7 +33,6 @@ pub fn csv(planning: &Planning, motion: &JointTrack, out: &mut dyn Write) -> io:
     writer.flush()
 }
 
-/// Writes a planned motion with its predictions.
 pub fn json(
     planning: &Planning,
     asked: &Asked,
@@ -68,7 +67,6 @@ pub fn json(
     writeln!(out, "{said:#}")
 }
 
-/// Writes a given motion with its predictions.
 pub fn checked_json(
     planning: &Planning,
     asked: &Asked,
@@ -136,7 +134,6 @@ fn trajectory(motion: &JointTrack) -> Value {
     json!({"t_s": motion.t_s, "q": rows(&motion.q), "qd": rows(&motion.qd)})
 }
 
-/// Writes a `trajectory_msgs/JointTrajectory`.
 pub fn yaml(planning: &Planning, series: &FourierMotion, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64]| {
         let numbers = numbers.iter().map(|number| format!("{:.9}", number + 0.0));
@@ -169,7 +166,7 @@ pub fn yaml(planning: &Planning, series: &FourierMotion, out: &mut dyn Write) ->
     Ok(())
 }
 
-/// Lower and upper corner of the tip's bounding box, m.
+/// Lower and upper corner, m.
 pub fn tip_box(planning: &Planning, motion: &JointTrack) -> [[f64; 3]; 2] {
     let tips =
         (0..motion.len()).map(|row| planning.chain.forward(motion.row(row)).translation.vector);

@@ -1,8 +1,8 @@
-//! Questions to a log, the rules that answer them, and the streams these need.
+//! Questions, the rules that answer them, and the streams needed.
 
 use poseaudit::report::{Report, StreamRow};
 
-/// A stream or model that a log needs for a question to be answered.
+/// Stream or model needed to answer a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     Joints,
@@ -17,7 +17,6 @@ pub enum Need {
 }
 
 impl Need {
-    /// Description for people.
     pub fn what(self) -> &'static str {
         match self {
             Need::Joints => "joint states of the arm",
@@ -32,7 +31,6 @@ impl Need {
         }
     }
 
-    /// Stream roles that meet the need.
     pub fn roles(self) -> &'static [&'static str] {
         match self {
             Need::Joints => &["joints"],
@@ -46,7 +44,6 @@ impl Need {
         }
     }
 
-    /// Streams of a log that meet the need.
     pub fn streams(self, report: &Report) -> Vec<&StreamRow> {
         let is_it = |stream: &&StreamRow| {
             let is_outside = matches!(stream.witness, Some("external"));
@@ -57,13 +54,12 @@ impl Need {
         report.streams.iter().filter(is_it).collect()
     }
 
-    /// Whether a log meets the need. A model may come from the catalogue.
+    /// A model may come from the catalogue.
     pub fn is_met(self, report: &Report) -> bool {
         (self == Need::Model && !report.robots.is_empty()) || !self.streams(report).is_empty()
     }
 }
 
-/// A question to a log.
 #[derive(Debug)]
 pub struct Question {
     pub asks: &'static str,
@@ -71,7 +67,7 @@ pub struct Question {
     pub needs: &'static [Need],
 }
 
-/// All questions. Each rule belongs to exactly one.
+/// Each rule belongs to exactly one.
 pub const QUESTIONS: &[Question] = &[
     Question {
         asks: "Is the log complete, and are its stamps valid?",
@@ -141,7 +137,6 @@ mod tests {
         assert_eq!(listed.into_iter().collect::<BTreeSet<_>>(), known);
     }
 
-    /// Missing streams make rules skipped; available streams make them run.
     #[test]
     fn a_question_whose_needs_are_met_is_asked_and_one_whose_stream_is_missing_is_skipped() {
         let fixtures = ["faulty", "slipped_target", "goal", "imu"];

@@ -1,4 +1,4 @@
-//! The watched log: the last printed state, and when to read and audit it again.
+//! The watched log: its last printed state, and when to audit again.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +15,6 @@ use super::super::output::Format;
 use super::super::{Outcome, output};
 use super::screen::Screen;
 
-/// Audit interval, idle time and output format.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
     pub every: Duration,
@@ -23,42 +22,39 @@ pub struct Pace {
     pub format: Format,
 }
 
-/// The watched log.
 pub struct Current {
     path: PathBuf,
     options: Options,
     pace: Pace,
     reading: Reading,
-    /// Time of the last write.
+    /// Last write.
     written: Instant,
-    /// Time and duration of the last audit, and whether data was written since.
+    /// Time and duration of the last audit, and whether data followed.
     audited: Option<(Instant, Duration)>,
     is_stale: bool,
     said: Said,
-    /// Bytes read incrementally.
+    /// Bytes.
     came: u64,
-    /// Bytes read again.
+    /// Bytes.
     again: u64,
     outcome: Outcome,
     has_ended: bool,
 }
 
-/// How new data is read.
 enum Reading {
-    /// File type not yet known.
+    /// File type unknown.
     Unknown,
-    /// Incrementally.
     Grown(Box<LogFollower>),
-    /// As a whole each time; the size at the last check.
+    /// As a whole; last size.
     Whole(u64),
 }
 
-/// The last printed state.
+/// Last printed state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Said {
-    /// The verdict, or why there is none.
+    /// Verdict, or why there is none.
     verdict: String,
-    /// Severity of each finding, by rule and subject.
+    /// By rule and subject.
     findings: BTreeMap<String, Severity>,
 }
 
@@ -72,12 +68,10 @@ impl Said {
     }
 }
 
-/// The findings to print.
 fn told(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().filter(|finding| finding.severity >= Severity::Warning)
 }
 
-/// Rule and subject of a finding.
 fn name(finding: &Finding) -> String {
     let subject = &finding.subject;
     let whom = [&subject.topic, &subject.joint, &subject.frame].into_iter();
@@ -116,7 +110,7 @@ impl Current {
         self.has_ended
     }
 
-    /// Reads new data, and audits the log if it is due.
+    /// Reads new data; audits if due.
     pub fn look(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if matches!(self.reading, Reading::Unknown) && self.size() > 0 {
             self.reading = match LogFollower::is_supported(&self.path) {
@@ -127,7 +121,7 @@ impl Current {
         let size = self.size();
         let growth = match &mut self.reading {
             Reading::Unknown => Growth::None,
-            // A file that briefly does not exist is being replaced.
+            // A missing file is being replaced.
             Reading::Grown(follow) => {
                 let growth = follow.advance().unwrap_or(Growth::None);
                 self.came = follow.read();
@@ -149,19 +143,19 @@ impl Current {
             Growth::Restarted => self.begin_again()?,
             Growth::Ended if self.has_ended => {}
             Growth::Ended if is_closed(&self.path) => return self.finish(screen),
-            // It is damaged, or its end is being written.
+            // Damaged, or its end is being written.
             Growth::Ended => self.reading = Reading::Whole(0),
         }
         if self.written.elapsed() >= self.pace.idle && !self.has_ended && self.size() > 0 {
             return self.finish(screen);
         }
-        // Limits the share of time spent auditing a long log.
+        // Limits the time share of audits.
         let is_time =
             self.audited.is_none_or(|(at, took)| at.elapsed() >= self.pace.every.max(2 * took));
         if self.is_stale && is_time { self.audit(screen) } else { Ok(()) }
     }
 
-    /// Audits the whole of a log that has ended, like `poseaudit audit`.
+    /// Audits a complete log like `poseaudit audit`.
     pub fn finish(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if self.has_ended || self.size() == 0 {
             return Ok(());
@@ -191,7 +185,6 @@ impl Current {
         })
     }
 
-    /// Audits the data available so far.
     fn audit(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         let began = Instant::now();
         let log = match &self.reading {
@@ -210,7 +203,7 @@ impl Current {
         self.tell(audited, screen)
     }
 
-    /// Reads the whole file. A missing end is not damage while it is written.
+    /// A missing end is no damage while it is written.
     fn so_far(&mut self) -> Result<Log, Trouble> {
         self.again += self.size();
         let mut log = log::open(&self.options.logs, &self.options.read)?;
@@ -218,13 +211,12 @@ impl Current {
         Ok(log)
     }
 
-    /// Audits the whole file.
     fn whole(&mut self) -> Result<Audited, Trouble> {
         self.again += self.size();
         audit(&self.options)
     }
 
-    /// Prints and draws the result of an audit if it is new.
+    /// Prints and draws new results.
     fn tell(
         &mut self,
         audited: Result<Audited, Trouble>,
@@ -243,7 +235,7 @@ impl Current {
         fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
     }
 
-    /// Prints a line if the verdict or the findings changed, or the log has ended. Returns whether it did.
+    /// Prints a line if verdict or findings changed, or the log ended. Returns whether it did.
     fn say(&mut self, report: &Report) -> Result<bool, Trouble> {
         self.outcome = Outcome::from(report);
         let said = Said::of(report);
@@ -260,7 +252,7 @@ impl Current {
     }
 }
 
-/// A trouble with the log is printed and may pass; a trouble with the call ends the watch.
+/// A trouble with the log may pass; one with the call ends the watch.
 fn called(trouble: Trouble) -> Result<Trouble, Trouble> {
     match trouble.kind {
         TroubleKind::Log => Ok(trouble),
@@ -280,7 +272,7 @@ fn is_closed(path: &Path) -> bool {
     read.is_ok() && end == MAGIC
 }
 
-/// Changes since the previous line.
+/// Changes since the last line.
 struct Line<'a> {
     current: &'a Current,
     before: &'a Said,
@@ -292,7 +284,7 @@ impl Line<'_> {
         &self.current.said
     }
 
-    /// New findings, and findings whose severity changed, by name.
+    /// New findings or severities, by name.
     fn found(&self) -> impl Iterator<Item = (String, &Finding)> {
         let named = told(self.report).map(|finding| (name(finding), finding));
         named.filter(|(name, now)| self.before.findings.get(name) != Some(&now.severity))
@@ -302,7 +294,7 @@ impl Line<'_> {
         self.before.findings.keys().filter(|key| !self.now().findings.contains_key(*key))
     }
 
-    /// The rules that make the verdict inconclusive.
+    /// Rules that make the verdict inconclusive.
     fn undecided(&self) -> Vec<&'static str> {
         let is_open = self.report.verdict == Verdict::Inconclusive;
         if is_open { self.report.undecided() } else { Vec::new() }

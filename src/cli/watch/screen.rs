@@ -1,4 +1,4 @@
-//! Destination of the recordings of a watch.
+//! Destination of a watch's recordings.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,6 @@ use poseaudit::report::Trouble;
 use super::super::output;
 use super::super::view::LiveViewer;
 
-/// Destination.
 pub enum Screen {
     Nowhere,
     File(Recording),
@@ -17,14 +16,13 @@ pub enum Screen {
 }
 
 impl Screen {
-    /// A file, or the viewer listening on a port.
     pub fn of(file: Option<PathBuf>, port: Option<u16>) -> Result<Self, Trouble> {
         let viewer = port.map(|port| LiveViewer::at("--rrd-connect", port)).transpose()?;
         let file = file.map(Recording::from).map(Self::File);
         Ok(viewer.map(Self::Viewer).or(file).unwrap_or(Self::Nowhere))
     }
 
-    /// Draws an audit. A closed viewer is reported once and does not end the watch.
+    /// A closed viewer is reported once and does not end the watch.
     pub fn draw(&mut self, audited: &mut Audited) -> Result<(), Trouble> {
         match self {
             Self::Nowhere => Ok(()),
