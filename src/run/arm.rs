@@ -22,13 +22,13 @@ use super::tf_tree::{TfTree, without_slash};
 pub struct Arm {
     /// Name in reports.
     pub name: String,
-    /// Robot that contains the arm, with joint names as in the log.
+    /// The robot, with the log's joint names.
     pub robot: Robot,
     /// How the robot was identified.
     pub found: String,
-    /// A different arm that fits the poses far better than `robot`, if `robot` was named.
+    /// Arm that fits far better than the named `robot`.
     pub better: Option<CompetingModel>,
-    /// Other catalogue arms with different links that fit the log about as well as `robot`, which was guessed.
+    /// Other catalogue arms that fit about as well as the guessed `robot`.
     pub indistinguishable: Vec<String>,
     /// Chain from base to tip.
     pub chain: Chain,
@@ -42,30 +42,28 @@ pub struct Arm {
     pub joints: Arc<JointTrack>,
     /// Origin of each column.
     pub joint_facts: Vec<JointFacts>,
-    /// Joint states as recorded, and the corrections, if the caller corrected them.
+    /// Joint states before the correction, and the correction.
     pub recorded: Option<(Arc<JointTrack>, JointStateCorrection)>,
-    /// Measured tool poses, and candidates.
+    /// Measured and candidate tool poses.
     pub poses: Vec<PoseSource>,
     /// Tip poses from the log's transforms, or why there are none.
     pub tf: Result<PoseSource, TfUnavailable>,
-    /// Transforms missing from the log that `tf` takes from the model: parent, child.
+    /// Transforms (parent, child) that `tf` takes from the model.
     pub from_model: Vec<(String, String)>,
     /// IMUs on the arm.
     pub imus: Vec<ImuSource>,
     pub(super) base: LinkId,
     pub(super) tip: LinkId,
-    /// Reference link of poses whose stream names no frame.
+    /// Reference link of poses without a frame.
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
     pub(super) joint_stamps: Arc<[Stamp]>,
-    /// Names that distinguish it from other arms.
     pub(super) space: Space,
-    /// Its own and shared frames, and the transforms between them.
     pub(super) tree: Arc<TfTree>,
 }
 
 impl Arm {
-    /// Whether each column of its joint track is a prismatic joint.
+    /// Whether each joint column is prismatic.
     pub fn slides(&self) -> Vec<bool> {
         let slides = |name: &String| {
             self.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
@@ -74,10 +72,10 @@ impl Arm {
     }
 }
 
-/// Corrections of the joint states, for each column.
+/// Correction of the joint states, for each column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointStateCorrection {
-    /// Column that contains this joint's positions.
+    /// Column with this joint's positions.
     pub from: Vec<usize>,
     /// Factor for positions and velocities.
     pub factor: Vec<f64>,
@@ -86,7 +84,7 @@ pub struct JointStateCorrection {
 }
 
 impl JointStateCorrection {
-    /// No correction for any joint.
+    /// No correction.
     pub fn none(joints: usize) -> Self {
         let from = (0..joints).collect();
         Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
@@ -129,7 +127,7 @@ pub enum TfUnavailable {
     /// There are none.
     #[error("the log has no transforms over time")]
     NoTransforms,
-    /// They do not connect base and tip.
+    /// No path connects base and tip.
     #[error(transparent)]
     NoPath(#[from] TfError),
     /// No dynamic transform covers these joints.
@@ -138,28 +136,26 @@ pub enum TfUnavailable {
         /// The joints.
         joints: Vec<String>,
     },
-    /// Some of them come from the model, whose DH convention was wrong.
+    /// Some come from a model with the wrong DH convention.
     #[error("some of them come from the model, whose DH table uses the other convention")]
     OtherModel,
-    /// They belong to a different arm with the same joints and frames.
+    /// They belong to another arm with the same frames.
     #[error("they belong to {arm}, by its motion")]
     OfAnotherArm {
         /// That arm.
         arm: String,
     },
-    /// They are never all available at one time.
+    /// They are never all available at once.
     #[error("fewer than two times have all transforms from base to tip")]
     NoSamples,
 }
 
-/// A link, and a frame's pose in it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
     pub link: LinkId,
     pub link_from_frame: Pose,
 }
 
-/// The caller's base and tip options.
 #[derive(Clone, Copy)]
 pub(super) struct Ends<'a> {
     pub base: Option<&'a str>,
@@ -167,10 +163,10 @@ pub(super) struct Ends<'a> {
 }
 
 impl Arm {
-    /// Builds the arm of `model` along `path`, with its joint states.
+    /// Builds the arm of `model` along `path`.
     ///
     /// # Errors
-    /// If base or tip are not links, joints between them are missing, or no time has samples of all joints.
+    /// If base or tip are not links, a joint between them is missing, or no time has samples of all joints.
     pub(super) fn new(
         model: &Model,
         path: &ArmPath,
@@ -245,8 +241,7 @@ impl Arm {
         })
     }
 
-    /// The same arm with its streams predicted by `robot`, which has the same links and joints with
-    /// different lengths. `None` if one of its chains cannot be computed.
+    /// The same arm on `robot`, which has the same links with other lengths. `None` if a chain fails.
     pub(crate) fn with_robot(&self, robot: Robot) -> Option<Self> {
         let chain = |old: &Chain| {
             robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
@@ -275,19 +270,18 @@ impl Arm {
         })
     }
 
-    /// Corrects the joint states, and keeps the recorded ones.
     pub(crate) fn correct_joints(&mut self, mending: JointStateCorrection) {
         let mended = mending.mended(&self.joints);
         let recorded = std::mem::replace(&mut self.joints, Arc::new(mended));
         self.recorded = Some((recorded, mending));
     }
 
-    /// Whether this arm includes a joint of `path`, rather than only belonging to the same robot.
+    /// Whether this arm includes a joint of `path`.
     pub(super) fn is_along(&self, path: &ArmPath) -> bool {
         self.chain.joint_names().iter().any(|joint| path.joints.contains(joint))
     }
 
-    /// The chain between two links and the columns of its joints, if the joint states contain them.
+    /// The chain between two links with its columns, if all its joints are logged.
     pub(super) fn chain_between(&self, base: LinkId, tip: LinkId) -> Option<(Chain, Vec<usize>)> {
         let chain = self.robot.chain(base, tip).ok()?;
         let columns = columns_of(&self.joint_names, &chain)?;
@@ -321,19 +315,17 @@ impl Arm {
         (place, Some(anchor))
     }
 
-    /// Joints between two frames, if both are links of this robot.
     pub(super) fn joints_between(&self, a: &str, b: &str) -> Option<Vec<String>> {
         let link = |frame| self.frames.link_of(&self.robot, frame);
         let chain = self.robot.chain(link(a)?, link(b)?);
         Some(chain.map(|chain| chain.joint_names().to_vec()).unwrap_or_default())
     }
 
-    /// Whether a joint of this arm moves `link`.
     pub(super) fn moves(&self, link: LinkId) -> bool {
         self.joints_above(link) > 0
     }
 
-    /// A joint that moves `link` but is missing from the joint states, so that the link's pose is unknown.
+    /// A joint that moves `link` but has no joint states.
     pub(super) fn unlogged_above(&self, link: LinkId) -> Option<&str> {
         skeleton::moving_joints_above(&self.robot, link)
             .map(|joint| driver(&self.robot, joint).name.as_str())
@@ -344,24 +336,20 @@ impl Arm {
         self.joint_names.iter().any(|known| known == name)
     }
 
-    /// Whether a logged joint lies between two frames that are links of this robot.
     pub(super) fn knows_between(&self, a: &str, b: &str) -> bool {
         let joints = self.joints_between(a, b);
         joints.is_some_and(|joints| joints.iter().any(|joint| self.reads(joint)))
     }
 
-    /// Whether these names refer to this arm.
     pub(super) fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
         self.space.claim(names)
     }
 
-    /// Number of this arm's joints that move `link`.
     fn joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);
         above.filter(|joint| self.reads(&driver(&self.robot, joint).name)).count()
     }
 
-    /// Whether more than half of the arm's joints, and at least four, lie between two links.
     pub(super) fn has_most_between(&self, base: LinkId, tip: LinkId) -> bool {
         const FEWEST: usize = 4;
         let own = self.chain.joint_names();
@@ -371,13 +359,13 @@ impl Arm {
         })
     }
 
-    /// Whether the frame is a link that most of the arm's joints move.
+    /// Whether most of the arm's joints move this frame.
     pub(super) fn is_far_out(&self, name: &str) -> bool {
         let link = self.frames.link_of(&self.robot, name);
         link.is_some_and(|link| 2 * self.joints_above(link) > self.joint_names.len())
     }
 
-    /// Words shared by most of its joint names, and those in the name of its tip.
+    /// Words of most joint names, and of the tip's name.
     pub(super) fn words(&self) -> Vec<String> {
         let of_joints: Vec<Vec<String>> = self.joint_names.iter().map(|name| words(name)).collect();
         let is_of_most = |word: &String| {
@@ -391,19 +379,16 @@ impl Arm {
         own
     }
 
-    /// Frame names of its base and its tip in the log.
     pub(crate) fn end_frames(&self) -> [String; 2] {
         [self.base, self.tip].map(|link| self.frame_of(link))
     }
 
-    /// Frame name of `link` in the log.
     pub(super) fn frame_of(&self, link: LinkId) -> String {
         self.frames.frame_of(self.robot.link_name(link))
     }
 }
 
-/// The controller's base, else the root. The arm's first link if an unlogged joint moves it relative to
-/// those.
+/// The controller's base, else the root. The arm's first link if an unlogged joint moves it.
 fn default_base(model: &Model, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
     let known = |joint: &Joint| path.joints.contains(&driver(robot, joint).name);

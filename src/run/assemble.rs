@@ -41,8 +41,7 @@ use transforms::tf_tree;
 pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {
-    /// Assembles the run, lets `mend` correct it, and resolves by motion the roles that names and frames
-    /// leave undetermined. The run changes only afterwards if its data are re-read with estimated values.
+    /// Assembles the run, lets `mend` correct it, and resolves open roles by motion.
     ///
     /// # Errors
     /// Those of [`Run::assemble`] and of `mend`.
@@ -60,8 +59,7 @@ impl Run {
     /// Assembles the run from names, types and frames.
     ///
     /// # Errors
-    /// If the caller's options are invalid: an unreadable robot, a base or tip that is not a link, or a
-    /// declared topic that does not exist. Faults of the log itself are in [`Run::no_arm`].
+    /// If the caller's options are invalid. Faults of the log itself are in [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
         let given = models::given_or_shared(options)?;
         let calibrations = calibrations::given(&options.calibrations)?;
@@ -71,7 +69,7 @@ impl Run {
         by_order::name_counted(&mut topics_of_log, &robots);
         let mut streams = split(topics_of_log);
         for declared in &options.declared {
-            // A topic that the config expects and the log lacks is a finding, not an error.
+            // A topic that only the config expects is a finding, not an error.
             let by_config = options.topics.iter().any(|said| said.is_of(&declared.topic));
             let has_columns =
                 |stream: &Stream| is_topic(stream, &declared.topic) && stream.columns.is_some();
@@ -178,7 +176,6 @@ impl Run {
     }
 }
 
-/// Adds how the columns of a table's streams were identified to their reasons.
 fn say_columns(streams: &mut [Stream]) {
     for stream in streams {
         if let Some(read_as) = &stream.read_as {
@@ -199,13 +196,11 @@ fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunErro
     Err(not_so(declared, what.to_owned()))
 }
 
-/// The error for a topic that does not match its declaration.
 fn not_so(declared: &Declaration, what: String) -> RunError {
     let remedy = "check the topic's name and type with `poseaudit info`";
     RunError::Declared { place: declared.place.clone(), what, remedy }
 }
 
-/// First and last time of some streams.
 fn span<'a>(streams: impl Iterator<Item = &'a Stream>) -> Option<(Stamp, Stamp)> {
     let bounds = streams.filter_map(|stream| stream.start.zip(stream.end));
     bounds.reduce(|(start, end), (other_start, other_end)| {
@@ -219,7 +214,6 @@ fn origin(streams: &[Stream]) -> Stamp {
     of_joints.or_else(of_any).map_or(Stamp::default(), |(start, _)| start)
 }
 
-/// Robot descriptions from topics and attachments, each with its source.
 fn descriptions(
     streams: &[Stream],
     attached: Vec<crate::log::Description>,
@@ -236,7 +230,6 @@ fn descriptions(
     found
 }
 
-/// Sources whose description cannot be read, each with its first error.
 fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
     let refused = |(place, text): &(String, String)| {
         Some((place.clone(), Robot::from_text(text, place).err()?))
@@ -252,7 +245,6 @@ impl Assembly<'_> {
         self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
     }
 
-    /// Assigns a role to `stream`, and its samples to the arm it belongs to.
     fn assign(&mut self, stream: usize) -> Result<(), RunError> {
         match &self.streams[stream].columns {
             Some(Columns::Poses(_) | Columns::Array(_)) => self.assign_pose(stream),

@@ -1,9 +1,8 @@
-//! Matches arms whose joint names differ between log and model, or are only numbered, by order and
-//! kinematics.
+//! Matches joint names that differ between log and model by order and kinematics.
 //!
-//! The joint order comes from numbers in the logged names, else from the log. Pose streams decide between
-//! several orders or arms. Remaining ambiguity is an error that asks for `--joint-map` or `--robot`. Joints
-//! that a table only numbers get the names of the model's joints in its order.
+//! The order comes from numbers in the logged names, else from the log. Poses decide between several;
+//! ambiguity is an error that asks for `--joint-map` or `--robot`. Numbered table joints take the model's
+//! names in order.
 
 use std::collections::BTreeMap;
 
@@ -16,15 +15,12 @@ use crate::log::Topic;
 use crate::robot::{Robot, catalogue};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
-/// Encoding of topics made from table columns.
 pub(super) const TABLE: &str = "table";
 
-/// Minimum number of joints of an arm.
 const FEWEST: usize = 4;
-/// Maximum residual of an arm with different joint names, as a share of the positions' extent.
+/// Maximum residual of a match, as a share of the positions' extent.
 const FITS_SHARE: f64 = 0.02;
 
-/// Names of the parts of an arm, starting at the base.
 const PARTS: [&[&str]; 6] = [
     &["rail", "track", "gantry", "slide"],
     &["base", "waist", "pan", "swing", "turret"],
@@ -34,23 +30,20 @@ const PARTS: [&[&str]; 6] = [
     &["wrist", "hand", "flange", "tool"],
 ];
 
-/// Logged joints that may belong to one arm, in each possible order along it.
+/// Logged joints that may form one arm, in order.
 #[derive(Clone, Debug, PartialEq)]
 struct Series {
     orders: Vec<Vec<String>>,
-    /// Whether the order comes from numbers in their names.
     is_numbered: bool,
 }
 
-/// One way to match a model.
 struct Match {
     model: Model,
-    /// Pairs of logged and modelled joint names.
     pairs: Vec<(String, String)>,
     is_numbered: bool,
 }
 
-/// Renames the joints of `robot` as in the log, once for each series of joints that matches its arm.
+/// Renames the joints of `robot` as in the log, once per series that matches its arm.
 ///
 /// # Errors
 /// If no series has as many joints as the arm, or several matches are equally good.
@@ -86,10 +79,10 @@ pub(super) fn matched(
     }
 }
 
-/// Catalogue arms that match series of logged joints by order, if only one arm fits the pose streams.
+/// Catalogue arms that match by order, if only one fits the poses.
 ///
 /// # Errors
-/// If several arms fit equally well.
+/// If several fit equally well.
 pub(super) fn catalogued(
     clues: &Clues<'_>,
     criteria: &RankingCriteria<'_>,
@@ -122,8 +115,8 @@ pub(super) fn catalogued(
     }
 }
 
-/// Catalogue arms with as many joints as are `logged`, in each common order. The last numbered joint of a
-/// table may be a gripper.
+/// Catalogue arms with as many joints as are `logged`, in each common order. A table's last number may be a
+/// gripper.
 pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
     let fewest = logged.len() - usize::from(is_counted(logged));
     let of_robot = |robot: &Robot| -> Vec<Model> {
@@ -135,8 +128,8 @@ pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
     catalogue::entries().iter().flat_map(of_robot).collect()
 }
 
-/// Common joint orders of drivers: from base to tip, and sorted by name as `joint_state_broadcaster` and
-/// MoveIt do (a UR's elbow comes first).
+/// Common driver orders: from base to tip, and by name as in `joint_state_broadcaster` and MoveIt (a UR's
+/// elbow comes first).
 pub(super) fn usual_orders(path: &[String]) -> Vec<Vec<String>> {
     let mut sorted = path.to_vec();
     sorted.sort();
@@ -145,7 +138,7 @@ pub(super) fn usual_orders(path: &[String]) -> Vec<Vec<String>> {
     orders
 }
 
-/// Names numbered joints after those of `robots`. Each robot may apply only to names with its prefix.
+/// Names numbered joints after those of `robots`, each for names with its prefix.
 pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>)]) {
     for topic in topics {
         let Some(Columns::Joints(joints)) = &mut topic.columns else { continue };
@@ -161,8 +154,7 @@ pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>
     }
 }
 
-/// Prefix of numbered names, such as `left` for `left_q1` and empty for `q1`. `None` if the joints have
-/// proper names.
+/// Prefix of numbered names: `left` for `left_q1`, empty for `q1`. `None` if joints have proper names.
 fn side_of(joints: &JointColumns) -> Option<String> {
     let first = joints.joints.first().filter(|_| joints.unnamed)?;
     let side = first.name.strip_suffix("q1")?;
@@ -171,7 +163,6 @@ fn side_of(joints: &JointColumns) -> Option<String> {
     is_counted.then(|| side.trim_end_matches('_').to_owned())
 }
 
-/// Whether all joints are numbered joints of a table.
 pub(super) fn is_counted(joints: &[String]) -> bool {
     let is_it = |(at, name): (usize, &String)| *name == format!("q{}", at + 1);
     joints.len() >= FEWEST && joints.iter().enumerate().all(is_it)
@@ -185,8 +176,7 @@ pub(super) fn counted(
     clues: &Clues<'_>,
     criteria: &RankingCriteria<'_>,
 ) -> Result<Vec<Model>, RunError> {
-    /// Maximum residual of an arm that fits only with a fault, m: the deviation of a nominal model from a
-    /// calibrated arm.
+    /// Maximum residual of an arm that fits only with a fault, m: nominal model against calibrated arm.
     const FITS_M: f64 = 5e-4;
     let joints = clues.joints.len();
     let models = along(clues.joints, clues);
@@ -199,7 +189,7 @@ pub(super) fn counted(
     let Some(best) = ranking.standings.first() else {
         return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
     };
-    // A zero offset may fit slightly better than none, because it absorbs link deviations.
+    // A zero offset may fit slightly better, because it absorbs link deviations.
     let is_sound = best.fits_without_fault;
     let is_close = best.way.residual_m < FITS_M.min(FITS_SHARE * best.spread_m);
     if !best.fits || !(is_sound || is_close) {
@@ -220,12 +210,10 @@ pub(super) fn counted(
     Ok(vec![Model { found, ..models[best.model].clone() }])
 }
 
-/// Number of logged joints that move an arm.
 fn moved(model: &Model, logged: &[String]) -> usize {
     logged.iter().filter(|name| model.robot.joint(name).is_some()).count()
 }
 
-/// Name of an arm, and its joint order if that is not from base to tip.
 fn label(model: &Model, logged: &[String]) -> String {
     let name = &model.robot.name;
     let path = path_of(&model.robot).unwrap_or_default();
@@ -235,21 +223,13 @@ fn label(model: &Model, logged: &[String]) -> String {
     }
 }
 
-/// Result of the choice between several matches.
 enum Settled {
-    One {
-        way: Box<Match>,
-        why: String,
-    },
-    /// Undetermined between these.
-    Open {
-        ways: Vec<String>,
-    },
+    One { way: Box<Match>, why: String },
+    Open { ways: Vec<String> },
     None,
 }
 
-/// The match for a named model: the one confirmed by poses, else the only one with numbered names if no
-/// pose contradicts it.
+/// The match confirmed by poses, else the only one with numbered names that no pose contradicts.
 fn settled(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     let is_only = ways.len() == 1 && ways[0].is_numbered;
     if !is_only {
@@ -269,7 +249,7 @@ fn settled(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     }
 }
 
-/// The match that fits the pose streams without a fault, if no other fits as well.
+/// The match that fits the poses without a fault, if no other fits as well.
 fn proven(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     let models: Vec<&Model> = ways.iter().map(|way| &way.model).collect();
     let Some(ranking) = (criteria.by_poses)(&models) else {
@@ -281,7 +261,7 @@ fn proven(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     let Some(best) = ranking.standings.iter().find(|one| is_sound(one)) else {
         return Settled::Open { ways: Vec::new() };
     };
-    // A match with a fault counts as an alternative if it explains as much.
+    // A match with a fault counts if it explains as much.
     let is_as_good = |other: &&Standing| other.fits && other.score <= best.score + ranking.apart;
     let same: Vec<&Standing> = ranking.standings.iter().filter(is_as_good).collect();
     if same.len() > 1 {
@@ -309,7 +289,7 @@ fn proven(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     }
 }
 
-/// Whether a model fits without a fault, and too closely for chance.
+/// Whether a model fits without a fault, too closely for chance.
 fn is_sound(one: &Standing) -> bool {
     one.fits
         && one.way.assumption.is_faultless()
@@ -321,7 +301,6 @@ fn fits(one: &Standing) -> String {
     format!("{} fits within {}", one.topic, one.words())
 }
 
-/// All ways to match the arm of `robot` with a series.
 fn ways(robot: &Robot, series: &Series, clues: &Clues<'_>) -> Vec<Match> {
     let Some(path) = path_of(robot) else { return Vec::new() };
     let windows = series.orders.iter().flat_map(|order| {
@@ -346,7 +325,6 @@ fn way(
     Some(Match { model, pairs, is_numbered })
 }
 
-/// Renames joints of `robot`: each pair is the new name and the old one.
 pub(super) fn renamed(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot> {
     robot.with_joints_renamed(|name| {
         let pair = pairs.iter().find(|(_, modelled)| modelled == name);
@@ -354,7 +332,6 @@ pub(super) fn renamed(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot
     })
 }
 
-/// Joints of the only arm of `robot`, from base to tip.
 fn path_of(robot: &Robot) -> Option<Vec<String>> {
     let paths = skeleton::arms(robot, |_| true);
     <[_; 1]>::try_from(paths).ok().map(|[path]| path.joints)
@@ -365,8 +342,8 @@ fn own_names(robot: &Robot) -> Vec<String> {
     own.map(|joint| joint.name.clone()).collect()
 }
 
-/// Finds series among logged joints: names that differ only in a number, sorted by it. Without such names,
-/// all joints in the log's order, or ordered by the arm parts that they name.
+/// Series of joints: names that differ only in a number. Otherwise all joints, in the log's order or that
+/// of the arm parts they name.
 fn series(joints: &[String]) -> Vec<Series> {
     let is_arms = |name: &&String| shared(&parts(name), OTHER_JOINTS).is_none();
     let arms: Vec<&String> = joints.iter().filter(is_arms).collect();
@@ -392,7 +369,7 @@ fn series(joints: &[String]) -> Vec<Series> {
     }
 }
 
-/// Joints ordered by the arm part that they name, then by name. `None` if one names no part.
+/// Joints ordered by arm part, then name. `None` if one names no part.
 fn by_part(joints: &[String]) -> Option<Vec<String>> {
     let rank = |name: &String| {
         let words = parts(name);
@@ -404,13 +381,12 @@ fn by_part(joints: &[String]) -> Option<Vec<String>> {
     Some(ranked.into_iter().map(|(_, name)| name.clone()).collect())
 }
 
-/// Words of a name, without trailing numbers.
 fn parts(name: &str) -> Vec<String> {
     let words = words(name).into_iter();
     words.map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned()).collect()
 }
 
-/// Last number in a name, with the text before and after it.
+/// Last number in a name, with the text around it.
 fn numbered(name: &str) -> Option<(&str, u64, &str)> {
     let end = name.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = name[..end]
@@ -419,7 +395,7 @@ fn numbered(name: &str) -> Option<(&str, u64, &str)> {
     Some((&name[..start], name[start..end].parse().ok()?, &name[end..]))
 }
 
-/// Short form of the matched joints: `a1…a7 are lbr_A1…lbr_A7`.
+/// Short form of a match: `a1…a7 are lbr_A1…lbr_A7`.
 fn shown(pairs: &[(String, String)]) -> String {
     let ends = |name: fn(&(String, String)) -> &String| match pairs {
         [first, .., last] => format!("{}…{}", name(first), name(last)),
@@ -428,7 +404,6 @@ fn shown(pairs: &[(String, String)]) -> String {
     format!("{} are {}", ends(|pair| &pair.0), ends(|pair| &pair.1))
 }
 
-/// The option that selects this match.
 fn map_of(pairs: &[(String, String)]) -> String {
     let pairs: Vec<String> =
         pairs.iter().map(|(logged, modelled)| format!("{logged}={modelled}")).collect();

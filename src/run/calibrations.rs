@@ -1,4 +1,4 @@
-//! Applies calibrations to the models: the caller's, or those in the log.
+//! Applies the caller's calibrations, or those in the log.
 
 use crate::robot::Calibration;
 
@@ -6,14 +6,12 @@ use super::declaration::CalibrationSource;
 use super::error::RunError;
 use super::model::{Clues, Model};
 
-/// A calibration given by the caller, and the joint name prefix of its arm in the log.
+/// A calibration, and its arm's joint name prefix.
 pub(super) struct GivenCalibration {
     pub(super) calibration: Calibration,
     pub(super) prefix: Option<String>,
 }
 
-/// Reads the calibrations given by the caller.
-///
 /// # Errors
 /// If a file is not a calibration.
 pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibration>, RunError> {
@@ -24,11 +22,10 @@ pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibratio
     sources.iter().map(read).collect()
 }
 
-/// Applies the caller's calibrations to the models. Without any, applies those in the log.
+/// Applies the caller's calibrations; without any, those in the log.
 ///
 /// # Errors
-/// If one of the caller's matches no arm of the log, or several. A calibration in the log is then only
-/// skipped with a remark.
+/// If one of the caller's matches no arm, or several. One in the log is then skipped with a remark.
 pub(super) fn overlay_all(
     models: &mut [Model],
     given: &[GivenCalibration],
@@ -51,7 +48,7 @@ pub(super) fn overlay_all(
     Ok(())
 }
 
-/// Applies `calibration` to the only arm that has its joints, with names that start with `prefix`.
+/// Applies `calibration` to the only arm with its joints and `prefix`.
 fn overlay(
     models: &mut [Model],
     calibration: &Calibration,

@@ -1,4 +1,4 @@
-//! Selects the catalogue arm of a log if several have its joint names.
+//! Selects the catalogue arm if several have the log's joint names.
 
 use crate::diagnosis::{FitAssumption, HypothesisFit};
 use crate::finding::Unit;
@@ -8,46 +8,38 @@ use super::by_order;
 use super::error::RunError;
 use super::model::{Clues, Model};
 
-/// Criteria that distinguish arms with the same joint names.
 pub(super) struct RankingCriteria<'a> {
-    /// Rms difference between the log's transforms and a model's link lengths, m.
+    /// Rms difference of logged transforms and link lengths, m.
     pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
-    /// Ranks models by what they must assume to match the pose streams.
+    /// Ranks models by necessary assumptions.
     pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Ranking>,
 }
 
-/// Models ranked by what they must assume to match the pose streams.
 pub(super) struct Ranking {
-    /// Best first. Among models that cannot be distinguished, the one with the smallest assumption is
-    /// first.
+    /// Best first; the smallest assumption first among indistinguishable ones.
     pub standings: Vec<Standing>,
-    /// Minimum difference in score between distinguishable models.
+    /// Minimum score difference of distinguishable models.
     pub apart: f64,
 }
 
-/// Rank of one model.
 pub(super) struct Standing {
-    /// Index of the model.
     pub model: usize,
-    /// Score of its residual and assumptions; lower is better.
+    /// Lower is better.
     pub score: f64,
-    /// Its best fit.
     pub way: HypothesisFit,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
-    /// Residual of the positions as logged, m.
+    /// Residual as logged, m.
     pub as_is_m: f64,
-    /// Whether the residual is small enough for this arm.
+    /// Whether the residual is small enough.
     pub fits: bool,
-    /// Whether a fit without a fault is also close enough.
     pub fits_without_fault: bool,
-    /// The topic with the smallest residual.
+    /// Topic with the smallest residual.
     pub topic: String,
 }
 
 impl Standing {
-    /// Whether another model has the same residual. Their links then have equal lengths as far as this
-    /// motion shows, and audits with either agree.
+    /// Whether two residuals are equal: as far as this motion shows, the links are too, and audits agree.
     pub fn moves_as(&self, other: &Self) -> bool {
         /// Rounding, and early termination of the fit.
         const ROUNDING_M: f64 = 1e-8;
@@ -56,7 +48,6 @@ impl Standing {
         (a - b).abs() <= ROUNDING_M + SHARE * a.max(b)
     }
 
-    /// Describes the fit.
     pub fn words(&self) -> String {
         let left = Unit::Metre.show(self.way.residual_m);
         match self.way.assumption {
@@ -75,14 +66,14 @@ impl Standing {
 }
 
 impl Ranking {
-    /// Adds a penalty for each logged joint that a model does not use, such as a gripper.
+    /// Adds a penalty per unused logged joint, such as a gripper.
     pub fn with_unused_joints(mut self, unused: impl Fn(usize) -> usize) -> Self {
         for standing in &mut self.standings {
             standing.score += self.apart * unused(standing.model) as f64;
         }
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let is_near = |one: &Standing| one.score <= least + self.apart;
-        // Stable sort: among equals, the smallest assumption stays first.
+        // Stable: the smallest assumption stays first.
         self.standings.sort_by(|a, b| match (is_near(a), is_near(b)) {
             (true, true) => std::cmp::Ordering::Equal,
             _ => a.score.total_cmp(&b.score),
@@ -90,7 +81,7 @@ impl Ranking {
         self
     }
 
-    /// The best model, and those that fit and cannot be distinguished from it.
+    /// The best model, and those indistinguishable from it that fit.
     pub fn same(&self) -> Vec<&Standing> {
         let Some(best) = self.standings.first() else { return Vec::new() };
         let others = self.standings.iter().skip(1);
@@ -98,21 +89,20 @@ impl Ranking {
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
-    /// Names of the arms with other links that fit, and that this motion cannot distinguish from the best one.
+    /// Names of arms with other links that this motion cannot distinguish from the best.
     fn indistinguishable(&self, names: &[&str]) -> Vec<String> {
         let Some(best) = self.standings.first() else { return Vec::new() };
         let rivals = self.same().into_iter().skip(1).filter(|other| !other.moves_as(best));
         rivals.map(|other| names[other.model].to_owned()).collect()
     }
 
-    /// The standings after the best whose score does not differ from the lowest one.
     fn near_best(&self) -> Vec<&Standing> {
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let others = self.standings.iter().skip(1);
         others.filter(|other| other.score <= least + self.apart).collect()
     }
 
-    /// Describes how the best model compares with the others.
+    /// Compares the best model with the others, in words.
     pub fn words(&self, names: &[&str], alike: &str) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
         let same = self.near_best();
@@ -140,10 +130,10 @@ impl Ranking {
     }
 }
 
-/// Catalogue arms with the log's joint names. Among arms with equal names, selects the one that needs the
-/// fewest causes.
+/// Catalogue arms with the log's joint names. Of arms with equal names, the one that needs the fewest
+/// causes.
 ///
-/// An arm whose names match only after an unknown prefix is removed must also fit, because names such as
+/// If the names match only without an unknown prefix, the arm must also fit, because names such as
 /// `joint_1` are common.
 pub(super) fn from_catalogue(
     clues: &Clues<'_>,
@@ -183,7 +173,6 @@ pub(super) fn from_catalogue(
     }
 }
 
-/// The arm named in the metadata, if nothing else determines it.
 fn by_type(found: &[catalogue::Candidate], clues: &Clues<'_>) -> Option<Option<Model>> {
     let robot_type = clues.robot_type?;
     let named = of_type(robot_type)?;
@@ -198,8 +187,7 @@ pub(super) fn of_type(robot_type: &str) -> Option<&'static Robot> {
     (1..=words.len()).rev().find_map(|count| catalogue::find(&words[..count].join("_")))
 }
 
-/// Catalogue arms with the joints that the caller maps the log's joints to. Selects for each map the arm
-/// that needs the fewest causes.
+/// Catalogue arms with the joints of the caller's maps; per map, the one with the fewest causes.
 pub(super) fn mapped_from_catalogue(
     maps: &[Vec<(String, String)>],
     clues: &Clues<'_>,
@@ -221,15 +209,13 @@ pub(super) fn mapped_from_catalogue(
     Ok(each.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
 }
 
-/// Selects from catalogue arms with the same joint names.
 fn the_one_of(
     equals: Vec<Model>,
     is_stranger: bool,
     criteria: &RankingCriteria<'_>,
 ) -> Result<Option<Model>, RunError> {
-    /// Maximum difference between an arm's links and the log's transforms, m.
     const FITS_M: f64 = 0.01;
-    /// Minimum margin over the next closest arm, m.
+    /// Minimum margin over the next arm, m.
     const APART_M: f64 = 1e-3;
     let take = |at: usize, found: String| {
         let model = equals.get(at).cloned()?;
@@ -269,7 +255,7 @@ fn the_one_of(
     let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
     let ranking = (criteria.by_poses)(&equals.iter().collect::<Vec<_>>());
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
-        // Many makers use names such as joint_1, so an arm that does not fit may be from another maker.
+        // Names such as joint_1 are common, so one that does not fit may be another maker's.
         Some((ranking, best)) if best.fits || is_one_makers => {
             let model = take(best.model, ranking.words(&names, "these joint names"));
             let indistinguishable = ranking.indistinguishable(&names);

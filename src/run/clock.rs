@@ -8,11 +8,11 @@ use crate::time::{Clock, Stamp, seconds};
 /// State of a stream's header stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeaderStamps {
-    /// Increasing stamps; a few may be zero, see [`StreamClock::zero`].
+    /// Increasing; a few may be zero, see [`StreamClock::zero`].
     Sound,
     /// The message type has no header.
     Absent,
-    /// At least half of them are zero, because the sender does not set them.
+    /// At least half are unset.
     Zero,
     /// All are equal.
     Constant,
@@ -25,20 +25,18 @@ pub enum HeaderStamps {
 pub enum Epoch {
     /// The clock of most streams, within the maximum latency of the recorder's.
     Common,
-    /// A different clock from most streams.
+    /// Not the clock of most streams.
     Foreign,
-    /// The clock of most streams, which differs from the recorder's: simulation, or a replay.
+    /// The common clock, but not the recorder's: simulation or replay.
     CommonButNotTheRecorders,
 }
 
-/// How a stream's stamps were aligned to the clock of most streams.
+/// How a stream was aligned to the clock of most streams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
-    /// Offset added to every stamp, ns. An integer, because clocks may be decades apart, too far for
-    /// seconds in an `f64`.
+    /// Offset added to every stamp, ns. An integer, because clocks may be decades apart.
     pub offset_nanos: i64,
-    /// Standard error of the offset, s: the typical minus the minimum transport delay of both streams.
-    /// Their minimum delays may differ by as much.
+    /// Standard error of the offset, s: typical minus minimum transport delay of both streams.
     pub spread_s: f64,
 }
 
@@ -47,34 +45,34 @@ pub struct Alignment {
 pub struct StreamClock {
     /// Index of the stream.
     pub stream: usize,
-    /// Child frame of the first transform in the group, if the transforms of a TF topic use several clocks.
+    /// Child frame of the group's first transform, if a TF topic uses several clocks.
     pub frame: Option<String>,
-    /// Clock used for the stream's rows.
+    /// Clock of the rows.
     pub clock: Clock,
     /// State of the header stamps.
     pub stamps: HeaderStamps,
     /// Number of rows.
     pub rows: u64,
-    /// Number of rows with a header stamp of zero.
+    /// Number of zero header stamps.
     pub zero: u64,
-    /// Whether the row that was received first has a header stamp of zero.
+    /// Whether the first received header stamp is zero.
     pub begins_at_zero: bool,
-    /// Valid range of times, ns. Times outside are discarded.
+    /// Valid times, ns; others are discarded.
     pub near: RangeInclusive<i64>,
-    /// Number of rows with a time outside that range.
+    /// Number of rows outside that range.
     pub far: u64,
     /// Median of log time minus header stamp, s; `None` if the headers are not [`HeaderStamps::Sound`].
     pub log_minus_header_s: Option<f64>,
-    /// 1 % quantile of the same difference, s. Negative if messages were received before their stamps.
+    /// 1 % quantile of the same, s; negative if received before the stamps.
     pub soonest_s: Option<f64>,
     /// Clock of the header stamps.
     pub epoch: Epoch,
-    /// Alignment of the stamps, if they were shifted.
+    /// Alignment, if the stamps were shifted.
     pub alignment: Option<Alignment>,
 }
 
 impl StreamClock {
-    /// Rows of `times` with a valid stamp on the stream's clock.
+    /// Rows with a valid stamp on the stream's clock.
     pub fn rows_of(&self, times: &Times) -> impl Iterator<Item = (Stamp, usize)> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let may_be_unset = self.clock == Clock::Header;
@@ -84,7 +82,7 @@ impl StreamClock {
             .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
     }
 
-    /// Stamp of one row. `None` if it has no stamp on the stream's clock, or the row does not exist.
+    /// Stamp of one row. `None` if it has none on the stream's clock, or does not exist.
     pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let nanos = *times.nanos_on(self.clock).get(row)?;
@@ -94,14 +92,13 @@ impl StreamClock {
     }
 }
 
-/// Input for clock selection: a stream, or some transforms of a TF topic.
 pub(super) struct Source<'a> {
     pub stream: usize,
     pub frame: Option<&'a str>,
-    /// Times of all rows; one entry per transform.
+    /// Times of all rows, per transform.
     pub times: Vec<&'a Times>,
     pub has_header: bool,
-    /// Whether the stream contains joint states, which break ties between streams.
+    /// Joint states break ties.
     pub is_joints: bool,
 }
 
@@ -130,23 +127,21 @@ impl Source<'_> {
         (state, zero)
     }
 
-    /// Whether the row that was received first has a header stamp of zero.
     fn begins_at_zero(&self) -> bool {
         let rows = self.times.iter().flat_map(|times| times.log.iter().zip(&times.header));
         rows.min_by_key(|(received, _)| **received).is_some_and(|(_, stamp)| *stamp == 0)
     }
 
-    /// Times on `clock`, without rows that have no stamp.
     fn nanos(&self, clock: Clock) -> impl Iterator<Item = i64> {
         let nanos = self.times.iter().flat_map(move |times| times.nanos_on(clock)).copied();
         nanos.filter(move |nanos| clock != Clock::Header || *nanos != 0)
     }
 
-    /// Valid range of times: the central 90 % of the rows, extended by a day or by 100 times their span.
-    /// Otherwise a single far stamp would extend the run by centuries.
+    /// Valid range: the central 90 % of the rows, extended by a day or 100 times their span. A single far
+    /// stamp would else extend the run by centuries.
     fn near(&self, clock: Clock) -> RangeInclusive<i64> {
         const DAY: i64 = 86_400_000_000_000;
-        /// Number of rows for the estimate. Fewer are not checked; more do not improve it.
+        /// Fewer rows are not checked; more do not improve the estimate.
         const ROWS: RangeInclusive<usize> = 20..=100_000;
         let every = self.rows().div_ceil(*ROWS.end()).max(1);
         let mut nanos: Vec<i64> = self.nanos(clock).step_by(every).collect();
@@ -164,9 +159,8 @@ impl Source<'_> {
         self.nanos(clock).filter(|nanos| !near.contains(nanos)).count() as u64
     }
 
-    /// Log time minus time on `clock`, without rows that have no stamp.
+    /// Log time minus time on `clock`, of rows with a stamp.
     fn delay(&self, clock: Clock) -> Option<Delay> {
-        /// Maximum number of rows for the estimate.
         const ENOUGH: usize = 100_000;
         let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.nanos_on(clock)));
         let rows = rows.step_by(self.rows().div_ceil(ENOUGH).max(1));
@@ -175,10 +169,10 @@ impl Source<'_> {
     }
 }
 
-/// Groups the transforms of TF topic `stream` by clock.
+/// Groups the transforms of a TF topic by clock.
 ///
-/// Each transform is given by its child frame and times. A group has stamps of one kind with median delays
-/// within `max_latency_s` of each other. Returns each group with the indices of its transforms.
+/// Each is given by child frame and times. A group has one kind of stamps, and median delays within
+/// `max_latency_s`. Returns each group with its transforms' indices.
 pub(super) fn by_clock<'a>(
     stream: usize,
     transforms: impl Iterator<Item = (&'a str, &'a Times)>,
@@ -214,11 +208,11 @@ pub(super) fn by_clock<'a>(
     groups
 }
 
-/// Statistics of a stream's delays, ns.
+/// Delays of a stream, ns.
 #[derive(Clone, Copy, Debug)]
 struct Delay {
     median: i64,
-    /// 1 % quantile: close to the minimum, and robust against a single stamp from the future.
+    /// 1 % quantile: near the minimum, robust against one stamp from the future.
     floor: i64,
 }
 
@@ -243,13 +237,12 @@ impl Delay {
     }
 }
 
-/// Selects the clock of every stream, and aligns streams that are not on the clock of most streams.
+/// Selects the clock of every stream, and aligns those on other clocks.
 ///
-/// A stream whose median delay to the recorder differs by more than `max_latency_s` from the others is on
-/// another clock. Alignment uses the minimum delay: transport only adds delay, so the minimum of log time
-/// minus stamp is the clock offset plus the minimum transport delay. Subtracting the minimum of a stream on
-/// the common clock removes that delay. A stream that falls back to log time is aligned in the same way if
-/// the common clock is not the recorder's.
+/// A stream is on another clock if its median delay to the recorder differs by more than `max_latency_s`.
+/// Alignment uses the minimum of log time minus stamp: the clock offset plus the minimum transport delay.
+/// Subtracting that of a stream on the common clock removes the delay. Streams on log time are aligned
+/// alike if the common clock is not the recorder's.
 pub(super) fn settle(
     sources: &[Source<'_>],
     wanted: Clock,
@@ -300,7 +293,7 @@ fn align(
     let agreeing = |delay: Delay| {
         votes.iter().filter(|(_, other)| other.is_within(max_latency_s, delay.median)).count()
     };
-    // Joint states first, then the earlier stream.
+    // Joint states, then the earlier stream.
     let rank = |&&(i, delay): &&(usize, Delay)| {
         (agreeing(delay), sources[i].is_joints, std::cmp::Reverse(i))
     };
@@ -332,7 +325,7 @@ mod tests {
     const JOINTS: usize = 7;
     const START: i64 = 1_760_000_000_000_000_000;
 
-    /// 1000 rows at 100 Hz with transport delays of 100 µs to 2.1 ms; `header` changes the true stamps.
+    /// 1000 rows at 100 Hz, delayed by 100 µs to 2.1 ms; `header` changes the true stamps.
     fn times(header: impl Fn(usize, i64) -> i64) -> Times {
         let mut times = Times::default();
         for row in 0..1000 {

@@ -1,4 +1,4 @@
-//! The caller's declarations of robots and streams, in the syntax of the command line and the config.
+//! The caller's declarations of robots and streams, as on the command line and in the config.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -15,16 +15,16 @@ use super::models::robot_of;
 /// Source of a robot: `FILE`, a catalogue `NAME`, or either after `PREFIX=`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RobotSource {
-    /// Prefix of this robot's joint names in the log, if it contains several arms.
+    /// Prefix of its joint names in a log with several arms.
     pub prefix: Option<String>,
-    /// Path of a URDF or TOML file, or the name of a catalogue arm.
+    /// URDF or TOML file, or catalogue arm.
     pub model: String,
-    /// Content of that file, if the caller provides it; the file is then not read.
+    /// Its content, if given; the file is then not read.
     pub text: Option<String>,
 }
 
 impl RobotSource {
-    /// Path of its file; `None` if it is from the catalogue.
+    /// Path of its file; `None` if from the catalogue.
     pub fn file(&self) -> Option<&Path> {
         Some(Path::new(&self.model)).filter(|path| self.text.is_none() && path.is_file())
     }
@@ -32,7 +32,7 @@ impl RobotSource {
     /// Loads the robot.
     ///
     /// # Errors
-    /// If its text or its file is not a valid robot, or the catalogue does not have the name.
+    /// If its text or file is invalid, or the catalogue lacks the name.
     pub fn robot(&self) -> Result<Robot, RunError> {
         match &self.text {
             Some(text) => Ok(Robot::from_text(text, &self.model)?),
@@ -51,9 +51,9 @@ impl From<&str> for RobotSource {
 /// Calibration of an arm: `FILE`, or `PREFIX=FILE`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CalibrationSource {
-    /// Prefix of that arm's joint names in the log, if it contains several arms.
+    /// Prefix of the arm's joint names in a log with several arms.
     pub prefix: Option<String>,
-    /// Path of a JSON file from `calibrate`, or of a YAML file from `ur_calibration`.
+    /// JSON file from `calibrate`, or YAML from `ur_calibration`.
     pub file: PathBuf,
 }
 
@@ -64,7 +64,7 @@ impl From<&str> for CalibrationSource {
     }
 }
 
-/// A joint with different names in log and model: `LOG=MODEL`.
+/// A joint named differently in log and model: `LOG=MODEL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JointName {
     /// Name in the log.
@@ -86,7 +86,6 @@ impl FromStr for JointName {
     }
 }
 
-/// Splits at the `=` of a prefix, if there is one.
 fn after_prefix(text: &str) -> (Option<String>, &str) {
     match text.split_once('=') {
         Some((prefix, rest)) if !prefix.contains(['/', '.']) => (Some(prefix.to_owned()), rest),
@@ -94,7 +93,7 @@ fn after_prefix(text: &str) -> (Option<String>, &str) {
     }
 }
 
-/// The caller's declaration of a topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=VENDOR`, as in `kuka`.
+/// Declared topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=VENDOR`, as in `kuka`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Declaration {
     /// The topic.
@@ -103,12 +102,11 @@ pub struct Declaration {
     pub place: String,
     /// Encoding of rotations.
     pub coding: RotationEncoding,
-    /// Unit of positions: metres or millimetres.
+    /// Unit of positions.
     pub length: LengthScale,
     /// Unit of angles.
     pub angle: AngleUnit,
-    /// Whether only a vendor was named. The declaration then applies only to topics with that vendor's
-    /// number of values.
+    /// Whether only a vendor was named; then applies only to topics with its number of values.
     pub is_of_vendor: bool,
 }
 
@@ -118,7 +116,6 @@ impl Declaration {
         self.topic.trim_start_matches('/') == topic.trim_start_matches('/')
     }
 
-    /// Whether it applies to these columns.
     pub(super) fn fits(&self, columns: Option<&Columns>) -> bool {
         match columns {
             _ if !self.is_of_vendor => true,

@@ -2,9 +2,9 @@ use std::fmt;
 
 use crate::robot::{ChainError, RobotError};
 
-/// Why a run has no arm to audit, or why the caller's options are invalid.
+/// Why a run has no arm, or why the options are invalid.
 ///
-/// The text of each case gives the place, the problem and the remedy in one line.
+/// Each text gives the place, the problem and the remedy in one line.
 #[derive(Debug)]
 pub enum RunError {
     /// No topic contains joint states.
@@ -14,7 +14,7 @@ pub enum RunError {
         /// Unresolved ambiguity of a table's columns.
         question: Option<String>,
     },
-    /// The joint states contain no finite sample of all joints of the arm.
+    /// No finite sample has all joints of the arm.
     NoSamples {
         /// The robot.
         robot: String,
@@ -26,16 +26,16 @@ pub enum RunError {
         /// Joints in the log.
         logged: Vec<String>,
     },
-    /// Several catalogue arms have these joint names, and nothing in the log distinguishes them.
+    /// Several catalogue arms have these joint names.
     Ambiguous {
         /// The arms.
         arms: Vec<String>,
     },
-    /// A table does not name its joints, and its poses fit no catalogue arm, or several.
+    /// A table's joints are unnamed, and its poses fit no catalogue arm, or several.
     Numbered {
         /// Number of joints.
         joints: usize,
-        /// The arms that fit about equally well.
+        /// The arms that fit equally well.
         arms: Vec<String>,
         /// The closest arm and its residual, if none fits.
         best: Option<String>,
@@ -50,10 +50,10 @@ pub enum RunError {
         logged: Vec<String>,
         /// Joints of the model.
         modelled: Vec<String>,
-        /// Options that would match them.
+        /// Options that match them.
         ways: Vec<String>,
     },
-    /// Several catalogue arms with different joint names fit the log equally well.
+    /// Several catalogue arms with other joint names fit equally well.
     SameMotion {
         /// The arms.
         arms: Vec<String>,
@@ -63,7 +63,7 @@ pub enum RunError {
         /// The problem.
         what: String,
     },
-    /// A `--robot` is neither a file nor a catalogue arm.
+    /// A `--robot` that is neither file nor catalogue arm.
     UnknownRobot {
         /// The given name.
         name: String,
@@ -72,13 +72,13 @@ pub enum RunError {
     },
     /// A model could not be read.
     Robot(RobotError),
-    /// A calibration could not be read, or belongs to a different arm.
+    /// An invalid calibration, or one of a different arm.
     Calibration(RobotError),
     /// A calibration matches no arm of the log, or several.
     CalibrationOf {
         /// Source of the calibration.
         source: String,
-        /// Joint name prefixes of the arms that it matches.
+        /// Joint prefixes of the arms that it matches.
         prefixes: Vec<String>,
     },
     /// `--base` or `--tip` is not a link of the robot.
@@ -94,7 +94,7 @@ pub enum RunError {
     },
     /// No chain connects base and tip.
     Chain(ChainError),
-    /// The joint states lack joints between base and tip.
+    /// Joints between base and tip are not logged.
     MissingJoints {
         /// The base link.
         base: String,
@@ -103,7 +103,7 @@ pub enum RunError {
         /// The joints.
         joints: Vec<String>,
     },
-    /// A declared topic is not in the log, or the declaration does not fit its messages.
+    /// A declaration without a topic, or that does not fit its messages.
     Declared {
         /// Source of the declaration.
         place: String,
@@ -115,7 +115,6 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// Whether the caller's options are at fault, rather than the log.
     pub(super) fn is_of_the_call(&self) -> bool {
         match self {
             Self::UnknownRobot { .. }
@@ -217,7 +216,7 @@ impl RunError {
         }
     }
 
-    /// The place of the problem: a file with its line, a topic, an option.
+    /// File with line, topic, or option.
     pub fn place(&self) -> String {
         match self {
             Self::NoJointStates { .. }
@@ -236,7 +235,7 @@ impl RunError {
         }
     }
 
-    /// What the user can do, as a short clause.
+    /// What the user can do, as a clause.
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::NoJointStates { question: Some(_), .. } => {
@@ -302,7 +301,6 @@ impl From<ChainError> for RunError {
     }
 }
 
-/// The first few of `names`, and the number of the remaining ones.
 fn few(names: &[String]) -> String {
     const SHOWN: usize = 8;
     // One more name is as short as the remark.

@@ -1,9 +1,8 @@
 //! Excerpts of a long run for estimation.
 //!
-//! An estimate from five minutes spread over an hour is nearly as good as one from the whole hour, and
-//! twelve times cheaper. So a run longer than [`WHOLE_S`] is divided into [`PARTS`] parts with equally many
-//! joint states, and the estimators use the span of each part with the most joint motion. Clocks, rates,
-//! gaps, repeats and counts always use all rows.
+//! Five minutes spread over an hour estimate nearly as well as the hour. A run longer than [`WHOLE_S`] is
+//! divided into [`PARTS`] parts with equally many joint states, and estimators use the span of each with
+//! the most motion. Clocks, rates, gaps, repeats and counts use all rows.
 
 use rayon::prelude::*;
 
@@ -15,24 +14,23 @@ use super::rows::Rows;
 use super::sample_filter::SampleFilter;
 use super::streams::{Clocks, Stream};
 
-/// Maximum duration of a run that is used completely, s.
+/// Maximum duration that is used completely, s.
 const WHOLE_S: i64 = 300;
-/// Number of parts of a longer run.
 const PARTS: usize = 24;
-/// Duration of the excerpt of each part, s.
+/// Duration of each excerpt, s.
 const EXCERPT_S: i64 = 12;
-/// Maximum number of time steps over which motion is summed; about a second each for a day.
+/// Maximum number of motion sums; about a second each for a day.
 const STEPS: i64 = 100_000;
 
 /// The excerpts of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Excerpts {
-    /// First and last nanosecond of each excerpt on the audit's clock, in time order.
+    /// First and last ns of each excerpt on the audit's clock, in time order.
     spans: Vec<(i64, i64)>,
 }
 
 impl Excerpts {
-    /// The excerpts of a run. `None` if it is used completely, or has no joint states.
+    /// `None` if the run is used completely, or has no joint states.
     pub(super) fn select(
         streams: &[Stream],
         clocks: &Clocks,
@@ -41,7 +39,7 @@ impl Excerpts {
         let topics = joints(streams, clocks, sample_filter);
         let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
-        // About 2 % is margin.
+        // 2 % margin.
         if span <= WHOLE_S * NANOS_PER_SECOND * 102 / 100 {
             return None;
         }
@@ -59,14 +57,13 @@ impl Excerpts {
         Some(Self { spans: spans.collect() })
     }
 
-    /// Returns a test whether a time is in an excerpt, or less than `around_s` away. Fast for increasing
-    /// times.
+    /// Tests whether a time is within `around_s` of an excerpt. Fast for increasing times.
     pub(super) fn holds(&self, around_s: f64) -> impl FnMut(Stamp) -> bool {
         let around = nanos(around_s);
         let widened =
             |(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
         let spans: Vec<(i64, i64)> = self.spans.iter().map(widened).collect();
-        // Range of times with the same next span as the last query.
+        // Times with the same next span as the last query.
         let mut until = (i64::MAX, i64::MIN);
         let mut start = i64::MAX;
         move |stamp| {
@@ -90,7 +87,6 @@ impl Excerpts {
     }
 }
 
-/// Joint state topics with their rows, without outliers.
 fn joints<'a>(
     streams: &'a [Stream],
     clocks: &Clocks,
@@ -109,9 +105,9 @@ fn joints<'a>(
     with_rows.collect()
 }
 
-/// Time range of the rows without outlier stamps, with a margin, ns.
+/// Range without outlier stamps, with a margin, ns.
 fn bulk(rows: &Rows) -> Option<(i64, i64)> {
-    // Excludes this many rows at each end; the margin includes them again if they are regular.
+    // The margin includes these rows again if they are regular.
     let stray = rows.len() / 200;
     let last = rows.len().checked_sub(1 + stray)?;
     let mut stamps: Vec<i64> = rows.iter().map(|(stamp, _)| stamp.nanos()).collect();
@@ -123,14 +119,13 @@ fn bulk(rows: &Rows) -> Option<(i64, i64)> {
     Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }
 
-/// Joint motion in each time step of a run.
 struct Activity {
-    /// Start of the run and duration of a step, ns.
+    /// Start of the run, and duration of a step, ns.
     start: i64,
     step: i64,
-    /// Number of rows in each step.
+    /// Rows in each step.
     rows: Vec<usize>,
-    /// Joint motion in each step, summed over all joints, rad and m combined.
+    /// Motion in each step over all joints, rad and m combined.
     motion: Vec<f64>,
 }
 
@@ -144,7 +139,7 @@ impl Activity {
             let since = stamp.nanos().checked_sub(self.start)?;
             usize::try_from(since / self.step).ok().filter(|step| *step < self.rows.len())
         };
-        // Only outlier stamps are outside the run.
+        // Only outlier stamps are outside.
         let steps: Vec<(usize, usize)> =
             rows.iter().filter_map(|&(stamp, row)| Some((step_of(stamp)?, row))).collect();
         steps.iter().for_each(|&(step, _)| self.rows[step] += 1);
@@ -169,7 +164,7 @@ impl Activity {
         }
     }
 
-    /// First step and end step (exclusive) of each part.
+    /// First and end step (exclusive) of each part.
     fn parts(&self) -> Vec<(usize, usize)> {
         let mut behind = Vec::with_capacity(PARTS);
         let (all, mut seen) = (self.rows.iter().sum::<usize>(), 0);
@@ -184,7 +179,6 @@ impl Activity {
     }
 }
 
-/// Start of the `length` steps with the most motion.
 fn busiest(motion: &[f64], length: usize) -> usize {
     let sums = motion.windows(length).map(|window| window.iter().sum::<f64>());
     // The first of equals; `max_by` would return the last.
@@ -199,7 +193,7 @@ mod tests {
     use crate::run::streams::split;
     use crate::stream::JointColumn;
 
-    /// Joint states every half second for `seconds`, with motion in the last tenth of every part.
+    /// Joint states every 0.5 s, with motion in the last tenth of every part.
     fn excerpts(seconds: i64, stray: Option<i64>) -> Option<Excerpts> {
         let mut columns = JointColumns::default();
         columns.joints.push(JointColumn { name: "a".into(), ..Default::default() });
@@ -234,7 +228,6 @@ mod tests {
     #[test]
     fn a_short_run_is_seen_whole() {
         assert_eq!(excerpts(WHOLE_S, None), None);
-        // An outlier stamp does not extend the run.
         assert_eq!(excerpts(WHOLE_S, Some(i64::MAX)), None);
     }
 

@@ -1,9 +1,8 @@
 //! Detects pose streams that repeat one value while the arm moves.
 //!
-//! The latency is not known yet. A span counts as frozen only if the arm does not rest for half as long
-//! anywhere within the maximum latency; it then moved at any latency. Removing these spans makes other
-//! faults of the stream estimable. Spans next to a rest are detected later, when the lag is estimated from
-//! speeds.
+//! The latency is still unknown. So a span counts only if the arm never rests for half as long within the
+//! maximum latency. Removal makes other faults estimable. Spans next to a rest are found later, when speeds
+//! give the lag.
 
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
@@ -13,42 +12,40 @@ use super::arm::Arm;
 use super::poses::Stamped;
 use super::sources::PoseSource;
 
-/// Minimum duration, s; shorter repeats occur if a slow source feeds a fast stream.
+/// Minimum duration, s; slow sources repeat values for less.
 const LEAST_S: f64 = 0.25;
 /// Minimum number of periods, for the same reason.
 const LEAST_PERIODS: usize = 10;
-/// Maximum interval between repeated samples, s; longer gaps end a span.
+/// Gaps longer than this end a span, s.
 const BREAK_S: f64 = 1.0;
-/// Maximum latency at which values near the start or end may lie outside the joint states, s. Such spans
-/// are not reported.
+/// Latency at which values near both ends may lie outside the joint states, s; such spans are not reported.
 const LATE_S: f64 = 1.0;
 /// Maximum motion of a joint at rest, rad or m.
 const REST: f64 = 5e-3;
-/// The same as a share of the joint's range over the run, whatever its unit.
+/// The same as a share of the joint's range.
 const REST_SHARE: f64 = 0.01;
 
-/// A span during which a stream repeated one value while the arm moved.
+/// A span with one repeated value while the arm moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frozen {
     /// Index of the stream.
     pub stream: usize,
-    /// Stamp of the first sample with the value.
+    /// First stamp with the value.
     pub start: Stamp,
-    /// Stamp of the last sample with the value.
+    /// Last stamp with the value.
     pub end: Stamp,
     /// Number of samples with the value.
     pub samples: usize,
-    /// Whether the stream contains no other value.
+    /// Whether the stream has no other value.
     pub whole: bool,
-    /// Motion of the fastest joint during the span, rad or m: the minimum over all possible latencies.
+    /// Motion of the fastest joint, rad or m: the minimum over possible latencies.
     pub moved: f64,
 }
 
-/// Removes the samples of a track that repeat a value while the arm moves, except the first of each value,
-/// and returns the spans. `columns` are the joints that move the link.
+/// Removes repeats while the arm moves, except the first of each value, and returns the spans. `columns`
+/// are the joints that move the link.
 ///
-/// If the stream is not `known` to belong to this arm, nothing is removed when little would remain: it may
-/// not move at all.
+/// If the stream may belong to another arm (not `known`), keeps it when little would remain.
 pub(super) fn take_frozen(
     stream: usize,
     poses: &mut Stamped<PoseTrack>,
@@ -91,10 +88,9 @@ impl PoseSource {
         !holds(&self.track).is_empty()
     }
 
-    /// How far the joints move its link while it repeats a single value, m. `None` if it has several
-    /// values, or the joints do not move the link.
+    /// How far the joints move its link during its single value, m. `None` if it has several, or the joints
+    /// do not move the link.
     pub fn unmoved_by_m(&self, joints: &JointTrack) -> Option<f64> {
-        /// Maximum number of samples that are compared.
         const LOOKS: usize = 64;
         let Self { track, chain, columns, .. } = self;
         let ([first_s, .., last_s], true) =
@@ -116,8 +112,7 @@ impl PoseSource {
 }
 
 impl Run {
-    /// Removes samples that repeat a value while the arm moves at each of `lags_s`, the lags at which the
-    /// source may follow the arm.
+    /// Removes repeats while the arm moves at each of `lags_s`, the possible lags of the source.
     pub fn take_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
@@ -148,7 +143,6 @@ impl Run {
     }
 }
 
-/// Minimum motion of each joint that counts as motion.
 fn rests(joints: &JointTrack) -> Vec<f64> {
     let rows = || 0..joints.len();
     let rest = |joint| (REST_SHARE * range(rows().map(|row| joints.row(row)[joint]))).max(REST);
@@ -159,7 +153,6 @@ fn range(of: impl Iterator<Item = f64> + Clone) -> f64 {
     of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
-/// First and last row of each long enough span with one repeated value.
 fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
     let (mut holds, mut first) = (Vec::new(), 0);
     while first < track.t_s.len() {
@@ -175,15 +168,15 @@ fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
     holds
 }
 
-/// Motion during `hold` of the joint that moves most, minimised over lags near `lags_s`; 0 if all rest.
-/// `None` if the joint states do not cover the span.
+/// Motion of the fastest joint during `hold`, minimised over lags near `lags_s`; 0 at rest. `None` outside
+/// the joint states.
 fn motion_at(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     lags_s: &[f64],
 ) -> Option<f64> {
-    /// Accuracy of a lag estimated from speeds, and step of the search, s.
+    /// Accuracy of a lag from speeds, and search step, s.
     const RIGHT_S: f64 = 0.1;
     const STEP_S: f64 = 0.01;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
@@ -209,7 +202,6 @@ fn motion_at(
         .filter(|it| it.is_finite())
 }
 
-/// Whether two samples are bitwise equal.
 fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
     track.xyz[a] == track.xyz[b]
         && match &track.orientation {
@@ -239,17 +231,15 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     values.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
-/// Least joint motion over all spans half as long as `hold` and within `most_lag_s` of it.
-///
-/// The motion is that of the joint that moves most; 0 if all rest. `None` if the joint states do not cover
-/// the spans, as the arm may then have rested.
+/// Least motion of the fastest joint in any span half as long as `hold` within `most_lag_s`. `None` outside
+/// the joint states, as the arm may have rested.
 fn least_motion(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     most_lag_s: f64,
 ) -> Option<f64> {
-    /// Number of start times per span length, and of samples per span.
+    /// Start times per span length, and samples per span.
     const STARTS: f64 = 4.0;
     const LOOKS: usize = 8;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);

@@ -1,32 +1,30 @@
-//! Detects stamps of a coarse clock: multiples of a tick, such as 15.6 ms on some Windows machines.
+//! Detects stamps that are multiples of a tick, such as 15.6 ms on some Windows machines.
 
-/// Minimum tick that matters, s.
+/// Minimum tick, s.
 const LEAST_S: f64 = 2e-3;
-/// Minimum share of intervals that are multiples of the tick.
+/// Minimum share of intervals of whole ticks.
 const NEARLY_ALL: f64 = 0.98;
 
-/// Rows with stamps that are multiples of a tick.
+/// Rows stamped in multiples of a tick.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Grid {
-    /// The tick, s.
+    /// Tick, s.
     pub tick_s: f64,
-    /// Number of ticks between consecutive rows.
+    /// Ticks between consecutive rows.
     pub ticks: Vec<u32>,
 }
 
 impl Grid {
-    /// Estimates the tick of ascending stamps, s. `None` if they are not multiples of any. The tick of an
-    /// even stream with a fine clock is its period.
+    /// Tick of ascending stamps, s; `None` without one. For a fine clock and even stream, its period.
     pub fn of(t_s: &[f64]) -> Option<Self> {
         Self::with_least_tick(t_s, LEAST_S)
     }
 
-    /// The same for ticks of at least `least_s`.
+    /// For ticks of at least `least_s`.
     pub fn with_least_tick(t_s: &[f64], least_s: f64) -> Option<Self> {
         const FEWEST: usize = 50;
-        /// Maximum number of ticks in the shortest interval.
+        /// Maximum ticks in the shortest interval.
         const MOST: u32 = 4;
-        /// Rounding of stamps, s.
         const ROUNDING_S: f64 = 2e-5;
         let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > least_s).collect();
@@ -54,11 +52,11 @@ impl Grid {
 
     /// Whether the stamps come from a regular sender whose period is not a multiple of the tick.
     ///
-    /// Over equal numbers of rows, the ticks then differ by at most one (a Sturmian sequence; Lothaire,
-    /// *Algebraic Combinatorics on Words*, ch. 2). Lost rows make them less even. `false` if the tick does
-    /// not make the stamps coarser.
+    /// Ticks over equal numbers of rows then differ by at most one (a Sturmian sequence; Lothaire,
+    /// *Algebraic Combinatorics on Words*, ch. 2); losses make them less even. `false` if the tick does not
+    /// coarsen the stamps.
     pub fn is_of_one_even_sender(&self) -> bool {
-        /// Window length as a number of rare intervals, so that lost rows would change the sum.
+        /// Window length in rare intervals, so that losses change the sum.
         const RARE: f64 = 4.0;
         const HARDLY_ANY: f64 = 5e-3;
         const NEARLY: f64 = 0.9;
@@ -80,12 +78,12 @@ impl Grid {
         even as f64 >= NEARLY * sums.len() as f64
     }
 
-    /// Whether receive times show that no rows were lost: longer stamp intervals are shorter by receive
-    /// time. `received_s` belong to the same rows, s.
+    /// Whether longer stamp intervals are shorter by receive time, so that no rows were lost. `received_s`
+    /// are of the same rows, s.
     pub fn hides_no_loss(&self, received_s: &[f64]) -> bool {
-        /// Minimum excess of long stamp intervals over receive intervals, ticks.
+        /// Minimum excess of long stamp over receive intervals, ticks.
         const APART: f64 = 0.25;
-        /// Maximum excess of the other intervals, ticks.
+        /// Maximum excess of the others, ticks.
         const HARDLY: f64 = 0.1;
         const FEWEST: usize = 5;
         let mut sorted = self.ticks.clone();
@@ -107,7 +105,7 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// 40 s of stamps at a period, from a clock with a tick, with the given share of rows lost at random.
+    /// 40 s of stamps from a ticking clock, with a share of rows lost at random.
     fn stamps(period_s: f64, tick_s: f64, lost: f64) -> (Vec<f64>, Vec<f64>) {
         let mut state = 12_345_u64;
         let mut random = || {

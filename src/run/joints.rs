@@ -1,4 +1,4 @@
-//! Merges the joint states of all topics into one track on a common time grid.
+//! Merges all joint states on one time grid.
 
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,7 +12,7 @@ use super::Run;
 use super::rows::Rows;
 use super::velocities::{Smoothed, Velocities, agreement, smoothed};
 
-/// Origin of one joint of a track.
+/// Origin of one joint.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JointFacts {
     /// Joint name in the log.
@@ -25,24 +25,22 @@ pub struct JointFacts {
     pub velocities: Velocities,
 }
 
-/// A JointState topic.
 #[derive(Clone)]
 pub(super) struct JointTopic<'a> {
     /// Index of its stream.
     pub stream: usize,
     pub columns: &'a JointColumns,
-    /// The selected rows.
     pub rows: Rows,
 }
 
 impl JointTopic<'_> {
-    /// Whether all its rows are selected and strictly increase in time.
+    /// Whether all rows are selected and strictly increase in time.
     pub fn is_in_order(&self) -> bool {
         self.rows.len() == self.columns.times.len()
             && self.rows.is_sorted_by(|(earlier, _), (later, _)| earlier < later)
     }
 
-    /// Whether it has a sample of the joint.
+    /// Whether it has samples of the joint.
     pub fn holds(&self, name: &str) -> bool {
         let joint = self.columns.joints.iter().find(|joint| joint.name == name);
         let has_sample =
@@ -51,8 +49,7 @@ impl JointTopic<'_> {
     }
 }
 
-/// Joint state topics that may belong to one robot, with a cache of merged tracks: ranked models request
-/// the same joints.
+/// Joint state topics of one robot. Caches merged tracks, as ranked models request the same joints.
 pub(super) struct JointTopics<'a> {
     pub topics: Vec<JointTopic<'a>>,
     origin: Stamp,
@@ -77,7 +74,7 @@ impl<'a> JointTopics<'a> {
     }
 }
 
-/// Merged track of some joints, and their origin.
+/// Merged track of some joints.
 #[derive(Clone)]
 pub(super) struct Merged {
     pub track: Arc<JointTrack>,
@@ -86,7 +83,7 @@ pub(super) struct Merged {
     pub facts: Vec<JointFacts>,
 }
 
-/// Finite samples of one joint, strictly increasing in time.
+/// Finite samples, strictly increasing in time.
 #[derive(Default)]
 pub(super) struct Samples {
     pub stamps: Vec<Stamp>,
@@ -94,11 +91,10 @@ pub(super) struct Samples {
     velocity: Vec<f64>,
 }
 
-/// Merges the named joints, in that order, on the time grid of the joint with the most samples.
+/// Merges the named joints on the time grid of the one with the most samples.
 ///
-/// Each joint is read from one topic: among those that have it, the one with the most requested joints,
-/// then with the most rows. Joints without a sample at a grid time are interpolated. A grid time is skipped
-/// if a joint cannot be interpolated, because it has not started, has ended or moved through a gap. Times
+/// Each joint comes from the topic with the most requested joints, then the most rows. Gaps are
+/// interpolated; times are skipped before a joint's start, after its end, and in gaps with motion. Times
 /// are relative to `origin`. `None` if a joint has no sample, or fewer than two times remain.
 fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
     let mut ranked: Vec<&JointTopic<'_>> = topics.iter().collect();
@@ -152,26 +148,26 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     is_track.then(|| Merged { track: Arc::new(track), stamps: stamps.into(), facts })
 }
 
-/// All finite samples of one joint of an arm, strictly increasing in time.
+/// Finite samples of an arm's joint, strictly increasing in time.
 #[derive(Clone, Debug, Default)]
 pub struct JointSamples<'a> {
-    /// Sample times, s from the run's origin; shared by joints of the same messages.
+    /// Times, s from the run's origin; shared by joints of the same messages.
     pub t_s: Arc<[f64]>,
     /// Positions, rad or m.
     pub position: Cow<'a, [f64]>,
-    /// Velocities as logged, rad/s or m/s; NaN if the log has none.
+    /// Logged velocities, rad/s or m/s; NaN if none.
     pub velocity: Cow<'a, [f64]>,
 }
 
 impl JointSamples<'_> {
-    /// Whether the samples of two joints have the same times.
+    /// Whether two joints have the same times.
     pub fn is_beside(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
     }
 }
 
 impl Run {
-    /// All samples of each joint, including those outside the excerpts of a long run.
+    /// Samples of each joint, also outside the excerpts.
     pub fn joint_samples(&self, joints: &[JointFacts]) -> Vec<JointSamples<'_>> {
         let mut topics: Vec<(JointTopic<'_>, Option<Arc<[f64]>>)> = Vec::new();
         let mut samples = Vec::with_capacity(joints.len());
@@ -189,7 +185,6 @@ impl Run {
         samples
     }
 
-    /// The joint states of a stream, and the times of its rows, s, if they are strictly increasing.
     fn joint_topic(&self, stream: usize) -> Option<(JointTopic<'_>, Option<Arc<[f64]>>)> {
         let Columns::Joints(columns) = self.streams.get(stream)?.columns.as_ref()? else {
             return None;
@@ -205,7 +200,7 @@ impl Run {
 }
 
 impl<'a> JointTopic<'a> {
-    /// Samples of a joint. `t_s` are the times of all rows, if they are in order.
+    /// `t_s` are the times of all rows, if in order.
     fn samples(&self, name: &str, t_s: Option<&Arc<[f64]>>, origin: Stamp) -> JointSamples<'a> {
         let columns: &'a JointColumns = self.columns;
         let joint = columns.joints.iter().find(|joint| joint.name == name);
@@ -228,7 +223,7 @@ impl<'a> JointTopic<'a> {
     }
 }
 
-/// Position of a sweep over one joint's samples.
+/// Position of a sweep over samples.
 #[derive(Default)]
 struct Cursor {
     next: usize,
@@ -236,7 +231,7 @@ struct Cursor {
 }
 
 impl Cursor {
-    /// Position and velocity at `stamp`, interpolated if there is no sample.
+    /// Position and velocity at `stamp`, interpolated between samples.
     fn sample(
         &mut self,
         stamps: &[Stamp],
@@ -256,7 +251,7 @@ impl Cursor {
 }
 
 impl Samples {
-    /// Finite samples of `name`, in time order; the first of equal stamps.
+    /// Finite samples in time order; the first of equal stamps.
     pub fn of(topic: &JointTopic<'_>, name: &str) -> Self {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
@@ -291,7 +286,7 @@ mod tests {
     use super::*;
     use crate::stream::JointColumn;
 
-    /// Two joints at 100 Hz for 3 s; `velocity` computes the logged velocity from time and true velocity.
+    /// Two joints at 100 Hz for 3 s; `velocity` maps time and true to logged velocity.
     fn columns(velocity: impl Fn(f64, f64) -> f64) -> JointColumns {
         let mut columns = JointColumns::default();
         for name in ["a", "b"] {

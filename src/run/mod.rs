@@ -1,12 +1,8 @@
 //! One run: the role of each topic, the arms, and the frames between them.
 //!
-//! [`Run::assemble`] converts decoded data to the input of the estimators: joint states on one time grid,
-//! pose and IMU streams with the chains that predict them, interpolated transforms, and all streams on one
-//! clock. The name does not always determine the role of a pose stream. Such streams are
-//! [`Role::Candidate`]s until the motion shows whether they follow the arm ([`Run::complete`]).
-//!
-//! A log without an arm or without its model is not an error: its streams, clocks and transforms are still
-//! audited, and [`Run::no_arm`] gives the reason.
+//! [`Run::assemble`] prepares the estimators' input from decoded data. Pose streams whose name leaves their
+//! role open are [`Role::Candidate`]s until the motion decides ([`Run::complete`]). Without an arm or
+//! model, streams, clocks and transforms are still audited, and [`Run::no_arm`] gives the reason.
 
 mod arm;
 mod assemble;
@@ -101,19 +97,19 @@ pub use unaudited::{NotAudited, NotAuditedReason};
 pub use unwrap::WrappedJoint;
 pub use velocities::Velocities;
 
-/// Minimum correlation of speeds for a stream that follows the arm.
+/// Minimum speed correlation of a stream that follows the arm.
 const FOLLOWS: f64 = 0.7;
 
-/// Correlation of speeds below which a stream does not follow the arm, whatever its frame. Less than
-/// [`FOLLOWS`], because a faulty clock or convention also lowers it.
+/// Speed correlation below which a stream does not follow, whatever its frame. Less than [`FOLLOWS`],
+/// because faulty clocks or conventions also lower it.
 const CONTRADICTS: f64 = 0.4;
 
 /// The caller's options for a run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// Robots of the run. If empty, they come from the log, then from the catalogue.
+    /// Robots; if empty, from the log, then the catalogue.
     pub robots: Vec<RobotSource>,
-    /// Calibrations of its URs. If empty, the log may contain one.
+    /// Calibrations of URs; if empty, from the log.
     pub calibrations: Vec<CalibrationSource>,
     /// Base link.
     pub base: Option<String>,
@@ -121,16 +117,15 @@ pub struct RunOptions {
     pub tip: Option<String>,
     /// Clock of the messages.
     pub stamp: Clock,
-    /// Maximum difference between the stamps of a stream and the others, s; beyond it, the stream uses
-    /// another clock.
+    /// Maximum stamp difference of a stream from the others, s; beyond it, it uses another clock.
     pub max_latency_s: f64,
-    /// Model names of joints that have different names in the log.
+    /// Model names of joints named differently.
     pub joint_map: Vec<JointName>,
     /// Declared encodings of streams.
     pub declared: Vec<Declaration>,
     /// Other settings for single topics.
     pub topics: Vec<TopicSettings>,
-    /// Robot and columns determined from other logs of the same dataset.
+    /// Robot and columns from other logs of the dataset.
     pub shared: Option<Shared>,
 }
 
@@ -154,67 +149,63 @@ impl Default for RunOptions {
 /// One run, ready for diagnosis.
 #[derive(Debug)]
 pub struct Run {
-    /// Zero of times in seconds: the first stamp of the joint states or, without any, of all streams.
+    /// Zero of times in seconds: first stamp of the joint states, else of all streams.
     pub origin: Stamp,
-    /// First and last stamp of all streams, on the audit's clock.
+    /// First and last stamp on the audit's clock.
     pub span: Option<(Stamp, Stamp)>,
-    /// All topics in the order of the log, then transforms of TF topics that are measured poses.
+    /// Topics in log order, then transforms that are measured poses.
     pub streams: Vec<Stream>,
     /// The arms.
     pub arms: Vec<Arm>,
-    /// Camera targets, with the hands that they can be compared with.
+    /// Camera targets with candidate hands.
     pub targets: Vec<TargetSource>,
     /// Commands to the arms.
     pub references: Vec<ReferenceSource>,
-    /// The frames of all arms, and the transforms between them.
+    /// All frames and transforms.
     pub tf: Arc<TfTree>,
-    /// Clock of every stream with time stamps.
+    /// Clocks of the stamped streams.
     pub clocks: Vec<StreamClock>,
-    /// Streams with rounded stamps that were restored from the row order.
+    /// Streams with rounded stamps, restored from row order.
     pub rounded: Vec<RoundedStamps>,
-    /// Regularity of every stream with a role.
+    /// Regularity of streams with a role.
     pub rhythms: Vec<Rhythm>,
     /// TF problems.
     pub tf_problems: Vec<TfProblem>,
-    /// Joints that are logged modulo one turn; their positions are unwrapped.
+    /// Joints logged modulo one turn, now unwrapped.
     pub wrapped: Vec<WrappedJoint>,
-    /// Norm defects of all streams with quaternions or matrices.
+    /// Norm defects of quaternions and matrices.
     pub norms: Vec<Norms>,
     /// Streams that may belong to several arms.
     pub shared_streams: Vec<SharedStream>,
-    /// Streams that are not audited, or only in part.
+    /// Streams not audited, or only in part.
     pub unaudited: Vec<NotAudited>,
-    /// Streams that lead the arm, with their lead in seconds: commands, or tool poses with late joint
-    /// states.
+    /// Streams that lead the arm, and the lead, s: commands, or tool poses with late joint states.
     pub leaders: Vec<(usize, f64)>,
-    /// Candidate tool poses that the motion neither confirms nor rejects.
+    /// Candidates that the motion neither confirms nor rejects.
     pub undecided: Vec<usize>,
-    /// Samples excluded from estimation: outliers, second publishers, repeats.
+    /// Samples excluded from estimation.
     pub sample_filter: SampleFilter,
-    /// Spans of frozen poses while the arm moved, and of frozen joint states in motion; also excluded from
-    /// estimation.
+    /// Frozen spans while the arm moved, also excluded.
     pub frozen: Vec<Frozen>,
     /// Streams that were searched for frozen spans.
     pub watched: Vec<usize>,
-    /// Streams whose poses alternate between several rigid bodies on the tool; their poses are converted to
-    /// those of the main body.
+    /// Streams alternating between rigid bodies on the tool, converted to the main body.
     pub alternations: Vec<(usize, ToolSwitching)>,
-    /// Excerpts used for estimation; `None` if the whole run is used.
+    /// Excerpts for estimation; `None` if all is used.
     pub excerpts: Option<Excerpts>,
-    /// Whether the log contains `/clock`, which indicates simulated time.
+    /// Whether `/clock` indicates simulated time.
     pub has_clock_topic: bool,
     /// Why there is no arm.
     pub no_arm: Option<RunError>,
-    /// Sources of required robot descriptions that cannot be read, with the errors.
+    /// Unreadable required robot descriptions, with the errors.
     pub unreadable: Vec<(String, RobotError)>,
 }
 
-/// Standard error of receive times, s, for a stream without header stamps: transport delays vary by about a
-/// millisecond.
+/// Standard error of receive times, s: transport delays vary by about a millisecond.
 const TRANSPORT_S: f64 = 1e-3;
 
 impl Run {
-    /// Converts a pose source to the input of the diagnosis.
+    /// Pose source as diagnosis input.
     pub fn pose_stream<'a>(&self, source: &'a PoseSource) -> PoseStream<'a> {
         let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
         let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
@@ -236,7 +227,6 @@ impl Run {
         (0..self.streams.len()).filter(is_candidate)
     }
 
-    /// Replaces arm `index` by `arm`, and updates the chains of its hands.
     pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
         for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
             let HandKind::Joints { arm: of, chain, .. } = &mut hand.kind else { continue };
@@ -251,8 +241,8 @@ impl Run {
         self.arms[index] = arm;
     }
 
-    /// Makes `stream`, which belongs to no arm, the hand pose for the target on `topic`: their angular
-    /// speeds correlate.
+    /// Makes `stream`, which has no arm, the hand pose for the target on `topic`: their angular speeds
+    /// correlate.
     pub fn resolve_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
         let Some(settled) = self.streams.get_mut(stream) else { return };
         if settled.role == Role::Unassigned {
@@ -263,10 +253,10 @@ impl Run {
         }
     }
 
-    /// Decides whether candidate `stream` is a tool pose. `peak` is the highest correlation of its speeds
-    /// with the arm's, from 0 to 1, or `None` if the motion does not determine it.
+    /// Decides whether candidate `stream` is a tool pose. `peak` is its highest speed correlation with the
+    /// arm, 0 to 1, or `None` if the motion does not decide.
     ///
-    /// A rejected candidate is unassigned with the reason. A stream that is not a candidate keeps its role.
+    /// A rejected candidate is unassigned; a non-candidate keeps its role.
     pub fn settle(&mut self, stream: usize, peak: Option<f64>) {
         let Some(settled) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = settled.role else { return };
@@ -301,7 +291,6 @@ impl Run {
         }
     }
 
-    /// Assigns the role of its name to candidate `stream`, which is not a tool pose.
     pub(crate) fn settle_by_name(&mut self, stream: usize, reason: String) {
         self.unassign(stream, reason);
         let Some(settled) = self.streams.get_mut(stream) else { return };

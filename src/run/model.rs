@@ -1,4 +1,4 @@
-//! Robot model with the names used in the log.
+//! Robot model with the log's names.
 
 use std::collections::BTreeSet;
 
@@ -7,39 +7,35 @@ use super::role::words;
 use super::space::{Claim, Space};
 use crate::robot::{LinkId, Robot, catalogue};
 
-/// A robot of the log.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
-    /// The robot, with joint names as in the log.
+    /// Robot with the log's joint names.
     pub robot: Robot,
-    /// How it was found.
     pub found: String,
-    /// Names of its links in the log.
+    /// Its link names in the log.
     pub frames: FrameNames,
-    /// Reference link of the controller's poses, if the robot has it.
+    /// Reference link of controller poses.
     pub controller_base: Option<LinkId>,
-    /// Tip link of the controller's poses, if the robot has it.
+    /// Tip link of controller poses.
     pub controller_tip: Option<LinkId>,
-    /// Whether its joints are matched to the log's by order, because their names differ.
+    /// Whether joints are matched by order, because names differ.
     pub by_order: bool,
-    /// A different arm that fits the poses far better than this named one.
     pub better: Option<CompetingModel>,
-    /// Other catalogue arms with different links that fit the log about as well as this one, which was guessed.
     pub indistinguishable: Vec<String>,
 }
 
-/// A catalogue arm that fits the poses far better than the named model.
+/// A catalogue arm that fits far better than the named model.
 #[derive(Clone, Debug)]
 pub struct CompetingModel {
     /// Its name.
     pub name: String,
     /// Topic of the poses.
     pub topic: String,
-    /// Residual with the named model and no frame or zero offset, rms m.
+    /// Residual of the named model without frame or zero offset, rms m.
     pub named_m: f64,
     /// Residual with this arm, rms m.
     pub left_m: f64,
-    /// Length of the required tool, m; `None` if no tool is required.
+    /// Required tool length, m; `None` without a tool.
     pub tool_m: Option<f64>,
 }
 
@@ -65,25 +61,23 @@ impl Model {
     }
 }
 
-/// Information in the log about its robots.
 pub(super) struct Clues<'a> {
-    /// Joints with at least one sample, in the order in which they appear.
+    /// Joints with samples, in order of appearance.
     pub joints: &'a [String],
-    /// Frames named by streams and transforms.
+    /// Frames of streams and transforms.
     pub frames: &'a BTreeSet<String>,
-    /// Source and text of each robot description.
+    /// Source and text of each description.
     pub descriptions: &'a [(String, String)],
-    /// Source and text of each UR calibration.
     pub calibrations: &'a [(String, String)],
-    /// The caller's mapping of joint names.
+    /// The caller's joint names.
     pub joint_map: &'a [JointName],
-    /// Names that distinguish this arm from others with the same joint names.
+    /// Names that distinguish this arm.
     pub space: &'a Space,
     /// Robot type in the metadata.
     pub robot_type: Option<&'a str>,
 }
 
-/// Controller base and tip of catalogue arms with the joints of `robot`, if all of these arms agree.
+/// Controller base and tip, if all catalogue arms with these joints agree.
 fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option<String>) {
     let own: Vec<&String> = joints.iter().filter(|joint| robot.joint(joint).is_some()).collect();
     let arms: Vec<Robot> = catalogue::candidates_for(&own)
@@ -98,13 +92,13 @@ fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option
     (agreed(|arm| &arm.controller_base), agreed(|arm| &arm.controller_tip))
 }
 
-/// Whether a link name is also common for the frames of trackers and maps.
+/// Whether trackers and maps also use this name.
 fn is_world(link: &str) -> bool {
     const WORLDS: &[&str] = &["world", "map", "odom", "origin", "earth"];
     words(link).iter().all(|word| WORLDS.contains(&word.as_str()))
 }
 
-/// How frame names in the log derive from a robot's link names: one prefix removed, another added.
+/// Frame names in the log: link names with one prefix removed, another added.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct FrameNames {
     strip: String,
@@ -112,11 +106,10 @@ pub(super) struct FrameNames {
 }
 
 impl FrameNames {
-    /// Selects the naming with the most links among the logged `frames`: as the joints, without the joints'
-    /// prefix, or with a prefix that the joints lack, such as a `tf_prefix`.
+    /// Selects the naming with the most links in `frames`: as the joints, without their prefix, or with
+    /// another, such as a `tf_prefix`.
     ///
-    /// Ignores prefixes that occur only before generic names such as `world`. With two arms, each has its
-    /// own prefix.
+    /// Ignores prefixes only of generic names such as `world`. Two arms have their own prefixes.
     fn fit(robot: &Robot, joint_prefix: &str, frames: &BTreeSet<String>, space: &Space) -> Self {
         let links: Vec<&str> = robot.links().map(|link| robot.link_name(link)).collect();
         let prefixes: BTreeSet<&str> = frames
@@ -138,16 +131,16 @@ impl FrameNames {
             let count = links.iter().filter(|link| frames.contains(&naming.frame_of(link))).count();
             (count, space.claim([naming.add.as_str()]) == Claim::Own)
         };
-        // Of equal namings, the first, which changes nothing.
+        // The first of equal namings changes nothing.
         namings.into_iter().rev().max_by_key(logged).unwrap_or_default()
     }
 
-    /// The frame of a link.
+    /// Frame of a link.
     pub fn frame_of(&self, link: &str) -> String {
         format!("{}{}", self.add, link.strip_prefix(&self.strip).unwrap_or(link))
     }
 
-    /// The link of a frame.
+    /// Link of a frame.
     pub fn link_of(&self, robot: &Robot, frame: &str) -> Option<LinkId> {
         robot.links().find(|link| self.frame_of(robot.link_name(*link)) == frame)
     }

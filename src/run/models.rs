@@ -1,4 +1,4 @@
-//! Selects the robot models of a log, with the names used in the log.
+//! Selects the robot models of a log, with its names.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,19 +14,17 @@ use super::skeleton::is_own;
 use super::space::{Claim, Space};
 use super::{RunOptions, Shared};
 
-/// A robot given by the caller, and the prefix of its joint names in the log, or a word of its joint state
-/// topic.
+/// A robot given by the caller, and its joint name prefix, or a word of its topic.
 pub(super) struct Given {
     robot: Robot,
     prefix: Option<String>,
-    /// Source of the selection.
     by: String,
 }
 
-/// Reads the robots given by the caller.
+/// Reads the caller's robots.
 ///
 /// # Errors
-/// If one is neither a file nor in the catalogue, or its file is not a robot.
+/// If one is neither a file nor in the catalogue, or its file is invalid.
 pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
@@ -37,7 +35,7 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
         .collect()
 }
 
-/// The robots given by the caller, or the arm determined from other logs of the dataset.
+/// The caller's robots, or the arm determined from other logs.
 ///
 /// # Errors
 /// Those of [`given`].
@@ -52,8 +50,7 @@ pub(super) fn given_or_shared(options: &RunOptions) -> Result<Vec<Given>, RunErr
     Ok(vec![Given { robot: robot_of(robot)?, prefix: None, by }])
 }
 
-/// Models that may name the numbered joints of a table, each with its prefix: the caller's, or the
-/// catalogue arm named in the metadata.
+/// Models that may name numbered joints, with prefixes: the caller's, or the metadata's catalogue arm.
 pub(super) fn for_numbers<'a>(
     given: &'a [Given],
     robot_type: Option<&str>,
@@ -64,10 +61,10 @@ pub(super) fn for_numbers<'a>(
     given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
 }
 
-/// Loads a robot from a URDF or TOML file, or by catalogue name.
+/// Loads a robot from URDF, TOML, or the catalogue.
 ///
 /// # Errors
-/// If the file is not a valid robot, or the catalogue does not have the name.
+/// If the file is invalid, or the catalogue lacks the name.
 pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     let path = Path::new(model);
     if path.is_file() || path.extension().is_some() {
@@ -79,12 +76,11 @@ pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     })
 }
 
-/// Robots of the log: those given by the caller, else those described in the log, else catalogue arms with
-/// matching joint names. Of catalogue arms with the same names, selects the one that needs the fewest
-/// causes according to `judges`.
+/// Robots of the log: the caller's, else the log's, else catalogue arms with matching joints. Of equal
+/// names, takes the one with the fewest causes by `judges`.
 ///
 /// # Errors
-/// If no robot has the joints of the log.
+/// If no robot has the joints.
 pub(super) fn models(
     given: &[Given],
     clues: &Clues<'_>,
@@ -110,7 +106,7 @@ pub(super) fn models(
     let spaces = Space::of_names(&places);
     for ((place, text), space) in clues.descriptions.iter().zip(&spaces) {
         let found = format!("the description in the log ({place})");
-        // With several descriptions, each describes the joints that match its topic name, if any.
+        // Of several descriptions, each describes the joints of its topic name.
         let is_its = |joint: &&String| space.claim([joint.as_str()]) == Claim::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
@@ -167,7 +163,7 @@ fn of_given(
     called((&given.robot, &joints, may_repeat), clues, criteria, &given.by)
 }
 
-/// Matches the names of a robot to logged joints: by the caller's mapping, else by spelling, else by order.
+/// Matches a robot's joint names by the caller's mapping, else spelling, else order.
 fn called(
     (robot, joints, may_repeat): (&Robot, &[String], bool),
     clues: &Clues<'_>,
@@ -200,8 +196,8 @@ fn called(
     }
 }
 
-/// The caller's mapping of `joints`, as logged and model names. One map per arm if several logged joints
-/// map to the same model joint.
+/// The caller's mapping as logged and model names; one map per arm if several logged joints share a model
+/// joint.
 fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
     let mut maps: Vec<Vec<(String, String)>> = Vec::new();
     for JointName { logged, modelled } in said.iter().filter(|said| joints.contains(&said.logged)) {
@@ -215,8 +211,8 @@ fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
     maps
 }
 
-/// Renames `robot` with the prefix that fits `joints` best. If it `may_repeat`, adds a model for each
-/// further set of names that fits as well (two arms of one model).
+/// Renames `robot` with the best prefix. If it `may_repeat`, adds a model per equally good set of names
+/// (two arms of one model).
 fn named(
     robot: &Robot,
     clues: &Clues<'_>,
@@ -264,8 +260,8 @@ fn named(
     Ok(models)
 }
 
-/// Removes an arm's prefix from the joint names of `robot` if the log has it in the topic name:
-/// `left_elbow` in the model, `elbow` on `/left/joint_states`.
+/// Removes an arm's prefix that the log has in the topic name: model `left_elbow`, `elbow` on
+/// `/left/joint_states`.
 fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robot> {
     let known = |robot: &Robot| joints.iter().filter(|name| robot.joint(name).is_some()).count();
     let own: Vec<&str> = robot
@@ -289,8 +285,7 @@ fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robo
     bare.max_by_key(|bare| known(bare)).filter(|bare| known(bare) > known(robot))
 }
 
-/// Restores original names of joints that the log has only without the new prefix: a rail may lack the
-/// prefix of its arm.
+/// Restores names that the log has without the new prefix, such as a rail's.
 fn with_plain_names(renamed: &Robot, robot: &Robot, joints: &[String]) -> Option<Robot> {
     let plain: Vec<(&String, &String)> = renamed
         .joints()

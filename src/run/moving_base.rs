@@ -1,4 +1,4 @@
-//! Transforms poses in a moving frame, such as odometry, to the arm's base.
+//! Transforms poses in a moving frame, such as odometry, to the base.
 
 use crate::geometry::Pose;
 use crate::stream::{Orientations, PoseTrack};
@@ -7,8 +7,8 @@ use super::sources::{MovingBase, PoseSource};
 use super::tf_tree::between;
 
 impl PoseSource {
-    /// Transforms the poses of a moving base again, with transforms `lag_s` before the poses' stamps.
-    /// `is_on_time` if that is the poses' own latency.
+    /// Transforms the poses again with transforms `lag_s` before the stamps. `is_on_time` if that is the
+    /// poses' latency.
     pub(crate) fn retransform(&mut self, lag_s: f64, is_on_time: bool) {
         let Some(base) = &mut self.moving_base else { return };
         let transformed = base.in_base(lag_s);
@@ -20,8 +20,7 @@ impl PoseSource {
 }
 
 impl MovingBase {
-    /// Pose of the frame in the base at a time, interpolated. `None` outside the time range of the
-    /// transforms.
+    /// Frame in base at a time, interpolated. `None` outside the transforms.
     pub fn at(&self, t_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (&after_s, after) = (self.t_s.get(right)?, self.base_from_frame.get(right)?);
@@ -33,7 +32,7 @@ impl MovingBase {
         Some(between(&self.base_from_frame[left], after, part))
     }
 
-    /// The poses in the base, with transforms `lag_s` before the poses' stamps.
+    /// Poses in the base, with transforms `lag_s` before the stamps.
     pub fn in_base(&self, lag_s: f64) -> PoseTrack {
         let logged = &self.logged;
         let rotations = match &logged.orientation {

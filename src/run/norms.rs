@@ -1,5 +1,5 @@
-//! Norm defects of logged rotations: deviation of quaternions from unit norm, and of matrices from
-//! orthonormality. All rows are checked.
+//! Norm defects of logged rotations: quaternions off unit norm, matrices off orthonormality. Checks all
+//! rows.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use super::Run;
 use super::poses::Layout;
 use super::streams::{Clocks, Stream};
 
-/// Maximum defect due to rounding. Rotations with larger defects are kept for the report.
+/// Maximum defect by rounding; larger ones are kept for the report.
 const ASKED_FOR: f64 = 1e-5;
 /// Norm below which a quaternion counts as unset.
 const UNSET: f64 = 1e-6;
@@ -25,7 +25,7 @@ pub enum Written {
     Matrix,
 }
 
-/// Norm defects of a stream, or of one of its transforms.
+/// Norm defects of a stream or transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Norms {
     /// Index of the stream.
@@ -42,13 +42,13 @@ pub struct Norms {
     piece: usize,
     /// Largest defect.
     pub largest: f64,
-    /// Median defect; of a subset if there are very many rows.
+    /// Median defect; of a subset if there are many rows.
     pub median: f64,
-    /// Stamp of the largest defect, if that row has one.
+    /// Stamp of the largest defect, if any.
     pub at: Option<Stamp>,
 }
 
-/// Norm defects of every stream with quaternions, and of unnamed arrays that may contain rotations.
+/// Norm defects of quaternions, and of arrays that may hold rotations.
 pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     let of = |(index, stream): (usize, &Stream)| {
         let at = |piece: usize, row| {
@@ -64,8 +64,7 @@ pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// Releases the values of poses and IMUs that are no longer needed. Keeps stamps, invalid rotations, and
-/// rows with repeated stamps.
+/// Releases values of poses and IMUs. Keeps stamps, invalid rotations, and rows with repeated stamps.
 pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
     for (index, stream) in streams.iter_mut().enumerate() {
         let own = norms.iter().filter(|norms| norms.stream == index);
@@ -77,14 +76,14 @@ pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
     }
 }
 
-/// Whether all rows are in receive order with strictly increasing stamps.
+/// Whether stamps strictly increase in receive order.
 fn ascend(times: &Times) -> bool {
     let stamped = times.header.iter().filter(|stamp| **stamp != 0);
     times.log.is_sorted() && stamped.is_sorted_by(|a, b| a < b)
 }
 
 impl Run {
-    /// Stamp and defect of each rotation of a stream or transform. Empty if all are valid up to rounding.
+    /// Stamp and defect of each rotation. Empty if all are valid up to rounding.
     pub fn norm_defects(&self, norms: &Norms) -> Vec<(Stamp, f64)> {
         let Some(stream) = self.streams.get(norms.stream) else { return Vec::new() };
         let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norms.stream) else {
@@ -99,10 +98,9 @@ impl Run {
     }
 }
 
-/// Defect of a row, NaN if its rotation is unset.
+/// Defect of a row, NaN if unset.
 type Defect<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
 
-/// Parts of a stream, each with its child frame and number of rows.
 fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> {
     use Written::{Matrix, Quaternion};
     match &stream.columns {
@@ -143,13 +141,12 @@ fn norm_defect(square: f64) -> f64 {
     if norm < UNSET { f64::NAN } else { (norm - 1.0).abs() }
 }
 
-/// Defects of matrices, if the array contains any.
 fn of_matrices(array: &ArrayColumns) -> Option<Defect<'_>> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten()?;
     Some(Box::new(move |row| orthonormality(layout.split(array.row(row)).1)))
 }
 
-/// `max |RᵀR − I|` of a matrix given by its rows.
+/// `max |RᵀR − I|`, from the matrix rows.
 fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
     let mut largest = 0.0_f64;
     for a in 0..3 {
@@ -162,14 +159,12 @@ fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
 }
 
 impl Norms {
-    /// `None` if there are no rows.
     fn of(
         (stream, piece, frame): (usize, usize, Option<String>),
         written: Written,
         defects: impl ExactSizeIterator<Item = f64>,
         at: impl Fn(usize) -> Option<Stamp>,
     ) -> Option<Self> {
-        /// Maximum number of rows for the median.
         const ENOUGH: usize = 20_000;
         let all = defects.len();
         if all == 0 {
@@ -207,7 +202,7 @@ mod tests {
         Norms::of((0, 0, None), Written::Quaternion, defects, at).expect("there are rows")
     }
 
-    /// Poses at these stamps, with the given norm of the last quaternion.
+    /// Poses with the given norm of the last quaternion.
     fn poses(stamps: [i64; 3], length: f64) -> Columns {
         let mut poses = PoseColumns::default();
         for (row, stamp) in stamps.into_iter().enumerate() {
@@ -258,7 +253,7 @@ mod tests {
         assert_eq!((norms.rows, norms.unset), (3, 1));
         assert_eq!(norms.at, Some(Stamp::from_nanos(2)));
         assert_eq!(of(&[[0.0; 4]]).rows, 0);
-        // If all rows of a topic were dropped, there is no time.
+        // Dropped rows have no time.
         let none = (0..0).map(of_quaternions(&[]));
         let unasked = |_| unreachable!("there is no row");
         assert_eq!(Norms::of((0, 0, None), Written::Quaternion, none, unasked), None);
@@ -266,7 +261,7 @@ mod tests {
 
     #[test]
     fn a_lerp_between_two_quaternions_is_short_by_the_cosine() {
-        // Halfway between rotations by 0° and 60°: the chord of an arc of 30° in quaternion space.
+        // Halfway between 0° and 60°: the chord of a 30° arc in quaternion space.
         let [a, b] = [0.0_f64, 30.0].map(|half| half.to_radians());
         let middle = [(a.sin() + b.sin()) / 2.0, 0.0, 0.0, (a.cos() + b.cos()) / 2.0];
         let expected = 1.0 - 15.0_f64.to_radians().cos();
@@ -275,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_lerp_between_two_matrices_is_not_orthonormal() {
-        // Halfway between rotations by 0° and 90° about z, the columns have length 1/√2.
+        // Halfway between 0° and 90° about z, columns have length 1/√2.
         let rows = [[0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]];
         assert!((orthonormality(rows) - 0.5).abs() < 1e-15);
         assert_eq!(orthonormality([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.0);

@@ -1,8 +1,7 @@
-//! Detects outliers: samples that jump away and return within a few samples, due to a dropped encoder bit,
-//! a tracker that lost its target, or a pose that is zero before the first valid one.
+//! Detects samples that jump away and return within a few samples: a dropped encoder bit, a lost tracker
+//! target, a zero before the first valid pose.
 //!
-//! All rows are checked, because only their own values are needed. Estimators exclude outliers: a single
-//! sample ten metres off would dominate speeds and spreads.
+//! Checks all rows. Estimators exclude outliers, as one ten metres off would dominate speeds and spreads.
 
 use std::collections::HashSet;
 use std::f64::consts::TAU;
@@ -21,26 +20,26 @@ use super::rows::Rows;
 use super::stale::HARDEST;
 use super::streams::{Clocks, Stream};
 
-/// Maximum number of consecutive outliers; more are a motion.
+/// Maximum number of consecutive outliers.
 const LONGEST: usize = 3;
-/// Maximum duration of outliers, s; longer excursions may be a motion.
+/// Maximum duration, s; longer excursions may be motion.
 const SOON_S: f64 = 0.25;
-/// Minimum ratio of the jump to the usual steps, and to the steps nearby.
+/// Minimum ratio of a jump to the usual and nearby steps.
 const FAR: f64 = 5.0;
-/// Minimum ratio to the usual steps that is always an outlier, whatever is nearby.
+/// Ratio to the usual steps that always suffices.
 const BEYOND: f64 = 1000.0;
 /// Maximum distance after the return, as a share of the jump.
 const BACK: f64 = 0.2;
 /// Minimum jump, rad or m.
 const LEAST: f64 = 1e-3;
-/// The same for mostly stationary values, because the last bit of an encoder flips.
+/// The same if mostly stationary, because an encoder's last bit flips.
 const LEAST_AT_REST: f64 = 5e-3;
-/// Maximum share of outliers; with more, outliers cannot be distinguished from data.
+/// Maximum share; more are indistinguishable from data.
 const MOST: f64 = 0.05;
-/// Minimum number of samples to determine usual steps; with fewer, no outliers are reported.
+/// Minimum number of samples; with fewer, no outliers are reported.
 pub const FEWEST_SAMPLES: usize = 20;
 
-/// Outliers of a stream, of one transform or of one joint.
+/// Outliers of a stream, transform or joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outliers {
     /// Index of the stream.
@@ -49,25 +48,23 @@ pub struct Outliers {
     pub frame: Option<String>,
     /// The joint.
     pub joint: Option<String>,
-    /// The largest jump: for a pose in m and rad, for a joint in its unit, as `length_m`.
+    /// Largest jump; a joint's, in its unit, as `length_m`.
     pub farthest: PoseDistance,
     /// Stamp of that sample, if it has one.
     pub at: Option<Stamp>,
     /// Index of the stream's part.
     pub(super) piece: usize,
-    /// Outlier rows in order. Empty if there are too many to tell outliers from data.
+    /// Outlier rows in order. Empty if indistinguishable from data.
     pub(super) rows: Vec<usize>,
 }
 
 impl Outliers {
-    /// Number of outliers; 0 if more than one in twenty samples jumps, so that outliers cannot be
-    /// identified.
+    /// Number of outliers; 0 if more than one in twenty samples jumps.
     pub fn count(&self) -> usize {
         self.rows.len()
     }
 }
 
-/// Removes the outliers from the rows of a part.
 pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = outliers.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
     let outlier: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
@@ -76,8 +73,7 @@ pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mu
     }
 }
 
-/// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ from
-/// each other.
+/// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ.
 pub(super) fn detect_outliers(
     streams: &[Stream],
     clocks: &Clocks,
@@ -93,7 +89,7 @@ pub(super) fn detect_outliers(
         )
     };
     let of = |(index, stream): (usize, &Stream)| {
-        // Without stamps, only consecutive samples are compared.
+        // Without stamps, compare only consecutive samples.
         let times = stream.times();
         let at = |piece: usize, row: usize| {
             let clock = clocks.clock(index, piece).zip(times.get(piece));
@@ -130,7 +126,6 @@ pub(super) fn detect_outliers(
 
 type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
-/// Outliers without their stamp.
 struct PartOutliers {
     piece: usize,
     frame: Option<String>,
@@ -164,9 +159,8 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<PartOutliers> {
     joints.joints.par_iter().filter_map(of).collect()
 }
 
-/// Joint motion, ignoring whole turns in rad or degrees: continuous joints may be wrapped.
+/// Joint motion without whole turns in rad or degrees, as joints may be wrapped.
 fn turned(by: f64) -> f64 {
-    /// Maximum number of turns between two samples.
     const TURNS: f64 = 4.0;
     let without = |turn: f64| match by.abs() > TURNS * turn {
         true => f64::INFINITY,
@@ -178,8 +172,8 @@ fn turned(by: f64) -> f64 {
     }
 }
 
-/// Outliers of poses. Orientations are checked only for a `transform`; those of a misinterpreted pose jump
-/// without an outlier.
+/// Outliers of poses. Checks orientations only of a `transform`; misinterpreted ones jump without an
+/// outlier.
 fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<PartOutliers> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
     let samples = poses.times.len();
@@ -192,7 +186,7 @@ fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Optio
     of_leaps(piece, frame, samples, &moved, &turned)
 }
 
-/// Outliers of unnamed numbers. Only positions are checked, because angles may jump by a turn.
+/// Outliers of unnamed positions; angles may jump by a turn.
 fn of_array(array: &ArrayColumns, at: At) -> Option<PartOutliers> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten();
     let xyz = |row: usize| match layout {
@@ -230,7 +224,7 @@ fn farthest(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
     jumps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// The samples of `leaps`, unless they are too large a share of all `samples`.
+/// The samples of `jumps`, unless too large a share of `samples`.
 fn identifiable(jumps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
     let are_few = jumps.len() as f64 <= MOST * samples as f64;
     jumps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
@@ -239,7 +233,7 @@ fn identifiable(jumps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = 
 trait Distance {
     fn between(&self, a: usize, b: usize) -> f64;
 
-    /// Whether the distance is certainly at most `limit`. Fast; may return false for some that are.
+    /// Whether the distance is at most `limit`. Fast; may miss some.
     fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool;
 }
 
@@ -253,7 +247,6 @@ impl<F: Fn(usize, usize) -> f64> Distance for F {
     }
 }
 
-/// Angle between orientations.
 struct OrientationDistance<'a>(&'a PoseColumns);
 
 impl Distance for OrientationDistance<'_> {
@@ -266,8 +259,7 @@ impl Distance for OrientationDistance<'_> {
     }
 }
 
-/// Finds outliers, each with its distance, from the distance and the time of samples. `None` if there are
-/// too few samples.
+/// Outliers with their distances. `None` with too few samples.
 fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
     let distance = |a: usize, b: usize| measure.between(a, b);
@@ -282,7 +274,7 @@ fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usi
         (Some(from), Some(to)) => to.seconds_since(from).abs() <= SOON_S,
         _ => true,
     };
-    // At both ends there is no return, and the start of a motion is not an outlier.
+    // Ends have no return, and the start of a motion is no outlier.
     let inside = || (LONGEST..samples.saturating_sub(LONGEST + 1)).map(step);
     let is_unlike_all = |far: f64| {
         let longest = inside().filter(|step| step.is_finite()).fold(0.0, f64::max);
@@ -337,8 +329,8 @@ fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usi
     Some(found)
 }
 
-/// Minimum outlier distance if several steps equal the smallest one: the last bit of an encoder or digit of
-/// a text; else 0.
+/// Minimum outlier distance if several steps equal the smallest one, an encoder's last bit or a text's last
+/// digit; else 0.
 fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
     let steps =
         || (1..samples).map(|sample| distance(sample - 1, sample)).filter(|step| *step > 0.0);
@@ -347,8 +339,7 @@ fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
     if alike > 2 * LONGEST { FAR * least } else { 0.0 }
 }
 
-/// Upper quartile of the non-zero steps between samples; 0 if nearly all steps are zero. Uses a subset of
-/// very many samples.
+/// Upper quartile of the non-zero steps, of a subset if many; 0 if nearly all are zero.
 fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option<f64> {
     const ENOUGH: usize = 4096;
     let stride = samples.div_ceil(ENOUGH).max(1);
@@ -365,8 +356,8 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
     Some(*steps.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// The sixth largest step within eight samples of `astray`. A few other outliers may be nearby, but a fast
-/// motion has more long steps.
+/// Sixth largest step within eight samples of `astray`: more than a few outliers, fewer than a fast motion
+/// has.
 fn nearby(samples: usize, astray: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
     const AROUND: usize = 8;
     let before = astray.start.saturating_sub(AROUND + 1)..astray.start.saturating_sub(1);
@@ -390,7 +381,6 @@ mod tests {
         assert_eq!(found.iter().map(|(sample, _)| *sample).collect::<Vec<_>>(), outlier);
     }
 
-    /// Positions of a smooth motion, with a rest in the middle.
     fn smooth(samples: usize) -> Vec<f64> {
         let at = |sample: usize| match sample as f64 * 0.02 {
             t if t < 4.0 => (1.3 * t).sin(),
@@ -421,10 +411,10 @@ mod tests {
     #[test]
     fn motion_is_not_stray() {
         assert_eq!(astray(&smooth(500)), Vec::<usize>::new());
-        // So coarsely sampled that it leaves and returns between samples.
+        // So coarse that it leaves and returns between samples.
         let coarse: Vec<f64> = smooth(2000).into_iter().step_by(60).collect();
         assert_eq!(astray(&coarse), Vec::<usize>::new());
-        // A permanent step is also a motion.
+        // A permanent step is a motion.
         let mut moved = smooth(500);
         moved[200..].iter_mut().for_each(|q| *q += 0.5);
         assert_eq!(astray(&moved), Vec::<usize>::new());

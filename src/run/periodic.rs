@@ -1,25 +1,24 @@
-//! Separates rows of one or two periodic senders by their times.
+//! Separates rows of one or two periodic senders by time.
 
-/// Maximum share of rows that the periods do not explain.
+/// Maximum share of unexplained rows.
 pub(super) const NEARLY: f64 = 0.04;
 
-/// Minimum share of a period's ticks that have a row.
+/// Minimum share of ticks with a row.
 const KEPT: f64 = 0.85;
 
-/// Maximum deviation from a tick, in periods.
+/// Maximum deviation from a tick, periods.
 const TOLERANCE: f64 = 0.3;
 
-/// Maximum distance of a row from the extrapolation of the rows before it, in a smooth sequence, m or rad.
+/// Maximum extrapolation error in a smooth sequence, m or rad.
 pub(super) const SMOOTH: f64 = 3e-4;
 
 /// Minimum number of rows of a publisher.
 pub(super) const FEWEST: usize = 12;
 
-/// Distance of a row from the extrapolation of two earlier rows, as one number.
+/// Extrapolation error of a row from two earlier ones.
 pub(super) type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
 
-/// Minimum share of ticks with a row for a single sender. A fine period with fewer rows could explain two
-/// coarse periods.
+/// The same share for a single sender. With less, a fine period could explain two coarse ones.
 const LOSSY: f64 = 0.7;
 
 /// Whether one period explains nearly all rows.
@@ -43,14 +42,13 @@ pub(super) fn is_one(t_s: &[f64]) -> bool {
 
 /// Whether two combs explain the stamps of `split` clearly better than one.
 ///
-/// Compares the deviation of all rows from one comb with the deviations of both parts from their own combs.
-/// Both models have normal deviations and a drifting phase, so this is a likelihood ratio. The jitter of a
-/// single sender deviates equally from any comb.
+/// Deviations are normal with drifting phase in both models, so this is a likelihood ratio. A single
+/// sender's jitter deviates equally from any comb.
 pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
-    /// Minimum ratio of deviations. Splitting the rows of one sender gains less, although the split selects
-    /// rows that fit.
+    /// Minimum ratio of deviations. Splitting one sender gains less, although the split selects fitting
+    /// rows.
     const FACTOR: f64 = 3.0;
-    /// Minimum deviation, s, due to the resolution of stamps.
+    /// Minimum deviation, s: stamp resolution.
     const RESOLUTION_S: f64 = 1e-6;
     let one_s = periods(t_s)
         .into_iter()
@@ -66,7 +64,7 @@ pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
     one_s.ln() - two / split.explained() as f64 > FACTOR.ln()
 }
 
-/// Deviation of rows from a comb, s; `None` if the share of ticks with a row is below [`LOSSY`].
+/// Deviation from a comb, s; `None` if too few ticks have a row ([`LOSSY`]).
 fn comb_deviation(t_s: &[f64], period_s: f64) -> Option<f64> {
     let (mut tick, mut phases) = (0.0, vec![*t_s.first()?]);
     for pair in t_s.windows(2) {
@@ -76,9 +74,9 @@ fn comb_deviation(t_s: &[f64], period_s: f64) -> Option<f64> {
     (t_s.len() as f64 > LOSSY * tick).then(|| phase_deviation(&phases))
 }
 
-/// Rms deviation of values from their local mean, without the largest, which are slips by a period.
+/// Rms deviation from the local mean, without the largest, which are slips by a period.
 fn phase_deviation(phases: &[f64]) -> f64 {
-    /// Number of rows before and after that determine the phase.
+    /// Rows on each side that determine the phase.
     const AROUND: usize = 8;
     const KEPT: f64 = 0.95;
     let mut squares: Vec<f64> = phases
@@ -96,15 +94,13 @@ fn phase_deviation(phases: &[f64]) -> f64 {
     (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
 }
 
-/// The most frequent intervals between rows and the next few after them, s.
+/// Most frequent intervals between rows and the next few, s.
 fn periods(t_s: &[f64]) -> Vec<f64> {
-    /// Maximum number of rows ahead.
     const AHEAD: usize = 6;
     /// Relative tolerance of equal intervals.
     const ALIKE: f64 = 0.03;
     const KEPT: usize = 14;
-    /// Number of the most frequent intervals that may be one irregularly stamped interval, and their
-    /// maximum ratio.
+    /// Number of frequent intervals that may be one irregular interval, and their maximum ratio.
     const COPIED: usize = 8;
     const ONE_APART: f64 = 1.8;
     let mut all: Vec<f64> = (1..=AHEAD)
@@ -129,13 +125,13 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
     often.into_iter().chain(between).collect()
 }
 
-/// Rows that are not `used` and come every `period_s`, from the start that finds the most.
+/// Unused rows every `period_s`, from the start that finds the most.
 fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<usize> {
     const STARTS: usize = 6;
     let free: Vec<usize> = (0..t_s.len()).filter(|&row| !used[row]).collect();
     let mut best = Vec::new();
     for (passed, &start) in free.iter().take(STARTS).enumerate() {
-        // A later start cannot find more than the remaining rows.
+        // A later start cannot find more.
         if best.len() > free.len() - passed {
             break;
         }
@@ -147,12 +143,12 @@ fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<us
     best
 }
 
-/// Rows that follow `start` every `period_s`, each predicted from the previous one. Of several rows at one
-/// tick, selects the one nearest to the extrapolation.
+/// Rows after `start` every `period_s`, each predicted from the previous one. At one tick, selects the row
+/// nearest to the extrapolation.
 fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) -> Vec<usize> {
-    /// Maximum difference of stamps at one tick, in periods.
+    /// Maximum stamp difference at one tick, periods.
     const EQUAL: f64 = 0.02;
-    /// Maximum ratio of distances to prefer a row by its value.
+    /// Maximum distance ratio to prefer a row by value.
     const SURELY: f64 = 0.5;
     let mut rows = vec![start];
     loop {
@@ -186,21 +182,20 @@ fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) 
     }
 }
 
-/// Two periods, the one with more rows first, and the rows of each.
 pub(super) struct Split {
     pub(super) periods_s: [f64; 2],
     pub(super) rows: [Vec<usize>; 2],
 }
 
-/// Finds two periods that explain nearly all rows, with rows at nearly all of their ticks. Among splits
-/// with smooth values, selects the most regular one.
+/// Finds two periods with rows at nearly all ticks that explain nearly all rows. Of smooth splits, takes
+/// the most regular.
 pub(super) fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
     /// Maximum ratio to the least roughness.
     const TIMES: f64 = 2.0;
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        // A period cannot have more rows than its shortest intervals allow.
+        // A period's shortest intervals limit its rows.
         let span_s = t_s.last()? - t_s.first()?;
         let most = |second_s: f64| 2.0 + span_s / ((1.0 - TOLERANCE) * second_s);
         let left = rest.len() as f64 - NEARLY * t_s.len() as f64;
@@ -224,7 +219,7 @@ pub(super) fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option
     Split::of(t_s, periods_s, [first, second])
 }
 
-/// Rows that come every `period_s`, and those used so far. `None` if too many ticks have no row.
+/// Rows every `period_s`, and those used so far. `None` if too many ticks are empty.
 fn kept_train(
     t_s: &[f64],
     used: &[bool],
@@ -244,12 +239,12 @@ impl Split {
         self.rows[0].len() + self.rows[1].len()
     }
 
-    /// Mean distance of rows from the extrapolation within the same period; the larger of both.
+    /// Mean extrapolation error within a period; the larger of both.
     pub(super) fn roughness(&self, off: Off<'_>) -> f64 {
         self.rows.iter().map(|rows| roughness(rows, off)).fold(0.0, f64::max)
     }
 
-    /// Mean deviation of rows from their ticks, in periods, plus the share of unexplained rows.
+    /// Mean deviation from the ticks, periods, plus the share of unexplained rows.
     pub(super) fn unevenness(&self, t_s: &[f64]) -> f64 {
         let off_tick = |rows: &[usize], period_s: f64| -> f64 {
             let ticks = rows.windows(2).map(|pair| (t_s[pair[1]] - t_s[pair[0]]) / period_s);
@@ -276,7 +271,6 @@ impl Split {
     }
 }
 
-/// Mean distance of rows from the extrapolation of the two rows before.
 pub(super) fn roughness(rows: &[usize], off: Off<'_>) -> f64 {
     let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
     offs.sum::<f64>() / rows.len() as f64

@@ -1,4 +1,4 @@
-//! Distance between two poses of the same frames.
+//! Distance between poses of the same frames.
 
 use crate::stream::PoseColumns;
 
@@ -12,14 +12,13 @@ pub struct PoseDistance {
 }
 
 impl PoseDistance {
-    /// Distance between row `b` of some poses and row `a` of others. Ignores norms and signs of the
-    /// quaternions; the angle is zero if one is unset.
+    /// Distance between row `b` of some poses and row `a` of others. Ignores quaternion norms and signs;
+    /// the angle is zero if one is unset.
     pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
         let of = |(poses, row): (&PoseColumns, usize)| (poses.xyz[row], poses.q_xyzw[row]);
         Self::new(of(a), of(b))
     }
 
-    /// Distance between two poses, given as positions, m, and quaternions.
     pub(super) fn new(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> Self {
         let (xyz, p, q) = ([a.0, b.0], a.1, b.1);
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
@@ -35,24 +34,22 @@ impl PoseDistance {
         Self { length_m: squares.sqrt(), angle_rad }
     }
 
-    /// Whether two rotations are certainly less than `limit_rad` apart. Avoids square roots; may return
-    /// false for some that are.
+    /// Whether two rotations are less than `limit_rad` apart. Avoids square roots; may miss some.
     pub(super) fn is_certainly_rotated_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let square: f64 = (0..4).map(|i| (p[i] - sign * q[i]).powi(2)).sum();
-        // For norms of at least 1/2, the chord is at most twice as long, and the angle 2.1 times that.
+        // For norms of at least 1/2, the chord is at most doubled, and the angle 2.1 times that.
         dot(p, p) >= 0.25 && dot(q, q) >= 0.25 && 18.0 * square <= (limit_rad * limit_rad).min(4.0)
     }
 
-    /// Combined size for comparisons: displacement at the end of a 1 m lever, m.
+    /// Displacement at the end of a 1 m lever, m.
     pub(super) fn size_m(self) -> f64 {
         self.length_m + self.angle_rad
     }
 }
 
-/// `asin(x)`, by a series that is exact to rounding for small values: consecutive samples are usually
-/// close.
+/// `asin(x)`, by a series for small values, which are usual: exact to rounding.
 fn arc_sine(x: f64) -> f64 {
     if x < 1e-4 { x * (1.0 + x * x / 6.0) } else { x.asin() }
 }

@@ -1,4 +1,4 @@
-//! Converts columns of poses, arrays and IMU data to tracks.
+//! Converts poses, arrays and IMU data to tracks.
 
 use crate::geometry::{
     AngleUnit, Pose, Rotation, RotationEncoding, Vec3, rotation_from_matrix_rows,
@@ -12,14 +12,13 @@ use crate::time::Stamp;
 use super::declaration::Declaration;
 use super::rows::Rows;
 
-/// A track with the stamps of its samples.
 #[derive(Clone, Debug)]
 pub(super) struct Stamped<T> {
     pub track: T,
     pub stamps: Vec<Stamp>,
 }
 
-/// Selected rows in time order; the first of equal stamps.
+/// Rows in time order; the first of equal stamps.
 fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
     let mut rows: Rows = rows.iter().copied().filter(|(_, row)| keep(*row)).collect();
     rows.sort_by_key(|(stamp, _)| *stamp);
@@ -27,17 +26,15 @@ fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
     rows
 }
 
-/// Maximum number of samples of a stream for estimation.
 const MOST_SAMPLES: usize = 20_000;
 
-/// Keeps every n-th element so that at most [`MOST_SAMPLES`] remain.
+/// Keeps every n-th element, at most [`MOST_SAMPLES`].
 pub(super) fn thinned<T>(seen: &mut Vec<T>) {
     let stride = seen.len().div_ceil(MOST_SAMPLES).max(1);
     let mut index = 0..;
     seen.retain(|_| index.next().is_some_and(|index: usize| index.is_multiple_of(stride)));
 }
 
-/// Builds a track from the rows that `sample` can convert.
 fn track_of(
     rows: &Rows,
     origin: Stamp,
@@ -62,7 +59,7 @@ fn stamped<T>(
     Stamped { track: track(t_s), stamps }
 }
 
-/// Track of logged poses, without rows that have an invalid quaternion.
+/// Track without invalid quaternions.
 ///
 /// # Errors
 /// If the declaration does not fit quaternions.
@@ -78,7 +75,7 @@ pub(super) fn from_poses(
     let scale = unit_m(declared);
     let is_set = |row: &usize| rotation_from_xyzw(poses.q_xyzw[*row]).is_some();
     if !rows.is_empty() && !rows.iter().any(|(_, row)| is_set(row)) {
-        // The orientations were never set, but the positions may be valid.
+        // Positions may be valid without orientations.
         let rows = rows_in_order(rows, |_| true);
         let xyz = rows.iter().map(|(_, row)| Vec3::from(poses.xyz[*row]) * scale).collect();
         let orientation = Orientations::Unset(rows.len());
@@ -96,7 +93,7 @@ pub(super) fn from_poses(
 /// 12 and 16 a matrix.
 ///
 /// # Errors
-/// If the declaration does not fit, or 12 or 16 numbers are not a pose matrix.
+/// If the declaration does not fit, or a matrix is no pose.
 pub(super) fn from_array(
     array: &ArrayColumns,
     rows: &Rows,
@@ -167,7 +164,6 @@ fn unit_m(declared: Option<&Declaration>) -> f64 {
     declared.map_or(1.0, |declared| declared.length.in_m())
 }
 
-/// Adds the declared units to the track.
 fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> Stamped<PoseTrack> {
     if let Some(&Declaration { length, angle, .. }) = declared {
         let known = track.track.declared.take().unwrap_or_default();
@@ -191,8 +187,7 @@ pub(super) enum Layout {
 }
 
 impl Layout {
-    /// The order that makes most rows valid poses: by the position of 0 0 0 1 for 16 numbers, by
-    /// orthonormality for 12.
+    /// The order with the most valid poses: by 0 0 0 1 for 16 numbers, orthonormality for 12.
     pub(super) fn of(array: &ArrayColumns) -> Option<Self> {
         let rows = array.times.len();
         [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
@@ -214,7 +209,6 @@ impl Layout {
         bottom.is_none_or(is_bottom) && rotation_from_matrix_rows(self.split(values).1).is_some()
     }
 
-    /// Translation, and the rows of the rotation matrix.
     pub(super) fn split(self, values: &[f64]) -> ([f64; 3], [[f64; 3]; 3]) {
         let height = values.len() / 4;
         let at = |row: usize, column: usize| match self {
@@ -226,10 +220,8 @@ impl Layout {
     }
 }
 
-/// Track of `before · logged · after`.
-///
-/// Unnamed numbers have no frames and are not changed. For positions without orientations, only the
-/// reference changes.
+/// `before · logged · after`. Unnamed numbers have no frames and stay; positions without orientations
+/// change only their reference.
 pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
     if let Orientations::Unset(_) = track.orientation {
         let moved = |xyz: &Vec3| (before * nalgebra::Point3::from(*xyz)).coords;
@@ -243,7 +235,6 @@ pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> Pos
     track
 }
 
-/// Track of `samples`, whose stamps strictly increase.
 pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stamped<PoseTrack> {
     let rows: Rows = samples.iter().map(|(stamp, _)| *stamp).zip(0..).collect();
     track_of(&rows, origin, |row| {
@@ -252,8 +243,7 @@ pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stampe
     })
 }
 
-/// Track of an IMU. If most rows have an orientation, the others are omitted; otherwise the track has no
-/// orientations.
+/// IMU track. Omits rows without orientation if most have one, else all orientations.
 pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<ImuTrack> {
     let rotation = |row: usize| rotation_from_xyzw(imu.q_xyzw[row]);
     let all = imu.q_xyzw.len();
@@ -268,7 +258,7 @@ pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<
     stamped(&rows, origin, |t_s| ImuTrack { t_s, orientation, gyro, accel })
 }
 
-/// Whether at least 90 % of `stamps` are exactly among `of`; both are sorted.
+/// Whether 90 % of `stamps` are among `of`; both sorted.
 pub(super) fn are_copies(stamps: &[Stamp], of: &[Stamp]) -> bool {
     let copies = stamps.iter().filter(|stamp| of.binary_search(stamp).is_ok()).count();
     !stamps.is_empty() && 10 * copies >= 9 * stamps.len()

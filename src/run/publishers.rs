@@ -1,8 +1,7 @@
 //! Separates two publishers of one topic or transform by their periods.
 //!
-//! If no single period explains the rows, but two periods each explain nearly all of their rows, there are
-//! two publishers. This needs no values, so it also detects publishers that agree. Their disagreement is
-//! then measured by comparing rows of the second with interpolated rows of the first.
+//! Two periods then explain nearly all rows, and one does not. This also detects publishers that agree.
+//! Interpolating between the rows of the first measures their disagreement.
 
 use std::collections::HashSet;
 
@@ -23,12 +22,12 @@ pub struct Publishers {
     pub stream: usize,
     /// Parent and child of the transform; `None` for poses and joint states.
     pub frames: Option<(String, String)>,
-    /// Number of rows of each; the publisher that is used comes first.
+    /// Rows of each; the used publisher first.
     pub rows: [usize; 2],
     /// Rate of each, Hz.
     pub rates_hz: [f64; 2],
-    /// Distance between their values; `None` if they agree. For joints, the largest difference in the
-    /// joint's unit, as `angle_rad`.
+    /// Distance of their values; `None` if they agree. For joints, the largest difference, in their unit,
+    /// as `angle_rad`.
     pub apart: Option<PoseDistance>,
     /// Index of the stream's part.
     pub(super) piece: usize,
@@ -36,7 +35,6 @@ pub struct Publishers {
     pub(super) second: HashSet<usize>,
 }
 
-/// Removes the rows of the second publisher.
 pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = |found: &&Publishers| (found.stream, found.piece) == (stream, piece);
     if let Some(found) = found.iter().find(of_it) {
@@ -44,11 +42,9 @@ pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut
     }
 }
 
-/// Finds parts of streams with two publishers.
 pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
     let mut found: Vec<Option<Publishers>> = series.par_iter().map(of).collect();
-    // Disagreement separates two publishers; other parts sent in the same messages belong to the same
-    // publishers.
+    // If publishers of one part disagree, other parts of the same messages have the same publishers.
     for leader in 0..series.len() {
         let Some(led) = found[leader].clone().filter(|one| one.apart.is_some()) else { continue };
         let sent: HashSet<[i64; 2]> =
@@ -67,26 +63,23 @@ pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
     found.into_iter().flatten().collect()
 }
 
-/// Header stamp and receive time of a row.
 fn sent(series: &Series<'_>, row: usize) -> [i64; 2] {
     [series.times.header[row], series.times.log[row]]
 }
 
-/// Minimum number of rows.
 const ENOUGH: usize = 60;
 
-/// Maximum number of rows that are checked.
 const MOST: usize = 4000;
-/// Number of rows checked first if one period explains all rows.
+/// Rows checked first if one period explains all.
 const PART: usize = 500;
-/// Minimum ratio of the roughness of both publishers together to that of each, if they share one period.
+/// Minimum ratio of the roughness of both together to that of each, if they share one period.
 const SMOOTHER: f64 = 4.0;
 
 fn of(series: &Series<'_>) -> Option<Publishers> {
     if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_) | Values::Array(_)) {
         return None;
     }
-    // A single publisher with regular stamps or receive times, possibly with losses.
+    // One regular publisher, possibly with losses.
     let looked_at = &series.rows[..series.rows.len().min(MOST)];
     let begin = looked_at[0].0;
     let stamped_s: Vec<f64> =
@@ -105,8 +98,7 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let again =
         looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
     let is_ticking = || Grid::of(&stamped_s).is_some_and(|grid| grid.is_of_one_even_sender());
-    // Poses that disagree have two publishers even if their stamps, copied from joint states, are
-    // irregular.
+    // Disagreeing poses have two publishers even if their stamps, copied from joint states, are irregular.
     let values_disagree = matches!(series.values, Values::Poses(_)) && rough > SMOOTH;
     let stamps_show_two = || {
         let two = split(&stamped_s, &off);
@@ -117,18 +109,18 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
         || is_ticking()
         || is_read_evenly(series, looked_at.len())
         || !stamps_show_two();
-    // Repeated values are as rough as disagreeing publishers.
+    // Repeats are as rough as disagreeing publishers.
     if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;
     }
-    // Two publishers with one period are visible in a part of the rows.
+    // A part of the rows shows two publishers with one period.
     let is_smoother = |parts: &Split| SMOOTHER * parts.roughness(&off) <= rough;
     let part = &stamped_s[..stamped_s.len().min(PART)];
     if is_one && !split(part, &off).is_some_and(|parts| is_smoother(&parts)) {
         return None;
     }
     let parts = split(&stamped_s, &off).filter(|parts| !is_one || is_smoother(parts))?;
-    // Applies the periods found in a part to the whole run.
+    // Applies the periods of a part to the whole run.
     let rows = match looked_at.len() == t_s.len() {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
@@ -136,8 +128,8 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     told(series, &t_s, rows, is_one)
 }
 
-/// Whether values are interpolated far better by row number than by stamp. A single sender then reads them
-/// regularly, and stamps or sends them in bursts.
+/// Whether values are interpolated far better by row number than by stamp: one sender reads regularly, but
+/// stamps or sends in bursts.
 fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
     const BETTER: f64 = 0.5;
     let mut off = [0.0; 2];
@@ -152,8 +144,8 @@ fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
     off[0] < BETTER * off[1]
 }
 
-/// Builds the result from the rows of both publishers. `None` if publishers with one period do not differ
-/// steadily: the cause is then vibration or irregular stamps.
+/// `None` if publishers with one period do not differ steadily: vibration or irregular stamps are then the
+/// cause.
 fn told(
     series: &Series<'_>,
     t_s: &[f64],
@@ -164,7 +156,7 @@ fn told(
     if (is_one && !(apart.is_there && apart.is_steady)) || (series.is_table && !apart.is_there) {
         return None;
     }
-    // Messages resent with the same stamp are not a second publisher.
+    // Messages resent with the same stamp are no second publisher.
     let sent: HashSet<i64> = first.iter().map(|&at| series.rows[at].0.nanos()).collect();
     let is_again = |at: &&usize| sent.contains(&series.rows[**at].0.nanos());
     if !apart.is_there && second.iter().filter(is_again).count() * 10 > second.len() * 9 {
@@ -191,7 +183,6 @@ fn told(
     })
 }
 
-/// Distance between the values of two publishers.
 struct Gap {
     by: PoseDistance,
     is_there: bool,
@@ -199,16 +190,16 @@ struct Gap {
     is_steady: bool,
 }
 
-/// Compares rows of the second publisher with interpolated rows of the first, and rows of the first with
-/// their neighbours to get the interpolation error. `None` if no rows can be compared.
+/// Compares rows of the second with interpolated rows of the first, and rows of the first with their
+/// neighbours for the interpolation error.
 fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Option<Gap> {
     /// Minimum distance, m or rad: above rounding and encoder noise.
     const LEAST: f64 = 3e-4;
-    /// Minimum ratio of the distance to the interpolation error.
+    /// Minimum ratio to the interpolation error.
     const TIMES: f64 = 2.0;
-    /// Minimum ratio of the smallest to the largest distance of a constant offset.
+    /// Minimum ratio of least to largest constant offset.
     const STEADY: f64 = 0.7;
-    /// Ratio of the largest to the usual distance above which the motion causes the distance.
+    /// Ratio of largest to usual distance that motion causes.
     const VARIES: f64 = 2.0;
     let row = |at: usize| series.rows[at].1;
     let gap = |left: usize, at: usize, right: usize| {
@@ -232,7 +223,7 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     }
     let told = |of: fn(&PoseDistance) -> f64| {
         let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
-        // Rows that coincide may be attributed to the wrong publisher.
+        // Coinciding rows may be attributed wrongly.
         let uncertain = quantile(own.iter().map(of), 0.8);
         let by = if far > VARIES * usual { far } else { usual };
         (by, far > LEAST + TIMES * uncertain)
@@ -250,7 +241,7 @@ fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
     values.get((values.len().saturating_sub(1) as f64 * part) as usize).copied().unwrap_or(0.0)
 }
 
-/// Distance of the middle row from the interpolation between the others at `part`.
+/// Distance of the middle row from the interpolation at `part`.
 fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> PoseDistance {
     match values {
         Values::Poses(poses) => {
@@ -282,8 +273,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// 20 s of a transform from publishers, each given by period (ms), phase (ms) and offset (m) of a
-    /// common oscillation.
+    /// 20 s of a transform; publishers are period (ms), phase (ms) and offset (m) of a common oscillation.
     fn sent(by: &[(f64, f64, f64)]) -> PoseColumns {
         let mut rows: Vec<(i64, f64)> = Vec::new();
         for (period_ms, phase_ms, off_m) in by {
@@ -323,7 +313,7 @@ mod tests {
         ] {
             for off_m in [0.0, 0.005] {
                 if (a_ms, phase_ms, off_m) == (b_ms, 0.0, 0.0) {
-                    // Copies with the same stamps come from one publisher that sends twice.
+                    // Copies with the same stamps come from one publisher.
                     continue;
                 }
                 let two = sent(&[(a_ms, 0.0, 0.0), (b_ms, phase_ms, off_m)]);

@@ -1,8 +1,8 @@
-//! Detects rows that repeat the previous values with a new stamp during motion: a poller faster than its
-//! source, or an up-sampler.
+//! Detects rows that repeat values with a new stamp during motion: a poller faster than its source, or an
+//! up-sampler.
 //!
-//! An arm at rest repeats values, and so does a slow joint with a coarse encoder. So repeats count only if
-//! the next value differs by several of the source's least increments for each repeated row.
+//! Resting arms and slow joints with coarse encoders also repeat. So repeats count only if the next value
+//! differs by several of the source's least increments per repeated row.
 
 use std::sync::LazyLock;
 
@@ -14,16 +14,16 @@ use super::pose_distance::PoseDistance;
 use super::rows::Rows;
 use super::series::{Series, Values};
 
-/// Stale samples of one part of a stream.
+/// Repeated values of one part of a stream.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RepeatedValues {
     /// Index of the stream.
     pub stream: usize,
     /// Child frame of the transform.
     pub frame: Option<String>,
-    /// Number of rows in motion.
+    /// Rows in motion.
     pub rows: usize,
-    /// Number of these that repeat the previous row.
+    /// Of these, repeats of the previous row.
     pub repeated: usize,
     /// Row rate in motion, Hz.
     pub rows_hz: f64,
@@ -33,7 +33,7 @@ pub struct RepeatedValues {
     pub mean_age_s: f64,
     /// Index of the stream's part.
     pub(super) piece: usize,
-    /// Rows with a new value, in order, with their corrected times. Empty if few rows are repeated.
+    /// Rows with a new value, in order, with corrected times. Empty if few are repeated.
     pub(super) new: Vec<(usize, Stamp)>,
 }
 
@@ -43,28 +43,24 @@ impl RepeatedValues {
         !self.new.is_empty()
     }
 
-    /// Share of rows in motion that repeat the previous row.
+    /// Share of repeats among rows in motion.
     pub fn share(&self) -> f64 {
         self.repeated as f64 / self.rows.max(1) as f64
     }
 }
 
-/// Minimum share of repeated rows for removal.
+/// Minimum share for removal.
 const TAKEN_ONCE: f64 = 0.05;
-/// Time over which joint motion is measured, s, and minimum motion, rad or m.
 const AROUND_S: f64 = 0.1;
 const MOVED: f64 = 5e-3;
-/// Minimum number of rows in motion.
 const ENOUGH: usize = 40;
 
-/// Whether repeated values are removed from a part of a stream.
 pub(super) fn is_deduplicated(repeats: &[RepeatedValues], stream: usize, piece: usize) -> bool {
     repeats.iter().any(|repeats| {
         (repeats.stream, repeats.piece) == (stream, piece) && repeats.is_deduplicated()
     })
 }
 
-/// Removes repeated values from the rows of a part, and corrects the times of the others.
 pub(super) fn deduplicate(
     repeats: &[RepeatedValues],
     stream: usize,
@@ -84,7 +80,6 @@ pub(super) fn deduplicate(
     });
 }
 
-/// Detects repeated values in each series.
 pub(super) fn detect_repeated_values(series: &[Series<'_>]) -> Vec<RepeatedValues> {
     let motion: Motion<'_> = LazyLock::new(Box::new(|| {
         let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
@@ -111,9 +106,8 @@ pub(super) fn detect_repeated_values(series: &[Series<'_>]) -> Vec<RepeatedValue
     series.par_iter().zip(of_joints).filter_map(found).collect()
 }
 
-/// Consecutive rows with one value.
 struct Group {
-    /// Index of the first row in the series.
+    /// Its first row in the series.
     first: usize,
     count: usize,
 }
@@ -130,7 +124,7 @@ fn groups(series: &Series<'_>) -> impl Iterator<Item = Group> {
     })
 }
 
-/// Smallest non-zero step of each number: the resolution of the source.
+/// Smallest non-zero step of each number, the source's resolution.
 fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
     let mut least: Vec<f64> = Vec::new();
     for pair in groups.windows(2) {
@@ -145,8 +139,8 @@ fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
     least
 }
 
-/// Steps between two groups: length and angle for a transform, because encoder steps are uniform in these;
-/// otherwise each number.
+/// Steps between two groups: length and angle for a transform, where encoder steps are uniform; else each
+/// number.
 fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
     let [a, b] = pair.map(|group| series.rows[group.first].1);
     if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
@@ -157,15 +151,13 @@ fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
     (0..series.values.width()).map(number).collect()
 }
 
-/// Joint speed at a time, in least increments per second, and the motion of the fastest joint around it,
-/// rad or m.
+/// Joint speed, least increments per second, and motion of the fastest joint around it, rad or m.
 struct Pace {
     at: Stamp,
     bits_per_s: f64,
     moved: f64,
 }
 
-/// Joint speeds of all joint states, computed only if needed.
 type Motion<'a> = LazyLock<Vec<Vec<Pace>>, Box<dyn FnOnce() -> Vec<Vec<Pace>> + Send + 'a>>;
 
 fn paces(series: &Series<'_>) -> Vec<Pace> {
@@ -194,9 +186,9 @@ fn paces(series: &Series<'_>) -> Vec<Pace> {
     (0..groups.len()).map(pace).collect()
 }
 
-/// Whether the joints are fast enough that rows `period_s` apart must differ. `None` without joint states.
+/// Whether joints are so fast that rows `period_s` apart must differ. `None` without joint states.
 fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
-    /// Minimum motion per period to be visible despite noise, in least increments.
+    /// Minimum visible motion per period, least increments.
     const BITS: f64 = 3.0;
     let near = motion.iter().filter_map(|paces| {
         let next = paces.partition_point(|pace| pace.at < at);
@@ -205,7 +197,7 @@ fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
     near.map(|pace| pace.moved > MOVED && pace.bits_per_s * period_s > BITS).reduce(|a, b| a || b)
 }
 
-/// Whether a transform moves around one of its groups, rather than only vibrating.
+/// Whether a transform moves around a group, rather than vibrates.
 fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
     let stamp = |group: &Group| series.rows[group.first].0;
     let now = stamp(&groups[at]);
@@ -221,9 +213,9 @@ fn detect_in_series(
     motion: &Motion<'_>,
     joint_stamps: &[Stamp],
 ) -> Option<RepeatedValues> {
-    /// Minimum step to the next value per repeated row, in least increments.
+    /// Minimum step to the next value per repeat, least increments.
     const STEPS: f64 = 2.0;
-    /// Maximum repeat count, as a multiple of the usual one; the arm rests if it is longer.
+    /// Maximum repeats, in usual ones; beyond, the arm rests.
     const RESTS: usize = 3;
     let rows = &series.rows;
     if rows.len() < ENOUGH {
@@ -245,7 +237,7 @@ fn detect_in_series(
             .zip(&quanta)
             .any(|(step, quantum)| *step >= STEPS * quantum * group.count as f64);
         let by_joints = || must_differ(motion, rows[group.first].0, span_s / group.count as f64);
-        // A transform depends on one joint, and others may move.
+        // A transform depends on one joint; others may move.
         let is_told = goes_on
             && match is_of_joints || has_frame {
                 true => is_of_joints || travels(series, &groups, at),
@@ -285,7 +277,7 @@ fn detect_in_series(
         new: Vec::new(),
     };
     if repeats.share() >= TAKEN_ONCE {
-        // Splits a rest at the usual rate, so that it is not a gap.
+        // Splits a rest at the usual rate, so that it is no gap.
         let most = (count as f64 / moving.len() as f64).ceil() as usize;
         let pieces = groups.iter().flat_map(|group| {
             let starts = (0..group.count).step_by(most.max(1));
@@ -300,15 +292,13 @@ fn detect_in_series(
     (repeats.repeated > 0).then_some(repeats)
 }
 
-/// Whether at least 90 % of the rows have stamps in a given set.
 fn is_of(rows: &Rows, stamps: &[Stamp]) -> bool {
     let copies = rows.iter().filter(|(stamp, _)| stamps.binary_search(stamp).is_ok()).count();
     10 * copies >= 9 * rows.len()
 }
 
-/// Corrected time of a repeated value: the mean of its stamps if the stream has its own stamps.
-///
-/// Joint states, which are the time reference, and values read with them use the first stamp.
+/// Corrected time of a repeated value: the mean of its own stamps. Joint states, the time reference, and
+/// values read with them use the first.
 fn taken_at(series: &Series<'_>, rows: std::ops::Range<usize>, is_own: bool) -> Stamp {
     let first = series.rows[rows.start].0;
     if !is_own {

@@ -1,4 +1,4 @@
-//! Determines the role of a topic from its name, type and frames.
+//! Determines a topic's role from name, type and frames.
 
 use crate::stream::Columns;
 
@@ -11,14 +11,14 @@ pub enum Role {
     Joints,
     /// A measured tool pose.
     Pose,
-    /// A pose that is a tool pose if it follows the arm; see `Run::settle`.
+    /// A tool pose if it follows the arm; see `Run::settle`.
     Candidate {
-        /// Whether its frame suggests a tool pose, which it remains if the motion does not decide.
+        /// Whether its frame suggests a tool pose, which holds if the motion does not decide.
         presumed: bool,
     },
     /// A command, goal or plan.
     Reference,
-    /// A camera detection: a tag, a board, an object.
+    /// A camera detection of a tag, board or object.
     Target,
     /// Dynamic transforms.
     Tf,
@@ -28,14 +28,14 @@ pub enum Role {
     Imu,
     /// A robot description.
     Description,
-    /// A pose that could not be assigned to an arm.
+    /// A pose without an arm.
     Unassigned,
     /// Not used by the audit.
     Ignored,
 }
 
 impl Role {
-    /// Name in reports; an undetermined candidate is unassigned.
+    /// Name in reports; open candidates are unassigned.
     pub const fn name(self) -> &'static str {
         match self {
             Role::Joints => "joints",
@@ -52,16 +52,15 @@ impl Role {
     }
 }
 
-/// A role with its reason.
 pub(super) type Verdict = (Role, String);
 
-/// Words in names of joints that are not part of an arm.
+/// Names of joints outside an arm.
 pub(super) const OTHER_JOINTS: &[&str] = &[
     "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels", "caster",
     "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
 ];
 
-/// Words in names of command topics.
+/// Words of command topics.
 const GOALS: &[&str] = &[
     "goal",
     "goals",
@@ -84,7 +83,7 @@ const GOALS: &[&str] = &[
     "interactive",
 ];
 
-/// Words in names of camera detections.
+/// Words of camera detections.
 pub(super) const SIGHTS: &[&str] = &[
     "tag",
     "tags",
@@ -104,19 +103,19 @@ pub(super) const SIGHTS: &[&str] = &[
     "objects",
 ];
 
-/// Words of [`SIGHTS`] that trackers also use for bodies on a tool.
+/// Of [`SIGHTS`], also used for tracked bodies on a tool.
 const BODIES: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
-/// Words of [`GOALS`] that trackers also use for bodies on a tool.
+/// Of [`GOALS`], also used for tracked bodies on a tool.
 const AIMS: &[&str] = &["target", "targets"];
 
-/// Words in names of camera frames.
+/// Words of camera frames.
 pub(super) const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
 
-/// Words in names of mobile base poses.
+/// Words of mobile base poses.
 const MOBILE: &[&str] =
     &["odom", "odometry", "amcl", "slam", "localization", "gps", "initialpose", "footprint"];
 
-/// Words in names of number arrays that are not poses.
+/// Words of arrays that are not poses.
 const NO_POSE: &[&str] = &[
     "joint",
     "joints",
@@ -135,7 +134,7 @@ const NO_POSE: &[&str] = &[
     "temperatures",
 ];
 
-/// Consecutive words in topic names of measured tool poses, and the drivers that use them.
+/// Consecutive topic words of measured tool poses, and their drivers.
 const DRIVERS: &[(&[&str], &str)] = &[
     (&["tcp", "pose"], "UR drivers"),
     (&["o", "t", "ee"], "Franka drivers"),
@@ -154,25 +153,25 @@ const DRIVERS: &[(&[&str], &str)] = &[
 /// Relation of a stream's frame to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// The stream names no frame.
+    /// No frame is named.
     Unnamed,
-    /// A link that no joint of the arm moves.
+    /// A link that the arm does not move.
     StillLink,
     /// A link that the arm moves.
     MovingLink,
-    /// A link that the arm moves, but with most of its joints further out, such as a waist.
+    /// A moving link with most joints further out, such as a waist.
     Upstream,
-    /// A link that moves with the tool whose pose is expressed in it.
+    /// A link that moves with the tool whose pose it expresses.
     Tool,
-    /// Tied to a link that the arm does not move, by static transforms.
+    /// Tied to an unmoved link by static transforms.
     Tied,
-    /// Tied to such a link by dynamic transforms, such as odometry.
+    /// Tied to one by dynamic transforms, such as odometry.
     Carried,
     /// Not tied to the robot.
     Unknown,
 }
 
-/// Properties that determine the role of a pose stream.
+/// Evidence for the role of a pose stream.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseTopic<'a> {
     pub topic: &'a str,
@@ -183,7 +182,6 @@ pub(super) struct PoseTopic<'a> {
     pub is_declared: bool,
 }
 
-/// Role of a topic by type. `None` for poses and arrays, which need more information.
 pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
     let words = words(topic);
     let verdict = match columns {
@@ -205,7 +203,7 @@ pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
     Some(verdict)
 }
 
-/// Role of a pose stream by its topic name alone.
+/// Role by topic name alone.
 pub(super) fn named_role(topic: &str) -> Role {
     let (frame, child) = (Place::Unnamed, Place::Unnamed);
     let unnamed =
@@ -213,7 +211,7 @@ pub(super) fn named_role(topic: &str) -> Role {
     pose_role(&unnamed).0
 }
 
-/// Role by topic name of a pose stream that is not a tool pose.
+/// Role by topic name, unless a tool pose.
 pub(super) fn beside_arm(topic: &str) -> Role {
     match named_role(topic) {
         role @ (Role::Target | Role::Reference) => role,
@@ -221,7 +219,7 @@ pub(super) fn beside_arm(topic: &str) -> Role {
     }
 }
 
-/// Whether a stream has a role, or has it by name if the motion does not determine another.
+/// Whether a stream has a role, or has it by name while open.
 pub(super) fn may_be(stream: &Stream, role: Role) -> bool {
     let is_open = matches!(stream.role, Role::Candidate { .. })
         && matches!(stream.columns, Some(Columns::Poses(_)));
@@ -293,8 +291,7 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
     }
 }
 
-/// Role of ambiguous names: trackers use them for bodies on a tool, others for camera targets or goals. The
-/// motion decides.
+/// Role of ambiguous names: tracked bodies on a tool, or camera targets and goals. The motion decides.
 fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
     let is_only = |known: &[&'static str], open: &[&'static str]| {
         let others = || known.iter().copied().filter(|word| !open.contains(word));
@@ -312,7 +309,7 @@ fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
     Some((Role::Candidate { presumed: false }, why))
 }
 
-/// Role of a stream of unnamed numbers with `width` numbers per row.
+/// Role of unnamed numbers, `width` per row.
 pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdict {
     let topic_words = words(topic);
     let is_pose_width = matches!(width, 6 | 7 | 12 | 16);
@@ -334,14 +331,13 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
     (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
 }
 
-/// Word that marks a topic as a command. Table columns use additional words.
+/// Word that marks a command. Table columns use additional words.
 fn goal(topic: &str, words: &[String]) -> Option<&'static str> {
     const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
     shared(words, GOALS).or_else(|| shared(words, OF_COLUMNS).filter(|_| is_column))
 }
 
-/// Whether a frame name refers to a camera or its target.
 pub(super) fn is_sight(frame: &str) -> bool {
     let words = words(frame);
     shared(&words, SIGHTS).or_else(|| shared(&words, CAMERAS)).is_some()
@@ -357,8 +353,8 @@ pub(super) fn shared(words: &[String], known: &[&'static str]) -> Option<&'stati
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
 
-/// Words of a topic or frame, in lower case: split at characters other than letters and digits, and before
-/// a capital after a small letter.
+/// Words in lower case: split at other characters than letters and digits, and before a capital after a
+/// small letter.
 pub(super) fn words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';

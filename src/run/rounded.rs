@@ -1,10 +1,9 @@
-//! Restores stamps that were rounded by a coarse clock: milliseconds in a table, whole seconds, or 15.6 ms
-//! on some machines.
+//! Restores stamps rounded by a coarse clock: milliseconds in a table, whole seconds, or 15.6 ms on some
+//! machines.
 //!
-//! Several rows then share a stamp, or intervals alternate between multiples of the tick. The row order
-//! still determines the times: a nearly regular sender follows a few straight lines through the intervals
-//! of the rounded stamps (O'Rourke, "An on-line algorithm for fitting straight lines between data ranges",
-//! 1981). Times on these lines replace the stamps.
+//! The row order still gives the times: a nearly regular sender follows a few straight lines through the
+//! intervals of the rounded stamps (O'Rourke, "An on-line algorithm for fitting straight lines between data
+//! ranges", 1981).
 
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
@@ -14,25 +13,25 @@ use super::role::Role;
 use super::series::Values;
 use super::streams::Stream;
 
-/// Part of a stream with rounded stamps that were restored from the row order.
+/// A part with rounded stamps, restored from the row order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoundedStamps {
     /// Index of the stream.
     pub stream: usize,
     /// Tick of the clock, s.
     pub tick_s: f64,
-    /// Number of rows with the same stamp as the previous row.
+    /// Rows with the previous row's stamp.
     pub shared: usize,
-    /// Maximum error of a restored stamp, s, in addition to a constant offset of up to half a tick.
+    /// Maximum error, s, besides a constant offset of up to half a tick.
     pub resolution_s: f64,
     /// Index of the stream's part.
     pub(super) piece: usize,
-    /// Group number, equal for parts with the same stamps.
+    /// Group of parts with the same stamps.
     pub(super) group: usize,
 }
 
 impl RoundedStamps {
-    /// Whether another part has the same stamps, as in one table.
+    /// Whether both have the same stamps, as in one table.
     pub(super) fn is_restored_as(&self, other: &Self) -> bool {
         self.group == other.group
     }
@@ -41,10 +40,9 @@ impl RoundedStamps {
 /// Minimum tick, s.
 const LEAST_TICK_S: f64 = 2e-4;
 
-/// Replaces rounded stamps on `clock` by restored ones.
+/// Restores rounded stamps on `clock`.
 pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
-    // Streams of one table, and copies of another stream's stamps, share one result.
     let mut known: Vec<(Vec<i64>, Restored)> = Vec::new();
     for (index, stream) in streams.iter_mut().enumerate() {
         let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
@@ -75,7 +73,7 @@ pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps
     found
 }
 
-/// The clock used for the rows: log time if the headers have no stamps.
+/// Clock of the rows: log time without header stamps.
 fn stamped_by(times: &Times, clock: Clock) -> Clock {
     let has_stamps = times.header.iter().any(|nanos| *nanos != 0);
     if clock == Clock::Header && !has_stamps { Clock::Log } else { clock }
@@ -100,9 +98,9 @@ struct Restored {
 }
 
 impl Restored {
-    /// `None` unless the stamps are multiples of a tick that hides the times of rows.
+    /// `None` unless the stamps are multiples of a tick that hides times.
     fn of(raw: &[i64], values: &Values<'_>) -> Option<Self> {
-        /// Minimum share of rows with the previous stamp but different values for a coarse clock.
+        /// Minimum share of rows with the previous stamp but new values.
         const SHARED: f64 = 0.02;
         let first = *raw.first()?;
         if !raw.is_sorted() || raw.contains(&0) {
@@ -119,12 +117,12 @@ impl Restored {
                 sent_again += usize::from(*repeats);
             }
         }
-        // An arm at rest also repeats values: rows with a shared stamp may repeat as often as others.
+        // Resting arms also repeat: rows with a shared stamp may do so as often as others.
         let rest = repeats.iter().filter(|repeats| **repeats).count() - sent_again;
         let usual = rest as f64 / (repeats.len() - shared).max(1) as f64;
         let are_sent_again = sent_again as f64 > 0.5 * shared as f64 * (1.0 + usual);
         let share = shared as f64 / raw.len() as f64;
-        // Expected share of shared stamps of a regular sender faster than the tick.
+        // Expected share of shared stamps for a sender faster than the tick.
         let period_s = t_s[t_s.len() - 1] / (t_s.len() - 1) as f64;
         let expected = 1.0 - period_s / grid.tick_s;
         let are_shared = share > SHARED && share < 1.5 * expected && !are_sent_again;
@@ -146,12 +144,11 @@ impl Restored {
     }
 }
 
-/// Whether new values are interpolated well at the restored times, unlike those of two publishers that
-/// disagree. `None` if too few values are new.
+/// Whether restored times interpolate new values well, unlike two publishers that disagree. `None` if too
+/// few are new.
 fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool> {
     const ENOUGH: usize = 20;
-    /// For white noise, the ratio of the interpolation residual to a step is √1.5 / √2 = 0.87; for motion
-    /// it is far smaller.
+    /// White noise has a ratio of interpolation residual to step of √1.5 / √2 = 0.87, motion far less.
     const SMOOTH: f64 = 0.6;
     let numbers = if matches!(values, Values::Poses(_)) { 3 } else { values.width() };
     let is_new = |row: &usize| *row == 0 || !repeats[row - 1];
@@ -172,10 +169,10 @@ fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool>
     (count >= ENOUGH && steps > 0.0).then_some(off < SMOOTH * steps)
 }
 
-/// Fits as few straight lines as possible within half a tick of each stamp, plus a margin for jitter.
-/// Returns times on the lines, and their uncertainty, s.
+/// Fits the fewest lines within half a tick of each stamp, plus a jitter margin. Returns times on them, and
+/// their uncertainty, s.
 fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
-    /// Maximum jitter of a regular sender, in periods; losing more rows is visible.
+    /// Maximum jitter of a regular sender, periods.
     const UNEVEN: f64 = 1.0;
     let n = t_s.len();
     let period_s = (t_s[n - 1] - t_s[0]) / (n - 1) as f64;
@@ -189,8 +186,8 @@ fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
         let beside = || own.iter().enumerate().map(|(row, at)| at - line.at(row));
         let least = beside().fold(f64::INFINITY, f64::min);
         let most = beside().fold(f64::NEG_INFINITY, f64::max);
-        // Every offset between these bounds keeps the line within half a tick of the stamps. The line
-        // itself is as uncertain as a mean of as many rounded stamps.
+        // Every offset in these bounds keeps the line within half a tick. The line is as uncertain as a
+        // mean of as many rounded stamps.
         let (low, high) = (most - 0.5 * tick_s, least + 0.5 * tick_s);
         let offset = 0.5 * (low + high);
         let left_open_s = (0.5 * (high - low)).abs() + tick_s / (rows as f64).sqrt();
@@ -201,7 +198,6 @@ fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
     (restored, weighted / n as f64)
 }
 
-/// A line through the first rows, as a function of row number.
 struct Line {
     rows: usize,
     at_first: f64,
@@ -213,8 +209,8 @@ impl Line {
         self.at_first + self.slope * row as f64
     }
 
-    /// The line that stays within `half` of the longest possible run of initial values. Its slope is the
-    /// mean of the steepest and the flattest such line.
+    /// The line within `half` of the longest initial run; its slope is the mean of the steepest and the
+    /// flattest one.
     fn along(values: &[f64], half: f64) -> Self {
         type Point = (f64, f64);
         let slope = |a: Point, b: Point| (b.1 - a.1) / (b.0 - a.0);
@@ -225,7 +221,7 @@ impl Line {
         if values.len() < 2 {
             return Self { rows: values.len(), at_first: values[0], slope: 0.0 };
         }
-        // The flattest line runs from an upper to a lower bound, the steepest from a lower to an upper one.
+        // The flattest runs from an upper to a lower bound, the steepest from a lower to an upper one.
         let (mut flattest, mut steepest) = ((upper_of(0), lower_of(1)), (lower_of(0), upper_of(1)));
         let mut upper = vec![upper_of(0), upper_of(1)];
         let mut lower = vec![lower_of(0), lower_of(1)];
@@ -276,7 +272,7 @@ impl Line {
         }
         let (least, most) = (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
         let slope = 0.5 * (least + most);
-        // Both lines intersect in a point, which is also on the mean line.
+        // Their intersection is on the mean line.
         let at_zero = |line: (Point, Point), slope: f64| line.0.1 - slope * line.0.0;
         let (a, b) = (at_zero(flattest, least), at_zero(steepest, most));
         let meet = if (most - least).abs() > f64::EPSILON { (a - b) / (most - least) } else { 0.0 };
@@ -289,7 +285,7 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// Rows at a period with uniform jitter within ±`jitter_s`, without those in `gap`.
+    /// Rows with uniform jitter within ±`jitter_s`, without those in `gap`.
     fn sent(period_s: f64, jitter_s: f64, gap: std::ops::Range<usize>) -> Vec<f64> {
         let mut state = 7_u64;
         let mut random = || {

@@ -1,6 +1,6 @@
-//! Rows of a stream with their stamps.
+//! Rows with stamps.
 
 use crate::time::Stamp;
 
-/// Rows of a part of a stream, in log order, each with its stamp.
+/// Rows of a part in log order, each with its stamp.
 pub(super) type Rows = Vec<(Stamp, usize)>;

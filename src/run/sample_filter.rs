@@ -1,5 +1,4 @@
-//! Filters the samples of a stream before estimation: one publisher, no outliers, no stale or repeated
-//! values.
+//! Filters samples for estimation: one publisher, no outliers, no stale or repeated values.
 
 use std::borrow::Cow;
 
@@ -17,7 +16,7 @@ use super::streams::{Clocks, Stream};
 pub struct SampleFilter {
     /// Outliers.
     pub outliers: Vec<Outliers>,
-    /// Topics and transforms with two publishers.
+    /// Parts with two publishers.
     pub publishers: Vec<Publishers>,
     /// Repeated values with new stamps.
     pub repeated: Vec<RepeatedValues>,
@@ -51,7 +50,6 @@ impl SampleFilter {
         Self { outliers, publishers, repeated, stale }
     }
 
-    /// Removes the filtered rows of a part.
     pub(super) fn apply(&self, stream: usize, piece: usize, rows: &mut Rows) {
         publishers::hide(&self.publishers, stream, piece, rows);
         outliers::hide(&self.outliers, stream, piece, rows);
@@ -59,7 +57,7 @@ impl SampleFilter {
         repeated::deduplicate(&self.repeated, stream, piece, rows);
     }
 
-    /// Copies the results of one part to another stream.
+    /// Copies one part's results to another stream.
     pub(super) fn share(&mut self, (stream, piece): (usize, usize), to: usize) {
         fn shared<T: Clone>(
             all: &mut Vec<T>,

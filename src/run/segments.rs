@@ -1,38 +1,38 @@
 //! Splits a run at clock restarts, such as a simulation reset or a looped bag.
 //!
-//! At a restart the stamps of all streams decrease by more than a second. If only one stream does, the
-//! rules report it as a fault of that stream.
+//! The stamps of all streams then decrease by more than a second. If only one stream's do, the rules report
+//! it.
 
 use crate::log::{Log, Topic};
 use crate::stats::median;
 use crate::stream::{Columns, Times};
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
-/// Minimum decrease of a stamp to count as a restart, ns.
+/// Minimum decrease, ns.
 const RESTART: i64 = NANOS_PER_SECOND;
-/// Maximum difference in receive time between decreases of different streams that count as one restart, ns.
+/// Maximum receive time between decreases of one restart, ns.
 const TOGETHER: i64 = 2 * NANOS_PER_SECOND;
 
 /// Part of a log between two restarts.
 #[derive(Debug)]
 pub struct Segment {
-    /// Data of the segment. Data without time, such as static transforms, is in every segment.
+    /// Its data. Data without time, such as static transforms, is in every segment.
     pub log: Log,
     /// Time from the first to the last stamp, s.
     pub seconds: f64,
 }
 
 impl Segment {
-    /// Number of messages, without topics that are valid at all times.
+    /// Messages of topics that are not valid at all times.
     pub fn messages(&self) -> u64 {
         self.log.topics.iter().filter(|topic| moves(topic)).map(|topic| topic.messages).sum()
     }
 }
 
-/// Minimum median duration of segments, s. Shorter ones indicate jumping stamps, not restarts.
+/// Minimum median duration, s; shorter segments are jumping stamps.
 const BRIEF_S: f64 = 1.0;
 
-/// Splits a log at its restarts, in receive order. One segment if there are none.
+/// Splits a log at its restarts, in receive order.
 pub fn segments(log: Log) -> Vec<Segment> {
     let moving = || log.topics.iter().filter(|topic| moves(topic));
     if !moving().flat_map(times_of).any(may_restart) {
@@ -89,31 +89,30 @@ fn times_of(topic: &Topic) -> Vec<&Times> {
     topic.columns.as_ref().map(Columns::times).unwrap_or_default()
 }
 
-/// Whether stamps decrease in receive order (a cheap check that does not sort).
+/// Whether stamps decrease in receive order, without sorting.
 fn may_restart(times: &Times) -> bool {
     let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
     times.header.windows(2).any(step_back) || !times.log.is_sorted()
 }
 
-/// Whether a topic holds data at its time, not for the whole run.
+/// Whether a topic's data is valid only at its time.
 fn moves(topic: &Topic) -> bool {
     let holds_at_all_times =
         matches!(topic.columns, Some(Columns::Text(_)) | None) || topic.name.ends_with("tf_static");
     !holds_at_all_times
 }
 
-/// A clock restart: receive times of the last message before it and the first after it.
+/// Receive times of the last message before a restart and the first after it.
 #[derive(Clone, Copy, Debug)]
 struct Restart {
     before: i64,
     after: i64,
 }
 
-/// Rows of one part of a topic, in receive order.
 struct Piece<'a> {
     times: &'a Times,
     order: Vec<usize>,
-    /// Indices into `order` of rows whose stamp is less than the stamp before.
+    /// Indices into `order` of decreasing stamps.
     restarts: Vec<usize>,
 }
 
@@ -124,8 +123,7 @@ impl<'a> Piece<'a> {
 
     fn of(times: &'a Times) -> Self {
         let mut order: Vec<usize> = (0..times.len()).collect();
-        // Files are nearly in receive order. If the recorder's own clock restarted, keep the order of the
-        // file.
+        // Files are nearly in receive order. Keep theirs if the recorder's clock restarted.
         let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
         if !times.log.windows(2).any(steps_back) {
             order.sort_by_key(|&row| times.log[row]);
@@ -162,8 +160,7 @@ impl<'a> Piece<'a> {
         near.min_by_key(|at| apart(at).0.saturating_add(apart(at).1)).copied()
     }
 
-    /// Whether its stamps do not contradict `restart`: they decrease there, are missing, or do not cover
-    /// it.
+    /// Whether its stamps decrease at `restart`, are missing, or do not cover it.
     fn agrees(&self, restart: &Restart) -> bool {
         let stamped = self.order.iter().filter(|&&row| self.times.header[row] != 0);
         let received = stamped.map(|&row| self.times.log[row]);
@@ -193,7 +190,6 @@ impl<'a> Piece<'a> {
         .collect()
     }
 
-    /// The rows of a segment, in file order.
     fn rows(&self, cuts: &[usize], segment: usize) -> Vec<usize> {
         let (from, to) = self.bounds(cuts, segment);
         let mut rows = self.order.get(from..to).unwrap_or_default().to_vec();
@@ -206,7 +202,6 @@ impl<'a> Piece<'a> {
         (from, cuts.get(segment).copied().unwrap_or(self.order.len()))
     }
 
-    /// Duration of a segment, s.
     fn seconds(&self, cuts: &[usize], segment: usize) -> f64 {
         let (from, to) = self.bounds(cuts, segment);
         let rows = self.order.get(from..to).unwrap_or_default();
@@ -218,8 +213,8 @@ impl<'a> Piece<'a> {
     }
 }
 
-/// The data of a topic in one segment. The message count is estimated from the share of rows; the counts of all
-/// segments add up to that of the topic. Dropped samples count in the first segment with rows.
+/// One segment of a topic. Splits the message count by rows; dropped samples count in the first segment
+/// with rows.
 fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
     if !moves(topic) {
         return topic.clone();
@@ -258,13 +253,12 @@ fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
         columns.clear_dropped(is_first);
         columns.retain(&rows);
         if topic.read_as.is_some() {
-            // Rows of a table were not received; their receive times are made up to put episodes one after
-            // another.
+            // Table rows have made-up receive times that put episodes one after another.
             columns.times_mut().into_iter().for_each(|times| times.log.clone_from(&times.header));
         }
     }
     Topic {
-        // Whether each episode of a table has a topic is decided by its reader.
+        // The table reader decides whether an episode has a topic.
         messages: if topic.read_as.is_some() {
             messages.max(topic.messages.min(1))
         } else {
@@ -300,7 +294,7 @@ mod tests {
         }
     }
 
-    /// An IMU at 10 Hz; `stamp` maps receive time to header stamp, s.
+    /// IMU at 10 Hz; `stamp` maps receive time to header stamp, s.
     fn imu(name: &str, from: i64, to: i64, stamp: impl Fn(i64) -> i64) -> Topic {
         let mut imu = ImuColumns::default();
         for received in (from * 10..to * 10).map(|tick| tick * S / 10) {
@@ -329,7 +323,6 @@ mod tests {
         }
     }
 
-    /// A clock that restarts at 20 s.
     fn restarted(received: i64) -> i64 {
         S + received - if received < 20 * S { 0 } else { 20 * S }
     }
@@ -391,7 +384,7 @@ mod tests {
         };
         let own: Vec<Vec<u64>> = (0..4).map(|at| of_topic(at, &dropped)).collect();
         assert_eq!(own, [[7, 0], [0, 2], [0, 0], [5, 0]]);
-        // The segment without the topic has none of its messages.
+        // A segment without the topic has none of its messages.
         assert_eq!(of_topic(1, &|topic| topic.messages), [0, 92]);
     }
 

@@ -1,5 +1,4 @@
-//! Uniform access to the parts of streams as rows of numbers in time order: joint states, poses, each
-//! transform, an IMU.
+//! Streams as rows of numbers in time order: joint states, poses, transforms, IMUs.
 
 use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
 
@@ -8,7 +7,6 @@ use super::rows::Rows;
 use super::streams::{Clocks, Stream};
 use super::tf_tree::without_slash;
 
-/// A part of a stream.
 pub(super) struct Series<'a> {
     /// Index of the stream.
     pub stream: usize,
@@ -16,15 +14,13 @@ pub(super) struct Series<'a> {
     pub piece: usize,
     /// Child frame of a transform.
     pub frame: Option<&'a str>,
-    /// Whether its columns come from a table, which one program writes.
+    /// Whether one program wrote the columns as a table.
     pub is_table: bool,
-    /// Rows with a stamp, in stamp order.
     pub rows: Rows,
     pub times: &'a Times,
     pub values: Values<'a>,
 }
 
-/// Content of the rows.
 #[derive(Clone, Copy)]
 pub(super) enum Values<'a> {
     Joints(&'a JointColumns),
@@ -44,7 +40,6 @@ impl Values<'_> {
         }
     }
 
-    /// One value of a row.
     pub fn at(&self, row: usize, number: usize) -> f64 {
         match (self, number) {
             (Values::Joints(joints), _) => joints.joints[number].position[row],
@@ -65,14 +60,14 @@ impl Values<'_> {
 }
 
 impl Series<'_> {
-    /// Time of each row since the first, s.
+    /// Seconds since the first row.
     pub fn seconds(&self) -> Vec<f64> {
         let first = self.rows.first().map(|(stamp, _)| *stamp).unwrap_or_default();
         self.rows.iter().map(|(stamp, _)| stamp.seconds_since(first)).collect()
     }
 }
 
-/// All parts that a run may use, except joint states with incomplete messages.
+/// All parts except joint states with incomplete messages.
 pub(super) fn series<'a>(streams: &'a [Stream], clocks: &Clocks) -> Vec<Series<'a>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {

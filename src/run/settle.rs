@@ -1,5 +1,5 @@
-//! Resolves by motion the properties of pose streams that names and frames leave undetermined: the arm, the
-//! pose of a moving base, and whether the stream follows the arm.
+//! Resolves by motion what names and frames leave open: a stream's arm, a moving base's pose, and whether a
+//! stream follows the arm.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -33,7 +33,7 @@ pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_hands(run, most_lag_s);
 }
 
-/// Converts poses that alternate between several rigid bodies on one tool to poses of the main body.
+/// Converts poses that alternate between rigid bodies on one tool to the main body.
 fn settle_alternations(run: &mut Run) {
     let all: Vec<(usize, usize)> = run
         .arms
@@ -58,11 +58,10 @@ fn settle_alternations(run: &mut Run) {
     }
 }
 
-/// Maximum number of an arm's pose streams that are diagnosed jointly, to determine the encoding of its
-/// joint states. Further streams are diagnosed one by one with that result.
+/// Maximum number of pose streams diagnosed jointly for the encoding of the joint states; others follow one
+/// by one.
 const TOGETHER: usize = 6;
 
-/// Sorts the streams of an arm by length, with copies last.
 fn settle_crowds(run: &mut Run) {
     for arm in &mut run.arms {
         let is_copy =
@@ -83,18 +82,17 @@ fn settle_crowds(run: &mut Run) {
     }
 }
 
-/// Number of an arm's pose streams that are diagnosed jointly: the first ones that are not copies.
 pub(crate) fn together(arm: &Arm) -> usize {
     let is_copy =
         |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
     (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
 }
 
-/// Removes repeated poses while the arm moves, at the lags at which the streams may follow it.
+/// Removes repeated poses at the lags at which streams may follow the moving arm.
 fn settle_frozen(run: &mut Run, most_lag_s: f64) {
-    /// Minimum correlation of speeds to trust the lag.
+    /// Minimum speed correlation to trust the lag.
     const FOLLOWS: f64 = 0.3;
-    /// Minimum correlation at other possible lags, as a share of the best.
+    /// Minimum correlation at other lags, as a share of the best.
     const NEARLY: f64 = 0.7;
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -115,10 +113,10 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Maximum ratio of the residuals of the nearest arm and the next one.
+/// Maximum ratio of the nearest arm's residual to the next.
 const NEARER: f64 = 0.5;
 
-/// Assigns transforms between frames that several arms share to the arm that they fit.
+/// Assigns transforms of shared frames to the arm that they fit.
 fn settle_transforms(run: &mut Run) {
     let frames = |arm: &Arm| {
         let source = arm.tf.as_ref().ok()?;
@@ -144,7 +142,7 @@ fn settle_transforms(run: &mut Run) {
     }
 }
 
-/// Turns joint states without any measurement into commands if an arm with the same joints follows them.
+/// Turns joint states without measurement into commands if an arm with the same joints follows.
 fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
     let nothing_beside = |arm: &Arm| arm.poses.is_empty() && arm.imus.is_empty() && arm.tf.is_err();
     for index in (0..run.arms.len()).rev() {
@@ -161,9 +159,8 @@ fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Lead of the joint states of `leader` over those of an arm of the same kind, s, if they lead.
+/// Lead over an arm of the same kind, s.
 fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
-    /// Maximum number of the arm's samples that are compared.
     const MOST: usize = 20_000;
     let rows = || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MOST).max(1));
     let poses = rows().map(|row| {
@@ -191,14 +188,13 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
     (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
 }
 
-/// Minimum lead, s; shorter leads are due to stamps, transport and filters.
+/// Minimum lead, s; stamps, transport and filters cause shorter ones.
 const LEAST_S: f64 = 0.04;
-/// Minimum correlation of speeds of a leading stream, as for one that follows.
+/// Minimum speed correlation, as for streams that follow.
 const LEADS: f64 = 0.7;
-/// Minimum correlation at another lag, as a share of the best, for periodic motion.
+/// Minimum correlation at another lag of periodic motion, as a share of the best.
 const REPEATS: f64 = 0.9;
 
-/// Decides which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
@@ -236,10 +232,10 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Lead of a stream over its arm, s, if it leads.
+/// Lead over the arm, s.
 ///
-/// A measurement cannot be received before the arm moves. If only the stamps are ahead, the messages still
-/// arrive with the others. If the joint states are late, all other streams appear early.
+/// A measurement is received after the motion. If only stamps are ahead, messages arrive with the others;
+/// if joint states are late, all streams appear early.
 fn lead_s(
     run: &Run,
     arm: &Arm,
@@ -256,7 +252,7 @@ fn lead_s(
     if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
         return None;
     }
-    // Periodic motion also matches at a lag near zero.
+    // Periodic motion also matches near zero lag.
     let peaks = candidate_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
     let is_now = |other: &LagPeak| {
         other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
@@ -273,12 +269,9 @@ fn lead_s(
     (!agrees).then_some(-received_s)
 }
 
-/// Cache of the lags at which streams follow their arms.
 struct Lags {
     most_lag_s: f64,
-    /// Peaks by stream index.
     poses: BTreeMap<usize, Option<LagPeak>>,
-    /// Lags by stream index, s.
     imus: BTreeMap<usize, Option<f64>>,
 }
 
@@ -302,7 +295,6 @@ fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
     sources.into_iter().find(|(_, source)| source.stream == stream)
 }
 
-/// Transforms poses of moving bases with transforms at the estimated time.
 fn settle_carried(run: &mut Run, most_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -329,10 +321,9 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Transforms the poses of moving bases again if the latencies in `found` differ from those assumed.
-/// Returns whether any did.
+/// Transforms again if the latencies in `found` differ from those assumed. Returns whether any did.
 pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
-    /// Maximum latency difference that needs no new transformation, s.
+    /// Maximum latency difference to ignore, s.
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
     for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
@@ -348,10 +339,10 @@ pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnos
     are_other
 }
 
-/// Assigns each contested stream to the arm with the smallest residual or, if the residuals are similar, to
-/// the arm with the highest correlation.
+/// Assigns contested streams to the arm with the smallest residual; if similar, to that with the highest
+/// correlation.
 fn settle_contests(run: &mut Run, most_lag_s: f64) {
-    /// Minimum margin of the correlation over the next arm.
+    /// Minimum correlation margin over the next arm.
     const MORE: f64 = 0.1;
     for shared in std::mem::take(&mut run.shared_streams) {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
@@ -383,8 +374,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Excludes streams with a constant pose while the joints move the tool. Whether they are stationary or
-/// from another time cannot be determined.
+/// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.
 fn leave_unmoved(run: &mut Run) {
     let unmoved = run.arms.iter().flat_map(|arm| {
         let of = |source: &PoseSource| {
@@ -398,7 +388,7 @@ fn leave_unmoved(run: &mut Run) {
         arm.poses.iter().filter(is_said).filter_map(of)
     });
     let unmoved: Vec<(usize, usize, f64)> = unmoved.collect();
-    // A simulator's topic contains all bodies of its world.
+    // A simulator's topic has all bodies of its world.
     let is_object = |stream: usize| {
         let Stream { topic, child_frame_id, role, .. } = &run.streams[stream];
         let is_other =
@@ -426,8 +416,7 @@ fn leave_unmoved(run: &mut Run) {
     }
 }
 
-/// Excludes streams in whose frame the arm's base moves unpredictably: constant causes cannot be estimated
-/// from them.
+/// Excludes streams in whose frame the base moves unpredictably: constant causes cannot be estimated.
 fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let is_of_unknown_frame = |source: &&PoseSource| {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
@@ -453,10 +442,10 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Minimum correlation of angular speeds between a target and its hand.
+/// Minimum correlation of angular speeds of target and hand.
 const TURNS_ALIKE: f64 = 0.7;
 
-/// In a log without an arm, selects the hand streams that rotate with a target.
+/// Without an arm, selects the hands that rotate with a target.
 fn settle_hands(run: &mut Run, most_lag_s: f64) {
     let mut found = Vec::new();
     for target in &run.targets {

@@ -1,4 +1,4 @@
-//! Resolves streams and transforms that may belong to several arms, and leader arms.
+//! Resolves streams and transforms of several possible arms, and leader arms.
 
 use super::Run;
 use super::arm::TfUnavailable;
@@ -16,7 +16,7 @@ pub struct SharedStream {
     pub candidates: Vec<CandidateArm>,
 }
 
-/// A candidate arm of a stream, and the stream's frames for that arm.
+/// A candidate arm, and the stream's frames for it.
 #[derive(Clone, Debug)]
 pub struct CandidateArm {
     /// Index of the arm.
@@ -28,7 +28,6 @@ pub struct CandidateArm {
 }
 
 impl CandidateArm {
-    /// Assigns a stream to this arm.
     pub(super) fn assign(&self, stream: &mut Stream) {
         stream.arm = Some(self.arm);
         (stream.reference, stream.link) = (Some(self.reference.clone()), Some(self.link.clone()));
@@ -36,8 +35,7 @@ impl CandidateArm {
 }
 
 impl Run {
-    /// Assigns a contested stream to the arm that it follows, or to none if the motion does not determine
-    /// it.
+    /// Assigns a contested stream to the arm that it follows, or to none.
     pub fn assign_shared_stream(&mut self, shared: &SharedStream, winner: Option<usize>) {
         let SharedStream { stream, candidates } = shared;
         let names = candidates
@@ -69,7 +67,7 @@ impl Run {
         }
     }
 
-    /// Assigns transforms that fit several arms to the one that they follow.
+    /// Assigns contested transforms to the arm that they follow.
     pub fn assign_shared_transforms(&mut self, candidates: &[usize], winner: usize) {
         let arm = self.arms[winner].name.clone();
         for &loser in candidates.iter().filter(|&&index| index != winner) {
@@ -77,7 +75,7 @@ impl Run {
         }
     }
 
-    /// Turns the joint states of arm `index` into commands: they lead `of` by `lead_s`.
+    /// Turns arm `index` into commands that lead `of` by `lead_s`.
     pub fn resolve_leading_arm(&mut self, index: usize, of: &str, lead_s: f64) {
         self.arms.remove(index);
         for stream in self.streams.iter_mut().filter(|stream| stream.arm == Some(index)) {
@@ -112,7 +110,7 @@ impl Run {
         (stream.arm, stream.reference, stream.link, stream.source_kind) = (None, None, None, None);
     }
 
-    /// Unassigns a stream, and records why it is not audited.
+    /// Unassigns a stream, and records the reason.
     pub fn exclude(&mut self, stream: usize, why: NotAuditedReason, reason: String) {
         self.unassign(stream, reason);
         self.unaudited.push(NotAudited { stream, why });

@@ -1,42 +1,41 @@
-//! Finds the joint path of each arm in a robot model, and its tip.
+//! Finds each arm's joint path in a robot model, and its tip.
 
 use crate::robot::{Joint, JointKind, LinkId, Robot};
 
 /// A path of logged joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ArmPath {
-    /// The link above the first joint.
+    /// Link above the first joint.
     pub base: LinkId,
-    /// The link that the last joint moves.
+    /// Link below the last joint.
     pub end: LinkId,
-    /// Names of the independent joints, from base to end.
+    /// Independent joints, from base to end.
     pub joints: Vec<String>,
 }
 
-/// Words in names of joints that open and close a gripper.
 const GRIPPER: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
 
-/// Words in names of joints that rotate a whole gripper.
+/// Names of joints that rotate a whole gripper.
 const TURNS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
 
-/// Whether a joint has one coordinate and does not mimic another.
+/// Whether a joint has one coordinate and mimics no other.
 pub(super) fn is_own(joint: &Joint) -> bool {
     joint.kind.has_position() && joint.mimic.is_none()
 }
 
-/// The joint that drives `joint`: itself, or the one that it mimics.
+/// `joint`, or the one that it mimics.
 pub(super) fn driver<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
     let master = |joint: &&'a Joint| robot.joint(&joint.mimic.as_ref()?.joint);
-    // Limits the steps, so that cyclic mimics end.
+    // Limits the steps of cyclic mimics.
     let drivers = std::iter::successors(Some(joint), master).take(robot.joints().len() + 1);
     drivers.last().unwrap_or(joint)
 }
 
-/// The arms of `robot`: the longest path of independent logged joints, and further paths with at least four
-/// joints of their own, more than they share.
+/// The longest path of independent logged joints, and others with at least four own joints, more than
+/// shared.
 ///
-/// A path ends if the tree forks into moving branches that all have fewer joints than the path so far (a
-/// gripper), and before a last joint that is named like a gripper's.
+/// A path ends where all branches have fewer joints than the path so far (a gripper), and before a last
+/// joint named like a gripper's.
 pub(super) fn arms(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath> {
     const OWN: usize = 4;
     let mut walk = Walk { robot, logged, ends: Vec::new() };
@@ -65,7 +64,6 @@ struct Walk<'a, F> {
 }
 
 impl<F: Fn(&str) -> bool> Walk<'_, F> {
-    /// Follows the tree below `link`, which `path` reaches.
     fn descend(&mut self, link: LinkId, path: ArmPath) {
         let robot = self.robot;
         let branches: Vec<(&Joint, usize)> = robot
@@ -102,18 +100,17 @@ impl<F: Fn(&str) -> bool> Walk<'_, F> {
             path.joints.push(joint.name.clone());
             path.end = joint.child;
         } else if !is_fixed(joint) && !(self.logged)(&driver(self.robot, joint).name) {
-            // The position of this joint is unknown, so the arm can only start below it.
+            // Without this joint's position, the arm can only start below it.
             path = ArmPath { base: joint.child, end: joint.child, joints: Vec::new() };
         }
         path
     }
 
-    /// Whether `joint` or anything below it moves.
     fn moves(&self, joint: &Joint) -> bool {
         !is_fixed(joint) || self.robot.child_joints(joint.child).any(|below| self.moves(below))
     }
 
-    /// Maximum number of independent logged joints on a path that starts with `joint`.
+    /// Maximum number of independent logged joints from `joint`.
     fn depth(&self, joint: &Joint) -> usize {
         let below = self.robot.child_joints(joint.child).map(|below| self.depth(below)).max();
         usize::from(is_own(joint) && (self.logged)(&joint.name)) + below.unwrap_or(0)
@@ -124,17 +121,14 @@ fn is_fixed(joint: &Joint) -> bool {
     joint.kind == JointKind::Fixed
 }
 
-/// Whether `joint` is the last of an arm and is named like a gripper's.
 fn opens_gripper(joint: &Joint, depth: usize, path: &ArmPath) -> bool {
     let name = joint.name.to_lowercase();
     let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
     depth == 1 && path.joints.len() > 1 && is_own(joint) && has(GRIPPER) && !has(TURNS)
 }
 
-/// Default tip of an arm, among the links fixed to `end`.
-///
-/// This is `preferred` if present, else the first link named `tool0`, `flange`, `*_tcp` or `*_link8`, in
-/// this order, else the one behind the most fixed joints.
+/// Default tip among links fixed to `end`: `preferred`, else the first of `tool0`, `flange`, `*_tcp`,
+/// `*_link8`, else behind the most fixed joints.
 pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId {
     let fixed = fixed_below(robot, end);
     let named = |fits: &dyn Fn(&str) -> bool| {
@@ -153,7 +147,7 @@ pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId
         .unwrap_or(end)
 }
 
-/// `link` and the links fixed below it, each with the number of joints in between, parents first.
+/// `link` and links fixed below, with the number of joints between, parents first.
 fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
     let mut found = vec![(link, 0)];
     let mut next = 0;
@@ -165,7 +159,6 @@ fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
     found
 }
 
-/// Movable joints between the root and `link`.
 pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<Item = &Joint> {
     let up =
         std::iter::successors(robot.parent_joint(link), |joint| robot.parent_joint(joint.parent));
@@ -176,7 +169,7 @@ pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<
 pub(super) mod tests {
     use super::*;
 
-    /// A URDF with joints given as "name type parent child".
+    /// A URDF from "name type parent child".
     pub fn robot(joints: &[&str]) -> Robot {
         let mut links: Vec<&str> = Vec::new();
         let mut body = String::new();

@@ -1,9 +1,8 @@
 //! Source of a pose stream: the controller, or an independent measurement.
 //!
-//! A controller's pose is FK of the same encoders as the joint states, with its own calibration. It can
-//! show that a model differs from the controller's, but not that the mechanics differ from both. The source
-//! is determined from names and frames alone. Noise is not used, because filters and rounding make its
-//! relation to the joints' noise unreliable.
+//! A controller's pose is FK of the same encoders with its own calibration. It reveals different models,
+//! but not mechanics that differ from both. Names and frames decide, because filters and rounding make
+//! noise unreliable.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -34,7 +33,6 @@ impl PoseSourceKind {
     }
 }
 
-/// Words in names of topics and frames of independent measurements.
 const EXTERNAL_WORDS: &[&str] = &[
     "vicon",
     "optitrack",
@@ -56,15 +54,15 @@ const EXTERNAL_WORDS: &[&str] = &[
     "optical",
 ];
 
-/// Prefixes of packages with controller messages.
+/// Packages with controller messages.
 const CONTROLLERS: &[&str] =
     &["franka_", "ur_", "lbr_fri_", "iiwa_", "kuka_", "xarm_", "dsr_", "jaka_", "aubo_", "kinova_"];
 
-/// Prefixes of packages with tracker or camera messages.
+/// Packages with tracker or camera messages.
 const TRACKERS: &[&str] =
     &["vicon_", "mocap", "motion_capture_", "optitrack_", "vrpn_", "apriltag_", "aruco_"];
 
-/// Properties that determine the source of a pose stream.
+/// Evidence for a pose stream's source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseNames<'a> {
     pub topic: &'a str,
@@ -73,11 +71,10 @@ pub(super) struct PoseNames<'a> {
     pub child_frame_id: &'a str,
     /// Relation of the poses' frame to the arm.
     pub frame: Place,
-    /// Whether its stamps are copies of the joints' stamps.
+    /// Whether its stamps are the joints'.
     pub stamps_copied: bool,
 }
 
-/// Determines the source of a pose stream, with the reason.
 pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) {
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();

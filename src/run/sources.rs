@@ -1,4 +1,4 @@
-//! Data sources of an arm: its poses and IMUs.
+//! Poses and IMUs of an arm.
 
 use crate::diagnosis::ImuStream;
 use crate::geometry::Pose;
@@ -12,34 +12,34 @@ pub struct PoseSource {
     pub stream: usize,
     /// Chain from the reference link to the link whose pose it is.
     pub chain: Chain,
-    /// Column in the arm's joint track of each joint of `chain`.
+    /// Column in the joint track of each joint of `chain`.
     pub columns: Vec<usize>,
-    /// The poses, in the frame of the chain's base if that is known.
+    /// Poses, in the chain's base frame if known.
     pub track: PoseTrack,
-    /// Whether the stream's frame is a link or tied to one. Otherwise its pose is estimated.
+    /// Whether the frame is a link or tied to one; else its pose is estimated.
     pub reference_known: bool,
-    /// Whether its stamps are copies of the joints' stamps.
+    /// Whether its stamps are the joints'.
     pub stamps_copied: bool,
-    /// Standard error of the stamps due to clock alignment, s; 0 on a shared clock.
+    /// Standard error of clock alignment, s; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// Whether the link is named, by the caller or as the stream's child frame.
+    /// Whether the caller or the child frame names the link.
     pub tip_named: bool,
-    /// Frame of the logged poses, if it moves relative to the chain's base.
+    /// Frame of the logged poses, if it moves in the chain's base.
     pub moving_base: Option<MovingBase>,
 }
 
 impl PoseSource {
-    /// Hash key of copies: the number of poses, and the bits of the first stamp and coordinate.
+    /// Hash key of copies: number of poses, bits of the first stamp and coordinate.
     pub fn copy_key(&self) -> (usize, Option<u64>, Option<u64>) {
         let PoseTrack { t_s, xyz, .. } = &self.track;
         let first = |value: Option<f64>| value.map(f64::to_bits);
         (t_s.len(), first(t_s.first().copied()), first(xyz.first().map(|xyz| xyz[0])))
     }
 
-    /// Whether it has the same poses of the same link in the same frame at the same times.
+    /// Whether both have the same poses of the same link at the same times.
     pub fn is_copy_of(&self, other: &Self) -> bool {
         let (own, theirs) = (&self.track, &other.track);
-        // Compares times first, because a log may have thousands of streams and each pair is compared.
+        // Times first: thousands of streams are compared in pairs.
         own.t_s == theirs.t_s
             && self.chain.base_name() == other.chain.base_name()
             && self.chain.tip_name() == other.chain.tip_name()
@@ -51,7 +51,7 @@ impl PoseSource {
     }
 }
 
-/// A moving base: a frame that moves relative to an arm's base, and poses in it.
+/// A frame that moves in an arm's base, and poses in it.
 #[derive(Clone, Debug)]
 pub struct MovingBase {
     /// The frame.
@@ -62,9 +62,9 @@ pub struct MovingBase {
     pub base_from_frame: Vec<Pose>,
     /// The audited link's poses in the frame, as logged.
     pub logged: PoseTrack,
-    /// Time between a transform and the pose's stamp, s; positive if the transform is earlier.
+    /// Age of the transform at the pose's stamp, s.
     pub lag_s: f64,
-    /// Whether that equals the poses' latency, and changes with it.
+    /// Whether that equals the poses' latency, and follows it.
     pub is_on_time: bool,
 }
 
@@ -73,22 +73,22 @@ pub struct MovingBase {
 pub struct ImuSource {
     /// Index of the stream.
     pub stream: usize,
-    /// Chain from the base to the link that carries it.
+    /// Chain from the base to the carrying link.
     pub chain: Chain,
-    /// Column in the arm's joint track of each joint of `chain`.
+    /// Column in the joint track of each joint of `chain`.
     pub columns: Vec<usize>,
     /// The measurements.
     pub track: ImuTrack,
-    /// Its pose in the link according to the log's frames, if known.
+    /// Its pose in the link by the log's frames.
     pub link_from_imu: Option<Pose>,
-    /// Whether its stamps are copies of the joints' stamps.
+    /// Whether its stamps are the joints'.
     pub stamps_copied: bool,
-    /// Standard error of the stamps due to clock alignment, s; 0 on a shared clock.
+    /// Standard error of clock alignment, s; 0 on a shared clock.
     pub stamp_error_s: f64,
 }
 
 impl ImuSource {
-    /// Converts it to the input of the diagnosis.
+    /// Converts to diagnosis input.
     pub fn as_stream(&self) -> ImuStream<'_> {
         ImuStream {
             track: &self.track,

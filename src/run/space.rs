@@ -1,8 +1,8 @@
-//! Distinguishes the arms of a log by the words in their names.
+//! Distinguishes arms by words of their names.
 
 use super::role::words;
 
-/// Words in names of topics, frames and joints that identify one arm, and those that identify others.
+/// Words that identify one arm, and those of others.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Space {
     own: Vec<String>,
@@ -12,22 +12,21 @@ pub(super) struct Space {
 /// Which arm a name refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Claim {
-    /// It contains words of a different arm and none of this one.
+    /// Words of a different arm only.
     Foreign,
-    /// It contains no distinguishing word.
+    /// No distinguishing word.
     Neutral,
-    /// It contains a word of this arm.
+    /// A word of this arm.
     Own,
 }
 
 impl Space {
-    /// The spaces of arms with these names: for each, the words that not all of them share.
+    /// For each arm, the words that not all share.
     pub fn of_names<S: AsRef<str>>(names: &[S]) -> Vec<Space> {
         let all: Vec<Vec<String>> = names.iter().map(|name| words(name.as_ref())).collect();
         Self::of_words(&all)
     }
 
-    /// The same, from words.
     pub fn of_words(all: &[Vec<String>]) -> Vec<Space> {
         let is_shared = |word: &String| all.iter().all(|words| words.contains(word));
         let telling = |words: &Vec<String>| -> Vec<String> {
@@ -43,7 +42,7 @@ impl Space {
         (0..all.len()).map(space).collect()
     }
 
-    /// Which arm some names refer to.
+    /// Arm that names refer to.
     pub fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
         let words: Vec<String> = names.into_iter().flat_map(words).collect();
         let has = |known: &[String]| known.iter().any(|word| words.contains(word));
@@ -54,17 +53,15 @@ impl Space {
         }
     }
 
-    /// Whether there are other arms.
     pub fn is_one_of_several(&self) -> bool {
         !self.own.is_empty() || !self.others.is_empty()
     }
 
-    /// Its own words.
     pub fn words(&self) -> &[String] {
         &self.own
     }
 
-    /// Its own words, as a label.
+    /// Its words as a label.
     pub fn label(&self) -> Option<String> {
         (!self.own.is_empty()).then(|| self.own.join(" "))
     }

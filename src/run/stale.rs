@@ -1,7 +1,5 @@
-//! Detects frozen joint states while the arm moves.
-//!
-//! If a joint stops abruptly at full speed and is elsewhere one sample later, the value was frozen, not the
-//! joint. These spans are excluded from estimation, like gaps.
+//! Detects frozen joint states: a joint that stops abruptly at full speed and is elsewhere one sample
+//! later. Estimation excludes them like gaps.
 
 use std::borrow::Cow;
 
@@ -11,24 +9,22 @@ use super::frozen::Frozen;
 use super::rows::Rows;
 use super::series::{Series, Values};
 
-/// Minimum duration, s, and number of rows; shorter spans are typical of slow sources.
+/// Minimum duration, s, and rows; slow sources have shorter spans.
 const LEAST_S: f64 = 0.25;
 const LEAST_ROWS: usize = 10;
-/// Maximum motion while frozen, in standard deviations of the noise.
+/// Maximum frozen motion, noise standard deviations.
 const STILL: f64 = 8.0;
-/// Minimum jump at the end, rad or m, and in usual non-zero steps of the joint, to exclude the resolution
-/// of a coarse encoder.
+/// Minimum final jump, rad or m, and in usual non-zero steps, to exclude a coarse encoder's resolution.
 const LEAP: f64 = 5e-3;
 const BITS: f64 = 4.0;
-/// Minimum ratio of the jump to the steps after it.
+/// Minimum ratio to the steps after it.
 const FAR: f64 = 5.0;
-/// Maximum acceleration of a real joint, rad/s² or m/s²; the jump must exceed it. A UR5e that was guided by
-/// hand stops by up to 87 rad/s² in public recordings (docs/real-logs.md).
+/// Maximum acceleration of a real joint, rad/s² or m/s²; jumps exceed it. A hand-guided UR5e stops by up to
+/// 87 rad/s² in public recordings (docs/real-logs.md).
 pub(super) const HARDEST: f64 = 100.0;
-/// Number of rows before and after that show the joint speeds.
+/// Rows on each side that show joint speeds.
 const BESIDE: usize = 4;
 
-/// A span of frozen joint states, and its rows from the second on.
 #[derive(Debug)]
 pub(super) struct StaleJoints {
     pub frozen: Frozen,
@@ -41,7 +37,6 @@ pub(super) fn hide(stale: &[StaleJoints], stream: usize, rows: &mut Rows) {
     }
 }
 
-/// Finds spans of frozen joint states in `series`, in the given `rows`.
 pub(super) fn detect_stale_joints<'s>(series: &Series<'s>, rows: &Rows) -> Vec<StaleJoints> {
     let Values::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
@@ -92,7 +87,7 @@ pub(super) fn detect_stale_joints<'s>(series: &Series<'s>, rows: &Rows) -> Vec<S
         let is_long = end.seconds_since(start) >= LEAST_S && at - first >= LEAST_ROWS;
         let period_s = end.seconds_since(start) / (at - first).max(1) as f64;
         let is_beside = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
-        // A value that is redefined at rest also jumps, but then nothing moves before or after.
+        // A value redefined at rest also jumps, but without motion around it.
         let moves = |a: usize, b: usize| {
             (0..count).any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
@@ -124,8 +119,7 @@ mod tests {
     use crate::stream::JointColumns;
     use crate::time::Stamp;
 
-    /// 20 s of an oscillating joint at 100 Hz, with noise. `edit` returns the time at which the position is
-    /// taken and an offset.
+    /// 20 s of a noisy oscillation at 100 Hz. `edit` returns when the position is taken, and an offset.
     fn swings(noise: f64, edit: impl Fn(f64) -> (f64, f64)) -> JointColumns {
         let mut columns = JointColumns::default();
         columns.joints.push(JointColumn { name: "a".to_owned(), ..JointColumn::default() });

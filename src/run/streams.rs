@@ -1,4 +1,4 @@
-//! Streams of a run: its topics, or each pose of a topic with several.
+//! Streams of a run: topics, or each pose of a topic with several.
 
 use std::collections::HashSet;
 
@@ -26,37 +26,37 @@ pub struct Stream {
     pub reason: String,
     /// Index of the arm that it belongs to.
     pub arm: Option<usize>,
-    /// Frame of its content; empty if the type has none or it is not set.
+    /// Frame of its content; empty if absent or unset.
     pub frame_id: String,
     /// Frame whose pose it is; empty in the same cases.
     pub child_frame_id: String,
-    /// Reference link of its audited poses.
+    /// Reference link of audited poses.
     pub reference: Option<String>,
-    /// Link whose pose it is, or that carries the IMU.
+    /// Link whose pose it is, or with the IMU.
     pub link: Option<String>,
-    /// Source of its poses or measurements; `None` if the audit uses none.
+    /// Source of its measurements; `None` if unused.
     pub source_kind: Option<PoseSourceKind>,
-    /// Number of messages; for a topic with several poses, the rows of this one.
+    /// Messages, or rows of one of several poses.
     pub count: u64,
-    /// Number of dropped ones: undecodable, of wrong length, not finite, or without a stamp.
+    /// Dropped ones: undecodable, wrong length, not finite, or unstamped.
     pub dropped: u64,
-    /// Rate, Hz; for a TF topic, of its most frequent transform.
+    /// Rate, Hz; a TF topic's most frequent transform.
     pub rate_hz: Option<f64>,
-    /// Rate expected by the caller, Hz.
+    /// Expected rate, Hz.
     pub said_hz: Option<f64>,
-    /// Time of the first row, on the audit's clock.
+    /// First row, on the audit's clock.
     pub start: Option<Stamp>,
-    /// Time of the last row.
+    /// Last row.
     pub end: Option<Stamp>,
-    /// Whether it would be audited by type and name, but has no messages, or none with finite numbers.
+    /// Whether it should be audited, but has no usable messages.
     pub is_empty: bool,
-    /// How the columns of a table were identified.
+    /// How table columns were identified.
     pub read_as: Option<String>,
-    /// Its table columns, in the syntax of `[columns]`.
+    /// Its table columns, in `[columns]` syntax.
     pub cells: Vec<String>,
-    /// Rotation encoding given by the column names of a table.
+    /// Rotation encoding by column names.
     pub labels: Option<RotationLabels>,
-    /// Measured table columns that could not be identified.
+    /// Unidentified measured table columns.
     pub unidentified: Vec<String>,
     /// Its content, as logged.
     pub columns: Option<Columns>,
@@ -68,7 +68,7 @@ impl Stream {
         self.columns.as_ref().map(Columns::times).unwrap_or_default()
     }
 
-    /// Number of rows without usable numbers; of values for joint states.
+    /// Rows without usable numbers; values for joint states.
     pub fn unusable(&self) -> u64 {
         match &self.columns {
             Some(Columns::Joints(joints)) => joints.not_finite,
@@ -81,30 +81,28 @@ impl Stream {
         }
     }
 
-    /// Whether it contains table positions without rotation columns.
+    /// Whether it has table positions without rotation.
     pub fn holds_no_rotation(&self) -> bool {
         !self.cells.is_empty() && matches!(self.columns, Some(Columns::Poses(_)))
     }
 
-    /// Whether its numbers have no unit or convention.
+    /// Whether its numbers lack unit and convention.
     pub fn is_bare(&self) -> bool {
         matches!(self.columns, Some(Columns::Array(_))) || self.holds_no_rotation()
     }
 
-    /// Marks it as empty if it would be audited but all rows were dropped.
     fn mark_empty(&mut self) {
         let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());
         let Some(columns) = self.columns.as_ref().filter(|columns| !has_rows(columns)) else {
             return;
         };
-        // ING002 reports topics that cannot be decoded.
+        // ING002 reports undecodable topics.
         if dropped_in(columns) > 0 && is_wanted(self, columns) {
             self.is_empty = true;
             self.reason = "none of its messages has finite numbers".to_owned();
         }
     }
 
-    /// The stream of one pose on a topic with several.
     pub(super) fn of_pose(&self, poses: PoseColumns) -> Self {
         let (count, dropped) = (poses.times.len() as u64, poses.not_finite);
         Stream {
@@ -137,7 +135,7 @@ impl Stream {
     }
 }
 
-/// The streams of `topics`, in their order, with the roles that need no robot.
+/// Streams in topic order, with roles that need no robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
     streams.iter_mut().for_each(Stream::mark_empty);
@@ -146,8 +144,7 @@ pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     streams
 }
 
-/// Ignores unnamed joint states if another topic has as many named joints. Otherwise the arm would appear
-/// twice, once with its driver's usual names.
+/// Ignores unnamed joint states if another topic has as many named joints, else the arm would appear twice.
 fn leave_joints_to_named(streams: &mut [Stream]) {
     let joints = |stream: &Stream, unnamed: bool| match (stream.role, &stream.columns) {
         (Role::Joints, Some(Columns::Joints(joints))) if joints.unnamed == unnamed => {
@@ -168,8 +165,8 @@ fn leave_joints_to_named(streams: &mut [Stream]) {
     }
 }
 
-/// Treats joint states of a fake controller (MoveIt's demo execution) as commands if another topic has the
-/// same joints.
+/// Makes a fake controller's joint states (MoveIt's demo execution) commands if another topic has the same
+/// joints.
 fn demote_fake_controllers(streams: &mut [Stream]) {
     let joints = |stream: &Stream| -> Option<HashSet<String>> {
         match (stream.role, &stream.columns) {
@@ -271,7 +268,6 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     vec![stream]
 }
 
-/// Whether a topic with these columns would be audited, by its name alone.
 fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
     let role = match columns {
         Columns::Poses(_) => Some(named_role(&stream.topic)),
@@ -280,7 +276,6 @@ fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
     matches!(role, Some(Role::Joints | Role::Pose | Role::Tf | Role::Imu))
 }
 
-/// Number of rows and values dropped by the decoder.
 fn dropped_in(columns: &Columns) -> u64 {
     match columns {
         Columns::Joints(joints) => joints.wrong_length + joints.not_finite,
@@ -295,14 +290,14 @@ fn dropped_in(columns: &Columns) -> u64 {
 
 pub(super) struct Clocks {
     pub all: Vec<StreamClock>,
-    /// Clock index for each part of each stream.
+    /// Clock index per stream and part.
     of: Vec<Vec<usize>>,
     /// Parts with rounded stamps.
     pub rounded: Vec<RoundedStamps>,
 }
 
 impl Clocks {
-    /// Selects the clock of every stream with time stamps.
+    /// Selects the clock of every stamped stream.
     pub fn settle(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let mut sources = Vec::new();
         let mut of: Vec<Vec<usize>> = vec![Vec::new(); streams.len()];
@@ -336,17 +331,16 @@ impl Clocks {
         Self { all: clock::settle(&sources, wanted, max_latency_s), of, rounded: Vec::new() }
     }
 
-    /// Clock of a part of a stream; `None` for static data.
+    /// Clock of a part; `None` for static data.
     pub fn clock(&self, stream: usize, piece: usize) -> Option<&StreamClock> {
         self.all.get(self.index(stream, piece)?)
     }
 
-    /// Index of that clock.
     pub fn index(&self, stream: usize, piece: usize) -> Option<usize> {
         self.of.get(stream)?.get(piece).copied()
     }
 
-    /// Rows of a part of a stream that have a stamp.
+    /// Stamped rows of a part.
     pub fn rows(&self, streams: &[Stream], stream: usize, piece: usize) -> Rows {
         let times = streams[stream].times();
         let mut rows = Rows::new();
@@ -357,7 +351,7 @@ impl Clocks {
         rows
     }
 
-    /// The same rows, filtered by stamp.
+    /// The same, filtered by stamp.
     pub fn rows_where(
         &self,
         streams: &[Stream],
@@ -374,7 +368,7 @@ impl Clocks {
         }
     }
 
-    /// Shares the clock of a part with a new stream, which is appended.
+    /// Shares a part's clock with a new stream.
     pub fn share(&mut self, stream: usize, piece: usize) {
         let to = self.of.len();
         let shared = self.rounded_stamps(stream, piece).cloned();
@@ -382,23 +376,22 @@ impl Clocks {
         self.of.push(vec![self.of[stream][piece]]);
     }
 
-    /// Number of streams with clocks.
     pub fn streams(&self) -> usize {
         self.of.len()
     }
 
-    /// Rounding of a part's stamps; `None` if they are not rounded.
+    /// Rounding of a part's stamps, if rounded.
     pub fn rounded_stamps(&self, stream: usize, piece: usize) -> Option<&RoundedStamps> {
         self.rounded.iter().find(|own| (own.stream, own.piece) == (stream, piece))
     }
 
-    /// Standard error of the time between two streams due to clock alignment and rounded stamps, s.
+    /// Standard error between two streams by clock alignment and rounding, s.
     pub fn alignment_error_s(&self, a: (usize, usize), b: (usize, usize)) -> f64 {
         let spread = |(stream, piece)| {
             let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
             alignment.map_or(0.0, |alignment| alignment.spread_s)
         };
-        // Standard deviation of a uniform error. Rows of one table share their error.
+        // Standard deviation of a uniform error. Rows of one table share theirs.
         let rounding = |(stream, piece)| {
             self.rounded_stamps(stream, piece).map_or(0.0, |own| own.resolution_s / 3_f64.sqrt())
         };
@@ -409,7 +402,7 @@ impl Clocks {
         f64::hypot(spread(a), spread(b)).hypot(rounding_s)
     }
 
-    /// Sets the time range and rate of every stream, and counts rows without a stamp.
+    /// Sets time range and rate of streams, and counts unstamped rows.
     pub fn measure(&self, streams: &mut [Stream]) {
         for (index, stream) in streams.iter_mut().enumerate() {
             let pieces = self.of[index].len();

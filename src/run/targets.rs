@@ -1,4 +1,4 @@
-//! Camera targets, and the hands that they can be compared with.
+//! Camera targets and their candidate hands.
 
 use crate::geometry::Pose;
 use crate::robot::{Chain, LinkId};
@@ -8,12 +8,12 @@ use super::arm::Arm;
 use super::role::{CAMERAS, Place, SIGHTS, shared, words};
 use super::tf_tree::{EdgeKind, TfTree};
 
-/// Axis convention of a camera frame, according to the log's frames.
+/// Axis convention of a camera frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraAxes {
-    /// z forward, x right: the frame name contains `optical` (REP 103).
+    /// z forward, x right: named `optical` (REP 103).
     Optical,
-    /// x forward, z up: static transforms tie it to an optical frame with that rotation.
+    /// x forward, z up: statically tied so to an optical frame.
     Body,
 }
 
@@ -24,22 +24,22 @@ pub struct TargetSource {
     pub stream: usize,
     /// `camera_from_target` as logged.
     pub track: PoseTrack,
-    /// Expected axis convention of the camera, if the log shows it.
+    /// Expected camera convention, if logged.
     pub axes: Option<CameraAxes>,
-    /// Candidate hands that move the camera or the target.
+    /// Hands that may move camera or target.
     pub hands: Vec<HandSource>,
 }
 
-/// A hand, and the camera's pose according to the log's frames.
+/// A hand, and the camera's pose by the log's frames.
 #[derive(Clone, Debug)]
 pub struct HandSource {
     /// Source of the hand's poses.
     pub kind: HandKind,
-    /// Camera in the hand, if static frames give it.
+    /// Camera in the hand, if static.
     pub hand_from_camera: Option<Pose>,
-    /// Camera in the base, if static frames give it.
+    /// Camera in the base, if static.
     pub base_from_camera: Option<Pose>,
-    /// Standard error of the time between hand and target due to clock alignment, s; 0 on a shared clock.
+    /// Standard error of clock alignment, s; 0 on a shared clock.
     pub stamp_error_s: f64,
 }
 
@@ -52,7 +52,7 @@ pub enum HandKind {
         arm: usize,
         /// From the base to the hand.
         chain: Chain,
-        /// Column in the arm's joint track of each joint of `chain`.
+        /// Column in the joint track of each joint of `chain`.
         columns: Vec<usize>,
     },
     /// A pose stream.
@@ -74,8 +74,7 @@ pub enum HandKind {
 }
 
 impl HandKind {
-    /// FK of `arm` to the link that carries the camera's frame, or else to its tip, with the camera's poses
-    /// in hand and base.
+    /// FK of `arm` to the link with the camera's frame, else its tip, with camera poses in hand and base.
     pub(super) fn of_arm(
         index: usize,
         arm: &Arm,
@@ -112,14 +111,12 @@ impl HandKind {
     }
 }
 
-/// Whether a dynamic transform is a camera detection by its names: from a camera frame to a different kind
-/// of frame.
+/// Whether names make a dynamic transform a camera detection.
 pub(super) fn is_sighting(frame: &str, child: &str) -> bool {
     let is_camera = |name: &str| shared(&words(name), CAMERAS).is_some();
     is_camera(frame) && (!is_camera(child) || shared(&words(child), SIGHTS).is_some())
 }
 
-/// Expected axis convention of the camera frame.
 pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
     let is_optical = |frame: &str| words(frame).iter().any(|word| word == "optical");
     if is_optical(camera) {
@@ -133,8 +130,8 @@ pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
     (forward.z > 0.98 && left.x < -0.98).then_some(CameraAxes::Body)
 }
 
-/// Base and hand frame of a log without an arm: the moving frame that carries the camera, or else the frame
-/// moved by the most dynamic transforms. Ignores camera detections.
+/// Base and hand frame without an arm: the moving frame with the camera, else the one moved by the most
+/// dynamic transforms. Ignores detections.
 pub(super) fn hand_frame(tf: &TfTree, camera: &str) -> Option<(String, String)> {
     let moved_by = |frame: &str| {
         let edges = tf.edges_above(frame);

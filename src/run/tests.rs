@@ -1,5 +1,3 @@
-//! Complete runs, from columns to arms.
-
 mod recording;
 
 use super::*;
@@ -12,7 +10,6 @@ use crate::stream::{
 
 use self::recording::{ROWS, Recording, START, TRANSPORT, poses, q_at, some_pose, stamps};
 
-/// Maximum distance between a source's positions and FK of its chain, m.
 fn misfit_m(arm: &Arm, source: &PoseSource) -> f64 {
     let (mut q, mut qd) = (vec![0.0; arm.joints.dof], vec![0.0; arm.joints.dof]);
     let gaps = source.track.t_s.iter().zip(&source.track.xyz).map(|(&t_s, xyz)| {
@@ -283,7 +280,7 @@ fn a_fake_controller_is_no_second_arm() {
     assert_eq!(alone.run().streams[0].role, Role::Joints);
 }
 
-/// A Franka arm as in `franka_msgs/FrankaState`: unnamed joints, and a column-major matrix.
+/// `franka_msgs/FrankaState`: unnamed joints, column-major matrix.
 fn franka() -> (JointColumns, ArrayColumns) {
     let robot = catalogue::find("panda").unwrap();
     let [base, tip] = ["fer_link0", "fer_hand_tcp"].map(|link| robot.link(link).unwrap());

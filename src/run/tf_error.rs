@@ -26,14 +26,14 @@ pub enum TfError {
         /// Root above the source.
         source_root: String,
     },
-    /// A transform on the path has no samples on both sides of the time.
+    /// A transform on the path has no samples around the time.
     #[error("'{parent}' to '{child}' has no transform at that time, {} s {} of its samples", outside_by_s.abs(), side(*.outside_by_s))]
     Extrapolation {
         /// Parent frame of the transform.
         parent: String,
         /// Child frame of the transform.
         child: String,
-        /// Distance of the time from the samples, s: negative before the first.
+        /// Distance from the samples, s: negative before the first.
         outside_by_s: f64,
     },
 }

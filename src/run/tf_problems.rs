@@ -1,4 +1,4 @@
-//! TF problems: violations of the tree structure that tf2 requires.
+//! TF problems: violations of tf2's tree structure.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,14 +24,14 @@ pub struct TfProblem {
 /// Kinds of TF problems.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TfProblemKind {
-    /// A frame has several parents at the same time.
+    /// Several parents at the same time.
     SeveralParents {
         /// The frame.
         child: String,
         /// Its parents.
         parents: Vec<String>,
     },
-    /// Frames form a cycle: each is the child of the next, and the last of the first.
+    /// A cycle: each frame is the child of the next.
     Cycle {
         /// The frames.
         frames: Vec<String>,
@@ -43,34 +43,33 @@ pub enum TfProblemKind {
         /// Largest change.
         by: PoseDistance,
     },
-    /// Several publishers send different values of a transform.
+    /// Publishers send different values of a transform.
     Conflict {
         /// The transform.
         edge: FramePair,
         /// Distance between the values.
         by: PoseDistance,
-        /// Number of samples from a different publisher than the adjacent samples.
+        /// Samples from another publisher than their neighbours.
         jumps: usize,
         /// Number of samples.
         rows: usize,
     },
     /// Two publishers send a topic or some of its transforms.
     Publishers {
-        /// Parent and child of the transform with the largest disagreement, or the first. `None` for poses
-        /// and joint states.
+        /// Transform with the largest disagreement, or the first. `None` for poses and joint states.
         edge: Option<FramePair>,
-        /// Number of transforms that they disagree on.
+        /// Transforms that they disagree on.
         edges: usize,
-        /// Distance between their values; `None` if they agree.
+        /// Distance of their values; `None` if they agree.
         by: Option<PoseDistance>,
         /// Rate of each publisher, Hz.
         rates_hz: [f64; 2],
-        /// Number of rows of each publisher.
+        /// Rows of each publisher.
         rows: [usize; 2],
-        /// Whether they disagree on joint positions rather than poses.
+        /// Whether they disagree on joints, not poses.
         are_joints: bool,
     },
-    /// No transforms connect a stream's frame to the arm's base.
+    /// A stream's frame and the arm's base are disconnected.
     Pieces {
         /// The topic of the stream.
         needed_by: String,
@@ -84,20 +83,19 @@ pub enum TfProblemKind {
 /// A parent and a child frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct FramePair {
-    /// The frame that the transform is expressed in.
+    /// Frame that the transform is expressed in.
     pub parent: String,
-    /// The frame whose pose it is.
+    /// Frame whose pose it is.
     pub child: String,
 }
 
-/// Maximum distance due to rounding, m on a 1 m lever.
+/// Maximum rounding, m on a 1 m lever.
 const ROUNDING: f64 = 1e-4;
 
-/// A transform of a TF topic.
 struct Piece<'a> {
     topic: &'a str,
     is_static: bool,
-    /// Whether its publishers are separated and reported on their own.
+    /// Whether its publishers are separated and reported alone.
     is_of_two: bool,
     poses: &'a PoseColumns,
 }
@@ -116,8 +114,7 @@ impl Piece<'_> {
     }
 }
 
-/// Finds problems of the transforms, separately for each namespace: robots with their own TF topics may use
-/// the same frame names.
+/// Problems per namespace: robots with their own TF topics may share frame names.
 pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) -> Vec<TfProblem> {
     let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
     for (index, stream) in streams.iter().enumerate() {
@@ -144,7 +141,6 @@ pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) 
     problems
 }
 
-/// The problem of a topic with two publishers.
 fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<TfProblem> {
     let size = |two: &Publishers| two.apart.map_or(0.0, PoseDistance::size_m);
     let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
@@ -203,10 +199,9 @@ fn several_parents(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     by_child.into_iter().filter_map(problem).collect()
 }
 
-/// Whether two transforms are published during the same time, rather than one after the other, as for an
-/// object that is picked and placed.
+/// Whether transforms coincide in time, unlike an object that is picked and placed.
 fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
-    /// Number of alternations that pick and place may cause.
+    /// Alternations that pick and place may cause.
     const FEW: usize = 4;
     if a.is_static || b.is_static {
         return true;
@@ -223,7 +218,7 @@ fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
     turns >= FEW && 4 * turns >= a.len().min(b.len())
 }
 
-/// Finds each cycle once, starting with the frame that was named first.
+/// Each cycle once, from its first named frame.
 fn cycles(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     let mut parent_of: BTreeMap<&str, &Piece<'_>> = BTreeMap::new();
     for piece in pieces {
@@ -252,7 +247,6 @@ fn cycles(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     found
 }
 
-/// Detects a static transform that changes.
 fn moving(piece: &Piece<'_>) -> Option<TfProblem> {
     let poses = piece.poses;
     let apart = (1..poses.times.len()).map(|row| PoseDistance::between((poses, 0), (poses, row)));
@@ -263,7 +257,6 @@ fn moving(piece: &Piece<'_>) -> Option<TfProblem> {
     })
 }
 
-/// Transforms for which several publishers send different values.
 fn conflicts(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
@@ -275,7 +268,6 @@ fn conflicts(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     found
 }
 
-/// Compares a dynamic transform with the static one of the same frames.
 fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<TfProblem> {
     let rows = piece.poses.times.len();
     let apart = (0..rows).map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)));
@@ -286,29 +278,26 @@ fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<TfProblem> {
     })
 }
 
-/// Detects alternating publishers: each sample of one is far from its neighbours, which agree with each
-/// other.
+/// Detects alternating publishers: samples far from neighbours that agree.
 fn alternates(piece: &Piece<'_>) -> Option<TfProblem> {
-    /// Minimum size of a jump, m on a 1 m lever.
+    /// Minimum jump, m on a 1 m lever.
     const JUMP: f64 = 1e-3;
-    /// Maximum distance between the neighbours of a sample, as a share of the jump.
+    /// Maximum distance of the neighbours, as a share of the jump.
     const AGREE: f64 = 0.02;
-    /// Minimum share and number of jumps that are not outliers.
+    /// Minimum share and number of jumps.
     const SHARE: f64 = 0.1;
     const FEW: usize = 5;
-    /// Maximum distance to the samples two rows away, as a multiple of the jump.
-    ///
-    /// A reversal of the motion also returns to its place, but is then four times as far away two samples
-    /// later. With two publishers, that sample belongs to one of them.
+    /// Maximum distance to the samples two rows away, in jumps. A motion that reverses is then four times
+    /// as far away; of two publishers, one sent that sample.
     const ON: f64 = 1.5;
-    /// Maximum number of samples that are checked, and how many of them are consecutive.
+    /// Maximum number of samples, and consecutive ones.
     const ENOUGH: usize = 20_000;
     const STRETCH: usize = 500;
     let poses = piece.poses;
     let apart = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b));
     let (mut rows, mut jumps, mut largest) = (0, 0, PoseDistance::default());
     let inner = 2..poses.times.len().saturating_sub(2);
-    // Consecutive samples rather than every n-th, because publishers may alternate regularly.
+    // Consecutive, because publishers may alternate regularly.
     let parts = inner.len().div_ceil(ENOUGH).max(1);
     let is_looked_at = |row: &usize| (row / STRETCH).is_multiple_of(parts);
     for row in inner.filter(is_looked_at) {
@@ -331,10 +320,8 @@ fn alternates(piece: &Piece<'_>) -> Option<TfProblem> {
 }
 
 impl Run {
-    /// Disconnected frames that an audited stream needs.
-    ///
-    /// The stream's frame and the arm's base both occur in the log's transforms, the frame is neither part
-    /// of the robot nor tied to it, and no path connects them.
+    /// Disconnected frames that an audited stream needs: both frame and base are in the log's transforms,
+    /// and the frame is not tied to the robot.
     pub fn pieces(&self) -> Vec<TfProblem> {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
@@ -368,7 +355,6 @@ impl Run {
         })
     }
 
-    /// Whether a transform comes from the model, or is itself a stream of measured poses.
     fn is_stream(&self, edge: &Edge) -> bool {
         let names = self.tf.names(edge);
         edge.kind == EdgeKind::Model
@@ -383,7 +369,7 @@ impl Run {
 mod tests {
     use super::*;
 
-    /// A transform at 10 Hz for 4 s from `from_s`; `x_m` returns the x coordinate of each row.
+    /// Transform at 10 Hz for 4 s; `x_m` is the x coordinate of each row.
     fn poses(parent: &str, child: &str, from_s: i64, x_m: impl Fn(usize) -> f64) -> PoseColumns {
         let mut poses = PoseColumns {
             frame_id: parent.to_owned(),
@@ -417,7 +403,7 @@ mod tests {
             panic!("{found:?}")
         };
         assert_eq!((child.as_str(), parents.as_slice()), ("c", &["a".into(), "b".into()][..]));
-        // A frame that is placed here and picked there has one parent at a time.
+        // An object that is moved has one parent at a time.
         let later = poses("b", "c", 5, |_| 0.0);
         assert_eq!(problems_of(&[dynamic(&a), dynamic(&later)]), []);
     }

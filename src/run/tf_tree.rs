@@ -1,4 +1,4 @@
-//! The frames of a log and the transforms between them.
+//! Frames of a log and their transforms.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -14,25 +14,24 @@ pub enum EdgeKind {
     Static,
     /// A TF topic: interpolated samples.
     Dynamic,
-    /// A fixed joint of the robot's model that the log does not publish.
+    /// An unpublished fixed joint of the model.
     Model,
 }
 
-/// The transform between a frame and one of its parents.
+/// Transform between a frame and one parent.
 #[derive(Clone, Debug)]
 pub struct Edge {
     /// Its source.
     pub kind: EdgeKind,
     parent: usize,
     child: usize,
-    /// Sample times, strictly increasing; a single unused entry unless dynamic.
+    /// Strictly increasing; one unused entry unless dynamic.
     stamps: Vec<Stamp>,
     parent_from_child: Vec<Pose>,
 }
 
 impl Edge {
-    /// `parent_from_child` at `at`, interpolated: position linearly, rotation by slerp. `None` outside the
-    /// samples.
+    /// `parent_from_child`, interpolated linearly and by slerp. `None` outside the samples.
     fn at(&self, at: Stamp) -> Option<Pose> {
         if self.kind != EdgeKind::Dynamic {
             return self.parent_from_child.first().copied();
@@ -52,7 +51,6 @@ impl Edge {
         self.parent_from_child.first()
     }
 
-    /// Distance of `at` from the samples, s: negative before the first.
     fn outside_by_s(&self, at: Stamp) -> f64 {
         match (self.stamps.first(), self.stamps.last()) {
             (Some(&first), _) if at < first => at.seconds_since(first),
@@ -62,7 +60,7 @@ impl Edge {
     }
 }
 
-/// Interpolates between `a` and `b`; `part` is 0 to 1.
+/// Interpolates; `part` is 0 to 1.
 pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
     let turn = rotvec_from_rotation(&(a.rotation.inverse() * b.rotation));
     Pose::from_parts(
@@ -71,16 +69,15 @@ pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
     )
 }
 
-/// The frames of a log and the transforms between them.
+/// Frames of a log and their transforms.
 ///
-/// The edges need not form a tree: a log may give a frame two parents, or contain a cycle. The path between
-/// two frames is the one with the fewest edges, then the one whose edges were inserted first.
+/// Frames may have two parents or form a cycle. Paths have the fewest edges, then the earliest inserted
+/// ones.
 #[derive(Clone, Debug, Default)]
 pub struct TfTree {
     frames: Vec<String>,
     ids: HashMap<String, usize>,
     edges: Vec<Edge>,
-    /// Edges at every frame, in insertion order.
     touching: Vec<Vec<usize>>,
 }
 
@@ -96,7 +93,7 @@ impl TfTree {
         self.insert(parent, child, kind, vec![Stamp::default()], vec![parent_from_child]);
     }
 
-    /// Adds the samples of a transform; `stamps` must strictly increase.
+    /// Adds samples; `stamps` must strictly increase.
     pub fn insert_samples(
         &mut self,
         parent: &str,
@@ -134,47 +131,47 @@ impl TfTree {
         id
     }
 
-    /// The frames, in order of first appearance.
+    /// Frames, in order of first appearance.
     pub fn frames(&self) -> impl Iterator<Item = &str> {
         self.frames.iter().map(String::as_str)
     }
 
-    /// Whether the tree contains the frame.
+    /// Whether the frame exists.
     pub fn contains(&self, frame: &str) -> bool {
         self.ids.contains_key(without_slash(frame))
     }
 
-    /// The first inserted transform between these two frames, in this direction.
+    /// First inserted transform in this direction.
     pub fn edge(&self, parent: &str, child: &str) -> Option<&Edge> {
         let names = (without_slash(parent), without_slash(child));
         self.edges.iter().find(|edge| self.names(edge) == names)
     }
 
-    /// Whether a transform has this frame as its child.
+    /// Whether the frame has a parent.
     pub fn has_parent(&self, child: &str) -> bool {
         self.edges.iter().any(|edge| self.names(edge).1 == without_slash(child))
     }
 
-    /// The transforms, in insertion order.
+    /// Transforms, in insertion order.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }
 
-    /// Names of an edge's parent and child.
+    /// Parent and child of an edge.
     pub fn names(&self, edge: &Edge) -> (&str, &str) {
         (&self.frames[edge.parent], &self.frames[edge.child])
     }
 
-    /// `target_from_source` at `at`, like tf2's `lookup_transform`.
+    /// `target_from_source`, like tf2's `lookup_transform`.
     ///
     /// # Errors
-    /// If a frame is unknown, the two are not connected, or a transform on the path has no samples on both
-    /// sides of `at`.
+    /// If a frame is unknown, the two are not connected, or a transform has no samples on both sides of
+    /// `at`.
     pub fn lookup(&self, target: &str, source: &str, at: Stamp) -> Result<Pose, TfError> {
         self.path(target, source, |_| true)?.at(at)
     }
 
-    /// The path from `source` to `target` over edges that satisfy `admits`.
+    /// Path from `source` to `target` over edges that satisfy `admits`.
     ///
     /// # Errors
     /// If a frame is unknown or the two are not connected.
@@ -205,8 +202,7 @@ impl TfTree {
         Ok(TfPath { tree: self, steps })
     }
 
-    /// The nearest frame that satisfies `accepts` and is tied to `frame` by static transforms, with
-    /// `accepted_from_frame`.
+    /// Nearest accepted frame that is statically tied to `frame`, with `accepted_from_frame`.
     pub fn tied(&self, frame: &str, accepts: impl Fn(&str) -> bool) -> Option<(&str, Pose)> {
         let from = self.id(frame).ok()?;
         let fixed = |edge: &Edge| edge.kind != EdgeKind::Dynamic;
@@ -227,14 +223,12 @@ impl TfTree {
         Some((name, accepted_from_frame))
     }
 
-    /// `target_from_source` over static transforms, if they connect the frames.
     fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
         let path = self.path(target, source, |edge| edge.kind != EdgeKind::Dynamic).ok()?;
         path.at(Stamp::default()).ok()
     }
 
-    /// Breadth-first search from `from` until `stop` returns true. Returns the edge through which each
-    /// frame was reached.
+    /// Breadth-first search until `stop`. Returns the edge to each reached frame.
     fn flood(
         &self,
         from: usize,
@@ -262,13 +256,13 @@ impl TfTree {
         came_by
     }
 
-    /// Whether `upper` is an ancestor of `lower`, following first parents.
+    /// Whether `upper` is an ancestor by first parents.
     pub fn is_above(&self, upper: &str, lower: &str) -> bool {
         let (Ok(upper), Ok(lower)) = (self.id(upper), self.id(lower)) else { return false };
         self.ancestors(lower).any(|frame| frame == upper)
     }
 
-    /// Transforms from `frame` up to the root, following first parents.
+    /// Transforms up to the root, by first parents.
     pub(super) fn edges_above(&self, frame: &str) -> Vec<&Edge> {
         let Ok(id) = self.id(frame) else { return Vec::new() };
         let up = |frame: usize| {
@@ -278,17 +272,16 @@ impl TfTree {
         std::iter::once(id).chain(self.ancestors(id)).filter_map(up).collect()
     }
 
-    /// Root above `frame`, or `frame` itself.
     pub(super) fn root_of(&self, frame: &str) -> &str {
         self.id(frame).map_or("", |id| self.root_above(id))
     }
 
-    /// Root following first parents; a frame of the cycle if there is one.
+    /// Root by first parents, or a frame of the cycle.
     fn root_above(&self, frame: usize) -> &str {
         &self.frames[self.ancestors(frame).last().unwrap_or(frame)]
     }
 
-    /// Ancestors of `frame`, following first parents. Limited to the number of frames, so that cycles end.
+    /// Ancestors by first parents; limited in number for cycles.
     fn ancestors(&self, frame: usize) -> impl Iterator<Item = usize> {
         let parent = |frame: &usize| {
             let up = self.touching[*frame].iter().find(|&&edge| self.edges[edge].child == *frame);
@@ -306,18 +299,17 @@ impl TfTree {
     }
 }
 
-/// The transforms between two frames.
+/// Transforms between two frames.
 #[derive(Clone, Debug)]
 pub struct TfPath<'a> {
     tree: &'a TfTree,
-    /// From the target to the source.
+    /// From target to source.
     steps: Vec<Step<'a>>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Step<'a> {
     edge: &'a Edge,
-    /// From parent to child.
     downwards: bool,
 }
 
@@ -343,7 +335,7 @@ impl TfPath<'_> {
         Ok(target_from_here)
     }
 
-    /// Time range of all its dynamic transforms; `None` if it has none.
+    /// Time range of dynamic transforms; `None` without any.
     pub fn span(&self) -> Option<(Stamp, Stamp)> {
         let dynamic = || self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let first = dynamic().filter_map(|edge| edge.stamps.first()).max()?;
@@ -351,13 +343,13 @@ impl TfPath<'_> {
         Some((*first, *last))
     }
 
-    /// Whether each of its dynamic transforms has a sample at `at`.
+    /// Whether each dynamic transform has a sample at `at`.
     pub fn is_sampled(&self, at: Stamp) -> bool {
         let mut dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         dynamic.all(|edge| edge.stamps.binary_search(&at).is_ok())
     }
 
-    /// Oldest of the latest samples of its dynamic transforms up to `at`.
+    /// Oldest of the dynamic transforms' latest samples up to `at`.
     pub fn newest_before(&self, at: Stamp) -> Option<Stamp> {
         let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let newest = dynamic.filter_map(|edge| {
@@ -367,23 +359,23 @@ impl TfPath<'_> {
         newest.min()
     }
 
-    /// Edges of the path, from the target to the source.
+    /// Edges from target to source.
     pub fn edges(&self) -> impl Iterator<Item = &Edge> {
         self.steps.iter().map(|step| step.edge)
     }
 
-    /// Distinct stamps of all its dynamic transforms, in order.
+    /// Sorted distinct stamps of dynamic transforms.
     pub fn stamps(&self) -> Vec<Stamp> {
         let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let mut stamps: Vec<Stamp> = dynamic.flat_map(|edge| edge.stamps.iter().copied()).collect();
-        // The stable sort is fast on runs that are already sorted.
+        // A stable sort is fast on sorted runs.
         stamps.sort();
         stamps.dedup();
         stamps
     }
 }
 
-/// A frame name without the leading `/` of older logs.
+/// Frame name without the leading `/` of older logs.
 pub(super) fn without_slash(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }

@@ -1,4 +1,4 @@
-//! Stamps of the rows of every stream, and the rows used for estimation.
+//! Stamps of all rows, and the rows for estimation.
 
 use super::excerpts::Excerpts;
 use super::rounded;
@@ -7,17 +7,14 @@ use super::sample_filter::SampleFilter;
 use super::streams::{Clocks, Stream};
 use crate::time::Clock;
 
-/// The clocks of all streams, and the filters of their rows.
 pub(super) struct Timing {
     pub clocks: Clocks,
-    /// Excerpts of a long run.
     pub excerpts: Option<Excerpts>,
-    /// Excluded samples.
     pub sample_filter: SampleFilter,
 }
 
 impl Timing {
-    /// Selects the clock of every stream, measures rates, and checks the rows.
+    /// Selects clocks, measures rates, and checks rows.
     pub fn new(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let rounded = rounded::restore(streams, wanted);
         let mut clocks = Clocks::settle(streams, wanted, max_latency_s);
@@ -28,8 +25,7 @@ impl Timing {
         Self { clocks, excerpts, sample_filter }
     }
 
-    /// Rows of a part of a stream for estimation: in the run's excerpts, or less than `around_s` away, and
-    /// not excluded.
+    /// Rows for estimation: less than `around_s` from an excerpt, and not excluded.
     pub fn filtered_rows(
         &self,
         streams: &[Stream],
@@ -50,17 +46,16 @@ impl Timing {
         rows
     }
 
-    /// Shares the clock and the results of one part with a new stream, which is appended.
+    /// Shares one part's clock and results with a new stream.
     pub fn share(&mut self, stream: usize, piece: usize) {
         self.sample_filter.share((stream, piece), self.clocks.streams());
         self.clocks.share(stream, piece);
     }
 }
 
-/// Removes rows after a clock was set back until the clock has caught up, because they would mix with
-/// earlier rows. Keeps single messages out of order.
+/// Removes rows after a clock was set back until it has caught up. Keeps single messages out of order.
 fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
-    /// Minimum number of consecutive rows with earlier stamps.
+    /// Minimum consecutive rows with earlier stamps.
     const BLOCK: usize = 10;
     if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
         return;

@@ -1,4 +1,4 @@
-//! The caller's settings for topics: roles, frames, sources and rates.
+//! The caller's topic settings.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -18,21 +18,21 @@ use super::tf_tree::{TfTree, without_slash};
 pub struct TopicSettings {
     /// The topic.
     pub topic: String,
-    /// Source of the settings, for errors and reasons.
+    /// Source of the settings, for messages.
     pub place: String,
     /// Its role.
     pub role: Option<RoleSetting>,
     /// Source of its poses.
     pub source_kind: Option<PoseSourceKind>,
-    /// Reference frame of its poses, or an IMU's own frame.
+    /// Frame of its poses, or of an IMU.
     pub frame: Option<String>,
     /// Link whose poses they are.
     pub link: Option<String>,
     /// Expected rate, Hz.
     pub rate_hz: Option<f64>,
-    /// Encoding of the named vendor, for the stream's reason.
+    /// The vendor's encoding, for the reason.
     pub vendor: Option<String>,
-    /// Whether its content comes from table columns, so that other logs do not contain the topic.
+    /// Whether it consists of table columns, which other logs may lack.
     pub of_columns: bool,
 }
 
@@ -97,7 +97,6 @@ impl RoleSetting {
         self.role().name()
     }
 
-    /// The corresponding role.
     pub(super) const fn role(self) -> Role {
         match self {
             Self::Joints => Role::Joints,
@@ -112,7 +111,6 @@ impl RoleSetting {
         }
     }
 
-    /// Whether this content can have the role.
     fn fits(self, columns: &Columns) -> bool {
         match columns {
             Columns::Joints(_) => matches!(self, Self::Joints | Self::Reference | Self::Ignored),
@@ -126,7 +124,6 @@ impl RoleSetting {
     }
 }
 
-/// Describes the content of columns.
 fn content(columns: &Columns) -> &'static str {
     match columns {
         Columns::Joints(_) => "joint states",
@@ -138,8 +135,7 @@ fn content(columns: &Columns) -> &'static str {
     }
 }
 
-/// Applies the caller's settings to the streams, before names are used. Skips topics that the log does not
-/// contain.
+/// Applies the caller's settings before names are used; skips missing topics.
 ///
 /// # Errors
 /// If a topic's content does not fit its settings.
@@ -192,11 +188,11 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     Ok(())
 }
 
-/// Checks the frames and links named by the caller.
+/// Checks the caller's frames and links.
 ///
 /// # Errors
-/// If a link is not part of an arm, or a frame looks misspelt. A frame without similar names is accepted as
-/// one that is not tied to the robot.
+/// If a link is not part of an arm, or a frame looks misspelt. A frame without similar names counts as
+/// untied to the robot.
 pub(super) fn check_frames(
     settings: &[TopicSettings],
     streams: &[Stream],

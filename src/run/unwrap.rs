@@ -1,8 +1,5 @@
-//! Unwraps joints that are logged modulo one turn, ±π or 0…2π, although they continue to rotate.
-//!
-//! If a position jumps by a whole turn between the ends of its range, the joint continued and its value
-//! wrapped. The jumps are removed before differentiation, interpolation and limit checks. Values may be
-//! degrees.
+//! Unwraps continuous joints logged modulo one turn, ±π or 0…2π, in rad or degrees, before differentiation,
+//! interpolation and limit checks.
 
 use std::f64::consts::TAU;
 
@@ -13,15 +10,14 @@ use crate::stream::{Columns, JointColumn};
 use super::role::Role;
 use super::streams::Stream;
 
-/// One turn in the units of logged joints, rad and degrees.
 const TURNS: [f64; 2] = [TAU, 360.0];
-/// Maximum distance of both samples from the ends of the range, in turns.
+/// Maximum distance from the ends of the range, turns.
 const NEAR: f64 = 0.02;
-/// The same, in long usual steps; the larger applies.
+/// The same in long usual steps; the larger applies.
 const STEPS: f64 = 4.0;
-/// Upper bound of that distance, in turns.
+/// Its upper bound, turns.
 const FAR: f64 = 0.125;
-/// Minimum share of values within the range.
+/// Minimum share of values in the range.
 const WITHIN: f64 = 0.99;
 
 /// A joint that is logged modulo one turn.
@@ -31,13 +27,12 @@ pub struct WrappedJoint {
     pub stream: usize,
     /// Joint name in the log.
     pub joint: String,
-    /// One turn in the unit of its values.
+    /// One turn in its unit.
     pub turn: f64,
     /// Number of wraps.
     pub wraps: usize,
 }
 
-/// Unwraps the joints of all streams, states and commands, and returns them.
 pub(super) fn unwrap_joints(streams: &mut [Stream]) -> Vec<WrappedJoint> {
     let of = |(index, stream): (usize, &mut Stream)| {
         let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
@@ -50,7 +45,6 @@ pub(super) fn unwrap_joints(streams: &mut [Stream]) -> Vec<WrappedJoint> {
     streams.par_iter_mut().enumerate().flat_map_iter(of).collect()
 }
 
-/// Adds a remark to the affected joint state streams.
 pub(super) fn add_remarks(streams: &mut [Stream], wrapped: &[WrappedJoint]) {
     for (index, stream) in streams.iter_mut().enumerate() {
         let names: Vec<&str> = wrapped
@@ -64,13 +58,13 @@ pub(super) fn add_remarks(streams: &mut [Stream], wrapped: &[WrappedJoint]) {
     }
 }
 
-/// Removes jumps of a whole turn, and returns their number. `None`, without changes, if there are none.
+/// Removes jumps of a turn and counts them. `None`, unchanged, without any.
 fn unwrap_column(q: &mut [f64]) -> Option<(f64, usize)> {
     TURNS.into_iter().find_map(|turn| Some((turn, remove_turns(q, turn)?)))
 }
 
 fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
-    // Fast path: most joints do not jump.
+    // Most joints do not jump.
     if q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.5 * turn) {
         return None;
     }
@@ -90,7 +84,7 @@ fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
         return None;
     }
     let near = (STEPS * long).max(NEAR * turn).min(FAR * turn);
-    // A joint that moves slightly and wraps jumps by a turn minus that motion.
+    // The jump is a turn minus the motion.
     let leaps = |pair: &[usize]| {
         let by = q[pair[1]] - q[pair[0]];
         turns(pair).abs() == 1.0 && (by - turn * turns(pair)).abs() <= near
@@ -129,7 +123,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// A joint that rotates forwards, then back, at 100 Hz with some noise.
+    /// A noisy joint that rotates forwards, then back, at 100 Hz.
     fn turning() -> Vec<f64> {
         let noise = |row: i32| 2e-4 * f64::from((row * 7919) % 13 - 6);
         (0..3000).map(|row| 9.0 * (f64::from(row) * 4e-3).sin() + noise(row)).collect()

@@ -1,4 +1,4 @@
-//! Joint velocities: logged ones, or derivatives of the positions.
+//! Joint velocities: logged, or derived from positions.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,28 +8,26 @@ use crate::stream::sample_noise;
 /// Source of a joint's velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Velocities {
-    /// Logged, and consistent with the positions.
+    /// Logged and consistent with positions.
     Logged,
-    /// Derivatives. Logged velocities are close to them, as with irregularly read rows, and detect motion
-    /// better.
+    /// Derivatives. Logged ones are close, as with irregularly read rows, and detect motion better.
     Near,
-    /// Derivatives: velocities are missing, or inconsistent with the positions.
+    /// Derivatives: logged ones are missing or inconsistent.
     Derived,
 }
 
-/// Positions and their derivatives.
 pub(super) struct Smoothed {
     pub q: Vec<f64>,
     pub qd: Vec<f64>,
-    /// Standard deviations of the noise of both, including rounding to encoder steps.
+    /// Noise standard deviations of both, including encoder steps.
     pub noise: [f64; 2],
 }
 
-/// Differentiates positions. If noise matters, smooths them by local parabola fits over up to 0.15 s.
+/// Differentiates positions. If noise matters, smooths by local parabolas over up to 0.15 s.
 ///
-/// The criterion is the equivalent timing error: noise divided by the typical speed. An encoder's 20 µrad
-/// at 1 rad/s is 20 µs and is not smoothed. A hobby servo's 0.5 mrad at 0.05 rad/s is 10 ms and would
-/// dominate every latency (Savitzky and Golay 1964).
+/// The criterion is noise divided by typical speed, a timing error: an encoder's 20 µrad at 1 rad/s is 20
+/// µs and stays; a hobby servo's 0.5 mrad at 0.05 rad/s is 10 ms and would dominate latencies (Savitzky and
+/// Golay 1964).
 pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     const FEIGNED_S: f64 = 5e-4;
     const LONGEST_S: f64 = 0.15;
@@ -37,7 +35,7 @@ pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     let rows = t_s.len();
     let speed = root_mean_square(&derived);
     let noise = sample_noise(q);
-    // Rounding to steps has the variance of a uniform distribution.
+    // Rounding has the variance of a uniform distribution.
     let rounded = noise.max(encoder_step(q) / 12f64.sqrt());
     let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
     let period_s = (span_s / rows.saturating_sub(1).max(1) as f64).max(f64::MIN_POSITIVE);
@@ -60,7 +58,7 @@ pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
         parabola(&t_s[from..to], &q[from..to], t_s[row]).unwrap_or((q[row], derived[row]))
     };
     let (q, qd) = (0..rows).map(fitted).unzip();
-    // Variances of a parabola's value and slope at the middle of many evenly spaced samples.
+    // Variances of a parabola's value and slope at the middle of many even samples.
     let samples = (2 * half + 1) as f64;
     let noise =
         [rounded * (2.25 / samples).sqrt(), rounded * (12.0 / samples.powi(3)).sqrt() / period_s];
@@ -83,10 +81,9 @@ fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
-/// Derivative of `q` over `t_s`, from the parabola through each sample and its neighbours.
-///
+/// Derivative from parabolas through each sample and its neighbours; at the ends, the outermost three.
 /// Exact to second order for uneven samples (Fornberg, "Generation of finite difference formulas on
-/// arbitrarily spaced grids", 1988). At the ends, uses the parabola through the outermost three.
+/// arbitrarily spaced grids", 1988).
 pub(super) fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
     let slope = |left: usize| (q[left + 1] - q[left]) / (t_s[left + 1] - t_s[left]);
     let rows = t_s.len();
@@ -104,10 +101,9 @@ pub(super) fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
 
 /// Compares logged velocities with the positions.
 ///
-/// Compares integrals rather than derivatives. Over windows of 0.1 s, the trapezoidal integral must match
-/// the position change within 2 % of its rms plus position noise. A joint at rest must not have velocities
-/// above the derivative of its positions. Velocities are near if integrals and changes correlate and their
-/// ratio is within a fifth of one.
+/// Over 0.1 s, the trapezoidal integral must match the position change within 2 % of its rms plus noise. At
+/// rest, velocities must not exceed the derivative. They are near if integrals and changes correlate and
+/// their ratio is within a fifth of one.
 pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> Velocities {
     const NEAR: f64 = 0.2;
     const WINDOW_S: f64 = 0.1;
@@ -142,7 +138,7 @@ pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
         return or_else(peak(velocity) <= peak(derived), Velocities::Derived);
     }
-    // Each end of a window contributes its noise; three times its variance exceeds chance.
+    // Both ends contribute noise; three times its variance exceeds chance.
     let by_noise = 3.0 * windows * 2.0 * sample_noise(q).powi(2);
     let slope = along / moved;
     let is_near = (slope - 1.0).abs() < NEAR && along * along > (1.0 - NEAR) * moved * summed;

@@ -26,21 +26,16 @@ use super::groups::{Group, groups};
 use super::ranking::ByPoses;
 use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};
 
-/// Robot information from the caller and the log.
 pub(super) struct Said<'a> {
     pub given: Vec<Given>,
     pub calibrations: Vec<GivenCalibration>,
-    /// Source and text of each robot description in the log.
     pub descriptions: &'a [(String, String)],
     pub logged_calibrations: &'a [(String, String)],
-    /// Robot type in the log's metadata.
     pub robot_type: Option<&'a str>,
-    /// Unresolved ambiguity of a table's columns.
     pub question: Option<String>,
 }
 
 impl Assembly<'_> {
-    /// Finds the robots and their arms, and follows the transforms along each arm.
     pub(super) fn find_arms(&mut self, said: &Said<'_>) -> Result<(), RunError> {
         let topics = seen_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
         if held_by(&topics).is_empty() {
@@ -102,7 +97,7 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// Returns the arms of a group of joint states. Adds the model's fixed joints and odometry to `tree`.
+    /// Arms of a group of joint states. Adds the model's fixed joints and odometry to `tree`.
     fn arms_of(
         &self,
         group: &Group<'_>,
@@ -169,7 +164,6 @@ impl Assembly<'_> {
         Ok(arms)
     }
 
-    /// Records in each joint state stream which joints the arms use.
     pub(super) fn name_joints(&mut self) {
         let arms = &self.arms;
         if arms.is_empty() {
@@ -214,7 +208,7 @@ impl Assembly<'_> {
     }
 }
 
-/// Whether joints look like an arm's: at least four move and are not named like a gripper, wheel or leg.
+/// Whether joints look like an arm's rather than a gripper's, wheels' or legs'.
 fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
     const FEWEST: usize = 4;
     const MOVES: f64 = 0.02;
@@ -228,7 +222,6 @@ fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
     joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= FEWEST
 }
 
-/// Joints with at least one sample, in the order in which they appear.
 fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
     let mut joints: Vec<String> = Vec::new();
     for topic in topics {
@@ -240,8 +233,7 @@ fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
     joints
 }
 
-/// Adds a distinguishing label to arms of equal names: words of their topics, the tip, or the first joint.
-/// Sets the words by which stream names refer to each arm.
+/// Distinguishes arms of equal names by words of their topics, the tip or the first joint.
 fn tell_apart(arms: &mut [Arm]) {
     let is_double =
         |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
@@ -252,7 +244,7 @@ fn tell_apart(arms: &mut [Arm]) {
     ];
     for label in labels {
         let doubles: Vec<bool> = arms.iter().map(|arm| is_double(arms, arm)).collect();
-        // A label shared by all of them does not distinguish them.
+        // A label that all share distinguishes nothing.
         let of_doubles = || arms.iter().zip(&doubles).filter(|(_, is_double)| **is_double);
         let first = of_doubles().next().and_then(|(arm, _)| label(arm));
         let shared =
@@ -270,7 +262,6 @@ fn tell_apart(arms: &mut [Arm]) {
     }
 }
 
-/// The joint state topics, with all rows.
 pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<JointTopic<'a>> {
     let with_columns = streams.iter().enumerate().filter_map(|(index, stream)| {
         let Some(Columns::Joints(columns)) = &stream.columns else { return None };
@@ -285,8 +276,8 @@ pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Jo
         .collect()
 }
 
-/// The joint state topics, with the rows used for estimation. These extend beyond the rows of other streams
-/// by the maximum latency.
+/// Joint state topics with the rows used for estimation. They extend beyond other streams by the maximum
+/// latency.
 fn seen_joint_topics<'a>(
     streams: &'a [Stream],
     timing: &Timing,

@@ -24,7 +24,6 @@ pub(super) struct Assembly<'a> {
     pub(super) unaudited: Vec<NotAudited>,
     pub(super) shared_streams: Vec<SharedStream>,
     pub(super) frozen: Vec<Frozen>,
-    /// Streams that were searched for frozen samples.
     pub(super) watched: Vec<usize>,
 }
 

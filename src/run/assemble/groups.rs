@@ -7,22 +7,20 @@ use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use crate::time::Stamp;
 
-/// Joint state topics that may belong to one robot: each joint name refers to a single joint.
+/// Joint state topics in which each name refers to a single joint.
 pub(super) struct Group<'a> {
     pub joints: JointTopics<'a>,
     pub space: Space,
 }
 
-/// Number of samples of a joint that are compared.
 const SAMPLES: usize = 200;
 /// Maximum spread of a joint at rest, rad or m.
 const AT_REST: f64 = 0.01;
 /// Maximum difference between two measurements of one joint, as a share of its motion.
 const AGREE: f64 = 0.01;
 
-/// Groups topics that can belong to one robot. Topics that contain different positions for the same joint
-/// name belong to different arms. A topic that shares no joint, such as a rail, joins the group that its
-/// name matches, or all.
+/// Groups topics of one robot. Topics with different positions for the same joint name belong to different
+/// arms. A topic without a shared joint, such as a rail, joins the group that its name matches, or all.
 pub(super) fn groups<'a>(
     streams: &[Stream],
     topics: Vec<JointTopic<'a>>,
@@ -50,7 +48,6 @@ pub(super) fn groups<'a>(
             (None, None) => alone.push(index),
         }
     }
-    // The topic with the most joints names the group.
     let heads: Vec<String> = groups.iter().map(|members| name(&topics[members[0]])).collect();
     let spaces = Space::of_names(&heads);
     for index in alone {
@@ -76,7 +73,6 @@ pub(super) fn groups<'a>(
     groups.into_iter().zip(spaces).map(group).collect()
 }
 
-/// Whether two topics are in different namespaces, neither of which contains the other.
 fn are_siblings(a: &str, b: &str) -> bool {
     let space = |topic: &str| -> Vec<String> {
         let mut parts: Vec<String> =
@@ -88,14 +84,10 @@ fn are_siblings(a: &str, b: &str) -> bool {
     !a.starts_with(&b) && !b.starts_with(&a)
 }
 
-/// Relation of two topics by the joints that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Relation {
-    /// They share no joint.
     Strangers,
-    /// They belong to one arm.
     One,
-    /// They belong to two arms.
     Two,
 }
 
@@ -109,12 +101,11 @@ impl Relation {
     }
 }
 
-/// One joint in two topics: the first topic's positions, interpolated to the stamps of some samples of the
-/// second, and those samples.
+/// One joint in two topics, at some stamps of the second; the first is interpolated.
 struct Beside {
     a: Vec<f64>,
     b: Vec<f64>,
-    /// Share of the second topic's samples whose value also occurs in the first.
+    /// Share of the second topic's values that occur in the first.
     copied: f64,
 }
 
@@ -129,7 +120,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
     let mean = |values: &dyn Fn(&Beside) -> f64| {
         beside.iter().map(values).sum::<f64>() / beside.len().max(1) as f64
     };
-    // Relays repeat values, whatever stamps they use, even if the topics do not overlap in time.
+    // Relays repeat values, even with other stamps.
     let copied = match beside.is_empty() {
         true => 1.0,
         false => mean(&|joint| joint.copied),
@@ -143,7 +134,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
         _ if copied > 0.9 => true,
         (true, siblings) => !siblings && gap < AT_REST,
         (false, true) => gap < 0.1 * AGREE * moved,
-        // Two encoder readouts of the same joint may have different zeros.
+        // Two readouts of one joint may have different zeros.
         (false, false) => about_mean < AGREE * moved,
     };
     if is_one { Relation::One } else { Relation::Two }

@@ -1,4 +1,4 @@
-//! Camera targets, and the hands that may carry the camera or the target.
+//! Camera targets, and hands that may carry camera or target.
 
 use crate::geometry::Pose;
 use crate::stream::{Columns, PoseTrack};
@@ -10,8 +10,7 @@ use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
 
 impl Assembly<'_> {
-    /// The camera targets, each with the hands that it can be compared with. Includes streams that only
-    /// their name makes targets and that may also be on the tool.
+    /// Camera targets with their candidate hands. A target by name alone may also be on the tool.
     pub(super) fn targets(&self) -> Vec<TargetSource> {
         let is_target = |&index: &usize| may_be(&self.streams[index], Role::Target);
         (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
@@ -33,12 +32,11 @@ impl Assembly<'_> {
             }
             None => self.hands_without_arm(index),
         };
-        // The poses of a detector change; a frame that is published repeatedly does not.
+        // A detector's poses change; a frame published repeatedly does not.
         let track = self.plain_track(index).filter(|track| track.changes())?;
         Some(TargetSource { stream: index, track, axes: targets::axes_of(&self.tf, camera), hands })
     }
 
-    /// The poses of a stream that holds one pose per message, as logged.
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
@@ -48,7 +46,7 @@ impl Assembly<'_> {
         (track.t_s.len() > 1).then_some(track)
     }
 
-    /// Candidate hands in a log without an arm: pose streams, and frames that the transforms move.
+    /// Candidate hands without an arm: pose streams, and frames that transforms move.
     fn hands_without_arm(&self, target: usize) -> Vec<HandSource> {
         let camera = &self.streams[target].frame_id;
         let tied = |frame: &str| {

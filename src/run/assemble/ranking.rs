@@ -1,5 +1,5 @@
-//! Ranks robot models by how well FK matches the pose streams, if several have the logged joint names. Also
-//! checks a model that was named.
+//! Ranks robot models with the logged joint names by how well FK matches the poses. Also checks a named
+//! model.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap};
@@ -26,36 +26,31 @@ use crate::stream::Columns;
 const FITS_M: f64 = 3e-3;
 /// The same as a share of the positions' extent, for noisy trackers.
 const FITS_SHARE: f64 = 0.01;
-/// Maximum number of pose streams that are compared.
 const MOST_STREAMS: usize = 6;
-/// Minimum difference in score between distinguishable arms: a likelihood ratio of e¹⁰.
+/// Minimum score difference of distinguishable arms: a likelihood ratio of e¹⁰.
 const APART: f64 = 20.0;
 
-/// Minimum ratio of the residuals of the named arm, with its best explanation, and of another arm to report
-/// the other.
+/// Minimum ratio of the named arm's residual to that of another arm.
 const STANDS_OUT: f64 = 5.0;
 /// Maximum tool length of that other arm, m.
 const LONGEST_TOOL_M: f64 = 0.5;
 
-/// Faults are not fitted for every model if there are more than `MANY` and one matches each stream within
-/// `CLEAR_M` metres without a fault. Models whose residual is `FAR` times larger and above the limit are
-/// then skipped.
+/// With more than `MANY` models, one of which fits within `CLEAR_M` metres without a fault, faults are not
+/// fitted for models whose residual is `FAR` times larger.
 const MANY: usize = 4;
 const CLEAR_M: f64 = 1e-4;
 const FAR: f64 = 100.0;
 
-/// The fit of one model to the pose streams.
 #[derive(Default)]
 struct Entry {
     arm: Option<Arm>,
     fits: Vec<Fitted>,
 }
 
-/// The fit of one model to one stream.
 struct Fitted {
     stream: usize,
     source: PoseSource,
-    /// Whether the model locates the stream's frame, and the fit used that.
+    /// Whether the fit used the stream's frame.
     knows_frame: bool,
     fit: ModelFit,
 }
@@ -65,7 +60,6 @@ impl Entry {
         self.fits.iter().find(|fitted| fitted.stream == stream).map(|fitted| &fitted.fit)
     }
 
-    /// The streams whose frame the model locates, or does not.
     fn whose_frame_is(&self, known: bool) -> impl Iterator<Item = usize> + '_ {
         let alike = move |fitted: &&Fitted| fitted.knows_frame == known;
         self.fits.iter().filter(alike).map(|fitted| fitted.stream)
@@ -75,11 +69,9 @@ impl Entry {
 struct Rank {
     model: usize,
     score: f64,
-    /// The stream with the smallest residual, and how the model fits it best.
     decisive: (usize, ScoredFit),
 }
 
-/// Ranks models of one group of joint states by the pose streams.
 pub(super) struct ByPoses<'a> {
     pub assembly: &'a Assembly<'a>,
     pub group: &'a Group<'a>,
@@ -87,8 +79,8 @@ pub(super) struct ByPoses<'a> {
 }
 
 impl ByPoses<'_> {
-    /// Ranks the models by what they must assume to match the pose streams, best first. `None` if no stream
-    /// distinguishes them. The frame of a stream is used only if every model locates it.
+    /// Ranking by necessary assumptions, best first. `None` if no stream distinguishes the models. Uses a
+    /// stream's frame only if every model locates it.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
         let none = BTreeSet::new();
         let arms: Vec<Option<Arm>> = models.iter().map(|model| self.arm(model)).collect();
@@ -101,7 +93,7 @@ impl ByPoses<'_> {
                 *entry = self.entry(entry.arm.take(), &free);
             }
         });
-        // Fit faults only for models that they could make the best.
+        // Fit faults only for models that could become the best.
         let near = near(&entries);
         entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
             let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
@@ -133,7 +125,7 @@ impl ByPoses<'_> {
         (!standings.is_empty()).then_some(Ranking { standings, apart: APART })
     }
 
-    /// A catalogue arm that fits far better than `model`, which was named.
+    /// Catalogue arm that fits far better than the named `model`.
     pub fn better(&self, model: &Model, clues: &Clues<'_>) -> Option<CompetingModel> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
@@ -141,7 +133,7 @@ impl ByPoses<'_> {
         if own.fits && own.way.assumption == FitAssumption::Nothing && !own.way.is_misinterpreted {
             return None;
         }
-        // A model that fits with the other DH convention of its own table is not another arm (ORD007).
+        // The other DH convention of its own table is ORD007, not another arm.
         if let Some(robot) = model.robot.under_other_convention() {
             let ranking = self.ranking(&[&Model { robot, ..model.clone() }]);
             let turned = ranking.as_ref().and_then(|ranking| ranking.standings.first());
@@ -151,7 +143,7 @@ impl ByPoses<'_> {
                 return None;
             }
         }
-        // A model that fits with its joints in another common order is not another arm (ORD005).
+        // Another common joint order is ORD005, not another arm.
         if self.fits_in_another_order(model, &path.joints) {
             return None;
         }
@@ -198,7 +190,6 @@ impl ByPoses<'_> {
         })
     }
 
-    /// Whether the model fits without a fault if its joints are in another common order.
     fn fits_in_another_order(&self, model: &Model, path: &[String]) -> bool {
         let others = by_order::usual_orders(path).into_iter().skip(1).filter_map(|order| {
             let pairs: Vec<(String, String)> = path.iter().cloned().zip(order).collect();
@@ -213,14 +204,13 @@ impl ByPoses<'_> {
         })
     }
 
-    /// The path through a model whose joints are in the joint states, if there is exactly one.
+    /// The path through the logged joints, if there is exactly one.
     fn only_path(&self, model: &Model) -> Option<skeleton::ArmPath> {
         let is_logged = |name: &str| self.group.joints.topics.iter().any(|topic| topic.holds(name));
         let paths = skeleton::arms(&model.robot, is_logged);
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 
-    /// Builds the arm of a model from the joint states of the group.
     fn arm(&self, model: &Model) -> Option<Arm> {
         let Assembly { options, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
@@ -228,11 +218,11 @@ impl ByPoses<'_> {
         Some(Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm })
     }
 
-    /// Fits an arm to the streams, using their frames except for streams in `free`.
+    /// Fits an arm to the streams, without the frames of those in `free`.
     fn entry(&self, arm: Option<Arm>, free: &BTreeSet<usize>) -> Entry {
         let streams = &self.assembly.streams;
         let Some(arm) = arm else { return Entry::default() };
-        // Longest streams first, without copies, up to the maximum.
+        // Longest streams first, without copies.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
         let mut fits: Vec<Fitted> = Vec::new();
@@ -257,7 +247,6 @@ impl ByPoses<'_> {
         Entry { arm: Some(arm), fits }
     }
 
-    /// A stream as a pose source of `arm`, if it may be its tool pose.
     fn source_of(&self, arm: &Arm, index: usize) -> Option<PoseSource> {
         let assembly = self.assembly;
         let stream = &assembly.streams[index];
@@ -276,7 +265,6 @@ impl ByPoses<'_> {
         assembly.pose_source(index, arm, &site, declared, (false, &mut Vec::new())).ok()
     }
 
-    /// Fits `arm` to a stream, with or without its frame.
     fn fit_of(
         &self,
         arm: &Arm,
@@ -297,8 +285,7 @@ impl ByPoses<'_> {
     }
 }
 
-/// Selects the models near the one with the smallest residual without a fault. All if none is clear or they
-/// are few.
+/// Models near the best one without a fault. All if none is clear or they are few.
 fn near(entries: &[Entry]) -> Vec<bool> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
@@ -319,7 +306,7 @@ fn near(entries: &[Entry]) -> Vec<bool> {
     entries.iter().map(is_asked).collect()
 }
 
-/// Ranks the models by score over the streams that at least one explains, or over all if none explains any.
+/// Ranks by the streams that at least one model explains, else by all.
 fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
@@ -346,8 +333,8 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     };
     let mut ranks: Vec<Rank> = entries.iter().enumerate().filter_map(rank).collect();
     ranks.sort_by(|a, b| a.score.total_cmp(&b.score));
-    // Among models that cannot be distinguished, prefer the smallest assumption, then the tool nearest to
-    // the flange axis.
+    // Among indistinguishable models, prefer the smallest assumption, then the tool nearest to the flange
+    // axis.
     let least = ranks.first().map_or(0.0, |best| best.score);
     let near = ranks.iter().take_while(|rank| rank.score <= least + APART).count();
     let harm = |rank: &Rank| {

@@ -1,4 +1,4 @@
-//! Commanded poses and joint positions, transformed to the base and the tip of an arm.
+//! Commanded poses and joint positions of an arm.
 
 use crate::geometry::Pose;
 use crate::run::role::{Role, may_be, shared, words};
@@ -18,7 +18,7 @@ pub struct ReferenceSource {
     pub stream: usize,
     /// Index of the arm.
     pub arm: usize,
-    /// The commands, or why they cannot be compared with the arm.
+    /// The commands, or why they cannot be compared.
     pub content: Result<ReferenceContent, String>,
 }
 
@@ -27,26 +27,26 @@ pub struct ReferenceSource {
 pub enum ReferenceContent {
     /// Poses of the arm's tip in its base, `base_from_tip`.
     Poses {
-        /// The poses; possibly a single one.
+        /// The poses, possibly a single one.
         track: PoseTrack,
-        /// Whether the commanded link is named, by the caller or as the child frame.
+        /// Whether the commanded link is named.
         tip_named: bool,
-        /// Whether the frame of the poses is named; otherwise it is assumed to be the controller's base.
+        /// Whether the poses' frame is named; else the controller's base is assumed.
         frame_named: bool,
     },
     /// Joint positions.
     Joints {
         /// Times, strictly increasing.
         t_s: Vec<f64>,
-        /// Column in the arm's joint track of each number in a row. `None` if the log does not name them
-        /// and there are as many as the chain has joints.
+        /// Column in the arm's joint track of each number in a row. `None` if unnamed, with one number per
+        /// joint.
         columns: Option<Vec<usize>>,
-        /// Positions, row-major, rad or m; NaN if a message lacks the joint.
+        /// Positions, row-major, rad or m; NaN if missing.
         q: Vec<f64>,
     },
 }
 
-/// Topic words of arrays that do not contain joint positions.
+/// Topic words of arrays without joint positions.
 const NO_POSITIONS: &[&str] = &[
     "velocity",
     "velocities",
@@ -65,11 +65,11 @@ const NO_POSITIONS: &[&str] = &[
     "current",
 ];
 
-/// Maximum number of rows before they are thinned out, and taken only from the excerpts of a long run.
+/// Maximum number of rows before thinning, in which case a long run uses only its excerpts.
 const MANY: usize = 20_000;
 
 impl Assembly<'_> {
-    /// The commands to the arms. Streams that command none of an arm's joints are skipped.
+    /// The commands to the arms. Skips streams that command none of their joints.
     pub(super) fn references(&self) -> Vec<ReferenceSource> {
         let mut known_plans: Vec<&str> = Vec::new();
         let mut found = Vec::new();
@@ -104,7 +104,6 @@ impl Assembly<'_> {
         found
     }
 
-    /// The rows that are compared.
     fn looked_at(&self, index: usize) -> Rows {
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         if rows.len() > MANY {
@@ -128,7 +127,6 @@ impl Assembly<'_> {
         self.in_base(&self.arms[owner], stream, track)
     }
 
-    /// Transforms the poses of `stream` to poses of the arm's tip in its base.
     fn in_base(
         &self,
         arm: &Arm,
@@ -140,7 +138,7 @@ impl Assembly<'_> {
         }
         let frame = &stream.frame_id;
         let (place, anchor) = arm.place(frame);
-        // A joint before the base, such as a waist, also moves the frames on the base.
+        // A joint before the base, such as a waist, also moves the base's frames.
         let is_of_base =
             |anchor: Anchor| arm.robot.fixed_transform(arm.base, anchor.link).is_some();
         let (link, link_from_frame) = match (place, anchor) {
@@ -181,7 +179,6 @@ impl Assembly<'_> {
         })
     }
 
-    /// Commands to named joints, assigned to the arm with the most matching joints.
     fn commanded_joints(
         &self,
         index: usize,
@@ -208,7 +205,7 @@ impl Assembly<'_> {
         Some((arm, Ok(ReferenceContent::Joints { t_s, columns, q: q.collect() })))
     }
 
-    /// Commands as unnamed numbers: a pose as matrix or quaternion, or one number per joint.
+    /// Unnamed commands: a pose as matrix or quaternion, or one number per joint.
     fn commanded_numbers(
         &self,
         index: usize,
@@ -245,8 +242,7 @@ impl Assembly<'_> {
         }
     }
 
-    /// Time and row of the commands, strictly increasing in time. Of equal stamps, only the last command is
-    /// kept.
+    /// Time and row of the commands, strictly increasing; the last of equal stamps.
     fn command_rows(&self, index: usize) -> Vec<(f64, usize)> {
         let mut rows = self.looked_at(index);
         rows.sort();
@@ -255,7 +251,6 @@ impl Assembly<'_> {
     }
 }
 
-/// Whether messages of the stream's type contain several poses.
 fn is_plan(stream: &Stream) -> bool {
     ["PoseArray", "PosesInFrame"].iter().any(|name| stream.type_name.ends_with(name))
 }

@@ -23,36 +23,30 @@ use super::super::unaudited::{NotAudited, NotAuditedReason};
 use super::assembly::{Assembly, is_topic};
 use super::not_so;
 
-/// The links of an arm between which a stream's poses are measured.
 pub(super) struct StreamFrames {
     pub frame: Place,
     pub child: Place,
     pub base: Anchor,
     pub tip: Anchor,
     pub tip_named: bool,
-    /// Poses of the frame in the base, if the frame moves there.
     pub moving_frame: Option<Vec<(Stamp, Pose)>>,
-    /// Remarks for the stream's reason.
     pub remarks: String,
 }
 
-/// A stream as a pose source of an arm.
 struct ArmPoseSource {
     candidate: CandidateArm,
     source: PoseSource,
 }
 
-/// Whether two poses are equal up to rounding.
 fn is_same(a: &Pose, b: &Pose) -> bool {
     const ROUNDING: f64 = 1e-6;
     let apart = (a.translation.vector - b.translation.vector).norm();
     apart < ROUNDING && a.rotation.angle_to(&b.rotation) < ROUNDING
 }
 
-/// Why a pose stream cannot be compared with an arm.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NoSource {
-    /// No chain of known joints predicts it.
+    /// No known chain predicts it.
     #[error("{0}")]
     Kinematics(String),
     /// It has no usable samples.
@@ -114,7 +108,7 @@ impl Assembly<'_> {
                     return Err(not_so(declared, what.to_string()));
                 }
                 Err(why) => {
-                    // Poses between two links that do not move relative to each other cannot be audited.
+                    // Poses between links without relative motion cannot be audited.
                     let is_asked = known && site.frame != Place::MovingLink;
                     if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
                         unaudited = Some(NotAuditedReason::NoKinematics { what: what.clone() });
@@ -160,7 +154,6 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// The stream as a pose source of another arm, if it may belong to that arm.
     fn pose_source_of_other_arm(&self, index: usize, arm: usize) -> Option<ArmPoseSource> {
         let stream = &self.streams[index];
         let site = self.site(&self.arms[arm], stream);
@@ -189,7 +182,6 @@ impl Assembly<'_> {
         }
     }
 
-    /// The caller's settings for the topic of a stream.
     fn said_of(&self, stream: &Stream) -> Option<&TopicSettings> {
         self.options.topics.iter().find(|said| said.is_of(&stream.topic))
     }
@@ -227,7 +219,7 @@ impl Assembly<'_> {
             is_declared,
         });
         match verdict {
-            // Many transforms start at the base, so the base frame alone is no evidence of a tool pose.
+            // Many transforms start at the base, so this frame alone does not make a tool pose.
             (Role::Candidate { .. }, _) if self.is_transform(stream) => (
                 Role::Candidate { presumed: false },
                 format!("'{}' is not a link of the robot", stream.child_frame_id),
@@ -236,14 +228,12 @@ impl Assembly<'_> {
         }
     }
 
-    /// Whether a pose stream is a transform of a TF topic.
     pub(super) fn is_transform(&self, stream: &Stream) -> bool {
         self.streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
     }
 
-    /// Candidate arms of a stream. Applies these criteria in order, each only if a candidate remains: the
-    /// arm moves the child frame, the topic name matches the arm, the arm has the frame, the frame names
-    /// match the arm. Motion must decide between several candidates.
+    /// Candidate arms. Applies each criterion if a candidate remains: the arm moves the child frame, the
+    /// topic name matches, the arm has the frame, the frame names match. Motion decides between several.
     fn claimants(&self, stream: &Stream) -> Vec<usize> {
         let place = |arm: &Arm, frame: &str| arm.place(frame).0;
         let frames = [stream.frame_id.as_str(), stream.child_frame_id.as_str()];
@@ -266,17 +256,15 @@ impl Assembly<'_> {
         })
     }
 
-    /// The first candidate arm of a stream.
     pub(super) fn owner(&self, stream: &Stream) -> Option<usize> {
         self.claimants(stream).first().copied()
     }
 
-    /// Determines the links of `arm` between which a stream's poses are measured.
     pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> StreamFrames {
         let (mut frame, mut frame_anchor) = arm.place(&stream.frame_id);
         let (child, child_anchor) = arm.place(&stream.child_frame_id);
         let still = |link: LinkId| Anchor { link, link_from_frame: Pose::identity() };
-        // The caller's tip overrides a stream's child frame, except in a transform.
+        // The caller's tip overrides a child frame, except in a transform.
         let names_tip = child == Place::MovingLink && (!arm.tip_named || self.is_transform(stream));
         let child_tip = child_anchor.filter(|_| names_tip);
         let tip = child_tip.unwrap_or(still(arm.tip));
@@ -289,7 +277,7 @@ impl Assembly<'_> {
         let stands =
             stands.filter(|first| carrier.iter().flatten().all(|(_, pose)| is_same(first, pose)));
         if let Some(base_from_frame) = stands {
-            // Dynamic transforms that never change are equivalent to static ones.
+            // Dynamic transforms that never change act as static ones.
             let anchor = Anchor { link: arm.base, link_from_frame: base_from_frame };
             (frame, frame_anchor, carrier) = (Place::Tied, Some(anchor), None);
         } else if carrier.is_some() {
@@ -331,7 +319,6 @@ impl Assembly<'_> {
         StreamFrames { frame, child, base, tip, tip_named, moving_frame: carrier, remarks: said }
     }
 
-    /// The poses of a stream and the chain that predicts them.
     pub(super) fn pose_source(
         &self,
         index: usize,
@@ -400,8 +387,7 @@ impl Assembly<'_> {
         })
     }
 
-    /// Poses of a moving frame in the arm's base, from transforms that do not depend on known joints and of
-    /// which at least one is dynamic.
+    /// Poses of a moving frame in the base, from transforms without known joints, at least one dynamic.
     fn moving_frame(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
         let is_free = |edge: &Edge| {
             let (parent, child) = arm.tree.names(edge);
@@ -415,10 +401,8 @@ impl Assembly<'_> {
         (samples.len() > 1).then_some(samples)
     }
 
-    /// The root frame relative to which the arm's base rotates, by transforms that do not depend on known
-    /// joints.
+    /// Root frame relative to which the base rotates, by transforms without known joints.
     fn turns_in<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
-        /// Maximum rotation of a stationary base, rad.
         const STANDS_RAD: f64 = 0.02;
         let root = arm.tree.root_of(&arm.frame_of(arm.base));
         let samples = self.moving_frame(arm, root)?;
@@ -458,7 +442,7 @@ impl Assembly<'_> {
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
         }
-        // Gravity and the world frame do not move with a waist.
+        // A waist does not move gravity and the world frame.
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();
         let base =

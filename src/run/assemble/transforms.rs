@@ -1,4 +1,4 @@
-//! Transforms of a log: the TF tree, the arm's own transforms, and transforms that are measured poses.
+//! TF tree of a log, the arm's transforms, and transforms that are measured poses.
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
 use crate::robot::{JointKind, Robot};
@@ -18,7 +18,7 @@ use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::super::timing::Timing;
 use super::assembly::Assembly;
 
-/// Builds the tree of the log's TF topics, without topics of arms outside `space`.
+/// Builds the tree of the TF topics, without those of arms outside `space`.
 pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfTree {
     let mut tree = TfTree::default();
     for (index, stream) in streams.iter().enumerate() {
@@ -42,7 +42,7 @@ pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfT
     tree
 }
 
-/// The valid poses of one transform of a stream, strictly increasing in time.
+/// Valid poses of one transform, strictly increasing in time.
 fn samples_of(
     streams: &[Stream],
     timing: &Timing,
@@ -57,7 +57,7 @@ fn samples_of(
     samples.into_iter().unzip()
 }
 
-/// Adds the base poses of odometry topics to the tree if no transform provides them.
+/// Adds odometry base poses that no transform provides.
 pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timing, arms: &[Arm]) {
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Poses(poses)) = &stream.columns else { continue };
@@ -82,8 +82,7 @@ fn pose_at(poses: &PoseColumns, row: usize) -> Option<Pose> {
     Some(pose(poses.xyz[row], rotation_from_xyzw(poses.q_xyzw[row])?))
 }
 
-/// Rms difference between the logged transforms and the lengths of a robot's links, m. `None` if fewer than
-/// three transforms belong to rotary joints.
+/// Rms difference of logged transforms and link lengths, m. `None` with fewer than three rotary joints.
 pub(super) fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Option<f64> {
     const ENOUGH: usize = 3;
     let turning = robot
@@ -102,8 +101,6 @@ pub(super) fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Optio
 }
 
 impl Assembly<'_> {
-    /// Poses of `arm`'s tip from the log's transforms, and the transforms that had to be taken from the
-    /// model.
     pub(super) fn follow_transforms(
         &self,
         arm: &Arm,
@@ -117,7 +114,7 @@ impl Assembly<'_> {
             let (parent, child) = arm.tree.names(edge);
             arm.joints_between(parent, child)
         };
-        // A transform across several joints, or of a frame that is not a link, is a measured pose.
+        // A transform across several joints, or to a frame that is not a link, is a measured pose.
         let is_of_the_model = |edge: &Edge| {
             edge.kind != EdgeKind::Dynamic || crosses(edge).is_some_and(|joints| joints.len() < 2)
         };
@@ -168,7 +165,7 @@ impl Assembly<'_> {
         Ok((source, from_model.collect()))
     }
 
-    /// The TF stream that contains an edge of an arm's tree, and the index of its transform.
+    /// The TF stream with an edge of the arm's tree, and its transform's index.
     fn piece_of(&self, arm: &Arm, edge: &Edge) -> Option<(usize, usize)> {
         let names = arm.tree.names(edge);
         let is_it = |poses: &PoseColumns| {
@@ -182,8 +179,8 @@ impl Assembly<'_> {
         })
     }
 
-    /// Adds dynamic transforms that are measured poses as separate streams: transforms across several
-    /// joints, and those whose child is neither a link of an arm nor carries one.
+    /// Adds measured poses as separate streams: transforms across several joints, or to a child that
+    /// neither is nor carries a link.
     pub(super) fn measured_transforms(&mut self) {
         for index in 0..self.streams.len() {
             let stream = &self.streams[index];
@@ -246,8 +243,7 @@ impl Assembly<'_> {
         if let Some(arm) = stream.arm.map(|arm| &self.arms[arm]) {
             stream.reference = Some(arm.frame_of(arm.base));
             stream.link = Some(arm.frame_of(arm.tip));
-            // Transforms of the model's joints come from the controller; measured ones are already separate
-            // streams.
+            // Transforms of the model's joints come from the controller.
             stream.source_kind = Some(PoseSourceKind::Controller);
         } else if let Some(Err(reason)) = self.arms.first().map(|arm| &arm.tf) {
             stream.reason = format!("{}; {reason}", stream.reason);
@@ -255,7 +251,6 @@ impl Assembly<'_> {
     }
 }
 
-/// Adds fixed joints of the arm's robot to the tree if their child has no parent there.
 pub(super) fn add_fixed_joints(tf: &mut TfTree, arm: &Arm) {
     for joint in arm.robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed) {
         let [parent, child] = [joint.parent, joint.child].map(|link| arm.frame_of(link));

@@ -1,22 +1,20 @@
-//! Streams whose stamps come from a clock with a coarse resolution.
+//! Streams with stamps from a coarse clock.
 
 use crate::run::grid::Grid;
 use crate::stats::median;
 use crate::time::{Stamp, seconds};
 
-/// Timing of a stream stamped by a coarse clock.
 pub(super) struct Coarse {
-    /// Clock resolution (tick), s.
+    /// Clock resolution, s.
     pub tick_s: f64,
-    /// Rows with stamps interpolated from their receive times, if these are finer.
+    /// Rows with stamps interpolated from finer receive times.
     pub finer: Option<Vec<(Stamp, i64)>>,
-    /// Whether lost rows cannot be detected, because rows may share a tick.
+    /// Whether lost rows are undetectable because rows may share a tick.
     pub is_blurred: bool,
 }
 
 impl Coarse {
-    /// Detects a coarse clock from rows in stamp order with their receive times. `None` if the intervals do
-    /// not indicate one.
+    /// Detects a coarse clock from rows in stamp order with receive times. `None` if there is none.
     pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
         let (begin, received) = *times.first()?;
         let stamped_s: Vec<f64> = times.iter().map(|(at, _)| at.seconds_since(begin)).collect();
@@ -41,7 +39,7 @@ impl Coarse {
             finer.dedup_by_key(|(stamp, _)| *stamp);
             return Some(Self { tick_s: grid.tick_s, finer: Some(finer), is_blurred: false });
         }
-        // Receive times of the same resolution add no information.
+        // Receive times of the same resolution add nothing.
         let is_alike = || {
             let other = Grid::of(&received_s);
             other.is_some_and(|other| (other.tick_s - grid.tick_s).abs() < 0.01 * grid.tick_s)
@@ -55,7 +53,6 @@ impl Coarse {
     }
 }
 
-/// Whether nearly all receive intervals are whole ticks: then no row falls between two ticks.
 fn is_of_whole_ticks(received_s: &[f64], tick_s: f64) -> bool {
     const NEARLY_ALL: f64 = 0.95;
     const NEAR: f64 = 0.05;

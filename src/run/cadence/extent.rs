@@ -5,18 +5,17 @@ use super::parts::Part;
 use crate::run::clock::StreamClock;
 use crate::time::{Stamp, seconds};
 
-/// Start and end of a stream relative to the other streams, by receive time.
+/// Start and end relative to other streams, by receive time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extent {
     /// Start relative to the median start of the others, s; positive if later.
     pub late_start_s: f64,
     /// End relative to the others, s; positive if earlier.
     pub early_end_s: f64,
-    /// Whether the arm moved before the start and after the end; `None` if no joint states cover that time.
+    /// Whether the arm moved before the start and after the end; `None` without joint states there.
     pub moving: [Option<bool>; 2],
 }
 
-/// First and last row of a stream: receive time, and stamp on the audit's clock.
 #[derive(Clone, Copy)]
 pub(super) struct Bounds {
     received: (i64, i64),
@@ -46,7 +45,6 @@ fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     )
 }
 
-/// Sorted start and end times of all streams.
 pub(super) struct Ends {
     starts: Vec<i64>,
     ends: Vec<i64>,
@@ -63,8 +61,8 @@ impl Ends {
     }
 }
 
-/// Median of the sorted `times` without `own`, which is one of them. For an even count, the greater middle
-/// value if `upper`, otherwise the smaller.
+/// Median of sorted `times` without `own`, one of them. For an even count, the greater middle value if
+/// `upper`, else the smaller.
 fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
     let others = times.len().checked_sub(1)?;
     let middle = if upper { others / 2 } else { others.saturating_sub(1) / 2 };
@@ -73,7 +71,6 @@ fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
     is_there.then(|| times[middle + usize::from(middle >= place)])
 }
 
-/// Compares the extent of stream `index` with the others.
 pub(super) fn extent(
     bounds: &[Option<Bounds>],
     all: &Ends,
@@ -81,7 +78,7 @@ pub(super) fn extent(
     motion: &Motion,
 ) -> Option<Extent> {
     let own = bounds[index]?;
-    // With two others, use the time that makes this stream's deviation smaller.
+    // With two others, use the one closer to this stream.
     let start = median_of_others(&all.starts, own.received.0, true)?;
     let end = median_of_others(&all.ends, own.received.1, false)?;
     let late_start_s = seconds(own.received.0.saturating_sub(start));

@@ -11,9 +11,9 @@ pub struct Stretch {
     pub start: Stamp,
     /// Last stamp.
     pub end: Stamp,
-    /// Mean rate in the span, Hz; each end counts as half a row.
+    /// Mean rate, Hz; each end counts as half a row.
     pub rate_hz: f64,
-    /// Whether the arm moved in the span; `None` if no joint states cover it.
+    /// Whether the arm moved; `None` without joint states.
     pub moving: Option<bool>,
 }
 
@@ -24,39 +24,36 @@ impl Stretch {
     }
 }
 
-/// An interval between two rows that is longer than a period.
+/// An interval longer than a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hole {
     /// Its time span.
     pub stretch: Stretch,
-    /// Number of missing rows, at the stream's period.
+    /// Number of missing rows.
     pub missing: usize,
-    /// Whether nothing was received for at least half of it. Otherwise the clock was stepped.
+    /// Whether nothing was received for half of it; else the clock was stepped.
     pub is_silent: bool,
 }
 
-/// Typical interval between consecutive rows.
 pub(super) struct Pace {
-    /// Typical interval, s: the mean of the intervals near the median. Rounded stamps quantise the median
-    /// itself.
+    /// Typical interval, s: mean of intervals near the median, which rounded stamps quantise.
     pub period_s: f64,
-    /// Whether nearly all intervals are near a multiple of the period.
+    /// Whether intervals are near multiples of the period.
     pub is_regular: bool,
-    /// Maximum number of periods without a missing row: one, or more with jitter.
+    /// Maximum number of periods without a loss; more than one with jitter.
     longest: u32,
 }
 
 impl Pace {
     pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
-        /// Maximum deviation from the median of a single interval, as a share of the median.
+        /// Maximum deviation of a single interval, as a share of the median.
         const SINGLE: f64 = 0.5;
         const CLOSE: f64 = 0.25;
         const REGULAR: f64 = 0.6;
-        /// Block length that contains whole bursts of 2, 3, 4, 6 or 12 rows.
+        /// Block length with whole bursts of 2, 3, 4, 6 or 12 rows.
         const BURSTS: usize = 12;
-        /// Ratio of median to mean interval if rows are evenly spaced; up to two rows in five may be lost.
+        /// Ratio of median to mean interval for evenly spaced rows; two in five may be lost.
         const USUAL: std::ops::RangeInclusive<f64> = 0.5..=1.6;
-        /// Maximum number of intervals for the median, sampled evenly.
         const ENOUGH: usize = 50_000;
         let intervals = || times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
         let count = times.len().saturating_sub(1);
@@ -65,7 +62,7 @@ impl Pace {
         }
         let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
         let mut median = median_of(&mut some)?;
-        // Intervals within a burst differ from the mean interval.
+        // Intervals within a burst differ from the mean.
         let blocks = times.windows(BURSTS + 1).step_by(count.div_ceil(ENOUGH));
         let mut blocks: Vec<f64> =
             blocks.map(|rows| rows[BURSTS].0.seconds_since(rows[0].0) / BURSTS as f64).collect();
@@ -79,7 +76,7 @@ impl Pace {
         let period_s = if singles > 0 { sum_s / f64::from(singles) } else { median };
         let is_close = |dt: &f64| {
             let periods = dt / period_s;
-            // Check one period first, because rounding is slow.
+            // One period first, because rounding is slow.
             (periods - 1.0).abs() < CLOSE || (periods - periods.round().max(1.0)).abs() < CLOSE
         };
         let regular = intervals().filter(is_close).count();
@@ -90,10 +87,10 @@ impl Pace {
 
 /// Number of periods that jitter alone can reach.
 ///
-/// Lost rows produce whole multiples of the period, so intervals between two multiples are rarer than at
-/// the upper multiple. A loop that waits between rows does not show this pattern.
+/// Lost rows give whole multiples of the period, so intervals between two multiples are rarer than at the
+/// upper one.
 fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
-    /// Maximum distance from a multiple of the period, in periods.
+    /// Maximum distance from a multiple, in periods.
     const NEAR: f64 = 0.25;
     /// Longer intervals are rare in any stream, in periods.
     const MOST: usize = 8;
@@ -106,7 +103,7 @@ fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
         if !(2.0..MOST as f64).contains(&upper) {
             continue;
         }
-        // A late or early row shortens an adjacent interval accordingly.
+        // A late or early row shortens an adjacent interval.
         let beside = [row.checked_sub(1), Some(row + 1)].into_iter().flatten();
         let mut beside = beside.filter_map(|other| periods.get(other));
         let makes_up = |other: &f64| *other < 1.0 - NEAR && is_near(own + other);
@@ -120,9 +117,8 @@ fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
     1 + reached as u32
 }
 
-/// The intervals between rows, and their typical value.
 pub(super) struct Intervals<'a> {
-    /// Stamp and receive time of each row, sorted by unique stamps.
+    /// Stamp and receive time of each row, by unique stamps.
     pub times: &'a [(Stamp, i64)],
     pub pace: &'a Pace,
     pub motion: &'a Motion<'a>,
@@ -134,15 +130,13 @@ impl Intervals<'_> {
         pairs.map(|(left, pair)| (left, pair[1].0.seconds_since(pair[0].0)))
     }
 
-    /// Time span of `count` intervals, starting at row `left`.
     fn stretch(&self, left: usize, count: usize) -> Stretch {
         let (start, end) = (self.times[left].0, self.times[left + count].0);
         let rate_hz = count as f64 / end.seconds_since(start);
         Stretch { start, end, rate_hz, moving: self.motion.moves(start, end) }
     }
 
-    /// Whether nothing was received for at least half of the interval after row `left`. `received` is
-    /// sorted.
+    /// Whether nothing was received for half of the interval after row `left`. `received` is sorted.
     fn is_silent(&self, received: &[i64], left: usize, interval_s: f64) -> bool {
         let (before, after) = (self.times[left].1, self.times[left + 1].1);
         let from = received.partition_point(|&received| received < before);
@@ -154,7 +148,7 @@ impl Intervals<'_> {
 
     /// Intervals with missing rows.
     pub fn holes(&self) -> Vec<Hole> {
-        /// Limits the count if a stamp is decades off.
+        /// Bounds the count if a stamp is decades off.
         const MOST: f64 = 1e9;
         let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
         let longest = self.pace.longest as usize;
@@ -174,20 +168,19 @@ impl Intervals<'_> {
         long.map(hole).collect()
     }
 
-    /// Number of rows less than half a period after the previous row.
+    /// Number of rows within half a period of the previous one.
     pub fn bunched(&self) -> usize {
         const SHORT: f64 = 0.5;
         self.all().filter(|(_, interval_s)| *interval_s < SHORT * self.pace.period_s).count()
     }
 
-    /// Time spans with a reduced rate: most of nine consecutive intervals are long, and none is so long
-    /// that it is a hole.
+    /// Spans with a reduced rate: most of nine consecutive intervals are long, none is a hole.
     pub fn lulls(&self) -> Vec<Stretch> {
-        /// Minimum ratio of a long interval to the period; normal variation is smaller.
+        /// Minimum ratio of a long interval to the period.
         const LOWER: f64 = 1.25;
         const FAR_LONGER: f64 = 4.0;
         const AROUND: usize = 9;
-        // Usually no interval is long, so return early.
+        // Usually no interval is long.
         let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
         if !self.pace.is_regular || !self.all().any(|(_, interval_s)| is_long(&interval_s)) {
             return Vec::new();

@@ -1,8 +1,7 @@
 //! Regularity of a stream's rows: decreasing stamps, repeats, holes and reduced rates.
 //!
-//! A header stamp is the time of the content; a receive time is only its arrival. So stamps are compared
-//! with the receive order, and a hole in the stamps must also be a hole in the receive times, or the clock
-//! was stepped. The rules decide which holes and losses are faults.
+//! A header stamp is the time of the content, a receive time its arrival. A hole in the stamps must also be
+//! one in the receive times, or the clock was stepped. The rules decide which are faults.
 
 mod coarse;
 mod extent;
@@ -35,38 +34,36 @@ use super::timing::Timing;
 pub use self::extent::Extent;
 pub use self::intervals::{Hole, Stretch};
 
-/// Regularity of one stream, one transform of a TF topic, or one sender on a joint state topic.
+/// Regularity of a stream, of one transform, or of one joint state sender.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cadence {
     /// Child frame of the transform.
     pub frame: Option<String>,
-    /// Whether an audit expects it to be regular; false for transforms between frames that are not links of
-    /// an arm.
+    /// Whether it should be regular; false for transforms outside an arm.
     pub wanted: bool,
     /// Number of rows.
     pub rows: usize,
-    /// Typical interval between rows, s; `None` if there are fewer than three rows.
+    /// Typical interval, s; `None` with fewer than three rows.
     pub period_s: Option<f64>,
-    /// Whether nearly all intervals are near a multiple of the period.
+    /// Whether intervals are near multiples of the period.
     pub is_regular: bool,
-    /// Tick of a coarse stamp clock, s. The rhythm is then computed from receive times, if these are finer.
+    /// Tick of a coarse stamp clock, s. Finer receive times then give the rhythm.
     pub tick_s: Option<f64>,
-    /// Whether the header stamps are usable: present and increasing.
+    /// Whether header stamps are present and increasing.
     pub stamped: bool,
-    /// Stamps less than one received earlier: the previous stamp, and the decrease, s.
+    /// Stamps that decrease: the previous stamp, and the decrease, s.
     pub steps_back: Vec<(Stamp, f64)>,
-    /// Rows that repeat an earlier stamp with the same content.
+    /// Rows that repeat stamp and content.
     pub repeats: usize,
-    /// Rows that repeat an earlier stamp with different content.
+    /// Rows that repeat only the stamp.
     pub conflicts: usize,
     /// Intervals with missing rows, in time order.
     pub holes: Vec<Hole>,
-    /// Rows less than half a period after the previous row. They were late, not lost, and each replaces one
-    /// missing row.
+    /// Rows within half a period of the previous one: late, not lost; each replaces a missing row.
     pub bunched: usize,
-    /// Time spans of several rows at a notably lower rate.
+    /// Spans at a notably lower rate.
     pub lulls: Vec<Stretch>,
-    /// Rows missing from the sender's sequence numbers; `None` if these are absent or unusable.
+    /// Rows missing by sequence number; `None` if unusable.
     pub skipped: Option<usize>,
 }
 
@@ -75,14 +72,13 @@ pub struct Cadence {
 pub struct Rhythm {
     /// Index of the stream.
     pub stream: usize,
-    /// One entry for each part.
+    /// One entry per part.
     pub parts: Vec<Cadence>,
-    /// Start and end relative to the other streams; `None` if there is no other.
+    /// Extent relative to other streams; `None` without others.
     pub extent: Option<Extent>,
 }
 
 impl Rhythm {
-    /// Whether its topic also has the body's poses in other frames.
     fn has_relabelled(&self, streams: &[Stream]) -> bool {
         let own = &streams[self.stream];
         streams.iter().any(|other| is_relabelled(own, other, streams))
@@ -90,7 +86,6 @@ impl Rhythm {
 }
 
 impl Cadence {
-    /// Removes holes that are covered by rows of other streams, given their sorted stamps.
     fn fill_holes(&mut self, came: &[Stamp]) {
         self.holes.retain(|hole| {
             let Stretch { start, end, .. } = hole.stretch;
@@ -107,7 +102,6 @@ impl Cadence {
     }
 }
 
-/// Computes the regularity of every stream with a role.
 pub(super) fn rhythms(
     streams: &[Stream],
     timing: &Timing,
@@ -137,12 +131,12 @@ pub(super) fn rhythms(
             .filter(|part| part.wanted)
             .filter_map(|part| Bounds::of(part, timing.clocks.clock(index, part.piece)?))
             .reduce(Bounds::join);
-        // If several senders share a topic, the sequence numbers may count all their messages.
+        // If senders share a topic, sequence numbers may count all messages.
         let numbers = match parts.as_slice() {
             [only] if stream.role != Role::Tf => only.numbers(),
             _ => Vec::new(),
         };
-        // Transforms of one sender share the times of its messages.
+        // Transforms of one sender share its message times.
         let led_by = |at: usize| {
             let part: &Part<'_> = &parts[at];
             let clock = |part: &Part<'_>| timing.clocks.index(index, part.piece);
@@ -202,7 +196,6 @@ pub(super) fn rhythms(
     rhythms.into_iter().map(|(rhythm, _)| rhythm).collect()
 }
 
-/// Whether the regularity of a stream is computed.
 fn has_rhythm(stream: &Stream) -> bool {
     match stream.role {
         Role::Joints
@@ -217,7 +210,6 @@ fn has_rhythm(stream: &Stream) -> bool {
     }
 }
 
-/// Whether a stream is expected for the whole run.
 fn is_expected(stream: &Stream) -> bool {
     matches!(stream.role, Role::Joints | Role::Pose | Role::Candidate { .. } | Role::Tf | Role::Imu)
 }
@@ -231,13 +223,13 @@ fn is_relabelled(stream: &Stream, other: &Stream, streams: &[Stream]) -> bool {
         && !streams.iter().any(|tf| tf.role == Role::Tf && tf.topic == stream.topic)
 }
 
-/// Whether a stream is a transform that is handled with its TF topic.
+/// Whether a stream is a transform handled with its TF topic.
 fn is_within_tf(stream: &Stream, streams: &[Stream]) -> bool {
     !matches!(stream.role, Role::Tf | Role::Pose | Role::Candidate { .. })
         && streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
 }
 
-/// Whether a transform of TF topic `stream` is also listed as a measured pose.
+/// Whether a transform of the TF topic is also a measured pose.
 fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) -> bool {
     streams.iter().any(|other| {
         matches!(other.role, Role::Pose | Role::Candidate { .. })
@@ -247,7 +239,6 @@ fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) ->
 }
 
 impl Part<'_> {
-    /// Regularity computed from the times alone.
     fn paced(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
         let mut cadence = Cadence {
             rows: self.rows.len(),
@@ -286,7 +277,6 @@ impl Part<'_> {
         cadence
     }
 
-    /// Complete regularity, given the part computed from equal times.
     fn cadence(&self, paced: &Cadence) -> Cadence {
         let (repeats, conflicts) = if paced.stamped { self.repeated() } else { (0, 0) };
         Cadence {
@@ -298,19 +288,17 @@ impl Part<'_> {
         }
     }
 
-    /// Rows with a header stamp, in receive order.
     fn stamped(&self) -> impl Iterator<Item = (usize, i64)> {
         let rows = self.rows.iter().map(|row| (row, self.times.header[row]));
         rows.filter(|(_, stamp)| *stamp != 0)
     }
 
-    /// Sequence numbers of the rows, in receive order; empty if they are missing.
+    /// Sequence numbers in receive order; empty if missing.
     fn numbers(&self) -> Vec<u32> {
         let numbers = &self.times.sequence;
         self.rows.iter().map_while(|row| numbers.get(row).copied()).collect()
     }
 
-    /// Decreases of the stamp: the previous stamp, and the decrease, s.
     fn steps_back(&self, offset_nanos: i64) -> Vec<(Stamp, f64)> {
         let mut steps = Vec::new();
         let mut before: Option<i64> = None;
@@ -324,7 +312,7 @@ impl Part<'_> {
         steps
     }
 
-    /// Counts rows that repeat an earlier stamp, with the same and with different content.
+    /// Rows that repeat a stamp, with the same and with different content.
     fn repeated(&self) -> (usize, usize) {
         if self.stamped().is_sorted_by(|a, b| a.1 < b.1) {
             return (0, 0);

@@ -1,4 +1,4 @@
-//! Detects whether the arm moved in a time span.
+//! Detects whether the arm moved in a span.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -7,16 +7,13 @@ use crate::run::arm::Arm;
 use crate::run::joints::{JointTopic, Samples};
 use crate::time::Stamp;
 
-/// Positions of the joints over time.
 pub(super) struct Motion<'a> {
     pub joints: Vec<Positions<'a>>,
 }
 
-/// Stamps and positions of one joint.
 pub(super) type Positions<'a> = (Arc<[Stamp]>, Cow<'a, [f64]>);
 
 impl<'a> Motion<'a> {
-    /// Uses the joints of the arms, or all joints if there is no arm.
     pub(super) fn of(topics: &[JointTopic<'a>], arms: &[Arm]) -> Self {
         let of_an_arm = |name: &str| {
             arms.is_empty()
@@ -38,10 +35,9 @@ impl<'a> Motion<'a> {
         Self { joints }
     }
 
-    /// Whether a joint moved between two times; `None` if the joint states cover less than half of the
-    /// span.
+    /// Whether a joint moved between two times; `None` if joint states cover less than half of the span.
     pub(super) fn moves(&self, start: Stamp, end: Stamp) -> Option<bool> {
-        /// Minimum joint motion, rad or m: above noise, and below the motion of a working arm in 0.1 s.
+        /// Minimum joint motion, rad or m: above noise, below 0.1 s of a working arm.
         const MOVES: f64 = 5e-3;
         let mut covered = false;
         for (stamps, position) in &self.joints {

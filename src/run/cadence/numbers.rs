@@ -1,38 +1,34 @@
-//! Counts missing rows from the sequence numbers of senders.
+//! Counts missing rows by sequence number.
 //!
-//! ROS 1 numbers the messages of each publisher in the header; MCAP stores a number with each message. It
-//! is unknown who assigned them: a recorder that counts written messages skips none, and one that counts
-//! all topics together skips many. So a skipped number counts as a missing row only if topics are numbered
-//! separately, and complete numbers prove nothing.
+//! ROS 1 numbers each publisher's messages; MCAP numbers messages as recorded, perhaps all topics together.
+//! So gaps count only if topics are numbered separately, and complete numbers prove nothing.
 
-/// Minimum count of sequence numbers.
 const ENOUGH: usize = 20;
-/// Minimum share of steps of one if the numbers count the stream's messages.
+/// Minimum share of steps of one, if the numbers count messages.
 const USUAL: f64 = 0.6;
 
-/// Number of rows missing from stream `index` by its sequence numbers; `None` if they are unusable.
-/// `counted` holds the numbers of all streams in receive order.
+/// Rows missing from stream `index`; `None` if its numbers are unusable. `counted` has all streams' numbers
+/// in receive order.
 pub(super) fn skipped(counted: &[Vec<u32>], index: usize) -> Option<usize> {
     let own = counted.get(index).filter(|own| is_counted(own))?;
     let others = counted.iter().enumerate().filter(|(other, _)| *other != index);
     let mut others = others.map(|(_, other)| other).filter(|other| is_counted(other)).peekable();
-    // Two topics with a shared counter make its numbers useless for both.
+    // A counter shared by two topics is useless for both.
     others.peek()?;
     others.all(|other| are_apart(own, other)).then_some(())?;
     let steps = || own.windows(2).map(|pair| (pair[1] - pair[0]) as usize);
     let by_one = steps().filter(|step| *step == 1).count();
     let skipped: usize = steps().map(|step| step - 1).sum();
-    // If more are skipped than received, the sender restarted its counter.
+    // With more skipped than received, the sender restarted its counter.
     (by_one as f64 > USUAL * own.len() as f64 && skipped < own.len()).then_some(skipped)
 }
 
-/// Whether the numbers increase from message to message.
 fn is_counted(numbers: &[u32]) -> bool {
     numbers.len() >= ENOUGH && numbers.windows(2).all(|pair| pair[0] < pair[1])
 }
 
-/// Whether two streams with increasing numbers have separate counters. A shared counter gives neither equal
-/// numbers nor disjoint ranges.
+/// Whether two streams have separate counters. A shared one gives neither equal numbers nor disjoint
+/// ranges.
 fn are_apart(a: &[u32], b: &[u32]) -> bool {
     let (Some((a_first, a_last)), Some((b_first, b_last))) =
         (a.first().zip(a.last()), b.first().zip(b.last()))

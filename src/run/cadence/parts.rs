@@ -1,4 +1,4 @@
-//! Splits a stream into parts with separate rhythms: senders and transforms.
+//! Splits a stream into senders and transforms.
 
 use std::collections::HashSet;
 
@@ -7,32 +7,30 @@ use crate::run::role::is_sight;
 use crate::run::tf_tree::without_slash;
 use crate::stream::{Columns, JointColumns, PoseColumns, Times};
 
-/// Rows of a stream from one sender.
 pub(super) struct Part<'a> {
-    /// Index of the part of the stream's columns.
+    /// Index of the stream's part.
     pub piece: usize,
     pub frame: Option<&'a str>,
     pub wanted: bool,
     pub times: &'a Times,
-    /// Rows, in receive order.
+    /// Rows in receive order.
     pub rows: Order,
     pub columns: Piece<'a>,
 }
 
-/// An ordered selection of rows.
 pub(super) struct Order {
     count: usize,
-    /// `None` for all rows in log order, which is usually the receive order.
+    /// `None` for all rows in log order, usually the receive order.
     rows: Option<Vec<usize>>,
 }
 
 impl Part<'_> {
-    /// Whether its rows have the same times as another part's.
+    /// Whether both parts have the same times.
     pub fn has_times_of(&self, other: &Self) -> bool {
         self.rows.rows == other.rows.rows && self.times == other.times
     }
 
-    /// Splits the part by publisher, given the rows of the second.
+    /// Splits by publisher, given the rows of the second.
     pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
         let (of_second, of_first): (Vec<usize>, Vec<usize>) =
             self.rows.iter().partition(|row| second.contains(row));
@@ -46,7 +44,6 @@ impl Part<'_> {
 }
 
 impl Order {
-    /// All rows, in receive order.
     fn of_all(times: &Times) -> Self {
         let count = times.len();
         match times.log.is_sorted() {
@@ -70,7 +67,6 @@ impl Order {
     }
 }
 
-/// Content of a part's rows.
 #[derive(Clone)]
 pub(super) enum Piece<'a> {
     Joints(&'a JointColumns),
@@ -98,7 +94,6 @@ impl Piece<'_> {
     }
 }
 
-/// Splits the columns of a stream into parts.
 pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
     let whole = |piece: usize, times: &'a Times, columns: Piece<'a>| Part {
         piece,
@@ -143,7 +138,7 @@ pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
     }
 }
 
-/// Whether a transform is between links of an arm. Without an arm, whether it is not a camera detection.
+/// Whether a transform is between the arm's links; without an arm, whether it is no camera detection.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
         (without_slash(&transform.frame_id), without_slash(&transform.child_frame_id));
@@ -153,12 +148,11 @@ fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     arms.iter().any(|arm| arm.joints_between(parent, child).is_some())
 }
 
-/// Whether every message contains every joint.
 fn is_complete(joints: &JointColumns) -> bool {
     joints.joints.iter().all(|joint| joint.position.iter().all(|q| !q.is_nan()))
 }
 
-/// Groups the rows of joint states by sender: joints that ever share a message have the same sender.
+/// Groups rows by sender: joints that ever share a message have the same one.
 pub(super) fn senders(joints: &JointColumns) -> Vec<Vec<usize>> {
     let in_row = |row: usize| {
         let joints = joints.joints.iter().enumerate();

@@ -1,5 +1,3 @@
-//! Streams with one modification each.
-
 use super::parts::senders;
 use super::*;
 use crate::run::Epoch;
@@ -7,8 +5,7 @@ use crate::stream::{Columns, JointColumn, JointColumns, PoseColumns};
 
 const MS: i64 = 1_000_000;
 
-/// A stream at 100 Hz for 10 s, received 1 ms after its stamps. `edit` returns stamp and receive time of a
-/// row, ms.
+/// 100 Hz for 10 s, received 1 ms after the stamps. `edit` returns a row's stamp and receive time, ms.
 fn poses(edit: impl Fn(i64) -> Option<(i64, i64)>) -> Columns {
     let mut poses = PoseColumns::default();
     for row in 0..1000 {
@@ -24,7 +21,7 @@ fn on_time(row: i64) -> (i64, i64) {
     (10 * row, 10 * row + 1)
 }
 
-/// Cadence of the first part, with a joint that moves in the first 5 s.
+/// Cadence of the first part, with a joint that moves for 5 s.
 fn cadence(columns: &Columns) -> Cadence {
     let clock = StreamClock {
         stream: 0,
@@ -105,7 +102,7 @@ fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
 
 #[test]
 fn a_loop_that_waits_between_its_rows_loses_none() {
-    // Waits of 8 to 20 ms, most of them 10 ms.
+    // Waits of 8 to 20 ms, mostly 10 ms.
     let waits = |row: i64| match (row * 7919) % 20 {
         0..14 => 10,
         14..17 => 13,
@@ -127,7 +124,7 @@ fn a_lower_rate_over_seconds_is_a_lull() {
     let found = cadence(&poses(slow));
     let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
     assert!((stretch.rate_hz - 25.0).abs() < 1.0 && stretch.seconds() > 3.5, "{stretch:?}");
-    // At this rate every interval is long on its own.
+    // Here every interval is long on its own.
     let crawls = |row: i64| (row < 700 || row % 20 == 0).then(|| on_time(row));
     let found = cadence(&poses(crawls));
     let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };

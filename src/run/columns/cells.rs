@@ -1,4 +1,4 @@
-//! The unidentified numbers of a table, together with those identified by name, as one [`NumericTable`].
+//! Unidentified and identified numbers of a table, as one [`NumericTable`].
 
 use std::collections::HashMap;
 
@@ -9,41 +9,37 @@ use crate::run::role::{Role, beside_arm, plain_role};
 use crate::stream::{Columns, Times};
 use crate::time::NANOS_PER_SECOND;
 
-/// What a number's name identifies it as.
+/// Meaning of a number by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Known {
-    /// Not identified by name.
+    /// Not identified.
     Open,
-    /// A measured joint position.
+    /// Measured joint position.
     Joint,
-    /// A coordinate of the measured tool position.
+    /// Coordinate of the measured tool position.
     Position,
 }
 
-/// One column of numbers in a table.
 pub(super) struct Number {
-    /// Index of its topic, and its index within a row of that topic.
+    /// Topic index, and index within its row.
     pub at: (usize, usize),
     pub cell: TableCell,
     pub known: Known,
 }
 
-/// All columns that may describe the arm, with their values.
 pub(super) struct Cells {
-    /// Maps a number's topic and index to its column in `sheet`.
+    /// Topic and index of a number, to its column in `sheet`.
     places: HashMap<(usize, usize), usize>,
     pub numbers: Vec<Number>,
     pub sheet: NumericTable,
 }
 
-/// Whether the numbers of a topic are unidentified.
 pub(super) fn is_open(topic: &Topic) -> bool {
     topic.encoding == TABLE
         && matches!(&topic.columns, Some(Columns::Array(array)) if array.unnamed)
 }
 
-/// What the name of a topic identifies its numbers as. `None` if an audit does not use them as
-/// measurements.
+/// Meaning of a topic's numbers by name. `None` if they are no measurements.
 fn known(topic: &Topic) -> Option<Known> {
     if topic.encoding != TABLE || topic.columns.as_ref().is_none_or(|it| it.times().is_empty()) {
         return None;
@@ -62,7 +58,7 @@ fn known(topic: &Topic) -> Option<Known> {
 }
 
 impl Cells {
-    /// The columns of the table with the most rows. `None` if no topic is unidentified.
+    /// Columns of the table with the most rows. `None` if all topics are identified.
     pub fn of(topics: &[Topic]) -> Option<Self> {
         let times = topics.iter().filter(|topic| is_open(topic)).filter_map(times_of);
         let rows = times.max_by_key(|times| times.len())?.log.clone();
@@ -76,7 +72,6 @@ impl Cells {
                 numbers.push((number, own.values(topic, part)));
             }
         }
-        // Single numbers come first, in the order of the table.
         numbers.sort_by_key(|(number, _)| number.cell.at);
         let home = |number: &Number| match topics[number.at.0].cells.len() {
             1 => 0,
@@ -89,30 +84,27 @@ impl Cells {
         Some(Self { numbers, places, sheet: whole(&rows, columns, homes) })
     }
 
-    /// Column of a number, given its topic and index.
+    /// Column of a number.
     pub fn place(&self, at: (usize, usize)) -> Option<usize> {
         self.places.get(&at).copied()
     }
 
-    /// Names of the columns.
     pub fn names(&self) -> Vec<String> {
         self.numbers.iter().map(|number| number.cell.name.clone()).collect()
     }
 
-    /// Whether names do not identify both the joints and the tool position.
+    /// Whether names leave joints or tool position open.
     pub fn is_asked(&self) -> bool {
         let are_known = |known| self.numbers.iter().any(|number| number.known == known);
         !(are_known(Known::Joint) && are_known(Known::Position))
     }
 
-    /// Columns of one kind.
     pub fn of_kind(&self, known: Known) -> Vec<usize> {
         (0..self.numbers.len()).filter(|&at| self.numbers[at].known == known).collect()
     }
 }
 
-/// All numbers of some topics in one sheet, each multiplied by its factor, for the rows that all topics
-/// have. `None` if the topics are from different tables.
+/// The topics' numbers times their factors, for rows that all have. `None` if from different tables.
 pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
     let rows = times_of(topics.first()?.0)?.log.clone();
     let (mut columns, mut homes) = (Vec::new(), Vec::new());
@@ -128,7 +120,6 @@ pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
     Some(whole(&rows, columns, homes))
 }
 
-/// Keeps rows if every column is finite and time increases.
 fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> NumericTable {
     let mut whole: Vec<usize> = Vec::new();
     let mut last = i64::MIN;
@@ -151,12 +142,10 @@ fn times_of(topic: &Topic) -> Option<&Times> {
     topic.columns.as_ref()?.times().first().copied()
 }
 
-/// Row of a topic for each row of the table, if it has one.
 struct Rows(Vec<Option<usize>>);
 
 impl Rows {
-    /// `None` if the topic lacks more than 10 % of the rows: it is from another table, or is seldom a
-    /// number.
+    /// `None` if it lacks more than 10 % of the rows: another table, or seldom a number.
     fn of(topic: &Topic, rows: &[i64]) -> Option<Self> {
         const MOST: f64 = 0.9;
         let own = &times_of(topic)?.log;
@@ -171,7 +160,7 @@ impl Rows {
         (count as f64 >= MOST * rows.len() as f64).then_some(Self(found))
     }
 
-    /// Values of one number of a topic, one per table row; NaN if missing.
+    /// Values of one number per table row; NaN if missing.
     fn values(&self, topic: &Topic, part: usize) -> Vec<f64> {
         let at = |row: usize| match &topic.columns {
             Some(Columns::Array(array)) => array.row(row)[part],
@@ -183,7 +172,7 @@ impl Rows {
     }
 }
 
-/// Formats columns as `[columns]` in the config names them; consecutive elements become a range.
+/// Formats columns for `[columns]` in the config, with ranges.
 pub fn selectors(cells: &[String]) -> Vec<String> {
     let split = |cell: &str| -> Option<(String, usize)> {
         let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;

@@ -1,7 +1,7 @@
 //! Joint commands in a table with named joints.
 //!
-//! Unnamed numbers are commands if they lead the joints. Named commands whose order contradicts their
-//! motion are excluded.
+//! Unnamed numbers are commands if they lead the joints. Named ones whose order contradicts their motion
+//! are excluded.
 
 use crate::diagnosis::{GroupShift, NumericTable};
 use crate::log::{Log, Note, Topic};
@@ -11,18 +11,17 @@ use crate::stream::{Columns, JointColumn, JointColumns};
 
 use super::cells::{is_open, side_by_side};
 
-/// Maximum number of joints of a topic; every pair is compared.
+/// Maximum number of joints, as every pair is compared.
 const MOST_JOINTS: usize = 16;
-/// Minimum number of joints that move, and of joints whose names are swapped.
+/// Minimum number of moving joints, and of swapped ones.
 const MOVING: usize = 3;
 const SWAPPED: usize = 2;
-/// Maximum residual between two columns of one joint, as a share of its spread, and the factor by which
-/// columns of other joints must exceed it.
+/// Maximum residual of one joint's columns, as a share of its spread, and minimum ratio for other joints.
 const SAME: f64 = 0.1;
 const OTHER: f64 = 3.0;
 
-/// Turns unnamed command topics that match named joints into joint commands. Excludes commands whose names
-/// contradict their numbers, and reports them.
+/// Turns unnamed numbers that lead joints into commands. Excludes and reports commands with contradicting
+/// names.
 pub(super) fn settle(log: &mut Log) {
     let is_state = |topic: &&Topic| role(topic) == Some(Role::Joints);
     let states: Vec<usize> = places(&log.topics, is_state);
@@ -69,7 +68,6 @@ fn places(topics: &[Topic], is_it: impl Fn(&&Topic) -> bool) -> Vec<usize> {
     (0..topics.len()).filter(|&at| is_it(&&topics[at])).collect()
 }
 
-/// Role of a table's topic that holds named joints.
 fn role(topic: &Topic) -> Option<Role> {
     let columns = topic.columns.as_ref().filter(|_| topic.encoding == TABLE)?;
     matches!(columns, Columns::Joints(_))
@@ -77,11 +75,10 @@ fn role(topic: &Topic) -> Option<Role> {
         .flatten()
 }
 
-/// Relation of a command topic to named joints.
 enum Way {
-    /// They are commands that lead the joints by this time, s.
+    /// They lead the joints by this time, s.
     Commands(f64),
-    /// Their names are swapped: pairs of the name and the joint that it moves like.
+    /// Swapped names: name, and joint that it moves like.
     Swapped(Vec<(String, String)>),
 }
 
@@ -134,7 +131,7 @@ impl Way {
     }
 }
 
-/// Pairs of joints whose commands move like another joint's. `None` unless they form a unique permutation.
+/// Pairs of joints with swapped commands. `None` unless they form a unique permutation.
 fn swapped(
     arms: &[usize],
     own: &[Option<GroupShift>],
@@ -155,7 +152,6 @@ fn swapped(
         if best.residual > SAME || best.delay_s > sheet.step_s() || !is_only {
             return None;
         }
-        // The column named `other` moves like `joint`.
         pairs.push((other, joint));
     }
     let mut whose: Vec<usize> = pairs.iter().map(|(own, _)| *own).collect();
@@ -165,7 +161,6 @@ fn swapped(
     (pairs.len() >= SWAPPED && whose == moved).then_some(pairs)
 }
 
-/// Converts unnamed numbers to positions of the given joints, in the same unit.
 fn commanded(numbers: Columns, joints: &JointColumns) -> Columns {
     let Columns::Array(array) = numbers else { return numbers };
     let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };

@@ -5,8 +5,8 @@ use crate::log::{Log, Note};
 use crate::run::by_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumns};
 
-/// Finds topics named as joint positions that contain a unit quaternion in every row, as a pose does. Turns
-/// them into unnamed numbers and reports the contradiction.
+/// Finds joint topics that hold a unit quaternion in every row, as a pose does. Makes them unnamed numbers
+/// and reports the contradiction.
 pub(super) fn find(log: &mut Log) {
     let Some(file) = log.files.first().map(|file| file.path.clone()) else { return };
     let mut found = Vec::new();
@@ -28,7 +28,6 @@ pub(super) fn find(log: &mut Log) {
     }
 }
 
-/// Index of the quaternion in a pose that is named as joints.
 fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     let count = joints.joints.len();
     if count < 7 || joints.converted_from_degrees {

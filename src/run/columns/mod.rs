@@ -1,8 +1,7 @@
-//! Identifies table columns by their numbers if their names do not identify them.
+//! Identifies table columns by their numbers if names do not.
 //!
-//! Searches for the joints of an arm and the tool pose, which FK relates, and for commands, which lead
-//! them. If several mappings fit equally well, the result is a question with the config lines that answer
-//! it.
+//! Searches for joints and the tool pose, which FK relates, and for commands, which lead them. If several
+//! mappings fit, asks a question with the config lines that answer it.
 
 mod cells;
 mod commands;
@@ -24,29 +23,25 @@ use cells::{Cells, Known, is_open};
 use roles::Taken;
 pub use shared::{Shared, SharedColumns, SharedRow};
 
-/// An arm that the table may belong to.
 struct Candidate {
     name: String,
     chain: Chain,
 }
 
-/// Column mappings identified from the numbers.
 #[derive(Default)]
 struct Told {
     arms: Vec<Taken>,
-    /// Remaining ambiguity, and the config lines that resolve it.
     question: Option<String>,
 }
 
-/// Minimum difference in score to prefer a mapping: a likelihood ratio of e¹⁰.
+/// Minimum score difference between mappings: a likelihood ratio of e¹⁰.
 const APART: f64 = 20.0;
-/// Maximum number of arms in one table.
 const MOST_ARMS: usize = 2;
-/// Minimum spread of the tool position to identify columns, m.
+/// Minimum spread of the tool position, m.
 const MOVES_M: f64 = 0.02;
 
-/// Identifies unnamed table columns as joints, poses and commands, and rewrites their topics. Returns the
-/// mapping for other logs of the same dataset.
+/// Identifies unnamed columns as joints, poses and commands, and rewrites their topics. Returns the mapping
+/// for other logs of the dataset.
 pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::find(log);
     commands::settle(log);
@@ -73,7 +68,6 @@ pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedCol
     Some(SharedColumns::of(names, told))
 }
 
-/// The columns of one table, and the arms that it may belong to.
 struct Search<'a> {
     cells: &'a Cells,
     arms: Vec<Candidate>,
@@ -130,11 +124,11 @@ impl<'a> Search<'a> {
             };
             let mut mappings = self.cells.sheet.mappings(&wanted);
             mappings.retain(|mapping| self.takes_whole_arrays(mapping));
-            // A second arm must use the same unit, and the base frame if the first does.
+            // A second arm uses the same unit, and the base frame if the first does.
             if let Some(first) = told.arms.first().map(|arm| &arm.mapping) {
                 mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
             }
-            // With a free frame and a free tool, other columns may fit as well by chance.
+            // With a free frame and tool, other columns may fit by chance.
             let at_base: Vec<Vec<usize>> =
                 mappings.iter().filter(|it| it.is_at_base).map(|it| it.joints.clone()).collect();
             if !at_base.is_empty() {
@@ -144,7 +138,7 @@ impl<'a> Search<'a> {
             else {
                 break;
             };
-            // If several points on the tool fit, prefer the one nearest to the tip.
+            // Of several points on the tool, prefer the one nearest to the tip.
             const NEARER_M: f64 = 0.01;
             let is_point = |other: &&ColumnMapping| {
                 other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m
@@ -177,8 +171,8 @@ impl<'a> Search<'a> {
         told
     }
 
-    /// Rejects mappings that use only part of an array such as `position0` … `position6`. Accepts the whole
-    /// array, all but a gripper, one of two arms, or an array that also contains the whole position.
+    /// Whether a mapping uses whole arrays, not part of one such as `position0` … `position6`. It may omit
+    /// a gripper or one of two arms, or use an array that has the whole position.
     fn takes_whole_arrays(&self, mapping: &ColumnMapping) -> bool {
         let stem = |at: usize| -> &str {
             let name = self.cells.numbers[at].cell.name.as_str();
@@ -196,7 +190,6 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Columns of the joints identified by name, in the order of each arm. `None` if there are none.
     fn known_joints(&self, log: &Log) -> Option<Vec<Vec<usize>>> {
         let known = self.cells.of_kind(Known::Joint);
         let first = self.cells.numbers.get(*known.first()?)?.at.0;
@@ -219,8 +212,8 @@ impl<'a> Search<'a> {
         Some(self.arms.iter().map(of_arm).collect())
     }
 
-    /// Whether two mappings exclude each other: they share columns, and differ in more than the tool point
-    /// or commanded versus measured joints.
+    /// Whether mappings share columns, and differ in more than the tool point or commanded versus measured
+    /// joints.
     fn conflict(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
         let share = |a: &[usize], b: &[usize]| a.iter().any(|at| b.contains(at));
         let is_one_arm = one.joints == other.joints || self.are_commands(one, other);
@@ -230,7 +223,7 @@ impl<'a> Search<'a> {
             && !(is_one_arm && (is_one_point || !share(&one.position, &other.position)))
     }
 
-    /// Whether the joints of one mapping are a delayed copy of the other's.
+    /// Whether one mapping's joints are a delayed copy of the other's.
     fn are_commands(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
         let apart = one.joints.iter().all(|at| !other.joints.contains(at));
         apart
@@ -245,7 +238,6 @@ impl<'a> Search<'a> {
         selectors(&names)
     }
 
-    /// Short label of columns in a message.
     fn said(&self, columns: &[usize]) -> String {
         match self.names(columns).as_slice() {
             [only] => only.clone(),
@@ -254,7 +246,6 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Formats a line of `[columns]`.
     fn line(&self, key: &str, columns: &[usize]) -> String {
         let quoted: Vec<String> =
             self.names(columns).iter().map(|name| format!("\"{name}\"")).collect();
@@ -270,7 +261,6 @@ impl<'a> Search<'a> {
         format!("{joints}; {pose}")
     }
 
-    /// Question that asks which of two mappings is right.
     fn either(&self, best: &ColumnMapping, rival: &ColumnMapping) -> String {
         let way = |it: &ColumnMapping| {
             format!(
@@ -285,10 +275,8 @@ impl<'a> Search<'a> {
         format!("ambiguous columns: {}, or {}", way(best), way(rival))
     }
 
-    /// Question that asks which numbers are the joints if no position identifies them.
-    ///
-    /// Suggests arrays with as many numbers as one or two arms have joints, with or without grippers. Skips
-    /// commands.
+    /// Asks which numbers are the joints if no position identifies them. Suggests arrays as wide as one or
+    /// two arms, with or without grippers, but no commands.
     fn by_width(&self, log: &Log) -> Option<String> {
         let sheet = &self.cells.sheet;
         let chains = self.chains();

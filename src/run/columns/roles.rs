@@ -1,4 +1,4 @@
-//! Separates measured columns from commands and copies, and adds rotation and velocity columns.
+//! Separates measurements from commands and copies; adds rotation and velocity.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,12 +9,9 @@ use crate::finding::Unit;
 
 use super::Search;
 
-/// Columns of one arm, and how they were identified.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Taken {
-    /// Name of the arm.
     pub arm: String,
-    /// Columns of its joints and of the tool position.
     pub mapping: ColumnMapping,
     pub joints_why: String,
     /// Position, then rotation.
@@ -27,17 +24,15 @@ pub(super) struct Taken {
     pub velocities: Option<Vec<usize>>,
     pub joint_commands: Option<(Vec<usize>, String)>,
     pub pose_commands: Option<(Vec<usize>, String)>,
-    /// Copies, and positions of other points on the tool, each with the reason.
     pub others: Vec<(Vec<usize>, String)>,
 }
 
 impl Taken {
-    /// Whether all its columns are among the first `count`.
+    /// Whether all columns are among the first `count`.
     pub fn is_within(&self, count: usize) -> bool {
         self.all().iter().chain(&self.mapping.position).all(|&at| at < count)
     }
 
-    /// All its columns.
     pub fn all(&self) -> Vec<usize> {
         let commands = [&self.joint_commands, &self.pose_commands].into_iter().flatten();
         let further = commands.chain(&self.others).flat_map(|(columns, _)| columns.iter().copied());
@@ -46,13 +41,13 @@ impl Taken {
     }
 }
 
-/// Columns that match others after a time shift.
+/// Columns that match after a time shift.
 struct Same {
     columns: Vec<usize>,
     shift: GroupShift,
 }
 
-/// A position that matches another after a time shift.
+/// A position that matches after a time shift.
 type Later = ([usize; 3], GroupShift);
 
 impl Same {
@@ -61,15 +56,15 @@ impl Same {
     }
 }
 
-/// Minimum lead of a command over a measurement, s, if poses distinguish them.
+/// Minimum lead of commands, s, if poses distinguish them.
 const LEADS_S: f64 = 0.02;
 
 impl Search<'_> {
-    /// Completes the mapping `best` with commands, velocities, rotation and copies. `rival` is the next
-    /// best mapping of the same columns.
+    /// Completes `best` with commands, velocities, rotation and copies. `rival` is the next best mapping of
+    /// the same columns.
     ///
     /// # Errors
-    /// A question if it cannot be determined which of several columns are measured.
+    /// A question if the measured columns cannot be determined.
     pub(super) fn taken(
         &self,
         best: &ColumnMapping,
@@ -96,7 +91,7 @@ impl Search<'_> {
         for copy in copies {
             others.push((copy.columns, format!("the same numbers as {}", name(&best.joints))));
         }
-        // The latest of the matching columns is the measurement.
+        // The latest matching column is the measurement.
         let still_s = LEADS_S.max(0.3 * sheet.step_s());
         let mut ends: Vec<(f64, Vec<usize>)> = family
             .into_iter()
@@ -221,8 +216,6 @@ impl Search<'_> {
         })
     }
 
-    /// Finds further positions: those that match the position of `mapping` after a time shift, and those of
-    /// other points on the same tool.
     fn further_positions(
         &self,
         (best, mapping): (&ColumnMapping, &ColumnMapping),
@@ -251,7 +244,6 @@ impl Search<'_> {
         (same, points)
     }
 
-    /// Refits the mapping with other joint columns for the same arm and position.
     fn refitted(
         &self,
         joints: &[usize],
@@ -273,7 +265,6 @@ impl Search<'_> {
         Some(ColumnMapping { arm: best.arm, ..found })
     }
 
-    /// Adds the rotation columns to a position, with the reason.
     fn with_rotation(
         &self,
         mapping: &ColumnMapping,
@@ -299,7 +290,7 @@ impl Search<'_> {
         let first = x as isize;
         let sixteen: [usize; 16] = std::array::from_fn(|at| at);
         if y == x + 4 || y == x + 1 {
-            // A matrix by rows or by columns, with or without its last row.
+            // A matrix by rows or columns, with or without its last row.
             let by_rows = y == x + 4;
             let from = if by_rows { first - 3 } else { first - 12 };
             let rotation = [0, 1, 2, 4, 5, 6, 8, 9, 10];
@@ -341,7 +332,6 @@ impl Search<'_> {
         (mapping.position.to_vec(), said.to_owned())
     }
 
-    /// Whether the last row of a 4×4 matrix is (0, 0, 0, 1).
     fn is_last_row(&self, all: &[usize], by_rows: bool) -> bool {
         let at = if by_rows { [12, 13, 14, 15] } else { [3, 7, 11, 15] };
         let wanted = [0.0, 0.0, 0.0, 1.0];

@@ -1,5 +1,4 @@
-//! Robot and column mapping shared by the logs of a dataset: determined on some logs, verified in the
-//! others.
+//! Robot and columns shared by a dataset: determined on some logs, verified in the others.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,14 +8,14 @@ use crate::robot::{Robot, catalogue};
 
 use super::{MOVES_M, Search, Taken, Told, selectors};
 
-/// Robot and column mapping shared by the logs of a dataset.
+/// Robot and columns shared by a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Shared {
     /// Names of the source logs.
     pub from: Vec<String>,
     /// Catalogue name of the arm.
     pub robot: Option<String>,
-    /// Column mapping, if names do not identify the columns.
+    /// Columns, if names do not identify them.
     pub columns: Option<SharedColumns>,
 }
 
@@ -25,25 +24,23 @@ pub struct Shared {
 pub struct SharedColumns {
     /// Name of the source log.
     pub from: String,
-    /// Names of all numbers in a row that were considered.
     numbers: Vec<String>,
     arms: Vec<Taken>,
     question: Option<String>,
 }
 
-/// One identified group of columns in a dataset.
+/// One identified group of columns.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SharedRow {
     /// What the columns are.
     pub is: String,
-    /// The columns, in the syntax of `[columns]`.
+    /// The columns, in `[columns]` syntax.
     pub columns: Vec<String>,
     /// How they were identified.
     pub why: String,
 }
 
 impl Shared {
-    /// The mapping, if it applies to a table with these numbers per row.
     pub(super) fn of(&self, numbers: &[String]) -> Option<&SharedColumns> {
         let are_within =
             |of: &SharedColumns| of.arms.iter().all(|arm| arm.is_within(numbers.len()));
@@ -61,7 +58,7 @@ impl SharedColumns {
         !self.arms.is_empty() && self.question.is_none()
     }
 
-    /// Whether two mappings use the same columns for the same purpose.
+    /// Whether both use the same columns for the same purpose.
     pub fn agrees(&self, other: &Self) -> bool {
         let of = |it: &Self| -> Vec<_> {
             let arm = |arm: &Taken| {
@@ -107,7 +104,6 @@ impl SharedColumns {
         arms.flat_map(of).collect()
     }
 
-    /// Catalogue robots of the mapping.
     pub(super) fn robots(&self) -> Vec<&'static Robot> {
         let mut robots: Vec<_> =
             self.arms.iter().filter_map(|arm| catalogue::find(&arm.arm)).collect();
@@ -117,8 +113,8 @@ impl SharedColumns {
 }
 
 impl Search<'_> {
-    /// Verifies the shared mapping in this log. If FK does not match, searches for the columns again and
-    /// reports a different result as a contradiction.
+    /// Verifies the shared mapping. If FK does not match, searches again and reports a different result as
+    /// a contradiction.
     pub(super) fn shared(&self, shared: &SharedColumns, log: &mut Log) -> Told {
         let from = &shared.from;
         let mut told = Told { arms: Vec::new(), question: shared.question.clone() };
@@ -173,7 +169,6 @@ impl Search<'_> {
         own
     }
 
-    /// Kinematic chain of an arm that was identified in another log.
     pub(super) fn chain_of(&self, arm: &Taken) -> Option<&crate::robot::Chain> {
         let dof = arm.mapping.joints.len();
         let is_it = |own: &&super::Candidate| own.name == arm.arm && own.chain.dof() == dof;

@@ -1,5 +1,4 @@
-//! Compares a table's commanded tool position with the measured one: delay, and offset at rest. Needs no
-//! arm.
+//! Compares commanded and measured tool positions of a table: delay, and offset at rest. Needs no arm.
 
 use crate::log::{Log, Note, Topic};
 use crate::run::by_order::TABLE;
@@ -8,13 +7,13 @@ use crate::stream::Columns;
 
 use super::cells::side_by_side;
 
-/// Number of position coordinates, which come first in a pose.
+/// Number of coordinates, first in a pose.
 const POSITION: usize = 3;
-/// Maximum residual of a coordinate that follows its command, as a share of its spread.
+/// Maximum residual of a followed coordinate, as a share of its spread.
 const SAME: f64 = 0.02;
 
-/// Adds a note with the delay and the rest offset of each coordinate that follows its command. Does nothing
-/// unless the table has exactly one measured and one commanded position.
+/// Notes delay and rest offset of each coordinate that follows its command, given exactly one measured and
+/// one commanded position.
 pub(super) fn compare(log: &mut Log) {
     let of = |is_command: bool| -> Option<&Topic> {
         let mut own = log.topics.iter().filter(|topic| {
@@ -48,7 +47,6 @@ pub(super) fn compare(log: &mut Log) {
     }
 }
 
-/// Whether a topic is named as a pose or a position.
 fn is_named_pose(topic: &Topic) -> bool {
     let is_pose = match &topic.columns {
         Some(Columns::Array(array)) => !array.unnamed && matches!(array.width, 6 | 7),

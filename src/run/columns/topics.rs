@@ -1,4 +1,4 @@
-//! Rewrites the topics of a table after its columns are identified.
+//! Rewrites table topics after identification.
 
 use crate::diagnosis::{ColumnContent, JointValueUnit};
 use crate::log::{Log, TableCell, Topic};
@@ -9,21 +9,20 @@ use super::cells::{is_open, selectors};
 use super::roles::Taken;
 use super::{Search, Told};
 
-/// Prefixes for two arms in a table that does not name them.
 const SIDES: [&str; 2] = ["first/", "second/"];
 
-/// Reasons for numbers that could not be identified.
+/// Reasons for unidentified numbers.
 const UNNAMED: &str = "its name does not identify it";
 const FOLLOWS_NONE: &str =
     "neither a joint nor part of the pose, and it matches none of their columns";
 const NOT_OF_ARM: &str = "neither joints nor a pose of the arm";
 
-/// Whether numbers excluded for this reason may still be anything, such as a rotation.
+/// Whether numbers with this reason may be anything, such as a rotation.
 fn is_open_conduct(said: &str) -> bool {
     [UNNAMED, FOLLOWS_NONE, NOT_OF_ARM].contains(&said)
 }
 
-/// Replaces unnamed numbers by the identified topics. The remaining numbers get a reason each.
+/// Replaces unnamed numbers by identified topics. The rest get a reason each.
 pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     let made: Vec<Topic> = told
         .arms
@@ -73,7 +72,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
             }
         }
         for (run, said) in runs {
-            // Numbers that copy other columns or never change are not a rotation.
+            // Copies and constants are not a rotation.
             let cell = |&part: &usize| TableCell {
                 is_unidentified: topic.cells[part].is_unidentified && is_open_conduct(&said),
                 ..topic.cells[part].clone()
@@ -94,7 +93,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     log.topics = topics;
 }
 
-/// Excludes single unidentified numbers if names already identify the joints and the pose.
+/// Excludes single unidentified numbers if names give joints and pose.
 pub(super) fn leave_singles(log: &mut Log) {
     for topic in log.topics.iter_mut().filter(|topic| is_open(topic) && topic.cells.len() == 1) {
         topic.columns = None;
@@ -102,7 +101,6 @@ pub(super) fn leave_singles(log: &mut Log) {
     }
 }
 
-/// A topic of the same table without its numbers.
 fn topic_like(topic: &Topic) -> Topic {
     Topic {
         name: topic.name.clone(),
@@ -167,7 +165,6 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     topics
 }
 
-/// Joins numbers of one table, for the rows that contain all of them.
 fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     let of = |&column: &usize| {
         let (topic, part) = search.cells.numbers[column].at;
@@ -198,7 +195,6 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     made
 }
 
-/// Converts rows of joint positions, optionally followed by velocities.
 fn joints(
     array: ArrayColumns,
     count: usize,
@@ -236,7 +232,6 @@ fn joints(
     })
 }
 
-/// Positions without orientations.
 fn positions(array: ArrayColumns) -> PoseColumns {
     PoseColumns {
         xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
@@ -248,7 +243,7 @@ fn positions(array: ArrayColumns) -> PoseColumns {
 }
 
 impl Search<'_> {
-    /// Describes how a number that is neither a joint nor part of the pose behaves.
+    /// How a number behaves that is neither joint nor pose.
     fn conduct(
         &self,
         number: (usize, usize),

@@ -1,4 +1,4 @@
-//! Builds the log of an arm stream by stream.
+//! Builds a log stream by stream.
 
 use super::*;
 
@@ -10,7 +10,6 @@ pub(super) const PERIOD: i64 = 8_000_000;
 
 pub(super) const TRANSPORT: i64 = 300_000;
 
-/// A log of a UR5e that moves all its joints.
 pub(super) struct Recording {
     pub(super) robot: Robot,
     pub(super) topics: Vec<(String, Columns)>,
@@ -91,7 +90,6 @@ impl Recording {
         move |nanos| chain.forward(&q_at(nanos))
     }
 
-    /// Adds the transforms of a robot_state_publisher; `prefix` is added to every frame.
     pub(super) fn add_tf(&mut self, prefix: &str, with_fixed: bool) {
         let (mut fixed, mut moving) = (Vec::new(), Vec::new());
         for joint in self.robot.joints() {
