@@ -1,9 +1,9 @@
 //! Worker processes, which isolate the caller from crashes and resource use of an audit.
 //!
-//! A worker is this program, started with the same options. It reads orders from stdin, one per line. On
-//! stdout it reports the start of each log, then the results of the order. It writes the rows itself,
-//! together for one order, and waits for the next order: process start, catalogue and dataset metadata cost
-//! as much as a short log. A worker exits when its stdin closes, so it does not outlive its caller.
+//! A worker is this program with the same options. It reads orders from stdin, one per line, and reports
+//! the start of each log and the results on stdout. It writes the rows itself and waits for the next order:
+//! process start, catalogue and dataset metadata cost as much as a short log. A worker exits when its stdin
+//! closes.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
@@ -25,64 +25,53 @@ use crate::boundary::delete_staged_files;
 /// Resource limits per log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Limits {
-    /// Time limit, if any.
+    /// Time limit.
     pub time: Option<Duration>,
-    /// Memory limit of a process in bytes, if any. Mapped pages of the log do not count. Enforced on Linux
-    /// only.
+    /// Memory limit of a process in bytes, without mapped pages. Linux only.
     pub memory_bytes: Option<u64>,
 }
 
-/// Order to a worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum Order {
-    /// Audit these logs.
     Audit(Vec<Job>),
-    /// Infer dataset-wide properties from the log at this path (in the system's byte encoding).
+    /// Infer dataset-wide properties from the log at this path, in the system's byte encoding.
     Learn(Vec<u8>),
 }
 
-/// One log to audit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// Path in the system's byte encoding.
+    /// In the system's byte encoding.
     pub path: Vec<u8>,
-    /// Key of its rows, with further metadata.
     pub task: Task,
     /// Common properties of its dataset.
     pub shared: Option<Shared>,
 }
 
-/// Message from a worker.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Told {
-    /// Starts the log at this index of the order.
+    /// Index of the log that starts.
     Begun(usize),
-    /// Results of the first logs of the order, with their rows stored.
+    /// Results of the first logs of the order; their rows are stored.
     Answers(Vec<Ended>),
-    /// Dataset-wide properties inferred from a log.
     Learnt(Option<Shared>),
     /// Why the rows could not be written.
     Fault(String),
 }
 
-/// Result of an audit, and why the log could not be audited, if so.
+/// Result, and why the log could not be audited, if so.
 pub type Ended = (Answer, Option<String>);
 
 /// How a process ended without an answer.
 #[derive(Debug)]
 pub enum Death {
-    /// Exceeded the time limit.
     TimedOut,
-    /// Exceeded the memory limit.
     OutOfMemory,
-    /// Crashed, with a description.
     Crashed(String),
-    /// Could not write its rows, or could not be started, with the reason. Not the fault of the log.
+    /// Could not write its rows or be started; not the fault of the log.
     Unable(String),
 }
 
-/// Process that waits for orders.
 pub struct Worker {
     child: Child,
     /// Closing it ends the process.
@@ -94,9 +83,6 @@ pub struct Worker {
 
 impl Worker {
     /// Starts `command`, which must call [`serve`].
-    ///
-    /// # Errors
-    /// If it cannot be started.
     pub fn start(mut command: Command, limits: &Limits) -> Result<Self, Death> {
         let unable = |error: io::Error| Death::Unable(format!("cannot start a process: {error}"));
         let errors = tempfile::tempfile().map_err(|error| {
@@ -115,7 +101,7 @@ impl Worker {
         let none = || unable(io::ErrorKind::BrokenPipe.into());
         let mut stdin = child.stdin.take().ok_or_else(none)?;
         let stdout = child.stdout.take().ok_or_else(none)?;
-        // If the process has already ended, its exit status shows why.
+        // If the process has ended, its exit status shows why.
         let _ = writeln!(stdin, "{}", limits.memory_bytes.unwrap_or_default());
         let (sender, lines) = channel();
         thread::spawn(move || {
@@ -125,7 +111,7 @@ impl Worker {
         Ok(Self { child, stdin, lines, errors, time: limits.time })
     }
 
-    /// Audits the first logs of `jobs`, at least one. Returns their results.
+    /// Audits the first logs of `jobs`, at least one.
     ///
     /// # Errors
     /// If the process ends without an answer: how, and at which log. No rows are stored.
@@ -136,10 +122,6 @@ impl Worker {
         }
     }
 
-    /// Dataset-wide properties inferred from the log at `path`.
-    ///
-    /// # Errors
-    /// If the process ends without an answer.
     pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<Shared>, Death> {
         match self.told(&Order::Learn(path)).map_err(|(_, death)| death)? {
             Told::Learnt(shared) => Ok(shared),
@@ -147,11 +129,11 @@ impl Worker {
         }
     }
 
-    /// Sends an order and returns the final message, or the log at which the process failed.
+    /// Returns the final message, or the log at which the process failed.
     fn told(&mut self, order: &Order) -> Result<Told, (usize, Death)> {
         let said_before = self.errors.metadata().map_or(0, |metadata| metadata.len());
         let mut at = 0;
-        // If the process has already ended, its exit status shows why.
+        // If the process has ended, its exit status shows why.
         let _ = writeln!(self.stdin, "{}", serde_json::to_string(order).unwrap_or_default());
         loop {
             let line = match self.time {
@@ -162,7 +144,7 @@ impl Worker {
                 Ok(Ok(Told::Begun(log))) => at = log,
                 Ok(Ok(Told::Fault(why))) => return Err((at, Death::Unable(why))),
                 Ok(Ok(told)) => return Ok(told),
-                // Ignore incomplete messages.
+                // Incomplete messages.
                 Ok(Err(_)) => {}
                 Err(RecvTimeoutError::Timeout) => {
                     let _ = self.child.kill();
@@ -178,17 +160,15 @@ impl Worker {
         }
     }
 
-    /// Kills a process that gave an unexpected answer.
     fn gone(&mut self) -> Death {
         let _ = self.child.kill();
         let _ = self.child.wait();
         Death::Crashed("unexpected answer to an order".to_owned())
     }
 
-    /// Output of the process on stderr, without the first `said_before` bytes.
+    /// Stderr without the first `said_before` bytes.
     fn words(&mut self, said_before: u64) -> String {
         let mut bytes = Vec::new();
-        // Unreadable output is ignored.
         let _ = self
             .errors
             .seek(SeekFrom::Start(said_before))
@@ -229,14 +209,14 @@ fn signal(_: ExitStatus) -> Option<i32> {
     None
 }
 
-/// Maximum duration of an order, so that an interrupted call loses little.
+/// Maximum duration of an order: an interrupted call loses little.
 const ORDER: Duration = Duration::from_secs(2);
 
-/// Main loop of a worker: reads orders from stdin, audits logs with `options`, writes their rows to `store`
-/// (and their pages, if `paged`), and reports the results on stdout.
+/// Main loop of a worker: audits logs with `options`, writes their rows to `store` (and pages, if `paged`),
+/// and reports the results on stdout.
 ///
 /// # Errors
-/// If the results cannot be written to stdout.
+/// If stdout cannot be written.
 pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     let mut lines = BufReader::new(io::stdin()).lines();
     let memory_bytes = lines.next().transpose()?.and_then(|line| line.parse().ok());
@@ -261,7 +241,7 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// Audits logs until the time is up and stores their rows. Returns the reason if the rows cannot be stored.
+/// Audits logs until the time is up. Returns why rows cannot be stored, if so.
 fn audited(
     jobs: &[Job],
     options: &Options,
@@ -297,7 +277,7 @@ fn tell(told: &Told) -> io::Result<()> {
     stdout.flush()
 }
 
-/// Limits the memory of this process. Pages of read-only mapped files do not count.
+/// Pages of read-only mapped files do not count.
 #[cfg(target_os = "linux")]
 #[allow(unsafe_code, reason = "sets a resource limit")]
 fn limit_memory(bytes: u64) -> io::Result<()> {

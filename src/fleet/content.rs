@@ -1,4 +1,4 @@
-//! Identifies a log by its content, independent of its location.
+//! Identifies a log by its content, not its location.
 
 use std::fs::{self, File};
 use std::io;
@@ -19,32 +19,27 @@ pub enum Identity {
     File,
 }
 
-/// Content identifier of a log, with the state of its files.
+/// Content identifier, with the state of the files.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Content {
-    /// Identifier: `blake3:`, `file:` or `object:`, followed by 64 digits.
+    /// `blake3:`, `file:` or `object:`, followed by 64 digits.
     pub id: String,
-    /// State of the files when they were read.
     pub stand: Stand,
 }
 
-/// State of a log's files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stand {
-    /// Total size.
     pub bytes: u64,
-    /// Latest modification time, ns since 1970.
+    /// Latest modification, ns since 1970.
     pub mtime_ns: i64,
 }
 
-/// Digits of a key: 128 bits.
+/// 128 bits.
 const KEY_DIGITS: usize = 32;
 
 impl Stand {
-    /// State of the log at `path`.
-    ///
     /// # Errors
-    /// If it does not exist, or contains something other than regular files.
+    /// If the log does not exist, or contains anything but regular files.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut stand = Self { bytes: 0, mtime_ns: 0 };
         for file in files(path)? {
@@ -60,7 +55,7 @@ impl Stand {
         Ok(stand)
     }
 
-    /// Hash of path and state. A stored content identifier is valid as long as this hash is unchanged.
+    /// Hash of path and state. While it is unchanged, a stored content identifier is valid.
     pub fn name(&self, path: &Path) -> String {
         let mut hasher = Hasher::new();
         for part in [
@@ -75,10 +70,8 @@ impl Stand {
 }
 
 impl Content {
-    /// Content of the log at `path` with state `stand`.
-    ///
     /// # Errors
-    /// If it cannot be read.
+    /// If the log cannot be read.
     pub fn of(path: &Path, stand: Stand, identity: Identity) -> io::Result<Self> {
         // Hashing a file once per episode would be too slow.
         let id = match (identity, split_episode(path)) {
@@ -90,7 +83,7 @@ impl Content {
 }
 
 impl From<&RemoteObject> for Content {
-    /// Content of an object, from its URL, size and version, without downloading it.
+    /// From URL, size and version, without a download.
     fn from(object: &RemoteObject) -> Self {
         let mut hasher = Hasher::new();
         for part in [&object.url, &object.bytes.to_string(), &object.version] {
@@ -101,7 +94,7 @@ impl From<&RemoteObject> for Content {
     }
 }
 
-/// Key of a log's rows: `content` audited by this `version` with the settings of this hash.
+/// Key of the rows of `content`, audited by this `version` with these settings.
 pub fn key_of(content: &str, version: &str, settings: &str) -> String {
     let mut hasher = Hasher::new();
     for part in [content, version, settings] {
@@ -110,12 +103,12 @@ pub fn key_of(content: &str, version: &str, settings: &str) -> String {
     hasher.finalize().to_hex()[..KEY_DIGITS].to_owned()
 }
 
-/// Hashes a part together with its length, to avoid collisions between different splits.
+/// The length separates different splits.
 fn part_of(hasher: &mut Hasher, part: &[u8]) {
     hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
 }
 
-/// Hash of a file's bytes, or of the names and contents of a folder's files.
+/// Of a file's bytes, or of the names and contents of a folder's files.
 fn hash(path: &Path) -> io::Result<String> {
     let mut hasher = Hasher::new();
     if !path.is_dir() {
@@ -130,7 +123,7 @@ fn hash(path: &Path) -> io::Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Files of a log, sorted by path.
+/// Sorted by path.
 fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
     let (path, _) = &split_episode(path);
     if !path.is_dir() {

@@ -1,4 +1,4 @@
-//! Properties that the logs of one dataset share, determined from a few of them before the audits.
+//! Properties that the logs of one dataset share, determined from a few of them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,12 +15,12 @@ use crate::run::{Run, identify_columns};
 /// Indices of the logs of each dataset.
 pub type Groups = BTreeMap<PathBuf, Vec<usize>>;
 
-/// Minimum number of logs; smaller datasets are not sampled.
+/// Smaller datasets are not sampled.
 const FEW: usize = 4;
-/// Number of logs sampled. If none is conclusive, up to twice as many.
+/// Logs sampled; up to twice as many if none is conclusive.
 pub const ASKED: usize = 3;
 
-/// Datasets among the logs: LeRobot folders, files with many episodes, and tables in one folder.
+/// LeRobot folders, files with many episodes, and tables in one folder.
 pub fn groups(sources: &[Source]) -> Groups {
     let mut groups = Groups::new();
     for (at, source) in sources.iter().enumerate() {
@@ -30,7 +30,7 @@ pub fn groups(sources: &[Source]) -> Groups {
     groups
 }
 
-/// Dataset of a log; empty if it belongs to none.
+/// Empty if the log belongs to no dataset.
 pub fn group_of(path: &Path) -> PathBuf {
     if is_url(path) {
         return PathBuf::new();
@@ -44,7 +44,7 @@ pub fn group_of(path: &Path) -> PathBuf {
     }
 }
 
-/// Sample of the logs, spread over all, in the order of inspection.
+/// Sample spread over all logs, in the order of inspection.
 pub fn asked(members: &[usize]) -> Vec<usize> {
     let at = |share: f64| members[((members.len() - 1) as f64 * share) as usize];
     let mut asked: Vec<usize> = Vec::new();
@@ -56,7 +56,6 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
     asked
 }
 
-/// Dataset-wide properties inferred from one log.
 pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
     let from = SourceName::from_path(path).to_string();
@@ -78,8 +77,7 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     catch_panic(learn).ok()?.ok()
 }
 
-/// Combines the results of several logs: the arm if all agree, and the columns if all conclusive ones
-/// agree.
+/// The arm if all agree, and the columns if all conclusive logs agree.
 pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     let first = told.first()?;
     // Tables in one folder may belong to several arms.
@@ -101,7 +99,7 @@ pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     Some(Shared { from, robot, columns }).filter(|it| it.robot.is_some() || it.columns.is_some())
 }
 
-/// Whether the columns are still undetermined and another log may help.
+/// Whether the columns are undetermined and another log may help.
 pub fn is_open(told: &[Shared]) -> bool {
     let is_told = |it: &Shared| it.columns.as_ref().is_some_and(|columns| columns.is_told());
     told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)

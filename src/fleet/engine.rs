@@ -22,36 +22,36 @@ use super::task::{Answer, Task};
 use crate::log::{SourceName, is_url, list};
 use crate::report::{Trouble, TroubleKind};
 
-/// Intervals, in logs and in time, at which content hashes are saved.
+/// When content hashes are saved, in logs and in time.
 const NOTED_AFTER: usize = 100;
 const NOTED_EVERY: Duration = Duration::from_secs(10);
 
-/// Number of logs after which small table parts are merged.
+/// Logs after which small table parts are merged.
 const MERGED_AFTER: usize = 100;
 
 /// Parameters of one call.
 pub struct Call<'a> {
-    /// Logs to audit.
+    /// Logs.
     pub sources: Vec<Source>,
     /// Destination of the results.
     pub store: &'a Store,
-    /// Audit settings.
+    /// Settings.
     pub settings: &'a AuditSettings,
-    /// How the content of a log is identified.
+    /// How a log's content is identified.
     pub identity: Identity,
     /// Labels of all logs, …
     pub labels: Labels,
     /// … and labels derived from their paths.
     pub template: Option<Template>,
-    /// Number of parallel jobs.
+    /// Parallel jobs.
     pub jobs: usize,
     /// Limits per log.
     pub limits: Limits,
-    /// Whether to retry logs that exceeded a limit or crashed.
+    /// Retry logs that exceeded a limit or crashed.
     pub retry: bool,
-    /// Command that starts a worker process: see [`super::serve`].
+    /// Starts a worker process: see [`super::serve`].
     pub worker: &'a (dyn Fn() -> io::Result<Command> + Sync),
-    /// Progress callback, called after each log.
+    /// Called after each log.
     pub progress: &'a (dyn Fn(Course) + Sync),
 }
 
@@ -99,7 +99,7 @@ pub fn run(call: &Call<'_>) -> Result<Outcomes, Trouble> {
     Ok(book.outcomes)
 }
 
-/// Content of the object at `url`, from its listing.
+/// Content according to the listing.
 fn object(url: &Path) -> io::Result<Content> {
     let found = list(url).map_err(io::Error::other)?;
     let object = found.iter().find(|object| Path::new(&object.url) == url);
@@ -108,11 +108,11 @@ fn object(url: &Path) -> io::Result<Content> {
 
 struct Engine<'a> {
     call: &'a Call<'a>,
-    /// Results of earlier calls, by key.
+    /// By key.
     done: HashMap<String, Answer>,
-    /// Known contents by file state (path, size, modification time).
+    /// By file state (path, size, modification time).
     contents: HashMap<String, String>,
-    /// Datasets of the logs, and what their logs have in common.
+    /// Datasets of the logs, and their shared properties.
     groups: Groups,
     shared: Mutex<HashMap<PathBuf, Option<Shared>>>,
     next: AtomicUsize,
@@ -120,28 +120,25 @@ struct Engine<'a> {
     book: Mutex<Book>,
 }
 
-/// State shared by the threads.
 #[derive(Default)]
 struct Book {
     outcomes: Outcomes,
     course: Course,
-    /// Keys already assigned to a thread.
+    /// Assigned to a thread.
     taken: HashSet<String>,
-    /// Content hashes not yet saved.
+    /// Not yet saved.
     learnt: Vec<SourceRow>,
     noted: Option<Instant>,
-    /// Error that ends the call.
+    /// Ends the call.
     trouble: Option<Trouble>,
 }
 
-/// Outcome for one log.
 enum Settled {
     Now(Answer, Option<String>),
     Before(Answer),
     Duplicate,
 }
 
-/// Log that needs an audit, or its outcome.
 enum Looked {
     Settled(Settled),
     Open(Box<Job>),
@@ -152,10 +149,9 @@ impl Engine<'_> {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Processes logs until none are left or the call ends.
     fn work(&self) {
-        /// Maximum number of logs per order. It also limits the order to a share of the logs, so all
-        /// workers finish at about the same time.
+        /// Logs per order. An order is also limited to a share of the logs, so all workers finish at about
+        /// the same time.
         const MOST: usize = 32;
         const SHARES: usize = 4;
         let all = self.call.sources.len();
@@ -177,7 +173,7 @@ impl Engine<'_> {
         }
     }
 
-    /// Ensures that each of the logs has a row.
+    /// Ensures that each log has a row.
     fn settle(&self, sources: &[Source], worker: &mut Option<Worker>) -> Result<(), Trouble> {
         let mut open: Vec<(&Path, Job)> = Vec::new();
         for source in sources {
@@ -211,7 +207,7 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// Returns the worker process and starts it if necessary.
+    /// Starts the process if necessary.
     fn worker<'a>(&self, worker: &'a mut Option<Worker>) -> Result<&'a mut Worker, Trouble> {
         if let Some(worker) = worker {
             return Ok(worker);
@@ -224,7 +220,7 @@ impl Engine<'_> {
         }
     }
 
-    /// Stores the row of a log whose audit process failed.
+    /// Stores the row of a log whose process failed.
     fn died(&self, task: &Task, death: Death) -> Result<Settled, Trouble> {
         let (status, what) = match death {
             Death::Unable(why) => return Err(self.unable(why)),
@@ -268,7 +264,7 @@ impl Engine<'_> {
         Ok(Looked::Open(Box::new(Job { path, task, shared })))
     }
 
-    /// Properties shared by all logs of a dataset: inferred once from a sample, and stored.
+    /// Inferred once from a sample, and stored.
     fn shared(&self, path: &Path, worker: &mut Option<Worker>) -> Result<Option<Shared>, Trouble> {
         let group = dataset::group_of(path);
         if group.as_os_str().is_empty() {
@@ -291,7 +287,7 @@ impl Engine<'_> {
                     let path = self.call.sources[at].path.as_os_str().as_encoded_bytes().to_vec();
                     match self.worker(worker)?.learnt(path) {
                         Ok(shared) => told.extend(shared),
-                        // The error is reported by the log's own audit.
+                        // Reported by the log's own audit.
                         Err(_) => *worker = None,
                     }
                 }
@@ -307,7 +303,7 @@ impl Engine<'_> {
         Ok(shared)
     }
 
-    /// Content of a log; uses the stored hash if its files are unchanged.
+    /// Uses the stored hash if the files are unchanged.
     fn content(&self, path: &Path) -> io::Result<Content> {
         let stand = Stand::of(path)?;
         if self.call.identity == Identity::File {
@@ -318,7 +314,7 @@ impl Engine<'_> {
             return Ok(Content { id: id.clone(), stand });
         }
         let content = Content::of(path, stand, Identity::Content)?;
-        // Do not store the hash of a log that is still being written.
+        // The log may still be written.
         if Stand::of(path)? == stand {
             self.book().learnt.push(SourceRow {
                 source,
@@ -350,7 +346,7 @@ impl Engine<'_> {
         }
     }
 
-    /// Stores the row of an unreadable log, with its path in place of the content.
+    /// The path replaces the content.
     fn unreadable(&self, path: &Path, error: &io::Error) -> Result<Settled, Trouble> {
         let task = self.task(path, &unread_content(path), Stand { bytes: 0, mtime_ns: 0 });
         let trouble = Trouble {
@@ -428,7 +424,6 @@ impl Engine<'_> {
     }
 }
 
-/// Content identifier of an unreadable log.
 fn unread_content(path: &Path) -> String {
     let path = path.as_os_str().as_encoded_bytes();
     format!("unread:{}", blake3::hash(path).to_hex())

@@ -1,5 +1,3 @@
-//! Labels of a log, such as site and arm: given by the caller or derived from its path.
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
@@ -66,7 +64,7 @@ fn tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
 }
 
 impl Template {
-    /// Labels captured from the path; empty if it does not match.
+    /// Labels in the path; empty if it does not match.
     pub fn labels(&self, path: &Path) -> Labels {
         let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
         let mut labels = Labels::new();
@@ -80,7 +78,7 @@ impl Template {
     }
 }
 
-/// Matches `text` against `tokens`. Names match the shortest non-empty text.
+/// Names match the shortest non-empty text.
 fn take(tokens: &[Token], text: &str, labels: &mut Labels) -> bool {
     let Some((first, others)) = tokens.split_first() else { return text.is_empty() };
     let ends = text.char_indices().map(|(at, _)| at).chain([text.len()]);

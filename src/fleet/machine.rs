@@ -1,9 +1,6 @@
-//! Properties of this machine.
-
 use std::fs;
 
-/// Memory available to this process in bytes, limited by its cgroup. `None` if the system does not report
-/// it.
+/// Memory available to this process in bytes, limited by its cgroup, if the system reports it.
 pub fn memory_bytes() -> Option<u64> {
     let whole = fs::read_to_string("/proc/meminfo").ok()?;
     let line = whole.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;

@@ -1,8 +1,7 @@
 //! Audits many logs, each in a separate process, and stores the results as Parquet tables in one folder.
 //!
-//! The key of a log's rows combines its content, the program version and the audit settings. A call audits
-//! only logs without a row, so an interrupted call loses only the logs in progress. `docs/fleet.md`
-//! documents the folder layout; other programs may read it and write to it.
+//! The key of a log's rows combines its content, the program version and the settings. A call audits only
+//! logs without a row. `docs/fleet.md` documents the folder.
 
 mod child;
 mod content;

@@ -1,5 +1,3 @@
-//! Summary of a call over many logs.
-
 use serde::Serialize;
 
 use super::store::Status;
@@ -10,29 +8,28 @@ use crate::report::Verdict;
 /// Summary of a call.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Outcomes {
-    /// Logs given by the caller.
+    /// Given logs.
     pub logs: usize,
-    /// Logs with the same content as another log; they share its row.
+    /// Copies of other logs, which share their row.
     pub duplicates: usize,
-    /// Logs done by an earlier call.
+    /// Done by an earlier call.
     pub done_before: usize,
-    /// Logs done by this call.
+    /// Done by this call.
     pub done_now: usize,
-    /// Audits by status, each content once.
+    /// By status, each content once.
     pub statuses: Statuses,
-    /// Reports by verdict, with warnings counted as failures.
+    /// By verdict; warnings count as failures.
     pub verdicts: Verdicts,
-    /// Logs that this call could not audit, sorted by path.
+    /// Logs not audited by this call, by path.
     pub errors: Vec<Failure>,
-    /// All answers, for later queries.
     #[serde(skip)]
     answers: Vec<Answer>,
 }
 
-/// Number of logs by audit status.
+/// Logs by status: see [`Status`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Statuses {
-    /// See [`Status`] for this and the other fields.
+    /// Audited.
     pub audited: usize,
     /// Readable but not audited.
     pub not_audited: usize,
@@ -42,11 +39,11 @@ pub struct Statuses {
     pub timed_out: usize,
     /// Exceeded the memory limit.
     pub out_of_memory: usize,
-    /// The audit process crashed.
+    /// Process crashed.
     pub crashed: usize,
 }
 
-/// Number of logs by verdict.
+/// Logs by verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Verdicts {
     /// No problem found.
@@ -60,9 +57,9 @@ pub struct Verdicts {
 /// Log that could not be audited.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Failure {
-    /// Path of the log.
+    /// Log.
     pub path: String,
-    /// Status of the audit.
+    /// Status.
     pub status: Status,
     /// Reason.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -70,14 +67,13 @@ pub struct Failure {
 }
 
 impl Outcomes {
-    /// Number of logs with a finding of severity `fail_on` or above, or, if `fails_open`, with an
-    /// inconclusive verdict.
+    /// Logs with a finding of severity `fail_on` or above, or, if `fails_open`, an inconclusive verdict.
     pub fn failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
         let is_open = |answer: &Answer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
         self.answers.iter().filter(|answer| answer.fails(fail_on) || is_open(answer)).count()
     }
 
-    /// Number of logs without an audit.
+    /// Logs without an audit.
     pub fn unaudited(&self) -> usize {
         self.answers.iter().filter(|answer| answer.status != Status::Audited).count()
     }

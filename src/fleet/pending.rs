@@ -1,4 +1,4 @@
-//! Lists the remaining logs, for external schedulers.
+//! Remaining logs, for external schedulers.
 
 use std::io;
 use std::path::Path;
@@ -9,9 +9,8 @@ use super::sources::Source;
 use super::store::Store;
 use crate::report::Trouble;
 
-/// Logs among `sources` without a row in `store`, as far as known without reading them. Logs whose content
-/// is not hashed yet are included, even if they are copies. With `retry`, logs without a final status are
-/// also included.
+/// Logs among `sources` without a row in `store`, as far as known without reading them, including copies
+/// that are not hashed yet. With `retry`, also logs without a final status.
 ///
 /// # Errors
 /// If the store cannot be read.

@@ -12,18 +12,17 @@ use crate::robot::catalogue;
 /// Settings of an audit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AuditSettings {
-    /// Hash: 16 digits.
+    /// 16 digits.
     pub hash: String,
-    /// The settings in readable form.
+    /// Readable form.
     pub said: Value,
 }
 
-/// Digits of the hash: 64 bits, because there are few settings.
+/// 64 bits: there are few settings.
 const DIGITS: usize = 16;
 
 impl AuditSettings {
-    /// Settings in `options`. Files count by their content. The log, the output options and the failing
-    /// severity are not included.
+    /// Files count by their content. The log, the output options and the failing severity are not included.
     ///
     /// # Errors
     /// If a file cannot be read.
@@ -50,7 +49,7 @@ impl AuditSettings {
             Ok(json!({ "prefix": one.prefix, "file": content_of(&one.file)? }))
         };
         let config = options.config.as_deref();
-        // Config entries refer to lines of the config; remove its path, which must not affect the hash.
+        // Config entries refer to lines of the config; its path must not affect the hash.
         let place = config.map(|path| path.display().to_string()).filter(|path| !path.is_empty());
         let shown = |text: String| match &place {
             Some(place) => text.replace(place.as_str(), "config"),
@@ -77,7 +76,6 @@ impl AuditSettings {
     }
 }
 
-/// Hash of a file's content.
 fn content_of(path: &Path) -> Result<String, Trouble> {
     let bytes = fs::read(path).map_err(|error| Trouble {
         kind: TroubleKind::Call,

@@ -1,5 +1,3 @@
-//! Audits one log and builds its rows.
-
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
@@ -13,8 +11,8 @@ use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
 
-/// Audits the log of `options`. Returns its rows for `store`, and why it could not be audited, if so.
-/// Panics are caught and stored in the row. If `paged`, the report is also saved as a page.
+/// Audits one log. Returns its rows, and why it could not be audited, if so. Panics are stored in the row.
+/// If `paged`, the report is also saved as a page.
 ///
 /// # Errors
 /// If the page cannot be written.
@@ -53,7 +51,6 @@ fn write_page(path: &Path, report: &Report) -> Result<(), StoreError> {
     write_whole(path, write).map_err(|source| StoreError::File { path: path.to_owned(), source })
 }
 
-/// `status`, or out of memory if the error indicates that.
 fn or_out_of_memory(status: Status, trouble: &Trouble) -> Status {
     if is_of_memory(&trouble.what) { Status::OutOfMemory } else { status }
 }
@@ -80,9 +77,6 @@ fn of_trouble(
 }
 
 /// Stores the row of a log without a report.
-///
-/// # Errors
-/// If it cannot be written.
 pub fn give_up(
     task: &Task,
     status: Status,
@@ -104,7 +98,6 @@ fn rows(
     Ok(LogRows { key: task.key.clone(), answer, tables: tables.map_err(fault)? })
 }
 
-/// Error for a log that crashes the program.
 pub fn crashed(task: &Task, what: String) -> Trouble {
     Trouble {
         kind: TroubleKind::Log,
@@ -114,9 +107,9 @@ pub fn crashed(task: &Task, what: String) -> Trouble {
     }
 }
 
-/// Whether an error message indicates a failed memory allocation.
+/// Whether a message indicates a failed memory allocation.
 pub(super) fn is_of_memory(words: &str) -> bool {
-    // Messages of the allocator, the operating system, and SQLite.
+    // Of the allocator, the operating system, and SQLite.
     ["memory allocation of", "Cannot allocate memory", "out of memory"]
         .iter()
         .any(|part| words.contains(part))

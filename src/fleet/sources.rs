@@ -1,5 +1,3 @@
-//! Resolves command line arguments to logs.
-
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -13,14 +11,13 @@ use crate::report::{Trouble, TroubleKind};
 /// Location of one log.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Source {
-    /// Absolute path of a file or of the folder of a rosbag2 recording, or the URL of an object.
+    /// Absolute path of a file or rosbag2 folder, or URL of an object.
     pub path: PathBuf,
-    /// Content, if already known from a listing.
+    /// Content, if known from a listing.
     pub content: Option<Content>,
 }
 
 impl Source {
-    /// Log at `path` with unknown content.
     fn at(path: PathBuf) -> Self {
         Self { path, content: None }
     }
@@ -32,8 +29,8 @@ impl From<&RemoteObject> for Source {
     }
 }
 
-/// File extensions of logs. Files with these names count as logs even if their bytes do not identify them,
-/// so empty or truncated logs are reported.
+/// Files with these names count as logs even if their bytes do not identify them, so empty or truncated
+/// logs are reported.
 const ENDINGS: &[&str] = &[
     ".mcap",
     ".bag",
@@ -46,21 +43,19 @@ const ENDINGS: &[&str] = &[
     ".db3.zstd",
 ];
 
-/// Metadata file of a rosbag2 folder.
+/// Of a rosbag2 folder.
 const METADATA: &str = "metadata.yaml";
 
 /// Logs given by `wanted`, each once, sorted by path. Entries are files, folders (searched recursively),
-/// patterns such as `runs/*/*.mcap`, URLs of objects, or URL prefixes and patterns such as
-/// `s3://bucket/cell7`. For `-`, paths or URLs are read from `list`, one per line or separated by zero
-/// bytes.
+/// patterns such as `runs/*/*.mcap`, URLs, or URL prefixes and patterns such as `s3://bucket/cell7`. For
+/// `-`, paths or URLs are read from `list`, one per line or separated by zero bytes.
 ///
-/// An explicitly named file is always a log, even if it is unreadable; its row then contains the error. In
-/// folders, logs are identified by their first bytes or their extension, and hidden files are skipped.
-/// Below a URL prefix, only the extension counts.
+/// An explicitly named file is always a log; if unreadable, its row contains the error. In folders, logs
+/// are identified by their first bytes or extension, and hidden files are skipped. Below a URL prefix, only
+/// the extension counts.
 ///
 /// # Errors
-/// If an explicitly named entry does not exist, a pattern is invalid, a store cannot be listed, or no log
-/// is found.
+/// If a named entry does not exist, a pattern is invalid, a store cannot be listed, or no log is found.
 pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
     let mut found = Vec::new();
     for named in wanted {
@@ -80,7 +75,7 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
             pattern if pattern.contains(['*', '?', '[']) => {
                 let paths = glob::glob(pattern)
                     .map_err(|error| trouble(pattern, format!("invalid pattern: {error}")))?;
-                // Unreadable folders match nothing.
+                // Unreadable folders.
                 paths.filter_map(Result::ok).for_each(|path| of_path(&path, &mut found));
             }
             path => return Err(trouble(path, "no such file or folder".to_owned())),
@@ -90,7 +85,7 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
         }
     }
     found.sort();
-    // After sorting, the entry without content precedes its duplicate.
+    // The entry without content precedes its duplicate.
     found.dedup_by(|next, kept| {
         let is_same = next.path == kept.path;
         if is_same {
@@ -101,7 +96,6 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
     Ok(found)
 }
 
-/// Paths in a list.
 fn listed(text: &[u8]) -> Vec<PathBuf> {
     let separator = if text.contains(&0) { 0 } else { b'\n' };
     let lines = text.split(|&byte| byte == separator);
@@ -120,7 +114,7 @@ pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
     PathBuf::from(String::from_utf8_lossy(bytes).into_owned())
 }
 
-/// Objects at `url`, below it, or matching it as a pattern.
+/// Objects at, below or matching `url`.
 fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     let is_web = url.starts_with("http");
     let stars = url.find('*').filter(|_| !is_web);
@@ -140,7 +134,6 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// Logs at `path`, which was named explicitly.
 fn of_path(path: &Path, found: &mut Vec<Source>) {
     if log::is_url(path) {
         found.push(Source::at(log::normalize_url(path)));
@@ -158,7 +151,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         .sort_by_file_name()
         .into_iter()
         .filter_entry(is_shown);
-    // Skip unreadable folders and cyclic links.
+    // Skips unreadable folders and cyclic links.
     while let Some(entry) = entries.next() {
         let Ok(entry) = entry else { continue };
         let is_folder = entry.file_type().is_dir();
@@ -171,7 +164,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
     }
 }
 
-/// Episodes of a table file, each as a separate log, or the file itself.
+/// Episodes of a table file, or the file itself.
 fn episodes_of(path: &Path) -> Vec<Source> {
     let path = absolute(path);
     let names = log::episodes(&path);
@@ -182,7 +175,7 @@ fn episodes_of(path: &Path) -> Vec<Source> {
     }
 }
 
-/// Whether a file belongs to a dataset's metadata, which LeRobot also stores as tables.
+/// Dataset metadata, which LeRobot also stores as tables.
 fn is_metadata(path: &Path) -> bool {
     let is_meta = |folder: &Path| folder.ends_with("meta") && folder.join("info.json").is_file();
     path.ancestors().skip(1).take(3).any(is_meta)
@@ -192,7 +185,7 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// Whether a folder is a rosbag2 recording or a table store.
+/// A rosbag2 recording or a table store.
 fn is_recording(folder: &Path) -> bool {
     if log::is_store(folder) {
         return true;
@@ -205,7 +198,6 @@ fn is_recording(folder: &Path) -> bool {
         && fs::read_dir(folder).is_ok_and(|mut entries| entries.any(is_part))
 }
 
-/// Whether a file in a folder is a log.
 fn is_log(path: &Path) -> bool {
     if path.file_name().is_some_and(|name| has_ending(&name.to_string_lossy())) {
         return true;
@@ -213,14 +205,12 @@ fn is_log(path: &Path) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
-    // Parquet files in a folder count only as part of a dataset: others may be unrelated, such as fleet
-    // results.
+    // Other Parquet files may be unrelated, such as fleet results.
     let is_anybodys =
         |head: &[u8]| head.starts_with(b"PAR1") && log::enclosing_dataset(path).is_none();
     is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
-/// Whether a name has the extension of a log.
 fn has_ending(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     ENDINGS.iter().any(|ending| name.ends_with(ending))

@@ -1,29 +1,22 @@
-//! Task and result for one log of a fleet.
-
 use serde::{Deserialize, Serialize};
 
 use super::labels::Labels;
 use crate::finding::Severity;
 use crate::report::Verdict;
 
-/// Log to audit, with the key of its rows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
-    /// Key of its rows.
+    /// Of its rows.
     pub key: String,
-    /// Path, as stored in the tables.
+    /// As stored in the tables.
     pub path: String,
-    /// Content identifier.
     pub content: String,
-    /// Program version.
     pub version: String,
-    /// Hash of the settings.
+    /// Hash.
     pub settings: String,
-    /// Size of its files.
     pub bytes: u64,
-    /// Latest modification time, ns since 1970.
+    /// Latest modification, ns since 1970.
     pub mtime_ns: i64,
-    /// Labels, such as site and arm.
     pub labels: Labels,
 }
 
@@ -33,7 +26,7 @@ pub struct Task {
 pub enum Status {
     /// Audited.
     Audited,
-    /// Readable but not auditable: not a log, without an arm, or without a robot model.
+    /// Readable, but not a log, without an arm, or without a robot model.
     NotAudited,
     /// Not readable. Every call tries again.
     Unreadable,
@@ -41,12 +34,12 @@ pub enum Status {
     TimedOut,
     /// Exceeded the memory limit.
     OutOfMemory,
-    /// The audit process crashed.
+    /// Process crashed.
     Crashed,
 }
 
 impl Status {
-    /// All statuses.
+    /// All.
     pub const ALL: [Status; 6] = [
         Status::Audited,
         Status::NotAudited,
@@ -68,25 +61,23 @@ impl Status {
         }
     }
 
-    /// Status with this name.
+    /// Status by name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|status| status.name() == name)
     }
 
-    /// Whether a retry would give the same result.
+    /// Whether a retry gives the same result.
     pub const fn is_final(self) -> bool {
         matches!(self, Status::Audited | Status::NotAudited)
     }
 }
 
-/// Result of an audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Answer {
-    /// Status of the audit.
     pub status: Status,
-    /// Verdict of the report, with warnings counted as failures.
+    /// Warnings count as failures.
     pub verdict: Option<Verdict>,
-    /// Number of errors, …
+    /// Errors, …
     pub errors: u32,
     /// … warnings …
     pub warnings: u32,
@@ -95,12 +86,11 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// Answer for a log without a report.
     pub const fn without_report(status: Status) -> Self {
         Self { status, verdict: None, errors: 0, warnings: 0, infos: 0 }
     }
 
-    /// Whether there are findings of severity `fail_on` or above.
+    /// With findings of severity `fail_on` or above.
     pub fn fails(&self, fail_on: Option<Severity>) -> bool {
         match fail_on {
             None => false,

@@ -1,25 +1,22 @@
-//! Calendar days as text.
-
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::Offset;
 
 use crate::time::NANOS_PER_SECOND;
 
-/// Nanoseconds per day.
 pub const DAY_NS: i64 = 86_400 * NANOS_PER_SECOND;
 
-/// First valid calendar stamp, 2000-01-01. Earlier stamps are times of a controller or a simulation.
+/// First calendar stamp, 2000-01-01. Earlier stamps are times of a controller or a simulation.
 pub const FIRST_NS: i64 = 946_684_800 * NANOS_PER_SECOND;
 
-/// UTC day of a stamp, such as `2026-05-28`.
+/// UTC day, such as `2026-05-28`.
 pub fn day(stamp_ns: i64) -> String {
-    // Every stamp is within jiff's range.
+    // Within jiff's range.
     let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
     Offset::UTC.to_datetime(time).date().to_string()
 }
 
-/// Two stamps in UTC, with the least precision that distinguishes them: days, minutes or seconds.
+/// In UTC, with the least precision that distinguishes the stamps: days, minutes or seconds.
 pub fn apart(from_ns: i64, to_ns: i64) -> [String; 2] {
     let at = |stamp_ns: i64| {
         let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
@@ -32,14 +29,14 @@ pub fn apart(from_ns: i64, to_ns: i64) -> [String; 2] {
     told.unwrap_or_else(|| shown("%Y-%m-%d %H:%M:%S UTC"))
 }
 
-/// Day of the Gregorian calendar, in UTC.
+/// Gregorian day, UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Day {
     start_ns: i64,
 }
 
 impl Day {
-    /// Start of the day, ns since 1970.
+    /// Start, ns since 1970.
     pub fn start_ns(self) -> i64 {
         self.start_ns
     }

@@ -1,4 +1,4 @@
-//! Findings with their logs: the latest, and the one with the largest value.
+//! Findings: the latest log, and the one with the largest value.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -7,7 +7,7 @@ use super::gather::{Cause, Found};
 use super::trends::{Point, Series};
 use super::{FindingRow, Worst};
 
-/// Logs of each rule and subject, largest value first.
+/// Of each rule and subject, largest value first.
 pub(super) fn worst_logs(
     series: &BTreeMap<(Cause, String, bool), Series>,
 ) -> BTreeMap<Cause, Vec<String>> {
@@ -22,7 +22,7 @@ pub(super) fn worst_logs(
     points.into_iter().map(sorted).collect()
 }
 
-/// Rows of the findings, by severity and frequency.
+/// By severity and frequency.
 pub(super) fn finding_rows(
     found: BTreeMap<Cause, Found>,
     asked: &BTreeMap<Cause, usize>,

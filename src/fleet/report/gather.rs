@@ -1,4 +1,4 @@
-//! Collects the content of the report from the table parts, one at a time.
+//! Reads the table parts of the report, one at a time.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -16,7 +16,6 @@ use crate::fleet::outcomes::Verdicts;
 use crate::fleet::store::{Status, Store, StoreError, Table};
 use crate::report::Verdict;
 
-/// Content of the report.
 pub struct Gathered {
     pub logs: LogCounts,
     pub arms: Vec<ArmRow>,
@@ -38,35 +37,33 @@ struct Log {
     status: Status,
     verdict: Option<Verdict>,
     start_ns: Option<i64>,
-    /// Episode number, for logs without calendar time.
+    /// For logs without calendar time.
     episode: Option<usize>,
 }
 
 impl Log {
-    /// Site, arm and robots.
     fn whose(&self) -> Whose {
         let (site, arm, robot) = (self.site.clone(), self.arm.clone(), self.robots.clone());
         Whose { site, arm, robot, ..Whose::default() }
     }
 
-    /// Start time, if it is a calendar time.
+    /// If it is a calendar time.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
     }
 
-    /// Position in a trend. `None` if it has neither a time nor an episode number.
+    /// `None` without time and episode number.
     fn at(&self) -> Option<At> {
         self.dated_ns().map(At::Time).or(self.episode.map(At::Episode))
     }
 
-    /// Whether the path denotes an episode or an episode within a file.
+    /// An episode, also within a file.
     fn is_episode(&self) -> bool {
         let name = self.path.rsplit('/').next().unwrap_or_default();
         name.contains('#') || name.starts_with("episode_")
     }
 }
 
-/// Collects the content for `question`.
 pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError> {
     let (logs, set_aside) = logs(store, question)?;
     let mut gathering = Gathering::of(&logs, question);
@@ -111,7 +108,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
 }
 
 impl Question {
-    /// Whether findings of a log count: not if it precedes the requested time.
+    /// Not if the log precedes the requested time.
     fn counts(&self, log: &Log) -> bool {
         match (self.since_ns, log.dated_ns()) {
             (Some(since_ns), Some(start_ns)) => start_ns >= since_ns,
@@ -155,7 +152,7 @@ const FINDINGS: &[&str] = &[
     "ignored_because",
 ];
 
-/// Logs of one version and settings by key, and the number of rows with others.
+/// Logs of one version and settings by key, and the number of other rows.
 fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, usize), StoreError> {
     let mut logs = BTreeMap::new();
     store.each(Table::Runs, Some(RUNS), |part| {
@@ -200,8 +197,7 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
     Ok((logs, set_aside))
 }
 
-/// Version and settings to report: the requested ones, otherwise the latest version with its most recently
-/// stored settings.
+/// The requested version and settings, otherwise the latest version with its most recent settings.
 fn wanted(
     store: &Store,
     logs: &BTreeMap<String, Log>,
@@ -225,7 +221,7 @@ fn wanted(
     Some((version.to_owned(), settings.to_owned()))
 }
 
-/// Keys of a part's rows, without keys of earlier parts. The rows of a log are contiguous.
+/// Keys of a part without those of earlier parts. The rows of a log are contiguous.
 fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Option<String>>> {
     let mut keys = Vec::with_capacity(part.0.height());
     for row in 0..part.0.height() {
@@ -235,13 +231,12 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
     Ok(keys)
 }
 
-/// Start time, episode number and path of a log.
+/// Start time, episode number and path.
 pub(super) type LogPlace = (Option<i64>, Option<usize>, String);
 
-/// Findings on a subject.
 pub(super) struct Found {
     pub(super) severity: Severity,
-    /// Title and message for each log with the finding.
+    /// Title and message per log.
     pub(super) logs: BTreeMap<LogPlace, (String, String)>,
 }
 
@@ -250,12 +245,12 @@ pub(super) type Cause = (String, Whose);
 
 struct Gathering<'a> {
     question: &'a Question,
-    /// Robot name for each log with a single robot.
+    /// For logs with a single robot.
     sole_robots: HashMap<&'a str, &'a str>,
-    /// Number of logs in which a rule passed on a subject.
+    /// Logs in which a rule passed on a subject.
     asked: BTreeMap<Cause, usize>,
     found: BTreeMap<Cause, Found>,
-    /// Series by cause and unit; logs without calendar time are separate.
+    /// Logs without calendar time are separate.
     series: BTreeMap<(Cause, String, bool), Series>,
 }
 
@@ -274,7 +269,7 @@ impl<'a> Gathering<'a> {
         }
     }
 
-    /// Subject of a row. If the topic is the log file, the subject is the log.
+    /// If the topic is the log file, the subject is the log.
     fn whose(&self, part: &Part<'_>, row: usize, log: &Log) -> PolarsResult<Whose> {
         let named = part.text("robot", row)?;
         let sole = || self.sole_robots.get(log.path.as_str()).map(|name| (*name).to_owned());
@@ -347,7 +342,7 @@ impl<'a> Gathering<'a> {
     }
 }
 
-/// Rows of the logs, latest first.
+/// Latest first.
 fn log_rows(
     store: &Store,
     logs: &BTreeMap<String, Log>,
@@ -383,7 +378,7 @@ fn log_rows(
     counted.iter().map(row).collect()
 }
 
-/// Summary of each arm, by site and name.
+/// By site and name.
 fn arms(
     logs: &BTreeMap<String, Log>,
     question: &Question,

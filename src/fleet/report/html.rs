@@ -1,4 +1,4 @@
-//! Fleet report as an HTML page: trends with plots, findings, arms, and all other trends.
+//! Fleet report as an HTML page.
 
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -13,16 +13,15 @@ use super::{At, Course, DatasetRow, FindingRow, FleetReport, TrendRow, calendar}
 use crate::log::ESCAPED;
 use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 
-/// Maximum number of plots.
 const MOST_PLOTS: usize = 100;
 
-/// Maximum number of rows of one kind; JSON contains all.
+/// Of one kind; JSON contains all.
 const MOST_ROWS: usize = 500;
 
-/// Maximum number of logs per plot.
+/// Logs per plot.
 const MOST_POINTS: usize = 1000;
 
-/// Writes the report. The output is deterministic.
+/// The output is deterministic.
 ///
 /// # Errors
 /// If `out` cannot be written.
@@ -79,14 +78,14 @@ fn page(report: &FleetReport) -> Markup {
     shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
 }
 
-/// Plots of the trends, found trends first, up to the maximum.
+/// Found trends first.
 fn drawn(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
     let rows = report.trends.iter().filter(|row| row.level.is_some());
     let numbered = rows.take(MOST_PLOTS).enumerate();
     numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, plot(row))).collect()
 }
 
-/// Plot of a trend over days or episodes, with its line.
+/// Over days or episodes, with its line.
 fn plot(row: &TrendRow) -> Plot {
     let (factor, y_label) = everyday(&row.unit);
     let first = row.points.first().map_or(At::Episode(0), |first| first.at);
@@ -115,7 +114,7 @@ fn plot(row: &TrendRow) -> Plot {
         robot: row.whose.robot.clone().unwrap_or_default(),
         of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
         says: match row.course.is_moving() {
-            // The heading already contains the summary.
+            // The heading contains the summary.
             true => origin,
             false => format!("{}: {}. {origin}", row.course.name(), row.says()),
         },
@@ -128,7 +127,7 @@ fn plot(row: &TrendRow) -> Plot {
     }
 }
 
-/// Factor and symbol of the display unit for an SI symbol.
+/// Factor and symbol of the display unit.
 fn everyday(symbol: &str) -> (f64, &'static str) {
     match symbol {
         "m" => (1e3, "mm"),
@@ -195,7 +194,7 @@ fn arms(report: &FleetReport) -> Markup {
     })
 }
 
-/// Number of logs with findings of each rule for each arm.
+/// Logs with findings, per rule and arm.
 fn matrix(report: &FleetReport) -> Markup {
     let codes: BTreeSet<&str> =
         report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
@@ -224,7 +223,7 @@ fn matrix(report: &FleetReport) -> Markup {
     })
 }
 
-/// Link to a file: relative to the page, or absolute.
+/// Relative to the page, or absolute.
 fn link(page: &Path) -> String {
     let page = page.display().to_string();
     let path = utf8_percent_encode(&page, ESCAPED);
@@ -252,7 +251,7 @@ fn logs(report: &FleetReport) -> Markup {
     })
 }
 
-/// Content of each dataset's columns.
+/// Content of the columns.
 fn datasets(report: &FleetReport) -> Markup {
     let rows: Vec<(&DatasetRow, String, String, &str)> = report
         .datasets
@@ -312,7 +311,7 @@ fn trends(report: &FleetReport) -> Markup {
     })
 }
 
-/// Section with a table; empty if there are no rows.
+/// Empty without rows.
 fn table<T>(
     id: &str,
     title: &str,

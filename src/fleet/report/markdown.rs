@@ -1,4 +1,4 @@
-//! Fleet report as Markdown, for a dataset card.
+//! For a dataset card.
 
 use std::io::{self, Write};
 
@@ -6,7 +6,7 @@ use super::text::{arm, head, how_often, totals};
 use super::{FindingRow, FleetReport};
 use crate::report::markdown::{code, prose};
 
-/// Maximum number of rows; JSON and HTML contain more.
+/// JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
 
 /// Writes the report as Markdown.

@@ -1,4 +1,4 @@
-//! Fleet report: which arms, sites and topics violate which rules, and trends of estimates over time.
+//! Fleet report: rules violated by arms, sites and topics, and trends of estimates.
 
 mod calendar;
 mod found;
@@ -26,36 +26,36 @@ pub use markdown::write as write_markdown;
 pub use text::write as write_text;
 pub use trends::{At, Course, Moved, Point, TrendRow};
 
-/// Schema of the JSON report.
+/// JSON schema.
 pub const SCHEMA: &str = "poseaudit.fleet/1";
 
 /// Query of a results folder.
 #[derive(Clone, Debug, Default)]
 pub struct Question {
-    /// Minimum severity of a finding that fails the report; `None`: no finding does.
+    /// Lowest severity that fails the report, if any.
     pub fail_on: Option<Severity>,
-    /// Whether an inconclusive verdict fails the report.
+    /// Inconclusive verdicts fail the report.
     pub fails_open: bool,
-    /// Ignore findings of runs before this time, ns since 1970. Trends use all runs.
+    /// Start of the counted findings, ns since 1970. Trends use all runs.
     pub since_ns: Option<i64>,
-    /// Template that derives labels from paths, in place of the stored labels.
+    /// Derives labels from paths, in place of the stored ones.
     pub template: Option<super::labels::Template>,
-    /// Hash of the settings to report; the latest if `None`.
+    /// Hash of the settings; `None`: the latest.
     pub settings: Option<String>,
-    /// Rules to report; all if empty.
+    /// Rules; all if empty.
     pub select: Vec<Selector>,
 }
 
-/// Fleet report. The fields are in the order of the JSON object.
+/// Fleet report. Fields are in the order of the JSON object.
 #[derive(Clone, Debug, Serialize)]
 pub struct FleetReport {
     schema: &'static str,
     tool: Tool,
     /// Whether the report fails.
     pub failing: bool,
-    /// Number of logs.
+    /// Counts of logs.
     pub logs: LogCounts,
-    /// Datasets of the logs, with their shared properties.
+    /// Datasets and their shared properties.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub datasets: Vec<DatasetRow>,
     /// Arms.
@@ -63,11 +63,11 @@ pub struct FleetReport {
     /// Logs, latest first.
     #[serde(rename = "runs")]
     pub rows: Vec<LogRow>,
-    /// Findings, one row per rule and subject, by severity and frequency.
+    /// By severity and frequency, one row per rule and subject.
     pub findings: Vec<FindingRow>,
-    /// Trends; found trends first.
+    /// Found trends first.
     pub trends: Vec<TrendRow>,
-    /// Logs that could not be audited.
+    /// Logs not audited.
     pub errors: Vec<ErrorRow>,
 }
 
@@ -80,38 +80,38 @@ struct Tool {
 /// Counts of the logs of a fleet.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct LogCounts {
-    /// Logs, each content once.
+    /// Each content once.
     pub total: usize,
-    /// Logs by audit status.
+    /// By audit status.
     pub statuses: Statuses,
-    /// Reports by verdict, with warnings counted as failures.
+    /// By verdict; warnings count as failures.
     pub verdicts: Verdicts,
-    /// Additional paths with the same content.
+    /// Further paths of the same content.
     pub copies: usize,
-    /// Logs without calendar time, which are excluded from trends.
+    /// Without calendar time: not in trends.
     pub undated: usize,
-    /// Logs before the time from which findings count.
+    /// Before the time from which findings count.
     pub before: usize,
-    /// Earliest start stamp, as a decimal string.
+    /// Earliest start stamp, decimal.
     pub start_ns: Option<String>,
-    /// Latest start stamp, as a decimal string.
+    /// Latest start stamp, decimal.
     pub end_ns: Option<String>,
-    /// Program version of the audits.
+    /// Program version.
     pub version: String,
-    /// Hash of the audit settings.
+    /// Settings hash.
     pub settings: String,
-    /// Logs with rows of other versions or settings, which are excluded.
+    /// Excluded: other versions or settings.
     pub set_aside: usize,
 }
 
 /// Subject: a site, arm and robot, and a part of the log.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct Whose {
-    /// Site label.
+    /// Site.
     pub site: Option<String>,
-    /// Arm label.
+    /// Arm.
     pub arm: Option<String>,
-    /// Robot name in the log or model.
+    /// Robot in the log or model.
     pub robot: Option<String>,
     /// Topic.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -125,32 +125,32 @@ pub struct Whose {
 }
 
 impl Whose {
-    /// Site, arm and robot as text.
+    /// Site, arm and robot.
     pub fn arm_label(&self) -> String {
         let parts = [&self.site, &self.arm, &self.robot].into_iter().flatten();
         let parts: Vec<&str> = parts.map(String::as_str).collect();
         if parts.is_empty() { "unknown arm".to_owned() } else { parts.join(" / ") }
     }
 
-    /// Joint, topic and frame as text; empty for the whole log.
+    /// Joint, topic and frame; empty for the whole log.
     pub fn part(&self) -> String {
         let parts = [&self.joint, &self.topic, &self.frame].into_iter().flatten();
         parts.map(String::as_str).collect::<Vec<_>>().join(" ")
     }
 }
 
-/// Dataset and the shared properties of its logs.
+/// Dataset with shared properties.
 #[derive(Clone, Debug, Serialize)]
 pub struct DatasetRow {
     /// Folder or file.
     pub dataset: String,
     /// Logs sampled.
     pub asked: Vec<String>,
-    /// Arm of the catalogue.
+    /// Catalogue arm.
     pub robot: Option<String>,
-    /// Content of columns not identified by their names.
+    /// Columns not identified by name.
     pub columns: Vec<SharedRow>,
-    /// Open question, if any.
+    /// Open question.
     pub open: Option<String>,
 }
 
@@ -167,7 +167,7 @@ impl DatasetRow {
         }
     }
 
-    /// Summary lines: arm, columns, open question.
+    /// Arm, columns, open question.
     fn lines(&self) -> Vec<String> {
         let robot = self.robot.as_deref().map_or(String::new(), |robot| format!(": {robot}"));
         let head = format!("{}{robot}, by {}", self.dataset, self.asked.join(", "));
@@ -184,11 +184,11 @@ pub struct ArmRow {
     /// Site, arm and robot.
     #[serde(flatten)]
     pub whose: Whose,
-    /// Number of logs.
+    /// Logs.
     pub logs: usize,
     /// Logs by verdict.
     pub verdicts: Verdicts,
-    /// Rules with warnings or errors, with the number of logs.
+    /// Logs with warnings or errors, by rule.
     pub fails: Vec<RuleCount>,
 }
 
@@ -200,34 +200,34 @@ pub struct LogRow {
     /// Site, arm and robots.
     #[serde(flatten)]
     pub whose: Whose,
-    /// Status of the audit.
+    /// Audit status.
     pub status: Status,
-    /// Verdict of the report, with warnings counted as failures.
+    /// Warnings count as failures.
     pub verdict: Option<Verdict>,
-    /// Start stamp, as a decimal string.
+    /// Start stamp, decimal.
     pub start_ns: Option<String>,
     /// Report page, if stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub page: Option<PathBuf>,
-    /// Rules with warnings or errors in this log.
+    /// Rules with warnings or errors.
     pub codes: Vec<String>,
 }
 
-/// Number of logs with a finding of a rule.
+/// Logs with a finding of a rule.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuleCount {
-    /// Code of the rule.
+    /// Rule.
     pub code: String,
-    /// Number of logs.
+    /// Logs.
     pub logs: usize,
 }
 
 /// Finding of a rule on a subject.
 #[derive(Clone, Debug, Serialize)]
 pub struct FindingRow {
-    /// Code of the rule.
+    /// Rule.
     pub code: String,
-    /// Short title.
+    /// Title.
     pub title: String,
     /// Highest severity.
     pub severity: Severity,
@@ -236,15 +236,15 @@ pub struct FindingRow {
     pub whose: Whose,
     /// Logs with the finding.
     pub logs: usize,
-    /// Logs in which the rule passed on this subject.
+    /// Logs in which the rule passed.
     pub sound: usize,
     /// Message in the latest log.
     pub message: String,
     /// Path of the latest log.
     pub path: String,
-    /// Start of the latest log, as a decimal string.
+    /// Start of the latest log, decimal.
     pub start_ns: Option<String>,
-    /// Log with the largest value, if it is not the latest.
+    /// Log with the largest value, unless it is the latest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub worst: Option<Worst>,
 }
@@ -252,18 +252,18 @@ pub struct FindingRow {
 /// Log with the largest value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Worst {
-    /// Message in this log.
+    /// Message.
     pub message: String,
-    /// Path of the log.
+    /// Log.
     pub path: String,
 }
 
-/// Log that could not be audited.
+/// Log not audited.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct ErrorRow {
     /// Path.
     pub path: String,
-    /// Status of the audit.
+    /// Audit status.
     pub status: Status,
     /// Problem.
     pub what: String,
@@ -273,7 +273,7 @@ pub struct ErrorRow {
 }
 
 impl FleetReport {
-    /// Makes page paths below `folder` relative to it.
+    /// Makes page paths below `folder` relative.
     pub fn linked_from(mut self, folder: &Path) -> Self {
         let Ok(folder) = folder.canonicalize() else { return self };
         for page in self.rows.iter_mut().filter_map(|row| row.page.as_mut()) {
@@ -284,7 +284,7 @@ impl FleetReport {
         self
     }
 
-    /// Report on the results in `store`.
+    /// Report on `store`.
     ///
     /// # Errors
     /// If the store cannot be read.
@@ -312,7 +312,7 @@ impl FleetReport {
         })
     }
 
-    /// Trends that were found.
+    /// Trends found.
     pub fn moving(&self) -> impl Iterator<Item = &TrendRow> {
         self.trends.iter().filter(|row| row.course.is_moving())
     }

@@ -1,5 +1,3 @@
-//! Access to the cells of a table part.
-
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
@@ -19,7 +17,6 @@ impl Part<'_> {
         Ok(self.0.column(name)?.i64()?.get(row))
     }
 
-    /// Name of the estimate in a row.
     pub(super) fn name_of_estimate(&self, row: usize) -> PolarsResult<String> {
         let text = self.text("estimate_json", row)?;
         let estimate: Option<Value> = text.and_then(|text| serde_json::from_str(&text).ok());

@@ -1,4 +1,4 @@
-//! Fleet report as text for a terminal: trends, findings, arms, and logs not audited.
+//! Fleet report as text.
 
 use std::io::{self, Write};
 
@@ -8,10 +8,10 @@ use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::finding::Severity;
 use crate::report::tame;
 
-/// Width of the label column.
+/// Of the label column.
 const LABEL: usize = 16;
 
-/// Maximum number of rows of one kind; JSON and HTML contain more.
+/// Of one kind; JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -53,7 +53,6 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     })
 }
 
-/// Header lines with labels.
 pub fn head(report: &FleetReport) -> Vec<(&'static str, String)> {
     let logs = &report.logs;
     let mut said = format!("{}", logs.total);
@@ -82,7 +81,6 @@ pub fn head(report: &FleetReport) -> Vec<(&'static str, String)> {
     head
 }
 
-/// Summary line.
 pub fn totals(report: &FleetReport) -> String {
     let verdicts = &report.logs.verdicts;
     let moving = report.moving().count();
@@ -100,7 +98,6 @@ pub fn totals(report: &FleetReport) -> String {
     parts.join(", ")
 }
 
-/// One-line summary of an arm.
 pub fn arm(row: &ArmRow) -> String {
     let fails: Vec<String> =
         row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs)).collect();
@@ -108,7 +105,6 @@ pub fn arm(row: &ArmRow) -> String {
     format!("{}: {} logs, {} fail: {fails}", row.whose.arm_label(), row.logs, row.verdicts.fail)
 }
 
-/// Share of logs with a finding, as text.
 pub fn how_often(row: &FindingRow) -> String {
     let of = row.logs + row.sound;
     match (row.logs, row.sound) {

@@ -1,5 +1,3 @@
-//! Trends of estimates over the logs of a fleet.
-
 use serde::Serialize;
 
 use super::calendar::DAY_NS;
@@ -9,57 +7,51 @@ use crate::diagnosis::{MIN_RUNS, Measured, RunEstimate, Trend, estimate_trend};
 use crate::finding::Unit;
 use crate::time::seconds;
 
-/// Confidence level of a trend, with Bonferroni correction over all series.
+/// Confidence, with Bonferroni correction over all series.
 const SURE: f64 = 0.999;
 
 /// Minimum total change, as a share of the rule's first threshold.
 const MATERIAL: f64 = 0.1;
 
-/// Seconds per day.
 const DAY_S: f64 = 86_400.0;
 
-/// Time series of an estimate.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// Code of the rule.
     pub code: String,
-    /// Name of the estimate.
     pub name: String,
     /// SI symbol.
     pub unit: String,
-    /// Subject of the estimate.
     pub whose: Whose,
-    /// Values of the logs.
     pub points: Vec<Point>,
 }
 
 /// Value of one log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// Position of the log in the sequence.
+    /// Position in the sequence.
     #[serde(flatten)]
     pub at: At,
     /// Value.
     pub value: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
-    /// Path of the log.
+    /// Log.
     pub path: String,
 }
 
-/// Position of a log in the sequence of a trend.
+/// Position of a log in a trend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub enum At {
-    /// Start time, ns since 1970, as a decimal string.
+    /// Start, ns since 1970, decimal.
     #[serde(rename = "start_ns")]
     Time(#[serde(serialize_with = "decimal")] i64),
-    /// Episode number, for logs without calendar time, from the numbers in their paths.
+    /// Episode number in the path, for logs without calendar time.
     #[serde(rename = "episode")]
     Episode(usize),
 }
 
 impl At {
-    /// Distance from `first` in seconds or episodes.
+    /// In seconds or episodes.
     pub fn since(self, first: Self) -> f64 {
         match (self, first) {
             (Self::Time(own), Self::Time(first)) => seconds(own - first),
@@ -81,9 +73,9 @@ pub enum Course {
     Creeps,
     /// Step between two runs.
     Stepped,
-    /// The total change is below the rule's first threshold.
+    /// Total change below the rule's first threshold.
     Steady,
-    /// Not determined by these runs.
+    /// Undetermined.
     Untold,
 }
 
@@ -107,7 +99,7 @@ impl Course {
 /// Value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Moved {
-    /// Value in SI units; rates per day.
+    /// SI; rates per day.
     pub value: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
@@ -116,45 +108,44 @@ pub struct Moved {
 /// Trend of an estimate over the logs.
 #[derive(Clone, Debug, Serialize)]
 pub struct TrendRow {
-    /// Code of the rule.
+    /// Rule.
     pub code: String,
-    /// Name of the estimate.
+    /// Estimate.
     pub name: String,
     /// SI symbol.
     pub unit: String,
-    /// Subject of the estimate.
+    /// Subject.
     #[serde(flatten)]
     pub whose: Whose,
     /// Kind of trend.
     pub course: Course,
-    /// Number of logs with an estimate.
+    /// Logs with an estimate.
     pub logs: usize,
     /// Slope per day.
     pub rate_per_day: Option<Moved>,
-    /// Slope per episode, for logs without calendar time.
+    /// Slope per episode, without calendar time.
     pub rate_per_episode: Option<Moved>,
     /// Value at the middle of the runs.
     pub level: Option<Moved>,
-    /// Standard deviation of the runs about the line in excess of their own intervals.
+    /// Standard deviation about the line beyond the runs' own intervals.
     pub spread: Option<f64>,
     /// Size of the step.
     pub step: Option<Moved>,
-    /// Last log before the step and first after it, ns as decimal strings.
+    /// Logs before and after the step, ns, decimal.
     pub step_between_ns: Option<[String; 2]>,
-    /// The same two logs as paths.
+    /// Paths of these logs.
     pub step_between: Option<[String; 2]>,
-    /// First threshold of the rule.
+    /// First threshold.
     pub figure: Option<f64>,
-    /// Extrapolated time at which the threshold is reached, ns as a decimal string; the time of the last
-    /// log if it has been reached.
+    /// When the threshold is reached, ns, decimal; the last log if it has been.
     pub reaches_figure_ns: Option<String>,
-    /// Values of the logs in time order.
+    /// Values in time order.
     pub points: Vec<Point>,
-    /// Values of the line at the first and the last log.
+    /// Line at the first and last log.
     pub line: Option<[f64; 2]>,
 }
 
-/// Rows of the trends: found trends first, undetermined ones last, then by code.
+/// Found trends first, undetermined ones last, then by code.
 pub fn rows(series: Vec<Series>) -> Vec<TrendRow> {
     let asked = series.iter().filter(|one| one.points.len() >= MIN_RUNS).count();
     let mut rows: Vec<TrendRow> = series.into_iter().map(|one| row(one, asked)).collect();
@@ -206,7 +197,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
             let (now, rate) = (at(&found, last_s), found.rate_per_s.value);
             let left_s = ((figure * rate.signum() - now) / rate).max(0.0);
             let is_there = now.abs() >= figure;
-            // `None` if the time is too far away to represent.
+            // `None` if too far away to represent.
             let left_s = if is_there { 0.0 } else { left_s };
             if left_s < 1e9 { stamp(last_s + left_s) } else { None }
         }),
@@ -219,7 +210,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
     }
 }
 
-/// Converts a point for the estimator; half a 95 % interval is 1.96 standard errors.
+/// Half a 95 % interval is 1.96 standard errors.
 fn told(point: &Point, time_s: f64) -> RunEstimate {
     let [low, high] = point.ci95;
     RunEstimate { time_s, value: point.value, std_error: 0.5 * (high - low) / 1.959_964 }
@@ -253,7 +244,7 @@ fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Cour
     }
 }
 
-/// First threshold of a rule for values in this unit.
+/// For values in this unit.
 fn figure(code: &str, unit: &str) -> Option<f64> {
     let rule = checks::find(code).ok()?;
     let figures = rule.grade.thresholds();
@@ -261,17 +252,16 @@ fn figure(code: &str, unit: &str) -> Option<f64> {
 }
 
 impl TrendRow {
-    /// Display unit of the values.
+    /// Display unit.
     pub fn unit_of(&self) -> Unit {
         Unit::from_symbol(&self.unit, &self.name).unwrap_or(Unit::One)
     }
 
-    /// Value with its interval in display units.
     fn shown(&self, moved: &Moved) -> String {
         self.unit_of().show_signed_within(moved.value, Some(moved.ci95))
     }
 
-    /// Slope over 30 days or 100 episodes; smaller spans often need more digits than are shown.
+    /// Over 30 days or 100 episodes; smaller spans often need more digits than are shown.
     fn shown_rate(&self) -> Option<String> {
         const DAYS: f64 = 30.0;
         const EPISODES: f64 = 100.0;
@@ -330,7 +320,7 @@ impl TrendRow {
     }
 }
 
-/// Splits a path so that numbers in it sort by value.
+/// Numbers in a path sort by value.
 pub(super) fn natural(path: &str) -> Vec<(u64, String)> {
     let mut parts: Vec<(u64, String)> = Vec::new();
     for part in path.split_inclusive(|c: char| !c.is_ascii_digit()) {

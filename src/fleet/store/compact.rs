@@ -1,8 +1,6 @@
-//! Merges table parts.
-//!
-//! A hundred parts of one level are merged into one of the next, so a row is rewritten once per factor of a
-//! hundred in the number of logs. Rows of logs that may be retried are not merged. The merged part is
-//! written before the old ones are deleted; duplicates after a crash are deleted by the next call.
+//! Merges table parts: a hundred of one level become one of the next. Rows of logs that may be retried are
+//! not merged. The merged part is written before the old ones are deleted; the next call deletes duplicates
+//! left by a crash.
 
 use std::collections::HashSet;
 use std::fs::{File, TryLockError};
@@ -12,7 +10,7 @@ use polars::prelude::DataFrame;
 
 use super::{LogRows, Status, Store, StoreError, TABLES, Table, parts};
 
-/// Number of parts of a level that are merged.
+/// Parts of a level that are merged.
 const MANY: usize = 100;
 
 impl Store {
@@ -27,7 +25,7 @@ impl Store {
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Ok(()),
-            // Some network file systems do not support locks; parts are not merged there.
+            // Some network file systems do not support locks.
             Err(TryLockError::Error(_)) => return Ok(()),
         }
         self.merge_logs()?;
@@ -42,7 +40,7 @@ impl Store {
         Ok(())
     }
 
-    /// Merges the parts of single logs with a final status, for all tables together.
+    /// Logs with a final status, all tables together.
     fn merge_logs(&self) -> Result<(), StoreError> {
         let runs = parts::of(&self.folder.of(Table::Runs))?;
         let single: Vec<&PathBuf> = runs.iter().filter(|path| parts::level(path) == 0).collect();
@@ -87,7 +85,7 @@ impl Store {
         Ok(())
     }
 
-    /// Writes the rows of logs with a final status as one merged part per table.
+    /// One merged part per table.
     pub(super) fn commit_together(&self, logs: Vec<LogRows>) -> Result<(), StoreError> {
         let keys: Vec<String> = logs.iter().map(|log| log.key.clone()).collect();
         let name = parts::merged_name(1, &parts::together(keys.iter().map(String::as_str)));
@@ -99,11 +97,11 @@ impl Store {
                 parts::write(&path, &mut whole)?;
             }
         }
-        // Delete separate parts left by earlier calls.
+        // Left by earlier calls.
         keys.iter().try_for_each(|key| self.forget(key))
     }
 
-    /// Merges the parts of one level of a table if there are enough.
+    /// If there are enough parts.
     fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
         let all = parts::of(&self.folder.of(table))?;
         let alike: Vec<PathBuf> =
@@ -117,7 +115,6 @@ impl Store {
         Ok(true)
     }
 
-    /// Merges parts into one and then deletes them.
     fn merge(
         &self,
         table: Table,
@@ -146,7 +143,6 @@ impl Store {
     }
 }
 
-/// Concatenates data frames for `path`. `None` if there are none.
 fn stacked(
     mut frames: impl Iterator<Item = DataFrame>,
     path: &Path,

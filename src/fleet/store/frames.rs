@@ -1,4 +1,4 @@
-//! Builds the rows of one log as data frames. `docs/fleet.md` lists the columns.
+//! Rows of one log as data frames. `docs/fleet.md` lists the columns.
 
 use polars::prelude::{Column, DataFrame, NamedFrom, PolarsError, PolarsResult, Series};
 use serde::Serialize;
@@ -10,37 +10,30 @@ use crate::output::tables::{checks_frame, findings_frame};
 use crate::report::{Report, StreamRow, Trouble, Verdict};
 use crate::time::Stamp;
 
-/// Columns of `runs` needed for an [`Answer`], with the key.
+/// Columns of `runs` for an [`Answer`], with the key.
 pub const ANSWER_COLUMNS: &[&str] = &["key", "status", "verdict", "errors", "warnings", "infos"];
 
-/// Rows of one log for all tables.
 #[derive(Debug)]
 pub struct Tables {
     frames: Vec<(Table, DataFrame)>,
 }
 
-/// Results of one log to store.
 #[derive(Debug)]
 pub struct LogRows {
-    /// Key of the log.
     pub key: String,
-    /// Result of its audit.
     pub answer: Answer,
-    /// Its rows.
     pub tables: Tables,
 }
 
-/// Content of a row of `runs` in addition to the report.
+/// Row of `runs`, without the report.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
-    /// The log.
     pub task: &'a Task,
-    /// Result of its audit.
     pub answer: &'a Answer,
 }
 
 impl Tables {
-    /// Rows of a log with a report. `trouble` contains the error of an incomplete audit.
+    /// `trouble` is the error of an incomplete audit.
     ///
     /// # Errors
     /// Does not fail for valid reports.
@@ -65,8 +58,6 @@ impl Tables {
         Ok(Self { frames: frames.collect::<PolarsResult<_>>()? })
     }
 
-    /// Rows of a log without a report.
-    ///
     /// # Errors
     /// Does not fail for valid input.
     pub fn of_trouble(row: Row<'_>, trouble: &Trouble) -> PolarsResult<Self> {
@@ -86,7 +77,7 @@ impl Tables {
     }
 }
 
-/// Answers in a part of `runs`, by key. Unknown statuses are treated as not final.
+/// By key. Unknown statuses are not final.
 pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     let text = |name: &str| Ok::<_, PolarsError>(frame.column(name)?.str()?.iter());
     let count = |name: &str| -> PolarsResult<Vec<u32>> {
@@ -193,7 +184,7 @@ fn errors_frame(row: Row<'_>, trouble: Option<&Trouble>) -> PolarsResult<DataFra
     numbered(&row.task.key, DataFrame::new(1, columns)?)
 }
 
-/// Prepends the log's key and the row number, which together identify a row in any part.
+/// Key and row number identify a row in any part.
 fn numbered(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
     let rows = frame.height();
     let numbers: Vec<u32> = (0..rows as u32).collect();
@@ -206,7 +197,6 @@ fn text<'a>(name: &str, values: impl Iterator<Item = Option<&'a str>>) -> Column
     Column::new(name.into(), values.collect::<Vec<_>>())
 }
 
-/// Column with a single value.
 fn one<T, P: ?Sized>(name: &str, value: T) -> Column
 where
     Series: NamedFrom<Vec<T>, P>,
@@ -214,12 +204,12 @@ where
     Column::new(name.into(), vec![value])
 }
 
-/// Serialises a value with string keys and finite numbers, for which JSON cannot fail.
+/// String keys and finite numbers: JSON cannot fail.
 fn as_json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
-/// Number of findings of a severity, without ignored ones.
+/// Without ignored findings.
 pub(in crate::fleet) fn found(report: &Report, severity: Severity) -> u32 {
     report.findings.iter().filter(|finding| finding.severity == severity).count() as u32
 }

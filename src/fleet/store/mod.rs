@@ -1,9 +1,8 @@
-//! Results folder: one subfolder per table, with Parquet files as parts of the table.
+//! Results folder: one subfolder per table, with Parquet files as its parts.
 //!
-//! Parts are renamed into place when complete. A log's rows form one part per table, named by its key. The
-//! part of `runs` is written last, so a log without it is not done. Writing a log again replaces its parts.
-//! Every hundred parts are merged into one and then deleted (`compact`). A concurrent reader may see rows
-//! twice and must use each key once.
+//! A log's rows form one part per table, named by its key and renamed into place when complete. The part of
+//! `runs` is written last: a log without it is not done. Every hundred parts are merged into one
+//! (`compact`). A concurrent reader may see rows twice and must use each key once.
 
 mod compact;
 mod frames;
@@ -27,36 +26,33 @@ use crate::report::{Trouble, TroubleKind};
 pub(super) use frames::found;
 pub use frames::{LogRows, Row, Tables};
 
-/// Table of the results folder.
+/// Table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Table {
-    /// One row per log: result of its audit.
+    /// Result per log.
     Runs,
-    /// One row per topic.
+    /// Per topic.
     Streams,
-    /// One row per rule and subject.
+    /// Per rule and subject.
     Checks,
-    /// One row per finding.
+    /// Per finding.
     Findings,
-    /// One row per log that could not be audited, with the reason.
+    /// Reason per log not audited.
     Errors,
-    /// One row per file state, with its content identifier.
+    /// Content identifier per file state.
     Sources,
 }
 
-/// Tables with rows of a log, in write order.
+/// In write order.
 pub const TABLES: [Table; 5] =
     [Table::Streams, Table::Checks, Table::Findings, Table::Errors, Table::Runs];
 
-/// Folder of settings by hash.
 const SETTINGS: &str = "settings";
-/// Folder of shared properties of datasets.
 const DATASETS: &str = "datasets";
-/// Folder of report pages.
 const PAGES: &str = "pages";
 
 impl Table {
-    /// Name of the table and its folder.
+    /// Name, also of its folder.
     pub const fn name(self) -> &'static str {
         match self {
             Table::Runs => "runs",
@@ -69,21 +65,21 @@ impl Table {
     }
 }
 
-/// Error when reading or writing the results folder.
+/// Error of the results folder.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// A file cannot be accessed.
+    /// File cannot be accessed.
     #[error("{}: {source}", path.display())]
     File {
-        /// Path of the file.
+        /// File.
         path: PathBuf,
         /// Cause.
         source: io::Error,
     },
-    /// The content of a file is invalid.
+    /// Invalid content.
     #[error("{}: {source}", path.display())]
     Content {
-        /// Path of the file.
+        /// File.
         path: PathBuf,
         /// Cause.
         source: PolarsError,
@@ -97,7 +93,7 @@ impl StoreError {
         }
     }
 
-    /// Whether the part no longer exists.
+    /// The part no longer exists.
     fn is_gone(&self) -> bool {
         matches!(self, StoreError::File { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
@@ -123,12 +119,10 @@ impl From<StoreError> for Trouble {
     }
 }
 
-/// Results folder and the locations of its tables.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Folder of a table's parts.
     pub fn of(&self, table: Table) -> PathBuf {
         self.0.join(table.name())
     }
@@ -141,7 +135,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in `folder` and creates it if necessary.
+    /// Opens or creates the store in `folder`.
     ///
     /// # Errors
     /// If it cannot be created.
@@ -157,29 +151,29 @@ impl Store {
         Ok(store)
     }
 
-    /// Subfolders of `folder` that a store uses.
+    /// Subfolders that a store uses.
     pub fn folders(folder: &Path) -> Vec<PathBuf> {
         let tables = TABLES.into_iter().chain([Table::Sources]).map(Table::name);
         tables.chain([SETTINGS, DATASETS, PAGES]).map(|name| folder.join(name)).collect()
     }
 
-    /// Opens the store in `folder`. `None` if there is none.
+    /// Opens the store in `folder`, if any.
     pub fn open(folder: &Path) -> Option<Self> {
         let folder = Folder(folder.to_owned());
         folder.of(Table::Runs).is_dir().then_some(Self { folder })
     }
 
-    /// Path of a log's report page.
+    /// Report page of a log.
     pub fn page(&self, key: &str) -> PathBuf {
         self.path().join(PAGES).join(format!("{key}.html"))
     }
 
-    /// Path of the folder.
+    /// The folder.
     pub fn path(&self) -> &Path {
         &self.folder.0
     }
 
-    /// Stores the settings under their hash, for readers of the tables.
+    /// Stores the settings under their hash.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -193,14 +187,14 @@ impl Store {
             .map_err(|source| StoreError::File { path, source })
     }
 
-    /// Shared properties of a dataset, as determined with these settings.
+    /// Shared properties of a dataset under these settings.
     pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<Shared> {
         let text = fs::read_to_string(self.dataset_file(dataset, settings)).ok()?;
         let kept: KeptDataset = serde_json::from_str(&text).ok()?;
         Some(kept.shared)
     }
 
-    /// Shared properties of all datasets, as determined with these settings, sorted by name.
+    /// Shared properties of all datasets under these settings, by name.
     pub fn datasets(&self, settings: &str) -> Vec<KeptDataset> {
         let files = fs::read_dir(self.path().join(DATASETS)).into_iter().flatten().flatten();
         let texts = files.filter_map(|file| fs::read_to_string(file.path()).ok());
@@ -234,13 +228,13 @@ impl Store {
         self.path().join(DATASETS).join(format!("{name}.json"))
     }
 
-    /// Time at which the settings with this hash were first stored, if ever.
+    /// When these settings were first stored.
     pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
         let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
 
-    /// Stores the rows of several logs, `runs` last. Rows of logs with a final status are written together.
+    /// Stores rows of several logs, `runs` last.
     ///
     /// # Errors
     /// If a part cannot be written.
@@ -258,7 +252,7 @@ impl Store {
         for (table, mut frame) in tables.into_frames() {
             let path = self.folder.of(table).join(parts::name(key));
             match frame.height() {
-                // Remove parts left by an interrupted call.
+                // Left by an interrupted call.
                 0 => parts::remove(&path)?,
                 _ => parts::write(&path, &mut frame)?,
             }
@@ -269,13 +263,13 @@ impl Store {
     /// Deletes the separate parts of a key.
     ///
     /// # Errors
-    /// If a part exists and cannot be deleted.
+    /// If a part cannot be deleted.
     pub fn forget(&self, key: &str) -> Result<(), StoreError> {
         let paths = TABLES.into_iter().map(|table| self.folder.of(table).join(parts::name(key)));
         paths.rev().try_for_each(|path| parts::remove(&path))
     }
 
-    /// Results of all logs that are done, by key.
+    /// Results of finished logs, by key.
     ///
     /// # Errors
     /// If a part cannot be read.
@@ -343,7 +337,7 @@ impl Store {
         mut take: impl FnMut(DataFrame) -> Result<(), PolarsError>,
     ) -> Result<(), StoreError> {
         let mut taken = HashSet::new();
-        // A concurrent merge may replace parts; read the new part then.
+        // A concurrent merge may replace parts.
         for _ in 0..parts::MOST_TRIES {
             let mut is_gone = false;
             for path in parts::of(&self.folder.of(table))? {
@@ -368,28 +362,22 @@ impl Store {
     }
 }
 
-/// Stored shared properties of a dataset.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct KeptDataset {
-    /// Folder or file of the dataset.
+    /// Folder or file.
     pub dataset: String,
-    /// Hash of the settings.
+    /// Hash.
     pub settings: String,
-    /// Shared properties of its logs.
     pub shared: Shared,
 }
 
-/// Content of a file in a given state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceRow {
     /// Hash of path and state.
     pub source: String,
-    /// Path of the file.
     pub path: String,
-    /// Size.
     pub bytes: u64,
-    /// Modification time, ns since 1970.
+    /// ns since 1970.
     pub mtime_ns: i64,
-    /// Content identifier.
     pub content: String,
 }

@@ -1,5 +1,3 @@
-//! Files of a table.
-
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -13,48 +11,46 @@ use super::StoreError;
 
 const ENDING: &str = ".parquet";
 
-/// Prefix of merged parts, followed by the level.
+/// Followed by the level.
 const MERGED: &str = "merged-";
 
-/// Prefix of incomplete files: see [`crate::report::write_whole`].
+/// Incomplete files: see [`crate::report::write_whole`].
 const STAGED: &str = ".poseaudit-";
 
-/// Age after which an incomplete file is abandoned.
+/// Age of abandoned incomplete files.
 const LEFT_BEHIND: Duration = Duration::from_secs(3600);
 
-/// Maximum number of scans of a folder during concurrent merges.
+/// Scans of a folder during concurrent merges.
 pub const MOST_TRIES: usize = 5;
 
-/// File name of the part of a key.
 pub fn name(key: &str) -> String {
     format!("{key}{ENDING}")
 }
 
-/// File name of a merged part.
 pub fn merged_name(level: u32, keys: &str) -> String {
     format!("{MERGED}{level}-{keys}{ENDING}")
 }
 
-/// Hash of several keys, independent of their order.
+/// Hash independent of the order.
 pub fn together<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
     let mut keys: Vec<&str> = keys.into_iter().collect();
     keys.sort_unstable();
     blake3::hash(keys.join("\n").as_bytes()).to_hex()[..32].to_owned()
 }
 
-/// Merge level of a part; 0 for a single log.
+/// 0 for a single log.
 pub fn level(path: &Path) -> u32 {
     let level =
         || path.file_stem()?.to_str()?.strip_prefix(MERGED)?.split('-').next()?.parse().ok();
     level().unwrap_or(0)
 }
 
-/// Key of the part of a single log.
+/// Key, if the part is of a single log.
 pub fn key(path: &Path) -> Option<&str> {
     path.file_stem()?.to_str().filter(|_| level(path) == 0)
 }
 
-/// Parts in a folder, sorted by name. Incomplete files are excluded.
+/// Complete files, sorted by name.
 pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let fault = |source| StoreError::File { path: folder.to_owned(), source };
     let entries = match fs::read_dir(folder) {
@@ -73,7 +69,7 @@ pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(parts)
 }
 
-/// Reads a part, or only the given columns.
+/// Reads only the given columns, if any.
 pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
     let file =
         File::open(path).map_err(|source| StoreError::File { path: path.to_owned(), source })?;
@@ -82,7 +78,7 @@ pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreErr
     reader.finish().map_err(|source| StoreError::Content { path: path.to_owned(), source })
 }
 
-/// Writes `frame` to `path` atomically and durably.
+/// Atomic and durable.
 pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
     crate::report::write_whole(path, |staged| write_durably(staged, frame)).map_err(|fault| {
         match fault {
@@ -90,14 +86,14 @@ pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
             Fault::Frame(source) => StoreError::Content { path: path.to_owned(), source },
         }
     })?;
-    // Syncs the folder to make the rename durable. Not supported on every system.
+    // Makes the rename durable; not supported on every system.
     if let Some(Ok(folder)) = path.parent().map(File::open) {
         let _ = folder.sync_all();
     }
     Ok(())
 }
 
-/// Deletes a part if it exists.
+/// If it exists.
 pub fn remove(path: &Path) -> Result<(), StoreError> {
     match fs::remove_file(path) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {
@@ -107,7 +103,7 @@ pub fn remove(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Deletes old incomplete files of processes that died.
+/// Deletes old incomplete files.
 pub fn sweep(folder: &Path) {
     let is_old = |path: &Path| {
         let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
@@ -116,7 +112,7 @@ pub fn sweep(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let is_staged = entry.file_name().to_string_lossy().starts_with(STAGED);
         if is_staged && is_old(&entry.path()) {
-            // Another process may have deleted it already.
+            // Another process may have deleted it.
             let _ = fs::remove_file(entry.path());
         }
     }
