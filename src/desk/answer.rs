@@ -4,16 +4,16 @@ use super::form::Reading;
 use super::frames::{FixedFrame, worlds};
 use crate::geometry::{Axes, Convention, Misinterpretation, Pose, Vec3, angle_between};
 
-/// Residual below which poses agree, from rounding and a nominal model: rad and m.
+/// From rounding and a nominal model: rad and m.
 pub(super) const AGREES_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
 pub(super) const AGREES_M: f64 = 0.010;
 
-/// Differences of this size, rad and m, count as one unit of the score; this share of it is the floor.
+/// One unit of the score, rad and m; the floor is this share.
 const STEP_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const STEP_M: f64 = 0.005;
 const NO_STEP: f64 = 0.3;
 
-// Penalties for an inversion, in halvings of the residual.
+// In halvings of the residual.
 const INVERSE: f64 = 2.0;
 const TRANSPOSE: f64 = 2.5;
 
@@ -22,7 +22,7 @@ const TRANSPOSE: f64 = 2.5;
 pub enum Inversion {
     /// None.
     None,
-    /// Whole pose: parent and child are swapped.
+    /// Whole pose: parent and child swapped.
     Pose,
     /// Rotation only: transposed.
     Rotation,
@@ -53,14 +53,14 @@ impl Inversion {
 pub enum End {
     /// None.
     None,
-    /// Frames fixed to each other: at the base `but_from_is`, at the tip `is_from_but`.
+    /// Fixed frames: at the base `but_from_is`, at the tip `is_from_but`.
     Frames(FixedFrame),
-    /// Constant transform in the same direction, fitted to several pairs.
+    /// Constant transform in that direction, fitted to several pairs.
     Fitted(Pose),
 }
 
 impl End {
-    /// The transform; identity if there is none.
+    /// The transform, or identity.
     pub fn transform(&self) -> Pose {
         match self {
             Self::None => Pose::identity(),
@@ -91,14 +91,14 @@ pub struct Residual {
     pub rotation_rad: f64,
     /// Largest rotation, rad.
     pub worst_rotation_rad: f64,
-    /// Position, rms m; `None` if a side has no positions.
+    /// Position, rms m; `None` if a side lacks it.
     pub position_m: Option<f64>,
     /// Largest position residual, m.
     pub worst_position_m: Option<f64>,
 }
 
 impl Residual {
-    /// Whether the residual is within rounding and nominal model errors: 1° and 10 mm.
+    /// Whether within rounding and nominal model errors: 1° and 10 mm.
     pub fn agrees(&self) -> bool {
         self.rotation_rad <= AGREES_RAD && self.position_m.is_none_or(|m| m <= AGREES_M)
     }
@@ -116,7 +116,7 @@ impl Residual {
         }
     }
 
-    /// Size on a logarithmic scale, base 2.
+    /// Logarithmic, base 2.
     pub(super) fn size(&self) -> f64 {
         let doublings = |amount: f64, step: f64| (NO_STEP + amount / step).log2();
         doublings(self.rotation_rad, STEP_RAD)
@@ -139,22 +139,21 @@ impl Gap {
     }
 }
 
-/// Transforms that would remove the residual of a single pair, which one pair cannot confirm.
+/// Transforms that would remove a single pair's residual; unconfirmed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WouldDo {
-    /// Tool offset: `is_from_but` after the explanation's own steps.
+    /// Tool offset, after the other steps: `is_from_but`.
     pub tool: Pose,
     /// Base offset: `but_from_is`.
     pub base: Pose,
-    /// Whether it is a pure translation because the rotations agree.
+    /// Whether a pure translation, because the rotations agree.
     pub is_translation: bool,
 }
 
 impl WouldDo {
-    /// Distance between the positions and its axis, such as `150.0 mm along tool z`. `None` if the
-    /// rotations differ.
+    /// Distance and axis, such as `150.0 mm along tool z`; `None` if the rotations differ.
     pub fn apart(&self) -> Option<String> {
-        /// Minimum share of the distance along an axis.
+        /// Of the distance along an axis.
         const ALONG: f64 = 0.995;
         let shift = self.tool.translation.vector;
         let along = |vector: Vec3, end: &str| {
@@ -173,7 +172,7 @@ impl WouldDo {
     }
 }
 
-/// Explanation of the difference: B is `base · axes(inversion(A)) · tip`.
+/// Explanation: B is `base · axes(inversion(A)) · tip`.
 #[derive(Clone, Debug)]
 pub struct Hypothesis {
     /// Encoding of side A.
@@ -188,11 +187,11 @@ pub struct Hypothesis {
     pub base: End,
     /// Frames at the tip.
     pub tip: End,
-    /// Different interpretations of the same three numbers on the two sides.
+    /// The same three numbers read in two conventions.
     pub misreading: Option<Misinterpretation>,
     /// Residual.
     pub residual: Residual,
-    /// Residual plus penalties on a logarithmic scale, base 2; lower is better.
+    /// Residual and penalties, logarithmic, base 2; lower is better.
     pub score: f64,
     /// Other encodings with the same residual.
     pub equivalents: Vec<[Reading; 2]>,
@@ -201,7 +200,7 @@ pub struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// Assertions of the explanation, one per entry.
+    /// Its assertions.
     pub fn claims(&self) -> Vec<String> {
         let mut claims = Vec::new();
         if let Some(Misinterpretation { is, read_as }) = self.misreading {
@@ -225,15 +224,13 @@ impl Hypothesis {
         claims
     }
 
-    /// Whether all equivalent encodings change both sides alike, so the difference between them is
-    /// determined.
+    /// Whether all equivalent encodings change both sides alike, which determines the difference.
     pub(super) fn tells_the_change(&self) -> bool {
         let is_alike = |[is, but]: &[Reading; 2]| is.form == but.form;
         self.equivalents.is_empty()
             || self.is.form == self.but.form && self.equivalents.iter().all(is_alike)
     }
 
-    /// Predicted pose of B for `is` as A.
     pub(super) fn expected(&self, is: &Pose) -> Pose {
         let axes = self.axes.pose_from_standard(&self.inversion.of(is));
         self.base.transform() * axes * self.tip.transform()
@@ -248,7 +245,6 @@ fn spelt(convention: Convention) -> String {
     }
 }
 
-/// Describes a change of axes, with its known users.
 fn said_of_axes(axes: Axes) -> Option<String> {
     if axes == Axes::STANDARD {
         return None;
@@ -270,11 +266,11 @@ fn said_of_axes(axes: Axes) -> Option<String> {
 /// Verdict on the pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// One explanation agrees, and no other is as good.
+    /// One agrees, and no other is as good.
     Reconciled,
-    /// Several explanations agree, or one with several conventions.
+    /// Several agree, or one with several conventions.
     Ambiguous,
-    /// No explanation agrees.
+    /// None agrees.
     Open,
 }
 
@@ -285,13 +281,13 @@ pub struct Answer {
     pub verdict: Verdict,
     /// Explanations, best first.
     pub hypotheses: Vec<Hypothesis>,
-    /// Number of explanations as good as the first, including it; zero if none agrees.
+    /// Number as good as the first, including it.
     pub as_good: usize,
-    /// Transforms that would remove the residual of a single pair.
+    /// For a single pair.
     pub would_do: Option<WouldDo>,
-    /// Number of encodings tried for the two rotations.
+    /// Encodings tried for the two rotations.
     pub tried: usize,
-    /// Expected number of matches this close among that many random rotations; for a single pair.
+    /// Expected matches this close among that many random rotations; for a single pair.
     pub by_chance: Option<f64>,
     /// Warnings.
     pub notes: Vec<String>,

@@ -7,21 +7,21 @@ use crate::geometry::{
 };
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Maximum angle between the transforms of two pairs for a constant transform, rad.
+/// Largest angle between two pairs' transforms, rad.
 const HOPELESS_RAD: f64 = 20.0 * AGREES_RAD;
 
-/// Minimum number of poses to fit base and tool: 1.5 times as many values as unknowns.
+/// Poses to fit base and tool: 1.5 times as many values as unknowns.
 const ENOUGH: usize = 3;
 
-/// Minimum rotation that defines an axis, rad.
+/// Smallest rotation that defines an axis, rad.
 const LEAST_TURN_RAD: f64 = 0.05;
 
-/// Fits the constant `before_from_after` to all pairs: `after = before · tip`.
+/// `before_from_after` in `after = before · tip`.
 pub(super) fn tip(before: &[Pose], after: &[Pose]) -> Option<Pose> {
     mean(before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect())
 }
 
-/// Fits the constant `after_from_before` to all pairs: `after = base · before`.
+/// `after_from_before` in `after = base · before`.
 pub(super) fn base(before: &[Pose], after: &[Pose]) -> Option<Pose> {
     mean(before.iter().zip(after).map(|(before, after)| after * before.inverse()).collect())
 }
@@ -40,12 +40,10 @@ fn mean(poses: Vec<Pose>) -> Option<Pose> {
     Some(crate::geometry::pose(xyz.into(), rotation))
 }
 
-/// Fits constant base and tip transforms to all pairs: `after = base · before · tip`. `None` if there are
-/// too few pairs, if they rotate about a single axis, or if there is no constant solution.
+/// Fits `after = base · before · tip`. `None` for too few pairs, a single axis, or no constant solution.
 ///
-/// Rotations are estimated from relative rotations (Park and Martin, *Robot sensor calibration: solving AX
-/// = XB on the Euclidean group*, IEEE Trans. Robotics and Automation 10, 1994), translations by least
-/// squares.
+/// Rotations follow Park and Martin (*Robot sensor calibration: solving AX = XB on the Euclidean group*,
+/// IEEE Trans. Robotics and Automation 10, 1994), translations from least squares.
 pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
     if before.len() < ENOUGH {
         return None;

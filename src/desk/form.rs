@@ -12,25 +12,24 @@ use crate::geometry::{
 
 use super::error::DeskError;
 
-/// Maximum deviation of a matrix, `max |RᵀR − I|`, or of a quaternion's norm (times ten).
+/// `max |RᵀR − I|` of a matrix, or ten times the deviation of a quaternion's norm.
 const REFUSED_DEFECT: f64 = 1e-2;
 
-/// Deviation above which a note is added.
+/// Larger deviations are noted.
 pub(super) const SAID_DEFECT: f64 = 1e-3;
 
-/// Distance to gimbal lock below which a note is added, rad; as in ORD006.
+/// As in ORD006, rad.
 pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// Maximum lengths, in the given unit, for metres, centimetres and millimetres.
+/// Largest plausible lengths, each in its unit.
 const LONGEST_M: f64 = 10.0;
 const LONGEST_CM: f64 = 1e3;
 const LONGEST_MM: f64 = 1e4;
 
-/// Maximum angles, in the given unit, for radians and degrees.
+/// Largest plausible angles, each in its unit.
 const WIDEST_RAD: f64 = 1.1 * TAU;
 const WIDEST_DEG: f64 = 1e3;
 
-/// Whether the form can have this many numbers, with or without a position.
 fn takes(form: RotationEncoding, count: usize) -> bool {
     match form {
         RotationEncoding::Three(_) => matches!(count, 3 | 6),
@@ -42,7 +41,6 @@ fn takes(form: RotationEncoding, count: usize) -> bool {
     }
 }
 
-/// Whether this many numbers in `form` include a position.
 fn has_position(form: RotationEncoding, count: usize) -> bool {
     match form {
         RotationEncoding::Three(_) => count == 6,
@@ -52,7 +50,7 @@ fn has_position(form: RotationEncoding, count: usize) -> bool {
     }
 }
 
-/// Known properties of an encoding.
+/// Known part of an encoding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Style {
     /// Form of the rotation.
@@ -62,14 +60,13 @@ pub struct Style {
 }
 
 impl Style {
-    /// Fills missing properties from `other`.
+    /// Fills missing parts from `other`.
     pub fn or(self, other: Self) -> Self {
         Self { form: self.form.or(other.form), units: self.units.or(other.units) }
     }
 }
 
-/// Parses `FORM` or the `NAME` of a maker, and units, separated by commas: `euler:ZYX,deg,mm`, `kuka`,
-/// `mm`.
+/// `FORM` or a maker's `NAME`, and units, as `euler:ZYX,deg,mm`, `kuka`, `mm`.
 impl FromStr for Style {
     type Err = DeskError;
 
@@ -102,17 +99,17 @@ pub struct Reading {
     pub form: RotationEncoding,
     /// Unit of the position.
     pub length: LengthScale,
-    /// Unit of the angles; ignored if the form has none.
+    /// Unit of the angles, if any.
     pub angle: AngleUnit,
-    /// Whether there is a position; otherwise its unit is ignored.
+    /// Whether there is a position.
     pub has_position: bool,
-    /// Whether the unit of the position is unusual for the size of the numbers.
+    /// Whether the position's unit is unusual for its size.
     pub has_odd_length: bool,
-    /// Whether the unit of the angles is unusual for the size of the numbers.
+    /// Whether the angles' unit is unusual for their size.
     pub has_odd_angle: bool,
 }
 
-/// Maximum absolute value of a number in any unit.
+/// In any unit.
 const FARTHEST: f64 = 1e9;
 
 impl Reading {
@@ -121,7 +118,7 @@ impl Reading {
         u8::from(self.has_odd_length) + u8::from(self.has_odd_angle)
     }
 
-    /// Decodes `numbers`; the position is zero for a rotation alone.
+    /// Decodes `numbers`; a missing position is zero.
     ///
     /// # Errors
     /// If the count does not fit the form, or the numbers are not a rotation.
@@ -171,7 +168,7 @@ impl fmt::Display for Reading {
     }
 }
 
-/// The last `N` numbers, and the three before them, or zeros.
+/// The last `N` numbers, and the three before, or zeros.
 fn before_last<const N: usize>(numbers: &[f64]) -> ([f64; 3], [f64; N]) {
     let (xyz, last) = numbers.split_at(numbers.len() - N);
     let mut rotation = [0.0; N];
@@ -186,7 +183,6 @@ fn three(numbers: &[f64]) -> [f64; 3] {
     }
 }
 
-/// Rotation about an axis, rad.
 fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
     let axis = Vec3::from(axis);
     match (axis.norm() - 1.0).abs() <= REFUSED_DEFECT {
@@ -195,7 +191,7 @@ fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
     }
 }
 
-/// Position and rotation rows of a matrix, or of two of its columns or rows.
+/// Position and rotation rows.
 fn matrix(form: RotationEncoding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
     if matches!(form, RotationEncoding::TwoColumns | RotationEncoding::TwoRows) {
         let (xyz, [a, b, c, d, e, f]) = before_last::<6>(numbers);
@@ -227,7 +223,7 @@ fn matrix(form: RotationEncoding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3
     Ok((xyz, [0, 1, 2].map(|row| [0, 1, 2].map(|column| at(row, column)))))
 }
 
-/// Whether nine numbers are an orthonormal matrix with determinant −1.
+/// Orthonormal with determinant −1.
 fn is_mirrored(numbers: &[f64]) -> bool {
     let matrix =
         |numbers: &[f64]| matrix(RotationEncoding::Rows, numbers).ok().map(|(_, rows)| rows);
@@ -266,8 +262,7 @@ fn norm_of(q: [f64; 4]) -> f64 {
     q.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
-/// Deviation from a rotation: `max |RᵀR − I|` of a matrix, or the norm minus 1 of a quaternion; zero for
-/// other forms.
+/// `max |RᵀR − I|` of a matrix, or a quaternion's norm minus 1; otherwise zero.
 pub(super) fn defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
     match form {
         RotationEncoding::Three(_) | RotationEncoding::AxisAngle => 0.0,
@@ -281,7 +276,7 @@ pub(super) fn defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
     }
 }
 
-/// Distance of the angles from gimbal lock, rad; `None` if the form has none.
+/// In rad; `None` if the form has no lock.
 pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     match reading.form {
         RotationEncoding::Three(convention) if numbers.len() >= 3 => {
@@ -292,14 +287,14 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     }
 }
 
-/// All encodings of `samples` (of equal length) compatible with `style`, most likely first.
+/// Encodings of `samples` (of equal length) compatible with `style`, most likely first.
 ///
 /// Lengths above 10 are millimetres and above 10,000 micrometres; angles above 1.1 turns are degrees and
-/// above 1,000 fractions of degrees. Below that, metres and radians come first; other units follow and are
-/// marked as unusual.
+/// above 1,000 fractions of degrees. Below that, metres and radians come first; other units are marked as
+/// unusual.
 ///
 /// # Errors
-/// If there is no encoding; contains the reason for the most likely one.
+/// If there is none: the reason for the most likely one.
 pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>, DeskError> {
     let count = samples.first().map_or(0, |numbers| numbers.len());
     let forms: Vec<RotationEncoding> = match (style.form, count) {
@@ -319,7 +314,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     let mut found: Vec<Reading> = Vec::new();
     let mut refusal = None;
     for form in forms {
-        // Numbers that are a complete rotation are not interpreted as a partial one.
+        // A complete rotation is not interpreted as a partial one.
         let is_partial = matches!(
             form,
             RotationEncoding::AxisAngle | RotationEncoding::TwoColumns | RotationEncoding::TwoRows
@@ -343,7 +338,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             Ok(poses) => poses,
             Err(error) => {
                 refusal = Some(match refusal {
-                    // If one matrix order has a valid last row, its error is more informative.
+                    // A valid last row makes the other error more informative.
                     Some(first) if !matches!(first, DeskError::LastRow { .. }) => first,
                     _ => error,
                 });
@@ -392,7 +387,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     }
 }
 
-/// Possible units of lengths, and whether each is unusual for numbers of that size.
+/// Each with whether it is unusual for that size.
 fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     let [metre, millimetre] = [LengthScale::METRE, LengthScale::MILLIMETRE];
     let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::from_m);
@@ -405,7 +400,7 @@ fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     }
 }
 
-/// Possible units of angles, and whether each is unusual for numbers of that size.
+/// As [`lengths`].
 fn angles(widest: f64) -> Vec<(AngleUnit, bool)> {
     match widest {
         0.0 => vec![(AngleUnit::Radian, false)],

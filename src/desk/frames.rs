@@ -1,5 +1,5 @@
-//! Fixed frames at the ends of an arm, and other axis conventions, that may separate two poses. Those of
-//! common arms, cameras and engines are in `frames.toml`.
+//! Fixed frames at the ends of an arm, and other axis conventions (`frames.toml`), that may separate two
+//! poses.
 
 use std::sync::LazyLock;
 
@@ -10,7 +10,7 @@ use crate::robot::{LinkId, Robot, catalogue, nearest};
 
 use super::error::DeskError;
 
-/// Tolerance for equal transforms, m and rad.
+/// Tolerance, m and rad.
 const SAME: f64 = 1e-6;
 
 /// Declared frames of a pose.
@@ -23,11 +23,10 @@ pub struct FrameNames {
 }
 
 impl FrameNames {
-    /// Checks the frames against the links of `robot`, or of all catalogue arms if it is unknown. Prefixes
-    /// are ignored.
+    /// Checks the frames, apart from prefixes, against the links of `robot`, or of all catalogue arms.
     ///
     /// # Errors
-    /// If a frame is not a link: its name, and the closest link.
+    /// If a frame is not a link; names the closest.
     pub fn check(&self, robot: Option<&Robot>) -> Result<(), DeskError> {
         let robots: Vec<&Robot> = match robot {
             Some(robot) => vec![robot],
@@ -46,7 +45,7 @@ impl FrameNames {
     }
 }
 
-/// Whether the frame names match, apart from a prefix.
+/// Apart from a prefix.
 fn meets(given: &str, frame: &str) -> bool {
     let prefix = given.strip_suffix(frame);
     prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
@@ -78,7 +77,7 @@ struct Turn {
     who: String,
     from: String,
     to: String,
-    /// Axes of `to` in terms of those of `from`.
+    /// Of `to` in terms of `from`.
     axes: String,
 }
 
@@ -88,7 +87,7 @@ struct Turn {
 pub struct World {
     /// Its user.
     pub who: String,
-    /// Its axes in terms of ROS axes (REP 103).
+    /// In terms of ROS axes (REP 103).
     #[serde(deserialize_with = "axes")]
     pub axes: Axes,
 }
@@ -97,10 +96,10 @@ fn axes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
     String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
 }
 
-/// Two frames fixed to each other at one end of common arms.
+/// Fixed to each other at one end of common arms.
 struct FixedPair {
     is_base: bool,
-    /// Makers of arms with these frames.
+    /// Makers.
     arms: String,
     from: String,
     to: String,
@@ -111,7 +110,7 @@ static TABLE: LazyLock<File> = LazyLock::new(|| {
     toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid")
 });
 
-/// Known axis conventions, most common first.
+/// Most common first.
 pub(super) fn worlds() -> &'static [World] {
     &TABLE.worlds
 }
@@ -146,34 +145,33 @@ static TURNS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
     TABLE.turns.iter().flat_map(turned).collect()
 });
 
-/// Frames of the two poses at one end, and the constant transform between them.
+/// Frames of two poses at one end, and the constant transform between them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedFrame {
     /// Frame of the first pose.
     pub is: String,
     /// Frame of the other pose.
     pub but: String,
-    /// Makers of arms with these frames.
+    /// Makers of such arms.
     pub arms: String,
     /// At the base `but_from_is`, at the tip `is_from_but`.
     pub transform: Pose,
-    /// Whether the caller named these two frames.
+    /// Whether the caller named both.
     pub is_named: bool,
-    /// Whether this is a change of axes (of a world, a camera or a body) and not a pair of arm frames.
+    /// Whether this changes axes (world, camera, body) instead of arm frames.
     pub is_turn: bool,
-    /// Other frames with the same transform, such as `tool0 → flange of Universal Robots`.
+    /// Frames with the same transform, such as `tool0 → flange of Universal Robots`.
     pub also: Vec<String>,
 }
 
 impl FixedFrame {
-    /// Whether the assignment of frames to poses is undetermined: the transform is its own inverse, and the
-    /// caller did not name the frames.
+    /// Whether the transform is its own inverse and the frames are not named.
     pub fn is_either_way(&self) -> bool {
         !self.is_named && is_same(&(self.transform * self.transform), &Pose::identity())
     }
 }
 
-/// Candidate constant transforms between two poses of one arm, in addition to none.
+/// Candidate constant transforms between two poses of one arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Corrections {
     /// At the base.
@@ -183,7 +181,7 @@ pub struct Corrections {
 }
 
 impl Corrections {
-    /// Candidates for `robot`, or for common arms if it is unknown; `is` and `but` are the declared frames.
+    /// Candidates for `robot`, or for common arms; `is` and `but` are the declared frames.
     pub fn of(robot: Option<&Robot>, is: &FrameNames, but: &FrameNames) -> Self {
         let mut found = Self::default();
         match robot {
@@ -219,7 +217,7 @@ impl Corrections {
 fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<FixedFrame>) {
     let mut fixed: Vec<LinkId> =
         robot.links().filter(|link| robot.fixed_transform(end, *link).is_some()).collect();
-    // Of frames with equal transforms, prefer those in which poses are commonly given.
+    // Of frames with equal transforms, prefer common ones for poses.
     let ends =
         [&robot.default_base, &robot.controller_base, &robot.default_tip, &robot.controller_tip];
     fixed.sort_by_key(|link| {
@@ -243,7 +241,6 @@ fn push_both(
     (is_base, is_turn): (bool, bool),
     found: &mut Vec<FixedFrame>,
 ) {
-    // At the base `but_from_is`, at the tip `is_from_but`.
     for (first, second, transform) in [(from, to, from_to), (to, from, from_to.inverse())] {
         let (is, but) = if is_base { (second, first) } else { (first, second) };
         found.push(FixedFrame {
@@ -264,12 +261,12 @@ fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
     for frame in frames.iter_mut() {
         frame.is_named = meets(is, &frame.is) && meets(but, &frame.but);
     }
-    // The sort is stable: other frames keep their order.
+    // Stable: other frames keep their order.
     frames.sort_by_key(|frame| !frame.is_named);
     let mut kept: Vec<FixedFrame> = Vec::new();
     for frame in frames.drain(..) {
         match kept.iter_mut().find(|known| is_same(&known.transform, &frame.transform)) {
-            // A transform that is its own inverse is listed in one direction only.
+            // Its own inverse: listed in one direction only.
             Some(known) if known.is == frame.but && known.but == frame.is => {}
             Some(known) => {
                 let told = |is: &str, but: &str| format!("{is} → {but} ({})", frame.arms);

@@ -113,7 +113,7 @@ pub fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     })
 }
 
-/// Converts the transform at one end; `sense` is the key that gives its direction.
+/// `sense` is the key that gives the direction.
 fn end_as_json(end: &End, sense: &str) -> Value {
     let transform = pose_as_json(&end.transform());
     match end {

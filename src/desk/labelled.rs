@@ -5,7 +5,6 @@ use super::form::Style;
 use super::paste::Pasted;
 use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units, vendors};
 
-/// Token of a text.
 enum Token<'a> {
     Number(f64),
     Word(&'a str),
@@ -16,7 +15,7 @@ enum Token<'a> {
 struct Names {
     names: &'static [&'static str],
     coding: Option<RotationEncoding>,
-    /// Maker in the table of conventions, for coding and units.
+    /// In the table of conventions.
     maker: Option<&'static str>,
     kind: &'static str,
 }
@@ -46,7 +45,7 @@ const fn named(
     Names { names, coding, maker, kind }
 }
 
-/// Parses the pose in `text` if its numbers have names or units; otherwise `None`.
+/// `None` if the numbers have neither names nor units.
 ///
 /// # Errors
 /// If a name occurs twice.
@@ -85,7 +84,6 @@ pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
     Ok(Some(Pasted::new([position, rotation].concat(), style, set.kind)))
 }
 
-/// Numbers with units but without names.
 fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
     let words = tokens.iter().filter(|token| matches!(token, Token::Word(_))).count();
     let of_units = tokens.iter().filter(|token| unit(token).is_some()).count();
@@ -100,7 +98,7 @@ fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
     Some(Pasted::new(numbers.collect(), style, "numbers with units"))
 }
 
-/// Units in the text; the first if there are several.
+/// The first if there are several.
 fn units(tokens: &[Token]) -> Units {
     let mut units = Units::default();
     for found in tokens.iter().filter_map(unit) {
@@ -146,7 +144,7 @@ fn tokens(text: &str) -> Vec<Token<'_>> {
     tokens
 }
 
-/// Length in bytes of the number at the start of `text`, with sign and exponent.
+/// In bytes, with sign and exponent.
 fn number_length(text: &str) -> usize {
     let mut last = ' ';
     let mut chars = text.char_indices().peekable();
@@ -169,7 +167,7 @@ fn word_length(text: &str) -> usize {
     text.find(|c| !is_of_word(c)).unwrap_or(text.len())
 }
 
-/// Numbers of the innermost bracketed groups, as nested in RAPID and VAL3.
+/// Innermost bracketed groups, as nested in RAPID and VAL3.
 pub(super) fn groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
     let mut groups = Vec::new();
     let mut inner = None;

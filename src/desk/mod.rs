@@ -1,7 +1,5 @@
-//! Pose desk: shows one pose in every convention, and finds what reconciles two poses.
-//!
-//! [`paste()`] parses a text, [`sheet()`] converts one pose to every convention with its users, and
-//! [`reconcile()`] ranks explanations for the difference between pairs of poses.
+//! Pose desk: [`sheet()`] shows a pose in every convention; [`reconcile()`] explains the difference of two
+//! poses.
 
 mod answer;
 mod error;

@@ -12,11 +12,11 @@ pub struct Pair {
     pub but: Pasted,
 }
 
-/// Reads pairs from `text`: two columns with a pose each, with or without a header, or one column per
-/// number with names that start with `is` and `but`.
+/// Reads two columns with a pose each, with or without a header, or one column per number with names that
+/// start with `is` and `but`.
 ///
 /// # Errors
-/// If a row is not a pair; names the row, counted from 1 including the header.
+/// If a row (counted from 1 with the header) is not a pair.
 pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -52,7 +52,7 @@ pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
     }
 }
 
-/// Columns of each side, if the first row is a header.
+/// Columns of each side.
 fn header(record: &csv::StringRecord) -> Option<[Vec<usize>; 2]> {
     let of = |side: &str| -> Vec<usize> {
         let names = record.iter().map(str::to_ascii_lowercase).enumerate();

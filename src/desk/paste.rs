@@ -12,15 +12,15 @@ use crate::robot::xml_document;
 /// Numbers of a pose, with the encoding shown by the text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pasted {
-    /// Numbers in order: 6, 7, 12 or 16, or 3, 4 or 9 for a rotation without a position.
+    /// In order: 6, 7, 12 or 16, or 3, 4 or 9 for a rotation alone.
     pub numbers: Vec<f64>,
-    /// Form and units shown by the text.
+    /// Form and units, as far as shown.
     pub style: Style,
-    /// Recognised kind of text.
+    /// Kind of text.
     pub kind: &'static str,
-    /// Reference frame, if given in the text.
+    /// Reference frame, if given.
     pub parent: Option<String>,
-    /// Frame whose pose is given, if named in the text.
+    /// Frame whose pose is given, if named.
     pub child: Option<String>,
 }
 
@@ -55,7 +55,7 @@ pub fn paste(text: &str) -> Result<Pasted, DeskError> {
     }
 }
 
-/// `p[…]`, alone or in a line of URScript.
+/// `p[…]`, alone or in URScript.
 fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
     let begins = |(at, _): &(usize, &str)| {
         !text[..*at].ends_with(|before: char| before.is_alphanumeric() || before == '_')
@@ -108,7 +108,7 @@ impl Pasted {
     }
 }
 
-/// Numbers separated by spaces, commas, semicolons, brackets or degree signs.
+/// Separated by spaces, commas, semicolons, brackets or degree signs.
 fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
     let text = text.replace('−', "-");
     let is_between = |c: char| c.is_whitespace() || ",;[](){}|°".contains(c);
@@ -121,7 +121,7 @@ fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
     numbers.collect()
 }
 
-/// `<origin xyz="…" rpy="…"/>`, or only its attributes.
+/// `<origin xyz="…" rpy="…"/>`, or its attributes.
 fn urdf(text: &str) -> Result<Pasted, DeskError> {
     let attributes = text.trim_start_matches("<origin").trim_end_matches('>').trim_end_matches('/');
     let element = match text.starts_with('<') && !text.starts_with("<origin") {
@@ -146,7 +146,6 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
     Ok(Pasted::new(numbers, si(RotationEncoding::Three(Convention::RPY)), "URDF origin"))
 }
 
-/// Output of `tf2_echo`.
 fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
     if let more @ 2.. = text.matches("Translation:").count() {
         return Err(DeskError::Several(more));
@@ -164,7 +163,7 @@ fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
     Ok(Pasted::new(numbers, si(RotationEncoding::Xyzw), "tf2_echo"))
 }
 
-/// ROS message as printed by `ros2 topic echo`, or as JSON.
+/// From `ros2 topic echo` or JSON.
 fn message(text: &str) -> Result<Pasted, DeskError> {
     let document = text.split("\n---").next().unwrap_or(text).trim_start_matches("---");
     let message: Value = serde_saphyr::from_str(document)
@@ -182,7 +181,7 @@ fn first_line(text: &str) -> String {
     text.lines().next().unwrap_or_default().to_owned()
 }
 
-/// Maps in `value` that contain a pose.
+/// Maps that contain a pose.
 fn find<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
     match value {
         Value::Object(map) => {
@@ -217,7 +216,7 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
     Ok(pasted)
 }
 
-/// First non-empty text with that key in `value`, without a leading `/`.
+/// First non-empty text with that key, without a leading `/`.
 fn name(value: &Value, key: &str) -> Option<String> {
     match value {
         Value::Object(map) => {
@@ -325,7 +324,6 @@ transforms:
         let pasted = paste(rapid).unwrap();
         assert_eq!(pasted.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
         assert_eq!(pasted.style.form, Some(RotationEncoding::Wxyz));
-        // Python lists are not RAPID.
         assert_eq!(paste("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().style, Style::default());
         let script = paste("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
         assert_eq!(script.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);

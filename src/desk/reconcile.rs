@@ -1,9 +1,6 @@
-//! Finds what reconciles pairs of poses.
+//! Finds what reconciles pairs of poses: `but = base · axes(is) · tip`.
 //!
-//! Tests every encoding of one side against every encoding of the other, with inversions, other axis
-//! conventions and fixed frames: `but = base · axes(is) · tip`. The score combines the residual with a
-//! penalty for the assumptions, so a simple explanation is preferred to a more complex one with a similar
-//! residual.
+//! The score adds a penalty for assumptions to the residual, so a simple explanation is preferred.
 
 use super::answer::{AGREES_RAD, Answer, End, Gap, Hypothesis, Residual, Verdict, WouldDo};
 use super::error::DeskError;
@@ -13,26 +10,26 @@ use super::pairs::Pair;
 use super::search::{Candidate, Group, HOPELESS, SEARCHED, Search, groups};
 use crate::geometry::{Pose, angle_between};
 
-/// Minimum difference in score for one explanation to be better than another.
+/// In the score.
 const NO_BETTER: f64 = 1.5;
 
-/// Maximum number of explanations listed.
+/// Listed explanations.
 const TOLD: usize = 6;
 
 /// Input of the search.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// Poses that should agree, at least one pair.
+    /// Poses that should agree.
     pub pairs: Vec<Pair>,
     /// Known encoding of one side.
     pub is: Style,
     /// Known encoding of the other side.
     pub but: Style,
-    /// Candidate fixed frames between the two sides.
+    /// Candidate fixed frames.
     pub frames: Corrections,
 }
 
-/// Ranks explanations that reconcile the pairs of `question`.
+/// Ranks explanations for the pairs of `question`.
 ///
 /// # Errors
 /// If there is no pair, or a side is not a pose in its style.
@@ -72,7 +69,7 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     Ok(answer)
 }
 
-/// Warnings about the numbers of a side: deviation from a rotation, and Euler angles near gimbal lock.
+/// Deviation from a rotation, and Euler angles near gimbal lock.
 fn flaws<'a>(
     side: &str,
     reading: &Reading,
@@ -97,13 +94,12 @@ fn flaws<'a>(
     notes
 }
 
-/// Conversion of the search result to an answer.
 impl Search<'_> {
     fn answer(mut self, count: usize) -> Answer {
         let found = std::mem::take(&mut self.found);
         let mut found: Vec<Candidate> =
             found.into_iter().filter(|candidate| candidate.score <= self.best + HOPELESS).collect();
-        // The sort is stable: of equal candidates the first tried, which is the most common, comes first.
+        // Stable: of equal candidates, the most common comes first.
         found.sort_by(|a, b| a.score.total_cmp(&b.score));
         let mut told: Vec<Hypothesis> = Vec::new();
         let mut first: Vec<Candidate> = Vec::new();
@@ -137,8 +133,7 @@ impl Search<'_> {
         self.judged(told, count)
     }
 
-    /// Whether two explanations are equivalent: the same transformation, with the same numbers or an
-    /// encoding with the same residual.
+    /// Same transformation, and same numbers or an encoding with the same residual.
     fn are_alike(&self, known: &Candidate, other: &Candidate) -> bool {
         if known.misreading.is_some() != other.misreading.is_some()
             || !known.steps.are(&other.steps, self.frames)
@@ -225,7 +220,7 @@ impl Search<'_> {
         group.poses.first().copied()
     }
 
-    /// Largest angle between the first pose of a side and the others.
+    /// Largest angle to the first pose.
     fn spread_rad(&self) -> Option<f64> {
         let poses = &self.is.first()?.poses;
         let first = poses.first()?;

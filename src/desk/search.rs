@@ -1,5 +1,5 @@
 //! Tests every encoding of one side against every encoding of the other, with inversions, fixed frames and
-//! other axis conventions.
+//! axes.
 
 use super::answer::{End, Gap, Inversion, Residual};
 use super::error::DeskError;
@@ -12,7 +12,7 @@ use crate::geometry::{
     misinterpretation_classes, pose, rotation_from_rotvec,
 };
 
-// Penalties for each assumption, in halvings of the residual.
+// In halvings of the residual.
 const PER_RANK: f64 = 0.25;
 const ODD_UNIT: f64 = 3.0;
 const FRAME: f64 = 1.5;
@@ -22,28 +22,25 @@ const FITTED: f64 = 3.0;
 const KNOWN_WORLD: f64 = 1.5;
 const OTHER_WORLD: f64 = 3.0;
 
-/// A fitted transform this close to the identity or to known frames is not a separate explanation: rad and
-/// m.
+/// A closer transform is equal to the identity or to known frames: rad and m.
 const NOTHING_RAD: f64 = 0.2 * std::f64::consts::PI / 180.0;
 const NOTHING_M: f64 = 0.002;
 
-/// Explanations with a score this much above the best are dropped.
+/// Score above the best.
 pub(super) const HOPELESS: f64 = 8.0;
 
-/// With several pairs, explanations with a larger rotation error at the first pair are dropped, rad.
+/// With several pairs: rotation error at the first, rad.
 const HOPELESS_RAD: f64 = 0.6;
 
-/// Maximum number of pairs in the search; residuals are computed over all.
+/// Residuals are computed over all pairs.
 pub(super) const SEARCHED: usize = 32;
 
-/// Maximum number of explanations kept during the search.
 const KEPT: usize = 4096;
 
-/// Tolerances for equal poses, and for equal transformations, m and rad.
+/// Equal poses, and equal transformations, m and rad.
 const SAME: f64 = 1e-9;
 const SAME_CHANGE: f64 = 1e-6;
 
-/// Encodings of one side that give the same poses.
 pub(super) struct Group {
     pub(super) readings: Vec<Reading>,
     pub(super) poses: Vec<Pose>,
@@ -51,18 +48,16 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// Whether both sides have the same unusual unit for the size of their numbers. That would only scale
-    /// down every difference.
+    /// Whether both sides have the same unusual unit, which only scales down every difference.
     pub(super) fn is_odd_with(&self, other: &Self) -> bool {
         let [a, b] = [&self.readings[0], &other.readings[0]];
         (a.has_odd_length && b.has_odd_length) || (a.has_odd_angle && b.has_odd_angle)
     }
 }
 
-/// Transform at one end.
 #[derive(Clone, Copy)]
 pub(super) enum Place {
-    /// 0 for none, otherwise one more than the index in the list of frames.
+    /// 0 for none, otherwise one more than the index in the list.
     Listed(usize),
     Fitted(Pose),
 }
@@ -98,7 +93,7 @@ impl Place {
         }
     }
 
-    /// Fitted transform. `None` if it is close to the identity or to frames in the list.
+    /// `None` if close to the identity or to listed frames.
     fn fitted(transform: Pose, list: &[FixedFrame]) -> Option<Self> {
         let is_near = |place: Self| {
             let gap = Gap::between(&transform, &place.transform(list));
@@ -108,7 +103,7 @@ impl Place {
     }
 }
 
-/// Transformation from A to B.
+/// From A to B.
 #[derive(Clone, Copy)]
 pub(super) struct Steps {
     pub(super) inversion: Inversion,
@@ -144,7 +139,6 @@ impl Steps {
         self.inversion.cost() + axes + ends
     }
 
-    /// Whether both transformations have the same effect on any pose.
     pub(super) fn are(&self, other: &Self, frames: &Corrections) -> bool {
         let probes = [([0.3, -0.7, 0.5], [0.4, -0.9, 1.3]), ([-0.6, 0.2, 0.9], [-1.1, 0.5, 0.2])];
         probes.into_iter().all(|(xyz, rotvec)| {
@@ -155,7 +149,6 @@ impl Steps {
     }
 }
 
-/// Explanation before it is described in words.
 #[derive(Clone, Copy)]
 pub(super) struct Candidate {
     pub(super) is: usize,
@@ -171,14 +164,12 @@ pub(super) struct Search<'a> {
     pub(super) but: Vec<Group>,
     pub(super) frames: &'a Corrections,
     pub(super) has_position: bool,
-    /// Indices of the pairs used in the search.
     pub(super) seen: Vec<usize>,
     pub(super) best: f64,
     pub(super) tried: usize,
     pub(super) found: Vec<Candidate>,
 }
 
-/// Encodings of `all` compatible with `style`, grouped by equal poses.
 pub(super) fn groups(all: &[&Pasted], style: Style) -> Result<Vec<Group>, DeskError> {
     let first = all.first().ok_or(DeskError::NoPairs)?;
     if let Some(other) = all.iter().find(|other| other.numbers.len() != first.numbers.len()) {
@@ -214,13 +205,11 @@ impl Search<'_> {
             self.found.push(candidate);
         }
         if self.found.len() >= 2 * KEPT {
-            // Stable, as the final sort.
             self.found.sort_by(|a, b| a.score.total_cmp(&b.score));
             self.found.truncate(KEPT);
         }
     }
 
-    /// Tests all pairs of encodings with inversions, fixed frames and axes.
     pub(super) fn plain(&mut self) {
         let frames = self.frames;
         for is in 0..self.is.len() {
@@ -239,7 +228,6 @@ impl Search<'_> {
         }
     }
 
-    /// Tests one encoding, transformed by `steps`, against all encodings of the other side.
     fn try_steps(&mut self, is: usize, steps: Steps) {
         let several = self.seen.len() > 1;
         let expected = self.expected(is, &steps);
@@ -259,7 +247,6 @@ impl Search<'_> {
         }
     }
 
-    /// Poses of an encoding transformed by `steps`.
     fn expected(&self, is: usize, steps: &Steps) -> Vec<Pose> {
         let poses = &self.is[is].poses;
         self.seen.iter().map(|&at| steps.of(&poses[at], self.frames)).collect()
@@ -275,8 +262,7 @@ impl Search<'_> {
         self.push(Candidate { is, but, steps, misreading: None, residual, score });
     }
 
-    /// Tests whether both rotations come from the same three numbers in two conventions, if both are now in
-    /// determined encodings.
+    /// The same three numbers in two conventions, if both sides are in determined encodings.
     pub(super) fn misread(&mut self) {
         if !is_settled(&self.is) || !is_settled(&self.but) {
             return;
@@ -336,7 +322,7 @@ impl Search<'_> {
         }
     }
 
-    /// Fits an unknown constant tool offset, base offset, or both.
+    /// Fits a constant tool offset, base offset, or both.
     pub(super) fn fitted(&mut self) {
         let frames = self.frames;
         let other_hand = Axes::all().iter().copied().find(|axes| axes.are_left_handed());
@@ -370,7 +356,6 @@ impl Search<'_> {
         }
     }
 
-    /// Fits the additional transform from `with` for every encoding of the other side.
     fn fit(&mut self, is: usize, steps: Steps, with: impl Fn(&[Pose], &[Pose]) -> Option<Steps>) {
         let before = self.expected(is, &steps);
         for but in 0..self.but.len() {
@@ -386,7 +371,7 @@ impl Search<'_> {
     }
 }
 
-/// Whether the convention of a side with three numbers is determined.
+/// Whether the convention of three numbers is determined.
 fn is_settled(side: &[Group]) -> bool {
     let mut forms = side.iter().flat_map(|group| &group.readings).map(|reading| reading.form);
     let first = forms.next();

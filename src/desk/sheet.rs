@@ -16,13 +16,13 @@ use crate::geometry::vendors::{LibraryName, VendorUse, library_names, uses_of};
 pub struct Row {
     /// The convention.
     pub form: RotationEncoding,
-    /// Numbers of the rotation, with angles in rad; nine for a matrix.
+    /// Rotation, angles in rad; nine for a matrix.
     pub numbers: Vec<f64>,
-    /// Distance to gimbal lock, rad; `None` if the convention has none.
+    /// Distance to gimbal lock, rad; `None` without one.
     pub gimbal_margin_rad: Option<f64>,
     /// Users of the convention.
     pub uses: Vec<&'static VendorUse>,
-    /// Names of the convention in libraries.
+    /// Its names in libraries.
     pub names: Vec<LibraryName>,
 }
 
@@ -37,7 +37,7 @@ impl Row {
         }
     }
 
-    /// Whether the numbers are within 5° of gimbal lock.
+    /// Whether within 5° of gimbal lock.
     pub fn is_near_lock(&self) -> bool {
         self.gimbal_margin_rad.is_some_and(|margin_rad| margin_rad < LOCK_RAD)
     }
@@ -56,15 +56,15 @@ pub struct Sheet {
     pub rows: Vec<Row>,
     /// The pose in other axis conventions.
     pub worlds: Vec<(&'static str, Pose)>,
-    /// Lines of code for the numbers as given, if the rotation has three numbers.
+    /// Code for the given numbers, if three.
     pub code_of_numbers: Vec<CodeLine>,
-    /// Lines of code for the quaternion.
+    /// Code for the quaternion.
     pub code_of_quaternion: Vec<CodeLine>,
     /// Assumptions and warnings.
     pub notes: Vec<String>,
 }
 
-/// Interpretation of a pose in one of several possible conventions.
+/// Pose in one of several possible conventions.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// The convention.
@@ -80,7 +80,7 @@ pub struct Candidate {
 pub enum Sheets {
     /// The encoding is determined.
     One(Box<Sheet>),
-    /// The convention is ambiguous; lists those with known users.
+    /// Ambiguous among conventions with known users.
     Several {
         /// Candidates, most common first.
         candidates: Vec<Candidate>,
@@ -89,7 +89,7 @@ pub enum Sheets {
     },
 }
 
-/// Interprets `pasted`; `style` is the encoding given by the caller.
+/// Interprets `pasted`; `style` overrides its own.
 ///
 /// # Errors
 /// If the numbers are not a pose in that style.
@@ -227,13 +227,13 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     })
 }
 
-/// Unit vector along the axis, and angle, rad.
+/// Unit vector, and angle, rad.
 fn axis_angle(rotation: &Rotation) -> Vec<f64> {
     let axis = rotation.axis().map_or(Vec3::z(), |axis| axis.into_inner());
     vec![axis.x, axis.y, axis.z, rotation.angle()]
 }
 
-/// Number rounded to 1e-9, written as a float literal valid in every language.
+/// Rounded to 1e-9; a float literal in every language.
 fn literal(value: f64) -> String {
     format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
 }
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn the_sample_of_aubos_sdk_is_its_quaternion() {
-        // Example from the vendor: rpy, rad, and quaternion w, x, y, z.
+        // Vendor's example: rpy, rad, and quaternion w, x, y, z.
         let sheet = one("0.611 0.785 0.960", "aubo");
         let expected = [0.834722, 0.078043, 0.451893, 0.304864];
         assert_near(&numbers(&sheet, "quat:wxyz"), &expected, 1e-6);
@@ -299,13 +299,11 @@ mod tests {
 
     #[test]
     fn frankas_matrix_goes_by_columns_and_rokaes_by_rows() {
-        // Rz(90°), position 0.3, 0.1, 0.5.
         let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
         let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
         assert_eq!(columns.reading.form, RotationEncoding::Columns);
         assert_eq!(rows.reading.form, RotationEncoding::Rows);
         assert_eq!(columns.pose, rows.pose);
-        // Without the last row.
         let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
         assert_eq!((columns.reading.form, columns.pose), (RotationEncoding::Columns, rows.pose));
         let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");

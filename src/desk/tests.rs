@@ -1,14 +1,13 @@
 //! Pairs of poses with a known difference.
 //!
-//! Poses are from other programs (the catalogue's check values). Pendant values were computed by SciPy
-//! 1.17.1 and rounded as on pendants.
+//! Poses are the catalogue's check values; pendant values by SciPy 1.17.1, rounded as on pendants.
 
 use crate::geometry::{AngleUnit, LengthScale};
 use crate::robot::catalogue;
 
 use super::*;
 
-/// UR3e poses by its URDF, and as shown with a TCP of (10, −20, 149.9) mm, rotated 30° about z.
+/// Poses by URDF, and with a TCP of (10, −20, 149.9) mm, rotated 30° about z.
 const UR3E_WITH_TOOL: &str = "\
 0.4567 0.2231 0.0665 -0.0000 -0.7071 -0.7071 0.0000,-0.4468 -0.3730 0.0465 1.5316 -0.4104 0.4104
 0.3460 -0.0519 0.0882 -0.4803 -0.3676 -0.7437 0.2846,-0.4024 -0.0817 0.1322 0.5253 -1.2728 1.0641
@@ -48,7 +47,6 @@ fn answer(asked: &Asked, pairs: Vec<Pair>) -> Answer {
     reconcile(&question).unwrap()
 }
 
-/// Encodings and claims of the first explanation.
 fn best(answer: &Answer) -> (String, String, Vec<String>) {
     let best = &answer.hypotheses[0];
     (best.is.to_string(), best.but.to_string(), best.claims())
@@ -131,7 +129,6 @@ fn abbs_quaternion_begins_with_w() {
     let answer = asked.answer();
     assert_plain(&answer);
     assert_read(&answer, "quat:xyzw, m", "quat:wxyz, mm");
-    // The same numbers twice agree in either order.
     let same = Asked { but: asked.is, ..asked }.answer();
     assert_plain(&same);
     let orders = same.hypotheses[0].equivalents[0].map(|reading| reading.form.to_string());
@@ -203,8 +200,8 @@ fn urs_base_is_turned_against_base_link() {
 
 #[test]
 fn the_sample_of_jakas_sdk_against_forward_kinematics() {
-    // Joints and orientation from the vendor's manual, 4.8.1 and 4.8.2, rad. The manual does not name the
-    // arm; all arms of this design have the Zu 7's orientation.
+    // Vendor's manual, 4.8.1 and 4.8.2, rad. It does not name the arm; all of this design have this
+    // orientation.
     let arm = catalogue::find("jaka_zu7").unwrap();
     let [base, tip] = [arm.root(), arm.leaf_links().last().unwrap()];
     let rotation =
@@ -234,7 +231,7 @@ fn an_inverse_is_told() {
 
 #[test]
 fn a_rotation_vector_that_was_read_as_euler_angles() {
-    // As in mecheye_python_samples issue 44: both were converted to quaternions.
+    // As in mecheye_python_samples issue 44.
     let answer = Asked {
         is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
         but: "-0.0563 0.7802 0.5273 0.6662 -0.3794 -0.2143 0.6052",
@@ -274,8 +271,7 @@ fn several_pairs_find_a_tool_that_one_pair_only_suggests() {
 
 #[test]
 fn what_cannot_be_told_is_listed() {
-    // A rotation about z only: in every Tait–Bryan order and the rotation vector, one number differs from
-    // zero.
+    // About z, all Tait–Bryan orders and the rotation vector have one nonzero number.
     let answer = Asked {
         is: "0.3 0.1 0.5 0 0 0.7071 0.7071",
         but: "300 100 500 0 0 90",
@@ -319,7 +315,6 @@ fn lock_and_rounding_are_said() {
 
 #[test]
 fn units_that_the_numbers_contradict_are_said_in_the_reading() {
-    // An angle of 5 is interpreted in radians first; degrees explain the difference.
     let answer = Asked {
         is: "0.3 0.1 0.5 0 0 0.0436 0.9990",
         but: "0.3 0.1 0.5 0 0 5",
@@ -332,7 +327,6 @@ fn units_that_the_numbers_contradict_are_said_in_the_reading() {
 
 #[test]
 fn one_pair_suggests_a_tool_and_claims_none() {
-    // Gripper of length 190 mm.
     let answer = Asked {
         is: "0.246 -0.249 0.619 0 0.7071 0 0.7071",
         but: "0.436 -0.249 0.619 0 0.7071 0 0.7071",

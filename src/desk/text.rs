@@ -10,7 +10,6 @@ use crate::finding::rounded;
 use crate::geometry::vendors::{self, VendorUse};
 use crate::geometry::{Convention, Pose, RotationEncoding, xyz_of, xyzw_from_rotation};
 
-/// Width of the column of users.
 const USERS_WIDTH: usize = 56;
 
 fn listed(numbers: &[f64], digits: usize) -> String {
@@ -23,7 +22,7 @@ fn degrees(numbers: &[f64]) -> Vec<f64> {
     numbers.iter().map(|angle| angle.to_degrees()).collect()
 }
 
-/// Names of users, without duplicates; unconfirmed ones are marked with `(?)`.
+/// Unconfirmed ones are marked with `(?)`.
 fn users(uses: &[&'static VendorUse]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for entry in uses {
@@ -35,7 +34,6 @@ fn users(uses: &[&'static VendorUse]) -> Vec<String> {
     names
 }
 
-/// Joins names with commas and wraps them.
 fn in_lines(names: &[String], width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for (at, name) in names.iter().enumerate() {
@@ -52,7 +50,7 @@ fn in_lines(names: &[String], width: usize) -> Vec<String> {
     lines
 }
 
-/// Writes two columns after a label of 16 characters.
+/// After a label of 16 characters.
 fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) -> io::Result<()> {
     let width = left.iter().map(|line| line.chars().count()).max().unwrap_or(0).max(44);
     for at in 0..left.len().max(right.len()) {
@@ -122,7 +120,6 @@ fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Resul
     Ok(())
 }
 
-/// Writes a convention with known users.
 fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
     if row.uses.is_empty() {
         return Ok(());
@@ -138,7 +135,7 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
         RotationEncoding::Rows => {
             row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect()
         }
-        // Same values as the rows, transposed.
+        // Same values, transposed.
         RotationEncoding::Columns => vec!["   the same, column by column".to_owned()],
         RotationEncoding::TwoColumns | RotationEncoding::TwoRows => {
             vec![format!("   {}", listed(&row.numbers, 6))]
@@ -192,7 +189,7 @@ fn left(residual: &Residual) -> String {
     left
 }
 
-/// Position in mm, then roll, pitch and yaw in degrees.
+/// Position in mm, rpy in degrees.
 fn frame_text(pose: &Pose) -> String {
     let joined = |numbers: &[f64]| {
         let numbers: Vec<String> = numbers.iter().map(|number| rounded(*number, 2)).collect();
@@ -228,7 +225,7 @@ pub fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::R
             write_hypothesis(if at == 0 { head } else { "equally good" }, hypothesis, &of, out)?;
             continue;
         }
-        // The remaining difference is listed separately, so worse explanations are not useful.
+        // The remaining difference is listed separately.
         if apart.is_some() {
             break;
         }
@@ -291,7 +288,6 @@ fn write_hypothesis(
     Ok(())
 }
 
-/// Names of the other encodings with the same residual.
 fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
     let (alike, unlike): (Vec<&[Reading; 2]>, Vec<&[Reading; 2]>) =
         hypothesis.equivalents.iter().partition(|[is, but]| is.form == but.form);
@@ -314,7 +310,6 @@ fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
     names
 }
 
-/// One-line summary of an explanation.
 fn in_short(hypothesis: &Hypothesis) -> String {
     let mut parts = vec![format!("A {}; B {}", hypothesis.is, hypothesis.but)];
     parts.extend(hypothesis.claims());
@@ -355,7 +350,6 @@ fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Users of the form of `reading` with its units.
 fn uses_with_units(reading: &Reading) -> Vec<&'static VendorUse> {
     let in_units = |entry: &&'static VendorUse| {
         (!reading.has_position || entry.units.length == Some(reading.length))

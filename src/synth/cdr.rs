@@ -2,8 +2,7 @@
 
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
-/// One message in little-endian CDR. Numbers are aligned to their size, relative to the end of the
-/// four-byte encapsulation header.
+/// Little-endian CDR. Numbers are aligned to their size from the end of the four-byte encapsulation header.
 pub(super) struct CdrWriter(Vec<u8>);
 
 impl CdrWriter {
@@ -25,7 +24,7 @@ impl CdrWriter {
         self.aligned(value.to_le_bytes());
     }
 
-    /// Array of fixed length, or consecutive fields of a message.
+    /// Fixed length, or consecutive fields.
     pub(super) fn f64_array<const N: usize>(&mut self, values: [f64; N]) {
         for value in values {
             self.f64(value);
@@ -45,7 +44,7 @@ impl CdrWriter {
         self.0.push(0);
     }
 
-    /// Length of a sequence.
+    /// Of a sequence.
     pub(super) fn count(&mut self, count: usize) {
         self.u32(u32::try_from(count).expect("a message has fewer than 2^32 elements"));
     }
@@ -54,7 +53,7 @@ impl CdrWriter {
     pub(super) fn header(&mut self, stamp: Stamp, frame_id: &str) {
         let seconds = stamp.nanos().div_euclid(NANOS_PER_SECOND);
         let nanos = stamp.nanos().rem_euclid(NANOS_PER_SECOND);
-        // Seconds are an int32, which overflows in 2038.
+        // int32 overflows in 2038.
         self.u32(i32::try_from(seconds).expect("stamps end in 2038").cast_unsigned());
         self.u32(u32::try_from(nanos).expect("fewer nanoseconds than a second has"));
         self.string(frame_id);

@@ -5,40 +5,39 @@ use std::f64::consts::TAU;
 use super::motion::Trajectory;
 use crate::robot::Chain;
 
-/// Joint compliance: `q_true = q_reported + bend`. The pose stream and the IMU use the true position, /tf
-/// the reported one.
+/// Joint compliance: `q_true = q_reported + bend`. Pose stream and IMU use the true position, /tf the
+/// reported one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gives {
-    /// Index of the joint, from the base.
+    /// Joint, from the base.
     pub joint: usize,
-    /// Kind of compliance.
+    /// Its kind.
     pub how: Giving,
-    /// Size, rad: full backlash, maximum sag, or amplitude of eccentricity or vibration.
+    /// Full backlash, maximum sag, or amplitude, rad.
     pub by_rad: f64,
 }
 
 /// Kind of joint compliance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Giving {
-    /// Backlash: the link follows its encoder after the gap is crossed.
+    /// Backlash; the link follows after the gap.
     Play,
-    /// Backlash of a loaded link: it crosses the gap at once when the joint reverses.
+    /// Backlash of a loaded link, which crosses the gap at once on reversal.
     PushedPlay,
-    /// Sag in proportion to the gravity torque.
+    /// Proportional to the gravity torque.
     Sag,
-    /// Eccentricity with this number of periods per turn.
+    /// Periods per turn.
     Eccentric(u32),
-    /// Vibration of the link at this frequency, Hz.
+    /// Vibration of the link, Hz.
     Vibrates(f64),
 }
 
-/// Compliance of the joints over the run.
 pub(super) struct Bends {
     joints: Vec<(usize, Vec<f64>)>,
 }
 
 impl Bends {
-    /// Sampling period for interpolation, s, and lead before the run, s.
+    /// Sampling period, and lead before the run, s.
     const STEP_S: f64 = 1e-3;
     const BEFORE_S: f64 = 1.0;
 
@@ -67,7 +66,7 @@ impl Bends {
                         .collect()
                 }
                 Giving::PushedPlay => {
-                    /// Time in which the link crosses the gap.
+                    /// Of the gap.
                     const CROSSING_S: f64 = 0.05;
                     let most = gives.by_rad * Self::STEP_S / CROSSING_S;
                     let mut before = positions.first().map_or(0.0, |q| q[gives.joint]);
@@ -102,7 +101,7 @@ impl Bends {
         Self { joints: gives.iter().map(bend).collect() }
     }
 
-    /// Adds the compliance to positions and velocities of the encoders.
+    /// To positions and velocities of the encoders.
     pub(super) fn add(&self, time_s: f64, positions: &mut [f64], velocities: &mut [f64]) {
         for (joint, bends) in &self.joints {
             let at = ((time_s + Self::BEFORE_S) / Self::STEP_S).max(0.0);
@@ -114,8 +113,8 @@ impl Bends {
     }
 }
 
-/// Gravity torque about a joint, N·m per g, from the change of height with the joint angle. Links of 4, 3,
-/// 2, 2, 1, 1 and 1 kg have their mass midway between the joints; the tool has 1 kg.
+/// N·m per g, from the change of height with the joint angle. Link masses are midway between the joints;
+/// the tool has 1 kg.
 fn torque(chain: &Chain, q: &[f64], joint: usize) -> f64 {
     const KG: [f64; 7] = [4.0, 3.0, 2.0, 2.0, 1.0, 1.0, 1.0];
     const STEP_RAD: f64 = 1e-5;

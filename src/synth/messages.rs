@@ -1,4 +1,4 @@
-//! Messages of the log: topic, type, definition and encoding.
+//! Messages of the log: topic, type, definition, encoding.
 
 use super::cdr::CdrWriter;
 use super::{
@@ -8,7 +8,7 @@ use super::{
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
-/// Topic of the log. Simultaneous messages are written in this order.
+/// Simultaneous messages are written in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Topic {
     RobotDescription,
@@ -58,7 +58,7 @@ impl Topic {
         }
     }
 
-    /// Definition of the type and of all nested types, as in rosbag2.
+    /// With all nested types, as in rosbag2.
     pub(super) fn definition(self) -> String {
         let (own, parts): (&str, &[(&str, &str)]) = match self {
             Self::RobotDescription => ("string data\n", &[]),
@@ -116,21 +116,21 @@ const VECTOR3: (&str, &str) = ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nf
 const QUATERNION: (&str, &str) =
     ("geometry_msgs/Quaternion", "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n");
 
-/// Logged numbers of a pose: position (m or mm), quaternion x, y, z, w.
+/// Position (m or mm), quaternion x, y, z, w.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LoggedPose {
     pub(super) xyz: [f64; 3],
     pub(super) xyzw: [f64; 4],
 }
 
-/// One transform of a `tf2_msgs/TFMessage`.
+/// Of a `tf2_msgs/TFMessage`.
 pub(super) struct LoggedTransform<'a> {
     pub(super) parent: &'a str,
     pub(super) child: &'a str,
     pub(super) parent_from_child: LoggedPose,
 }
 
-/// Measurements of an IMU in the IMU's frame; gyro in rad/s, specific force in m/s².
+/// In the IMU's frame; gyro in rad/s, specific force in m/s².
 #[derive(Clone, Copy)]
 pub(super) struct LoggedImu {
     pub(super) orientation_xyzw: Option<[f64; 4]>,
@@ -144,7 +144,7 @@ pub(super) fn string(data: &str) -> Vec<u8> {
     cdr.finish()
 }
 
-/// `velocities` may be empty; efforts are always empty.
+/// `velocities` may be empty; efforts are.
 pub(super) fn joint_state(
     stamp: Stamp,
     names: &[String],
@@ -171,7 +171,7 @@ pub(super) fn pose_stamped(stamp: Stamp, frame_id: &str, pose: LoggedPose) -> Ve
     cdr.finish()
 }
 
-/// Bare numbers without dimensions.
+/// Without dimensions.
 pub(super) fn numbers(data: &[f64]) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
     cdr.count(0);
@@ -192,7 +192,7 @@ pub(super) fn tf_message(stamp: Stamp, transforms: &[LoggedTransform]) -> Vec<u8
     cdr.finish()
 }
 
-/// Covariances are unknown (all zeros); −1 in the first entry marks an absent orientation.
+/// Covariances are unknown (zeros); −1 in the first entry marks an absent orientation.
 pub(super) fn imu(stamp: Stamp, frame_id: &str, sample: &LoggedImu) -> Vec<u8> {
     const UNKNOWN: [f64; 9] = [0.0; 9];
     const ABSENT: [f64; 9] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];

@@ -1,11 +1,8 @@
 //! Generates the logs of the demo and the tests: an arm in motion, its streams, and injected faults.
 //!
-//! A [`Scenario`] defines the motion, the recorded streams and the faults; [`Scenario::write_mcap`] writes
-//! the log as a ROS 2 recorder would. Faults use the signs and names of the audit's reports, so a finding
-//! can be compared with the field that injected it. This module contains no estimators.
-//!
-//! The output is deterministic. Motion and streams have separate random sequences, so a fault in one stream
-//! does not change the rest of the log.
+//! [`Scenario::write_mcap`] writes a [`Scenario`] as a ROS 2 recorder would. Faults use the signs and names
+//! of the audit's reports. The output is deterministic; each stream has its own random sequence, so a fault
+//! in one does not change the others.
 
 mod cdr;
 mod gives;
@@ -47,38 +44,35 @@ pub use task::Task;
 use truth::Truth;
 pub use urdf::urdf_text;
 
-/// Default start of a run, on the recorder's clock.
+/// Default start, on the recorder's clock.
 pub const START: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
 
-/// Topic of the joint states.
+/// Joint states.
 pub const JOINT_STATES: &str = "/joint_states";
-/// Topic of the pose stream.
+/// Pose stream.
 pub const POSE: &str = "/tcp_pose_broadcaster/pose";
-/// Topic of the moving transforms.
+/// Moving transforms.
 pub const TF: &str = "/tf";
-/// Topic of tool poses as bare numbers.
+/// Tool poses as bare numbers.
 pub const NUMBERS: &str = "/tool_pose";
-/// Topic of the static transforms.
+/// Static transforms.
 pub const TF_STATIC: &str = "/tf_static";
-/// Topic of the IMU.
+/// IMU.
 pub const IMU: &str = "/imu/data";
-/// Topic of the target seen by a camera.
+/// Target seen by a camera.
 pub const TARGET: &str = "/camera/tag_pose";
-/// Topic of commanded poses.
+/// Commanded poses.
 pub const COMMANDED_POSE: &str = "/cartesian_controller/commanded_pose";
-/// Topic of commanded joints.
+/// Commanded joints.
 pub const COMMANDED_JOINTS: &str = "/joint_commands";
-/// Topic of goals.
+/// Goals.
 pub const GOAL: &str = "/goal_pose";
-/// Topic of the arm's URDF.
+/// The arm's URDF.
 pub const ROBOT_DESCRIPTION: &str = "/robot_description";
 
-/// Frame of the IMU.
 const IMU_FRAME: &str = "imu_link";
 
-/// One recorded run: arm, motion, logged streams, and faults.
-///
-/// A new scenario has noise but no faults. Each fault is a field of the stream that shows it.
+/// One recorded run: arm, motion, streams, and faults; a new one has noise but no faults.
 ///
 /// ```
 /// # use poseaudit::synth::Scenario;
@@ -92,30 +86,29 @@ const IMU_FRAME: &str = "imu_link";
 pub struct Scenario {
     /// The arm.
     pub robot: Robot,
-    /// Reference link of the poses; its z axis points up.
+    /// Reference of the poses; z up.
     pub base: String,
-    /// Link whose pose is logged; it carries the IMU.
+    /// Logged link; carries the IMU.
     pub tip: String,
-    /// Start time on the recorder's clock.
+    /// On the recorder's clock.
     pub start: Stamp,
-    /// Length of the run, s.
+    /// In s.
     pub duration_s: f64,
-    /// Seed of all random numbers.
+    /// For all random numbers.
     pub seed: u64,
     /// Motion of the arm.
     pub motion: Motion,
-    /// Centre of the motion, rad or m, one value per joint from base to tip. Joints beyond the end of the
-    /// list use the middle of their range.
+    /// Centre of the motion, rad or m, from base to tip; beyond the list, mid-range.
     pub home: Vec<f64>,
-    /// Maximum distance of a joint from home, rad; a quarter in m for a prismatic joint.
+    /// Maximum distance from home, rad; a quarter in m if prismatic.
     pub amplitude: f64,
-    /// Maximum speed of a joint, rad/s; a quarter in m/s for a prismatic joint.
+    /// Maximum joint speed, rad/s; a quarter in m/s if prismatic.
     pub speed: f64,
-    /// Additional rest at every fourth configuration, s.
+    /// Extra rest at every fourth configuration, s.
     pub pause_s: f64,
-    /// Final stop during a motion, if any.
+    /// Final stop during a motion.
     pub stop: Option<Stop>,
-    /// Oscillation of a joint, if any.
+    /// Oscillation of a joint.
     pub shake: Option<Shake>,
     /// Joints with compliance.
     pub gives: Vec<Gives>,
@@ -129,50 +122,50 @@ pub struct Scenario {
     pub tf: TfStream,
     /// IMU at the tip.
     pub imu: ImuStream,
-    /// Target seen by a camera; disabled unless [`Scenario::watch`] is called.
+    /// Target seen by a camera; see [`Scenario::watch`].
     pub target: TargetStream,
-    /// Commands; disabled unless the rate is set.
+    /// Commands; off at rate 0.
     pub reference: ReferenceStream,
-    /// Hand that leads the arm; disabled unless the rate is set.
+    /// Leading hand; off at rate 0.
     pub leader: LeaderStream,
-    /// Prefix of all topics except transforms, such as `/left`.
+    /// Of all topics except transforms, such as `/left`.
     pub namespace: String,
-    /// First link of the joint states and transforms, if it is above `base`: a rail, a lift or a waist then
-    /// moves the base. `home`, offsets and orders count joints from it. Not included in the IMU's motion.
+    /// First link of joint states and transforms, if above `base`: a rail, lift or waist then moves the
+    /// base. `home`, offsets and orders count from it. Not in the IMU's motion.
     pub root: Option<String>,
-    /// Motion of the robot's root. Not included in the IMU's motion.
+    /// Motion of the root; not in the IMU's motion.
     pub drive: Option<Drive>,
-    /// Whether the log contains the arm's URDF.
+    /// Whether to log the URDF.
     pub description: bool,
-    /// Actual arm, if it differs from the nominal model `robot`; with the same links and joints. The pose
-    /// stream, the target and the IMU use it; /tf and the description use the nominal model.
+    /// Actual arm, if not the nominal `robot`; same links and joints. Pose stream, target and IMU use it;
+    /// /tf and description do not.
     pub built: Option<Robot>,
-    /// Changes within the run: times, s after the start, in order, and the scenario of the stream contents
-    /// from then on. Motion, noise and stamps do not change.
+    /// Changes of the stream contents: times, s after the start, in order, and the scenario from then on.
+    /// Motion, noise and stamps stay.
     pub later: Vec<(f64, Scenario)>,
 }
 
 /// Stop during the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
-    /// The stop occurs when a joint is fastest within 3 s after this time, s after the start.
+    /// When a joint is fastest within 3 s after this time, s after the start.
     pub after_s: f64,
-    /// Deceleration of that joint, rad/s², or m/s² for a prismatic joint.
+    /// Of that joint, rad/s² or m/s².
     pub deceleration: f64,
 }
 
-/// Oscillation of a joint in addition to its motion.
+/// Oscillation of a joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shake {
-    /// Index of the joint, from the base.
+    /// Joint, from the base.
     pub joint: usize,
-    /// Amplitude, rad or m.
+    /// In rad or m.
     pub amplitude: f64,
-    /// Frequency, Hz.
+    /// In Hz.
     pub frequency_hz: f64,
 }
 
-/// Error in the generation of a log.
+/// Why a log cannot be generated.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
     /// There is no chain from base to tip.
@@ -183,11 +176,11 @@ pub enum SynthError {
     Write(#[from] McapError),
 }
 
-/// Positions and velocities of all joints at one time, rad and rad/s (m and m/s for prismatic joints).
+/// Positions and velocities of all joints, rad and rad/s (m and m/s).
 pub type JointRow = (Vec<f64>, Vec<f64>);
 
 impl Scenario {
-    /// Run of `robot` without faults: 20 s of pick and place with all streams.
+    /// 20 s of pick and place with all streams, without faults.
     pub fn new(robot: Robot, base: &str, tip: &str) -> Self {
         Self {
             robot,
@@ -279,7 +272,7 @@ impl Scenario {
         }
     }
 
-    /// Run of the catalogue's UR5e without faults, about a typical configuration.
+    /// The catalogue's UR5e without faults, about a typical configuration.
     pub fn ur5e() -> Self {
         use std::f64::consts::FRAC_PI_2;
         let robot = catalogue::find("ur5e").expect("the catalogue has the ur5e").clone();
@@ -287,14 +280,13 @@ impl Scenario {
         Self { home, ..Self::new(robot, "base", "tool0") }
     }
 
-    /// Writes the run as an MCAP file with optional chunk compression, and flushes `out`.
+    /// Writes an MCAP file with optional chunk compression, and flushes `out`.
     ///
     /// # Errors
     /// If there is no chain between `base` and `tip`, or `out` cannot be written.
     ///
     /// # Panics
-    /// If `motion` or `shake` refers to a joint that is not in the chain, or `number_order` is not a
-    /// permutation of its joints.
+    /// If `motion` or `shake` names a joint outside the chain, or `number_order` is no permutation.
     pub fn write_mcap(
         &self,
         out: impl Write + Seek,
@@ -303,7 +295,7 @@ impl Scenario {
         write(std::slice::from_ref(self), out, compression)
     }
 
-    /// True positions and velocities of the joints at times after the start, s.
+    /// True positions and velocities at times after the start, s.
     ///
     /// # Errors
     /// If there is no chain from `base` to `tip`.
@@ -312,13 +304,12 @@ impl Scenario {
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
-    /// Scenario in effect `time_s` after the start.
+    /// In effect at `time_s`.
     fn at(&self, time_s: f64) -> &Scenario {
         let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
         begun.checked_sub(1).map_or(self, |last| &self.later[last].1)
     }
 
-    /// Name of a topic in the log.
     fn name_of(&self, topic: Topic) -> String {
         let own = match (topic, &self.joints.apart) {
             (Topic::Leader, _) => &self.leader.topic,
@@ -332,7 +323,6 @@ impl Scenario {
     }
 }
 
-/// Writes the runs of several arms as one file.
 fn write(
     arms: &[Scenario],
     out: impl Write + Seek,
@@ -351,7 +341,7 @@ fn write(
         let said = said.into_iter().flatten();
         messages.extend(said.map(|message| (arm.name_of(message.topic), message)));
     }
-    // The sort is stable: for simultaneous messages, the first arm comes first.
+    // Stable: of simultaneous messages, the first arm's come first.
     messages.sort_by_key(|(_, message)| (message.received, message.topic));
     // Multithreaded compression would split the data differently on other machines.
     let options = WriteOptions::new()
@@ -387,10 +377,8 @@ fn add_channel<W: Write + Seek>(
     writer.add_channel(schema, name, "cdr", &BTreeMap::new())
 }
 
-/// Run of the demo: 20 s of a UR5e with four faults.
-///
-/// The tool pose's rotation vector was interpreted as roll, pitch and yaw; the tool pose is 22 ms late; the
-/// zero of shoulder_lift_joint is off by 0.5°; the IMU's yaw drifts by 3 °/min.
+/// The demo: 20 s of a UR5e. The tool pose's rotation vector is read as roll, pitch, yaw and 22 ms late;
+/// the zero of shoulder_lift_joint is off by 0.5°; the IMU's yaw drifts by 3 °/min.
 pub fn demo() -> Scenario {
     let mut run = Scenario::ur5e();
     run.pose.coding =

@@ -15,48 +15,50 @@ use crate::robot::{Chain, JointKind, Limits};
 /// Motion of the arm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
-    /// Between random configurations, with a rest of 0.15 to 0.5 s at each.
+    /// Between random configurations, with rests of 0.15 to 0.5 s.
     PickAndPlace,
-    /// All joints move continuously, at different frequencies.
+    /// All joints, at different frequencies.
     Continuous,
-    /// As [`Motion::Continuous`], but periodic.
+    /// Periodic [`Motion::Continuous`].
     Periodic {
         /// Period, s.
         period_s: f64,
     },
-    /// As [`Motion::PickAndPlace`], but with a single moving joint, counted from the base.
+    /// [`Motion::PickAndPlace`] of one joint, counted from the base.
     OneJoint(usize),
-    /// Straight tip lines between poses, with a rest of 0.6 to 0.9 s at each.
+    /// Straight tip lines, with rests of 0.6 to 0.9 s.
     Lines(Lines),
-    /// Task of the tip.
+    /// A task of the tip.
     Task(Task),
     /// Elbow swing of a seven-joint arm with the tip at rest.
     ElbowSwing,
-    /// Cycles through three random configurations, as in machine tending.
+    /// Cycles through three random configurations.
     Tending,
-    /// Joints move one after the other, forth and back.
+    /// Joints one after the other, forth and back.
     OneByOne,
     /// No motion.
     AtRest,
 }
 
-/// Share of a joint's range and speed limit used by the motion.
+/// Of a joint's range and speed limit.
 const COMFORT: f64 = 0.9;
-/// Travel of a prismatic joint equivalent to a radian of a revolute joint, m.
+/// Prismatic travel equivalent to a radian, m.
 const METRES_PER_RADIAN: f64 = 0.25;
 
-/// Joint positions over time, with two continuous derivatives.
+/// With two continuous derivatives.
 #[derive(Debug, Clone)]
 pub(super) enum Trajectory {
-    /// Between knots; at rest before the first and after the last.
+    /// At rest before the first and after the last.
     Knots(Vec<Knot>),
-    /// Sum of sines per joint about a home position.
-    Sines { home: Vec<f64>, sines: Vec<[Sine; 2]> },
-    /// Along lines of the tip.
+    /// Per joint, about home.
+    Sines {
+        home: Vec<f64>,
+        sines: Vec<[Sine; 2]>,
+    },
     Path(Path),
 }
 
-/// Configuration in a rest of the arm, possibly of zero duration.
+/// At a rest, possibly of zero duration.
 #[derive(Debug, Clone)]
 pub(super) struct Knot {
     time_s: f64,
@@ -71,7 +73,7 @@ pub(super) struct Sine {
     phase_rad: f64,
 }
 
-/// Motion range of one joint, rad and rad/s or m and m/s.
+/// In rad and rad/s or m and m/s.
 #[derive(Debug, Clone, Copy)]
 struct Room {
     home: f64,
@@ -139,16 +141,16 @@ impl Trajectory {
         }
     }
 
-    /// Motion between configurations from `next`, which receives the number of previous ones.
+    /// `next` receives the number of previous configurations.
     fn knots(
         scenario: &Scenario,
         rooms: &[Room],
         mut next: impl FnMut(&mut Pcg64, &[Room], usize) -> Vec<f64>,
     ) -> Self {
-        /// Ratio of peak to mean speed of a blend.
+        /// Of a blend: peak over mean speed.
         const PEAK: f64 = 1.875;
-        /// Peak acceleration of a blend, relative to distance over time squared, and the maximum for normal
-        /// motion, rad/s².
+        /// Peak acceleration of a blend over distance per time squared, and the maximum for normal motion,
+        /// rad/s².
         const BEND: f64 = 5.774;
         const GENTLE: f64 = 18.0;
         let mut random = random(scenario.seed, Purpose::Motion);
@@ -173,7 +175,7 @@ impl Trajectory {
         Self::Knots(knots)
     }
 
-    /// Sums of sines with two frequencies per joint from `rates_hz`.
+    /// Two frequencies per joint from `rates_hz`.
     fn sines(
         scenario: &Scenario,
         rooms: &[Room],
@@ -197,7 +199,7 @@ impl Trajectory {
         Self::Sines { home: rooms.iter().map(|room| room.home).collect(), sines }
     }
 
-    /// Positions and velocities of the joints `time_s` after the start.
+    /// In s after the start.
     pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         match self {
             Self::Knots(knots) => {
@@ -223,7 +225,7 @@ impl Trajectory {
         }
     }
 
-    /// Commanded `base_from_tip`, if it differs from the motion of the joints.
+    /// `base_from_tip`, if it differs from the motion.
     pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
         match self {
             Self::Path(path) => Some(path.commanded(time_s)),
@@ -231,7 +233,7 @@ impl Trajectory {
         }
     }
 
-    /// Arrival and departure times of the rests, s.
+    /// Arrival and departure, s.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         match self {
             Self::Knots(knots) => {
@@ -244,7 +246,6 @@ impl Trajectory {
     }
 }
 
-/// Random configuration.
 fn anywhere(random: &mut Pcg64, rooms: &[Room], _count: usize) -> Vec<f64> {
     let joint = |room: &Room| room.home + room.amplitude * random.random_range(-1.0..=1.0);
     rooms.iter().map(joint).collect()
@@ -254,7 +255,7 @@ fn at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {
     (knot.q.clone(), vec![0.0; knot.q.len()])
 }
 
-/// Quintic blend with zero velocity and acceleration at both ends.
+/// Quintic: zero velocity and acceleration at both ends.
 fn between(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
     let length_s = to.time_s - from.time_s;
     let u = (time_s - from.time_s) / length_s;

@@ -1,4 +1,4 @@
-//! Random numbers, with one independent sequence per use.
+//! Random numbers, one sequence per use.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -9,7 +9,7 @@ use crate::geometry::{Rotation, Vec3, rotation_from_rotvec};
 /// Standard deviations of the streams' noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Joint positions, in the joint states and for /tf, rad or m.
+    /// Joint positions and /tf, rad or m.
     pub joints: f64,
     /// Tool position per axis, m.
     pub pose_m: f64,
@@ -27,10 +27,10 @@ pub struct Noise {
     pub target_rad: f64,
     /// Correlation of consecutive samples, from 0 (white) to below 1.
     pub correlation: f64,
-    /// Density of a random walk of the tool's position, m/√s, and rotation, rad/√s, per axis.
+    /// Random walk of the tool's position, m/√s, and rotation, rad/√s, per axis.
     pub pose_walk: (f64, f64),
-    /// Distance, m, beyond which the noise of target and tool pose grows with the squared distance from
-    /// their frame, as for a camera; 0 for constant noise.
+    /// Noise of target and tool pose grows with the squared distance beyond this, m, as for a camera; 0 for
+    /// constant noise.
     pub far_m: f64,
 }
 
@@ -50,14 +50,13 @@ impl Noise {
         far_m: 0.0,
     };
 
-    /// Noise factor at a distance from the sensor.
     pub(super) fn at_distance(&self, distance_m: f64) -> f64 {
         if self.far_m > 0.0 { (distance_m / self.far_m).powi(2).max(1.0) } else { 1.0 }
     }
 }
 
 impl Default for Noise {
-    /// White noise of typical encoders and a good IMU.
+    /// Typical encoders and a good IMU; white.
     fn default() -> Self {
         Self {
             joints: 2e-5,
@@ -75,7 +74,7 @@ impl Default for Noise {
     }
 }
 
-/// Uses of random numbers, each with a separate sequence.
+/// Each with its own sequence.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Purpose {
     Motion,
@@ -98,12 +97,11 @@ pub(super) enum Purpose {
     PoseWalk,
 }
 
-/// Random numbers for `purpose`.
 pub(super) fn random(seed: u64, purpose: Purpose) -> Pcg64 {
     Pcg64::seed_from_u64(seed.rotate_left(8) ^ purpose as u64)
 }
 
-/// Unit-variance noise with several components, white or AR(1).
+/// Unit variance, white or AR(1).
 pub(super) struct UnitNoise {
     random: Pcg64,
     correlation: f64,
@@ -116,7 +114,7 @@ impl UnitNoise {
         Self { random, correlation, last }
     }
 
-    /// Next sample, one value per component.
+    /// One value per component.
     pub(super) fn next(&mut self) -> &[f64] {
         let fresh = (1.0 - self.correlation * self.correlation).sqrt();
         for value in &mut self.last {
@@ -127,14 +125,13 @@ impl UnitNoise {
     }
 }
 
-/// Adds noise with standard deviation `sigma` to `values`.
 pub(super) fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
     for (value, noise) in values.iter_mut().zip(unit_noise) {
         *value += sigma * noise;
     }
 }
 
-/// Random rotation with standard deviation `sigma_rad` about each axis, rad.
+/// `sigma_rad` about each axis, rad.
 pub(super) fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
     rotation_from_rotvec(sigma_rad * Vec3::from_column_slice(unit_noise))
 }

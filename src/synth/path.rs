@@ -1,4 +1,4 @@
-//! Straight tip paths and the corresponding joint motion.
+//! Straight tip paths and the joint motion for them.
 
 use std::f64::consts::TAU;
 
@@ -16,27 +16,26 @@ use crate::robot::Chain;
 /// Motion along straight lines.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lines {
-    /// Deviation of the tip from each line at its middle, m; not included in the command.
+    /// Deviation of the tip from each line at its middle, m; not commanded.
     pub bow_m: f64,
-    /// Quantity interpolated instead of a slerp, in the command and in the motion.
+    /// Quantity interpolated instead of a slerp.
     pub turned_by: Option<Convention>,
 }
 
-/// Minimum time between stops, s.
+/// Between stops, s.
 const LEAST_S: f64 = 0.5;
-/// Sampling period of the joints, s.
+/// Of the joints, s.
 const STEP_S: f64 = 0.004;
 
-/// Path of straight lines with a rest at each end.
+/// Lines with a rest at each end.
 #[derive(Debug, Clone)]
 pub(super) struct Path {
     lines: Lines,
     stops: Vec<Stop>,
-    /// Joint positions every [`STEP_S`], starting one step before the run.
+    /// Every [`STEP_S`], from one step before the run.
     q: Vec<Vec<f64>>,
 }
 
-/// Pose of the arm at a rest.
 #[derive(Debug, Clone)]
 struct Stop {
     arrive_s: f64,
@@ -45,9 +44,9 @@ struct Stop {
 }
 
 impl Path {
-    /// Random lines about the pose at `home`.
+    /// Random lines about `home`.
     pub(super) fn new(scenario: &Scenario, lines: Lines, chain: &Chain, home: &[f64]) -> Self {
-        /// Maximum offset of the ends from home, m along each axis, and maximum rotation, rad.
+        /// Largest offset of the ends from home, m per axis, and rotation, rad.
         const ROOM: (f64, f64) = (0.12, 0.45);
         const SPEED_M_S: f64 = 0.2;
         let mut random = random(scenario.seed, Purpose::Motion);
@@ -67,7 +66,7 @@ impl Path {
         Self::through(scenario, lines, stops, chain, home)
     }
 
-    /// Path of a task about the pose at `home`, slowed down to satisfy the joint limits.
+    /// About `home`, slowed down to the joint limits.
     pub(super) fn of_task(scenario: &Scenario, task: Task, chain: &Chain, home: &[f64]) -> Self {
         const ROUNDS: usize = 3;
         let base_from_home = chain.forward(home);
@@ -95,10 +94,9 @@ impl Path {
         path
     }
 
-    /// Elbow swing of a seven-joint arm with the tip at rest: motion in the null space of the Jacobian
-    /// (Siciliano et al., *Robotics*, §3.5).
+    /// Motion in the null space of the Jacobian (Siciliano et al., *Robotics*, §3.5).
     pub(super) fn elbow_swing(scenario: &Scenario, chain: &Chain, home: &[f64]) -> Self {
-        /// Maximum speed in the null space, rad/s, and frequency, Hz.
+        /// Largest null-space speed, rad/s, and frequency, Hz.
         const SWING: (f64, f64) = (0.35, 0.12);
         let mut stops = Vec::new();
         stop(&mut stops, chain.forward(home), 1.0, scenario.duration_s);
@@ -139,9 +137,9 @@ impl Path {
         path
     }
 
-    /// Slow-down factor required by joint speeds and moderate accelerations.
+    /// Slow-down factor for joint speeds and moderate accelerations.
     fn haste(&self, scenario: &Scenario, chain: &Chain) -> f64 {
-        /// Share of the speed limits used, and maximum acceleration, rad/s² or m/s².
+        /// Of the speed limits, and maximum acceleration, rad/s² or m/s².
         const COMFORT: f64 = 0.9;
         const GENTLE: f64 = 12.0;
         let mut haste = 0.0_f64;
@@ -158,7 +156,6 @@ impl Path {
         haste
     }
 
-    /// Number of joint samples.
     fn count(scenario: &Scenario) -> usize {
         (scenario.duration_s / STEP_S).ceil() as usize + 4
     }
@@ -167,12 +164,12 @@ impl Path {
         (step as f64 - 1.0) * STEP_S
     }
 
-    /// Arrival and departure times of the rests.
+    /// Arrival and departure, s.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         self.stops.iter().map(|stop| (stop.arrive_s, stop.leave_s)).collect()
     }
 
-    /// Commanded `base_from_tip`.
+    /// `base_from_tip`.
     pub(super) fn commanded(&self, time_s: f64) -> Pose {
         self.pose_at(time_s, 0.0)
     }
@@ -197,7 +194,7 @@ impl Path {
         match self.lines.turned_by {
             None => a * rotation_from_rotvec(rotvec_from_rotation(&(a.inverse() * b)) * part),
             Some(convention) => {
-                // Uses the shorter way about each axis, as a planner that unwraps angles.
+                // The shorter way about each axis, as a planner that unwraps angles.
                 let by = |by: f64| by - TAU * (by / TAU).round();
                 let (a, b) = (convention.numbers(&a), convention.numbers(&b));
                 convention.rotation(std::array::from_fn(|at| a[at] + part * by(b[at] - a[at])))
@@ -205,7 +202,6 @@ impl Path {
         }
     }
 
-    /// Positions and velocities of the joints.
     pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let steps = (time_s / STEP_S + 1.0).clamp(1.0, self.q.len() as f64 - 2.0 - 1e-9);
         let (row, s) = (steps.floor() as usize, steps.fract());
@@ -228,9 +224,9 @@ impl Path {
     }
 }
 
-/// Appends a stop and returns its departure time, s.
+/// Returns its departure time, s.
 fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
-    /// Mean angular speed between stops, rad/s.
+    /// Mean, between stops, rad/s.
     const SPEED_RAD_S: f64 = 0.8;
     let on_the_way_s = stops.last().map_or(0.0, |last| {
         let far_m = (pose.translation.vector - last.pose.translation.vector).norm();
@@ -243,8 +239,7 @@ fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
     leave_s
 }
 
-/// Inverse kinematics for `pose` from a nearby start `q`: damped least squares on the geometric Jacobian
-/// (Siciliano et al., *Robotics*, §3.7).
+/// Damped least squares on the geometric Jacobian from a nearby `q` (Siciliano et al., *Robotics*, §3.7).
 fn follow(chain: &Chain, pose: &Pose, q: &mut [f64]) {
     const DAMPING: f64 = 1e-10;
     const ROUNDS: usize = 30;

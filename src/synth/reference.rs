@@ -1,4 +1,4 @@
-//! Commands to the arm: streams of poses or joints, or a goal before each motion.
+//! Commands to the arm: poses, joints, or a goal before each motion.
 
 use super::messages::{self, Topic};
 use super::noise::Purpose;
@@ -12,29 +12,28 @@ use crate::geometry::Pose;
 pub enum Commands {
     /// Stream of tip poses.
     Poses,
-    /// Pose of the next rest, sent once before the motion starts.
+    /// Pose of the next rest, sent once before the motion.
     Goals,
     /// Stream of joint positions.
     Joints,
 }
 
-/// Stream of commands: the exact lines for a motion along lines, otherwise the arm's motion.
+/// Commands: the exact lines for a motion along lines, otherwise the arm's motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceStream {
-    /// Timing; any rate enables goals. A negative latency means that commands lead the arm.
+    /// Any rate enables goals; a negative latency leads the arm.
     pub timing: Timing,
     /// Kind of commands.
     pub commands: Commands,
     /// Frame of commanded poses.
     pub frame_id: String,
-    /// `q_commanded − q_true`, rad or m, per joint from base to tip; zero beyond the end of the list.
+    /// `q_commanded − q_true`, rad or m, per joint from base to tip; zero beyond the list.
     pub short_by: Vec<f64>,
-    /// Pose of the commanded point in the tip.
+    /// Commanded point in the tip.
     pub tip_from_commanded: Pose,
 }
 
 impl ReferenceStream {
-    /// Disabled commands.
     pub(super) fn none(base: &str) -> Self {
         Self {
             timing: Timing::every(0.0, 0.0029),
@@ -45,7 +44,6 @@ impl ReferenceStream {
         }
     }
 
-    /// Commanded joint positions for the true motion.
     fn joints(&self, truth: &Truth, time_s: f64) -> Vec<f64> {
         let (mut q, _) = truth.encoders(time_s);
         q.iter_mut().zip(&self.short_by).for_each(|(q, short)| *q += short);
@@ -76,7 +74,6 @@ impl ReferenceStream {
     }
 }
 
-/// Messages with the commands.
 pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.reference;
     if stream.timing.rate_hz <= 0.0 {
@@ -90,7 +87,6 @@ pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         };
         return ticks.map(message).collect();
     }
-    // Each goal is sent shortly before the motion starts.
     let goals = truth.rests();
     let ways = goals.windows(2).filter(|pair| pair[0].1 < scenario.duration_s);
     ways.map(|pair| {

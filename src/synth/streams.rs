@@ -1,4 +1,4 @@
-//! Messages of each stream, computed from the true motion.
+//! Messages of each stream, from the true motion.
 
 use rand::RngExt;
 
@@ -15,15 +15,14 @@ use crate::geometry::{
 use crate::robot::{Joint, JointKind, Robot};
 use crate::time::Stamp;
 
-/// One message of the log.
 pub(super) struct Message {
     pub(super) topic: Topic,
-    /// Receive time of the recorder.
+    /// By the recorder.
     pub(super) received: Stamp,
     pub(super) cdr: Vec<u8>,
 }
 
-/// Messages about the arm itself.
+/// About the arm itself.
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = latched(scenario);
     messages.extend(joint_states(scenario, truth));
@@ -33,7 +32,7 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-/// Latched messages: static transforms and the description.
+/// Static transforms and the description.
 fn latched(scenario: &Scenario) -> Vec<Message> {
     let robot = &scenario.robot;
     let fixed = robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed);
@@ -188,7 +187,7 @@ fn transforms(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-/// Transforms of one publisher. One joint's transform may be offset by `moved`.
+/// `moved` offsets one joint's transform.
 fn published(
     scenario: &Scenario,
     truth: &Truth,
@@ -277,13 +276,10 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .collect()
 }
 
-/// One sample of a stream.
 pub(super) struct Tick {
-    /// Time at which its content is true, s after the start.
+    /// Of its content, s after the start.
     pub(super) time_s: f64,
-    /// Whether the content is new.
     pub(super) is_new: bool,
-    /// Header stamp.
     pub(super) stamp: Stamp,
     received: Stamp,
 }
@@ -295,7 +291,7 @@ impl Tick {
 }
 
 impl Scenario {
-    /// Samples of a stream. Messages are received in order, 0.1 to 2 ms after their content was true.
+    /// Received in order, 0.1 to 2 ms after the content's time.
     pub(super) fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
         const TRANSPORT_S: std::ops::Range<f64> = 0.1e-3..2e-3;
         let mut random = random(self.seed, transport);
@@ -312,7 +308,7 @@ impl Scenario {
             if new_hz <= 0.0 {
                 return (sent_s, Tick { time_s: sent_s - age_s, is_new: true, stamp, received });
             }
-            // The offset exceeds rounding errors, so integer multiples of the period stay exact.
+            // Exceeds rounding errors, so multiples of the period stay exact.
             let number = ((sent_s - phase_s) * new_hz + 1e-9).floor();
             let is_new = held.replace(number) != Some(number);
             (sent_s, Tick { time_s: phase_s + number / new_hz - age_s, is_new, stamp, received })
@@ -322,7 +318,7 @@ impl Scenario {
         ticks.filter(move |(sent_s, _)| is_kept(sent_s)).map(|(_, tick)| tick)
     }
 
-    /// A single sample, received 1 ms later.
+    /// Received 1 ms later.
     pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
         let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
@@ -336,7 +332,7 @@ impl Scenario {
 }
 
 impl Timing {
-    /// Increase of the content's age since the start, s.
+    /// Since the start, s.
     fn age_s(&self, sent_s: f64) -> f64 {
         let Some((from_s, to_s, by_s)) = self.ages else { return 0.0 };
         match sent_s {
@@ -346,8 +342,7 @@ impl Timing {
         }
     }
 
-    /// Stamp of content that is true `time_s` after `start`: the solution of `time = stamp − latency − skew
-    /// · (stamp − middle)`.
+    /// Solves `time = stamp − latency − skew · (stamp − middle)`.
     fn stamp(&self, start: Stamp, time_s: f64, middle_s: f64) -> Stamp {
         if !self.stamped {
             return Stamp::default();
@@ -360,7 +355,6 @@ impl Timing {
 }
 
 impl JointStream {
-    /// Logged values for true `positions` of joints of these `kinds`.
     fn reported_positions(&self, positions: &[f64], kinds: &[JointKind]) -> Vec<f64> {
         let offsets = self.zero_offsets.iter().copied().chain(std::iter::repeat(0.0));
         let said = positions.iter().zip(offsets).zip(kinds).enumerate();
@@ -377,7 +371,7 @@ impl JointStream {
         self.reported(&said)
     }
 
-    /// Logged values for true `velocities`; empty if velocities are not logged.
+    /// Empty if not logged.
     fn reported_velocities(&self, velocities: &[f64]) -> Vec<f64> {
         if !self.with_velocity {
             return Vec::new();
@@ -392,7 +386,7 @@ impl JointStream {
         self.scales.get(joint).copied().unwrap_or(1.0)
     }
 
-    /// Values in the order and unit of the log.
+    /// In the order and unit of the log.
     fn reported(&self, numbers: &[f64]) -> Vec<f64> {
         let unit = if self.in_degrees { 1_f64.to_degrees() } else { 1.0 };
         let in_unit = |at: usize| unit * numbers[at];
@@ -407,7 +401,6 @@ impl JointStream {
 }
 
 impl PoseStream {
-    /// Converts `pose` to the axes of the stream.
     fn in_axes(&self, pose: &Pose) -> Pose {
         let Some(axes) = self.axes else { return *pose };
         let xyz = axes * pose.translation.vector;
@@ -420,7 +413,7 @@ impl PoseStream {
 }
 
 impl ImuStream {
-    /// Logged yaw of the base in the IMU's world, without its random walk.
+    /// Of the base in the IMU's world, without the random walk.
     fn yaw_rad(&self, time_s: f64) -> f64 {
         let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
         self.world_yaw_rad
@@ -429,13 +422,11 @@ impl ImuStream {
             + jumped.map(|(_, size_rad)| size_rad).sum::<f64>()
     }
 
-    /// Heading-dependent error of the logged yaw.
     fn yaw_off_rad(&self, heading_rad: f64) -> f64 {
         let [once, twice] = self.yaw_by_heading;
         once.0 * (heading_rad + once.1).sin() + twice.0 * (2.0 * heading_rad + twice.1).sin()
     }
 
-    /// Gyro bias at a time.
     fn bias_rad_s(&self, time_s: f64) -> Vec3 {
         let settling = self.gyro_warms_up.map(|(by, tau_s)| by * (-time_s / tau_s).exp());
         self.gyro_bias_rad_s + settling.unwrap_or_default()
@@ -443,7 +434,6 @@ impl ImuStream {
 }
 
 impl Coding {
-    /// Logged numbers for `pose`.
     pub(super) fn logged(self, pose: &Pose) -> LoggedPose {
         let (pose, xyzw) = match self {
             Self::Faithful => (*pose, xyzw_from_rotation(&pose.rotation)),
@@ -481,7 +471,7 @@ fn logged_transform<'a>(
     }
 }
 
-/// Transform of a joint at `position`, rad or m.
+/// At `position`, rad or m.
 fn motion(joint: &Joint, position: f64) -> Pose {
     let along = joint.axis * position;
     match joint.kind {

@@ -1,5 +1,5 @@
-//! Structure of a cell's log beyond one arm: moving bases, second publishers, wrapped joints, leading
-//! hands, several arms in one log.
+//! A cell's log beyond one arm: moving bases, second publishers, wrapped joints, leading hands, several
+//! arms.
 
 use std::f64::consts::{PI, TAU};
 use std::io::{Seek, Write};
@@ -17,18 +17,18 @@ use crate::robot::JointKind;
 /// Moving base, and its transform on /tf.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drive {
-    /// Fixed frame; a stream in this frame contains the poses of the moving arm.
+    /// Fixed frame; a stream in it contains the poses of the moving arm.
     pub frame_id: String,
-    /// Maximum distance of the base from its start, m.
+    /// Maximum distance from the start, m.
     pub reach_m: f64,
-    /// Maximum rotation to either side, rad.
+    /// To either side, rad.
     pub turn_rad: f64,
-    /// Timing of the transform from that frame to the robot's root; a rate of 0 omits it.
+    /// Timing of the transform to the robot's root; a rate of 0 omits it.
     pub edge: Timing,
 }
 
 impl Drive {
-    /// Pose of the robot's root in the fixed frame.
+    /// Root in the fixed frame.
     pub(super) fn at(&self, time_s: f64) -> Pose {
         const PERIODS_S: [f64; 3] = [17.0, 23.0, 13.0];
         let [x, y, turn] = PERIODS_S.map(|period_s| (TAU * time_s / period_s).sin());
@@ -40,31 +40,30 @@ impl Drive {
 /// Second publisher of the arm's transforms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SecondPublisher {
-    /// Timing; with that of the first publisher, the stamps are equal.
+    /// With the first publisher's timing, stamps are equal.
     pub timing: Timing,
-    /// Offset of its transform of one joint, counted from the root.
+    /// Offset of one joint's transform, counted from the root.
     pub moved: Option<(usize, Pose)>,
 }
 
-/// Poses of a hand that the arm follows; not a measurement of the arm.
+/// Poses of a hand that the arm follows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeaderStream {
-    /// Timing; a rate of 0 disables the stream.
+    /// A rate of 0 disables it.
     pub timing: Timing,
     /// Topic.
     pub topic: String,
-    /// Frame, not connected to the arm.
+    /// Frame, without a transform to the arm.
     pub frame_id: String,
     /// Lead over the arm, s.
     pub lead_s: f64,
-    /// Pose of the base in that frame: `frame_from_base`.
+    /// `frame_from_base`.
     pub frame_from_base: Pose,
-    /// Pose of the hand in the tip.
+    /// Hand in the tip.
     pub tip_from_hand: Pose,
 }
 
 impl LeaderStream {
-    /// Disabled stream.
     pub(super) fn none() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0053),
@@ -87,7 +86,7 @@ pub enum Fold {
 }
 
 impl Fold {
-    /// Wraps the position of a continuous joint; other joints are unchanged.
+    /// Other joints are unchanged.
     pub(super) fn folded(self, q: f64, kind: JointKind) -> f64 {
         match (self, kind) {
             (Self::PlusMinusPi, JointKind::Continuous) => (q + PI).rem_euclid(TAU) - PI,
@@ -100,15 +99,14 @@ impl Fold {
 /// Temporary displacement of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolSlip {
-    /// Start, s after the start of the run.
+    /// In s after the start.
     pub from_s: f64,
-    /// End, s after the start of the run.
+    /// In s after the start.
     pub to_s: f64,
-    /// Displacement, relative to the original tool.
+    /// Relative to the original tool.
     pub tool_from_slipped: Pose,
 }
 
-/// Messages of the leading hand.
 pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.leader;
     let mut noise = scenario.unit_noise(Purpose::LeaderNoise, 6);
@@ -127,7 +125,6 @@ pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .collect()
 }
 
-/// Messages with the base transform on /tf.
 pub(super) fn driving(scenario: &Scenario) -> Vec<Message> {
     let Some(drive) = &scenario.drive else { return Vec::new() };
     let root = scenario.robot.link_name(scenario.robot.root());
@@ -144,7 +141,7 @@ pub(super) fn driving(scenario: &Scenario) -> Vec<Message> {
         .collect()
 }
 
-/// Writes the runs of several arms as one MCAP file. Topics and frames must be distinct.
+/// Writes several arms as one MCAP file; topics and frames must be distinct.
 ///
 /// # Errors
 /// As [`Scenario::write_mcap`].

@@ -12,14 +12,13 @@ use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_rpy}
 /// Mounting of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Camera {
-    /// At the tip, with the target fixed in the base.
+    /// At the tip; target fixed in the base.
     InHand,
-    /// Fixed in the base, with the target at the tip.
+    /// In the base; target at the tip.
     InBase,
 }
 
-/// Part of a target's poses given in body axes (x forward, z up) although the camera's axes are optical (z
-/// forward, x right).
+/// Part of a pose in body axes (x forward, z up) instead of optical (z forward, x right).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Swapped {
     /// None.
@@ -30,9 +29,7 @@ pub enum Swapped {
     Position,
 }
 
-/// Stream of target poses in a camera.
-///
-/// The content is `camera_from_target`, then swapped, then encoded.
+/// Target poses in a camera: `camera_from_target`, then swapped, then encoded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetStream {
     /// Timing.
@@ -41,28 +38,27 @@ pub struct TargetStream {
     pub frame_id: String,
     /// Mounting of the camera.
     pub camera: Camera,
-    /// `tip_from_camera` or `base_from_camera` in /tf_static.
+    /// In /tf_static: `tip_from_camera` or `base_from_camera`.
     pub mount: Pose,
-    /// True mount relative to the published one: `camera_as_published_from_camera`.
+    /// True mount in the published one: `camera_as_published_from_camera`.
     pub mount_error: Pose,
     /// Whether /tf_static contains the camera.
     pub with_frame: bool,
     /// `base_from_target` or `tip_from_target`.
     pub target: Pose,
-    /// Slip of the target: time, s after the start, and `target_from_slipped`.
+    /// Time, s after the start, and `target_from_slipped`.
     pub slip: Option<(f64, Pose)>,
-    /// Ratio of logged to true distances, as with a wrong target size.
+    /// Logged over true distances, as with a wrong target size.
     pub scale: f64,
     /// Part in other axes.
     pub swapped: Swapped,
     /// Encoding of the logged pose.
     pub coding: Coding,
-    /// Frame of the target if it is published on /tf instead of a separate topic.
+    /// Target frame if published on /tf.
     pub in_tf: Option<String>,
 }
 
 impl TargetStream {
-    /// Disabled target.
     pub(super) fn none() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0047),
@@ -80,7 +76,6 @@ impl TargetStream {
         }
     }
 
-    /// `camera_from_target` at `time_s`.
     fn camera_from_target(&self, base_from_tip: &Pose, time_s: f64) -> Pose {
         let mount = self.mount * self.mount_error;
         let slipped = self.slip.filter(|(at_s, _)| time_s > *at_s);
@@ -101,7 +96,6 @@ impl TargetStream {
         }
     }
 
-    /// Link that carries the camera.
     fn carrier<'a>(&self, scenario: &'a Scenario) -> &'a str {
         match self.camera {
             Camera::InHand => &scenario.tip,
@@ -109,7 +103,7 @@ impl TargetStream {
         }
     }
 
-    /// Transform of the camera frame, if /tf_static contains it.
+    /// If /tf_static contains it.
     pub(super) fn frame<'a>(&'a self, scenario: &'a Scenario) -> Option<LoggedTransform<'a>> {
         (self.timing.rate_hz > 0.0 && self.with_frame).then(|| LoggedTransform {
             parent: self.carrier(scenario),
@@ -120,7 +114,7 @@ impl TargetStream {
 }
 
 impl Scenario {
-    /// Adds a camera with a target at the centre of its view for an arm at home, at 30 Hz.
+    /// Adds a camera at 30 Hz, with the target in view of an arm at home.
     ///
     /// # Errors
     /// If there is no chain between `base` and `tip`.
@@ -149,7 +143,6 @@ impl Scenario {
     }
 }
 
-/// Messages with the target's poses.
 pub(super) fn sightings(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.target;
     let mut noise = scenario.unit_noise(Purpose::TargetNoise, 6);

@@ -5,63 +5,62 @@ use rand_pcg::Pcg64;
 
 use crate::geometry::{Pose, Vec3, rotation_from_rotvec};
 
-/// Task with straight tip paths. As in real cells, most tasks keep the tool's z axis fixed or rotate it
-/// about one axis only.
+/// Task with straight tip paths. As in real cells, most keep the tool's z axis fixed or rotate it about one
+/// axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Tool-down picking and placing with rotation about the vertical.
+    /// Tool-down, with rotation about the vertical.
     Picking,
-    /// Picks at one place and fills a grid, without rotation.
+    /// Fills a grid from one place, without rotation.
     Palletising,
-    /// Slow seams with a weave, at a constant tilt.
+    /// Slow seams with a weave, at constant tilt.
     Welding,
-    /// Parallel strokes, tilted at their ends.
+    /// Parallel strokes, tilted at the ends.
     Spraying,
-    /// Descends at the corners of a rectangle and rotates about the tool's z axis there.
+    /// Corners of a rectangle, with rotation about the tool's z axis.
     Screwdriving,
-    /// Picks in tilted configurations and places in one.
+    /// Picks tilted, places level.
     BinPicking,
-    /// Small moves in all directions, as in manual teleoperation.
+    /// Small moves in all directions.
     Teleoperation,
-    /// Small corrections of position and angle, as in visual servoing.
+    /// Small corrections of position and angle.
     Servoing,
-    /// Follows a belt, picks while moving, and places to the side.
+    /// Picks from a moving belt, places to the side.
     Conveyor,
-    /// Pulls and pushes along one line.
+    /// Along one line.
     Drawer,
-    /// Tilts about a point and rests, as for hand-eye calibration.
+    /// Tilts about a point and rests.
     Calibration,
 }
 
-/// Motion to one stop, relative to the home pose.
+/// To one stop, relative to home.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leg {
-    /// Position in the base, m.
+    /// In the base, m.
     shift_m: Vec3,
     /// Rotation vector in the tool frame, rad.
     turn_rad: Vec3,
-    /// Mean speed, m/s.
+    /// Mean.
     pub(super) speed_m_s: f64,
-    /// Rest at the end, s.
     pub(super) rest_s: f64,
 }
 
 impl Leg {
-    /// Pose of the stop, for a tip at `base_from_home` at home.
+    /// For a tip at `base_from_home` at home.
     pub(super) fn stop(&self, base_from_home: &Pose) -> Pose {
         let rotation = base_from_home.rotation * rotation_from_rotvec(self.turn_rad);
         Pose::from_parts((base_from_home.translation.vector + self.shift_m).into(), rotation)
     }
 }
 
-/// Height from which the tool descends, m.
+/// Descent, m.
 const LIFT: Vec3 = Vec3::new(0.0, 0.0, 0.08);
 
 fn go(legs: &mut Vec<Leg>, shift_m: Vec3, turn_rad: Vec3, speed_m_s: f64, rest_s: f64) {
     legs.push(Leg { shift_m, turn_rad, speed_m_s, rest_s });
 }
 
-/// Descends to a place, rests there and retracts.
+/// Descends, rests and retracts.
 fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s: f64) {
     go(legs, at_m + LIFT, turn_rad, speed_m_s, 0.0);
     go(legs, at_m, turn_rad, 0.5 * speed_m_s, rest_s);
@@ -69,9 +68,9 @@ fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s
 }
 
 impl Task {
-    /// At least `count` legs.
+    /// At least `count`.
     pub(super) fn legs(self, random: &mut Pcg64, count: usize) -> Vec<Leg> {
-        /// Half the width of the workspace, m.
+        /// Half, m.
         const WIDTH_M: f64 = 0.1;
         let mut legs: Vec<Leg> = Vec::new();
         let level = |random: &mut Pcg64, size: f64| {

@@ -14,7 +14,6 @@ use crate::geometry::{
 };
 use crate::time::seconds;
 
-/// Decodes the output of [`cdr::CdrWriter`].
 struct CdrReader<'a> {
     body: &'a [u8],
     at: usize,
@@ -111,7 +110,7 @@ impl Log {
         })
     }
 
-    /// Stamps, s after the start, and poses.
+    /// Stamps, s after the start.
     fn poses(&self) -> Vec<(f64, Pose)> {
         self.read(POSE, |cdr| (cdr.header().0, cdr.pose()))
     }
@@ -142,7 +141,6 @@ impl Log {
     }
 }
 
-/// A 4 s run without noise and with low rates.
 fn quiet_run() -> Scenario {
     let mut run = Scenario { duration_s: 4.0, noise: Noise::NONE, ..Scenario::ur5e() };
     run.joints.timing.rate_hz = 25.0;
@@ -303,7 +301,6 @@ fn what_is_reported_and_the_zero_offset_make_the_truth() {
     for (stamp_s, logged) in log.poses() {
         assert_same(&logged, &truth.base_from_tip(stamp_s));
     }
-    // /tf uses the joint states.
     for tf in log.transforms(TF).iter().filter(|tf| tf.child == "forearm_link") {
         let angle = rotvec_from_rotation(&tf.parent_from_child.rotation).z;
         let (q_true, _) = truth.joints(tf.stamp_s);

@@ -8,16 +8,16 @@ use super::{Scenario, Shake, Stop, SynthError};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::Chain;
 
-/// Gravity, m/s².
+/// In m/s².
 pub(super) const GRAVITY: f64 = 9.80665;
 
-/// True motion of a scenario's arm; times are seconds after the start.
+/// Times are seconds after the start.
 pub(super) struct Truth {
-    /// From the root to the tip.
+    /// Root to tip.
     pub(super) chain: Chain,
-    /// From the root to the base, if there are joints between them.
+    /// Root to base, if there are joints between them.
     above: Option<Chain>,
-    /// From the robot's first link to the tip.
+    /// First link to tip.
     whole: Chain,
     trajectory: Trajectory,
     brake: Option<Brake>,
@@ -25,16 +25,13 @@ pub(super) struct Truth {
     bends: Bends,
 }
 
-/// Stop along the path.
 struct Brake {
-    /// Start, s.
     from_s: f64,
-    /// Duration, s.
     length_s: f64,
 }
 
 impl Brake {
-    /// Stop at the time of the highest speed within 3 s after the given time.
+    /// At the highest speed within 3 s after the given time.
     fn new(stop: &Stop, trajectory: &Trajectory) -> Self {
         const STEPS: u32 = 3000;
         let speed = |time_s: f64| {
@@ -47,7 +44,7 @@ impl Brake {
         Self { from_s, length_s: speed / stop.deceleration }
     }
 
-    /// Path parameter (time along the original motion, s) and its rate at a time, s.
+    /// Path parameter (time along the original motion, s) and its rate.
     fn along(&self, time_s: f64) -> (f64, f64) {
         let since_s = time_s - self.from_s;
         if since_s <= 0.0 {
@@ -77,14 +74,13 @@ impl Truth {
         Ok(Self { chain, above, whole, trajectory, brake, shake, bends })
     }
 
-    /// True positions and velocities of the joints, including compliance.
+    /// With compliance.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let (mut positions, mut velocities) = self.encoders(time_s);
         self.bends.add(time_s, &mut positions, &mut velocities);
         (positions, velocities)
     }
 
-    /// Positions and velocities of the encoders.
     pub(super) fn encoders(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let unbraked = || (time_s, 1.0);
         let (along_s, rate) =
@@ -99,12 +95,12 @@ impl Truth {
         (positions, velocities)
     }
 
-    /// Commanded `base_from_tip`, for motion along lines.
+    /// `base_from_tip`, for motion along lines.
     pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
         self.trajectory.commanded(time_s)
     }
 
-    /// Arrival and departure times of the rests, s.
+    /// Arrival and departure, s.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         self.trajectory.rests()
     }
@@ -118,12 +114,12 @@ impl Truth {
         }
     }
 
-    /// Tip pose in the robot's first link, which moves with the base.
+    /// Tip pose in the first link, which moves with the base.
     pub(super) fn first_from_tip(&self, time_s: f64) -> Pose {
         self.whole.forward(&self.joints(time_s).0)
     }
 
-    /// Angular velocity of the tip in the base, rad/s.
+    /// Of the tip in the base, rad/s.
     pub(super) fn angular_velocity(&self, time_s: f64) -> Vec3 {
         let (q, q_dot) = self.joints(time_s);
         let mut jacobian = vec![[0.0; 6]; self.chain.dof()];
@@ -135,9 +131,9 @@ impl Truth {
             .sum()
     }
 
-    /// Acceleration in the base of the origin of a frame fixed to the tip, m/s².
+    /// In the base, of the origin of a frame fixed to the tip, m/s².
     pub(super) fn acceleration(&self, time_s: f64, tip_from_frame: &Pose) -> Vec3 {
-        // Accurate to about 1e-5 m/s², limited by the step size and rounding.
+        // Accurate to about 1e-5 m/s².
         const STEP_S: f64 = 1e-3;
         let [before, now, after] = [-STEP_S, 0.0, STEP_S].map(|step_s| {
             (self.base_from_tip(time_s + step_s) * tip_from_frame).translation.vector

@@ -3,7 +3,7 @@
 use crate::geometry::{Convention, xyz_of};
 use crate::robot::{Joint, Limits, Mimic, Robot};
 
-/// Kinematics of `robot` as URDF: links, joints, limits and mimic joints, without shapes and masses.
+/// `robot` as URDF: links, joints, limits and mimic joints, without shapes and masses.
 pub fn urdf_text(robot: &Robot) -> String {
     let mut text = format!("<?xml version=\"1.0\"?>\n<robot name={}>\n", quoted(&robot.name));
     for link in robot.links() {
@@ -40,7 +40,7 @@ fn joint_text(robot: &Robot, joint: &Joint) -> String {
     text + "  </joint>\n"
 }
 
-/// Missing limits are omitted. URDF requires an effort if there is any limit.
+/// URDF requires an effort if there is any limit.
 fn limit_text(limits: &Limits) -> String {
     let Limits { lower, upper, velocity } = *limits;
     let stated = [("lower", lower), ("upper", upper), ("velocity", velocity)];
@@ -54,7 +54,6 @@ fn limit_text(limits: &Limits) -> String {
     format!("    <limit effort=\"0\"{attributes}/>\n")
 }
 
-/// XML attribute value of a name.
 fn quoted(name: &str) -> String {
     let escaped = name.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
     format!("\"{escaped}\"")

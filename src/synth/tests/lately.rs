@@ -1,4 +1,4 @@
-//! Changes within a run, arms that deviate from the nominal model, and warm-up.
+//! Changes within a run, arms off the nominal model, and warm-up.
 
 use super::*;
 
@@ -61,7 +61,6 @@ fn in_a_gap_nothing_is_recorded_and_the_rest_is_as_it_was() {
 fn poses_are_of_the_arm_as_built_and_transforms_of_its_drawing() {
     let mut run = quiet_run();
     let text = urdf_text(&run.robot);
-    // The upper arm is 2 mm longer.
     let drawn = "<origin xyz=\"-0.425 0 0\"";
     assert!(text.contains(drawn));
     let built = text.replace(drawn, "<origin xyz=\"-0.427 0 0\"");
@@ -141,7 +140,7 @@ fn a_random_walk_grows_with_the_root_of_time_and_cameras_see_less_from_afar() {
         let squares: Vec<f64> = steps.map(|(a, b)| (b - a).norm_squared()).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
-    // Over 4 s, in three directions.
+    // 4 s, three directions.
     let expected = 1e-4 * (3.0 * 4.0_f64).sqrt();
     assert!((walked(&run) / expected - 1.0).abs() < 0.2, "{}", walked(&run));
     let far = Noise { far_m: 0.5, ..Noise::NONE };

@@ -76,7 +76,6 @@ fn a_goal_is_given_once_before_the_arm_leaves_for_it() {
     assert!(!goals.is_empty());
     for ((stamp_s, goal), rest) in goals.iter().zip(rests.windows(2)) {
         assert!((rest[0].0..rest[0].1).contains(stamp_s));
-        // The inverse kinematics is accurate to 1e-8.
         let off = goal.inverse() * truth.base_from_tip(rest[1].0);
         assert!(off.translation.vector.norm() < 1e-7 && off.rotation.angle() < 1e-7, "{off}");
     }

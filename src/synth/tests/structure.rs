@@ -37,7 +37,7 @@ fn scales_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
         let (q, q_dot) = truth.joints(joints.stamp_s);
         assert!((joints.positions[1] + q[1]).abs() < 1e-9);
         assert!((joints.velocities[1] + q_dot[1]).abs() < 1e-9);
-        // Joints with limits are not wrapped.
+        // Not wrapped: it has limits.
         assert!((joints.positions[5] - q[5]).abs() < 1e-9);
     }
     for fold in [Fold::PlusMinusPi, Fold::ZeroToTwoPi] {
