@@ -1,4 +1,4 @@
-//! Writes files that correct the findings.
+//! Files that correct the findings.
 
 use std::fs;
 use std::path::Path;
@@ -9,8 +9,7 @@ use crate::places::Places;
 use crate::report::{Trouble, write_whole};
 use crate::run::RobotSource;
 
-/// Registers the files that may be written into `folder`. For robots given as files, these are patched
-/// copies.
+/// Registers the files that may be written into `folder`, including patched copies of robot files.
 pub fn enter(folder: &Path, robots: &[RobotSource], places: &mut Places) {
     let patched = robots.iter().filter_map(RobotSource::file).flat_map(model_files);
     let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
@@ -22,12 +21,12 @@ impl Audited {
     /// whole.
     ///
     /// # Errors
-    /// If a file cannot be written or would replace an input file. In the latter case, nothing is written.
+    /// If a file cannot be written or would replace an input file; then nothing is written.
     pub fn write_fixes(&self, folder: &Path) -> Result<(), Trouble> {
         let Self { report, run, evidence, segment, .. } = self;
         let files = CorrectionPlan::from_findings(report, run, evidence, *segment).files();
         let mut places = self.read.clone();
-        // The file name of a model in the log is not known before the log is read.
+        // A model in the log has no file name before the log is read.
         places.writes_into("--fix", folder, files.iter().map(|(name, _)| name.clone()));
         places.check()?;
         let unwritable = |path: &Path, error: std::io::Error| {

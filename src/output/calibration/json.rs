@@ -11,7 +11,7 @@ use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
 
 impl Calibrated {
-    /// The calibration with all its inputs.
+    /// With all inputs.
     pub fn json(&self) -> Value {
         let found = &self.found;
         let joints: Vec<Value> = self
@@ -94,7 +94,6 @@ impl Calibrated {
         })
     }
 
-    /// Names of the parameters in order.
     pub(super) fn parameter_names(&self) -> Vec<String> {
         let found = &self.found;
         let links =
@@ -112,7 +111,7 @@ impl Calibrated {
         json!({"parts": parts, "variance_left": untold.share, "effect_m": untold.effect_m})
     }
 
-    /// Parameters that are fixed by convention because poses do not determine them.
+    /// Fixed by convention because poses do not determine them.
     pub(super) fn conventions(&self) -> Vec<String> {
         let mut said = vec![
             "a deviation about or along a joint's own axis is assigned to the origin of that joint, not to \
@@ -139,7 +138,6 @@ impl Calibrated {
     }
 }
 
-/// Machine-readable name of a parameter's direction.
 fn axis(parameter: &LinkParameter) -> String {
     let turn = if parameter.is_rotation { "r" } else { "" };
     let along = parameter.direction.iter().position(|part| part.abs() > 1.0 - 1e-9);

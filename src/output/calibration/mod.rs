@@ -1,5 +1,4 @@
-//! Calibration files: the patched model, the parameters with their covariance, and formats for other
-//! programs.
+//! Calibration files.
 
 mod json;
 mod text;
@@ -12,13 +11,13 @@ use crate::places::Places;
 use crate::report::{Trouble, write_whole};
 use crate::robot::{Calibration, Robot, catalogue};
 
-/// Model with the deviations applied.
+/// Model with the deviations.
 const MODEL: &str = "robot.urdf";
-/// Parameters, as read by `--calibration`.
+/// As read by `--calibration`.
 const NUMBERS: &str = "calibration.json";
-/// File in the format of `ur_calibration`.
+/// Format of `ur_calibration`.
 const UR: &str = "calibration.yaml";
-/// DH table in the format of `--robot`.
+/// Format of `--robot`.
 const DH: &str = "dh.toml";
 
 /// Registers the files that may be written into `folder`.
@@ -28,7 +27,7 @@ pub fn enter(folder: &Path, places: &mut Places) {
 
 impl Calibrated {
     /// Writes the calibration into `folder`, creating it, and returns the file names. Each file is replaced
-    /// as a whole. Nothing is written if the logs do not support a calibration.
+    /// as a whole. Writes nothing if the logs do not support a calibration.
     ///
     /// # Errors
     /// If a file cannot be written or would replace an input file.
@@ -53,7 +52,6 @@ impl Calibrated {
         Ok(files.into_iter().map(|(name, _)| name).collect())
     }
 
-    /// Files with their content.
     fn files(&self) -> Vec<(&'static str, String)> {
         let mut files = vec![(MODEL, self.urdf()), (NUMBERS, format!("{:#}\n", self.json()))];
         files.extend(self.ur_yaml().map(|text| (UR, text)));
@@ -61,13 +59,13 @@ impl Calibrated {
         files
     }
 
-    /// Patched URDF of the model, or a URDF of the kinematics only.
+    /// The patched model, or a URDF of the kinematics only.
     fn urdf(&self) -> String {
         let robot = &self.found.robot;
         self.drawing.text_with_origins_of(robot).unwrap_or_else(|_| robot.to_urdf())
     }
 
-    /// Joints whose origins the calibration changes, in the robot's order.
+    /// Joints with changed origins, in the robot's order.
     fn moved(&self) -> impl Iterator<Item = &crate::robot::Joint> {
         let before = self.drawing.joints().iter();
         let both = self.found.robot.joints().iter().zip(before);
@@ -75,8 +73,7 @@ impl Calibrated {
             .map(|(after, _)| after)
     }
 
-    /// YAML of `ur_calibration`. Only for a UR whose model has the frames of `ur_description`, because the
-    /// numbers refer to these frames.
+    /// Only for a UR whose model has the frames of `ur_description`: the numbers refer to them.
     fn ur_yaml(&self) -> Option<String> {
         let prefix = self.joints.first()?.strip_suffix("shoulder_pan_joint")?;
         let text = self.drawing.ur_calibration(prefix, "")?;
@@ -87,7 +84,7 @@ impl Calibrated {
         is_as_described.then(|| self.found.robot.ur_calibration(prefix, &self.hash()))?
     }
 
-    /// Hash of the numbers in the format of a UR controller.
+    /// In the format of a UR controller.
     fn hash(&self) -> String {
         let numbers = self.found.robot.joints().iter().flat_map(|joint| {
             let origin = joint.parent_from_joint;
@@ -104,7 +101,7 @@ impl Calibrated {
         format!("poseaudit_{}", u64::from_le_bytes(head))
     }
 
-    /// DH table, if the model is one.
+    /// If the model is one.
     fn dh_table(&self) -> Option<String> {
         let convention = self.drawing.dh.as_ref()?.convention;
         let link = |name: &String| self.drawing.link(name);

@@ -9,18 +9,18 @@ use crate::finding::Unit;
 use crate::report::foreign;
 use crate::run::PoseSourceKind;
 
-/// Maximum number of listed directions that are not observable.
+/// Unobservable directions listed.
 const LISTED: usize = 6;
-/// Effect on the tip over the whole workspace below which a direction is irrelevant, m.
+/// Directions with less effect on the tip over the workspace are irrelevant, m.
 const NOTHING_M: f64 = 1e-6;
 
 impl Calibrated {
-    /// Writes the results and the names of the written `files`.
+    /// Writes the results and the names of the `files`.
     pub fn write_text(&self, files: &[String], out: &mut dyn io::Write) -> io::Result<()> {
         out.write_all(self.text(files).as_bytes())
     }
 
-    /// What was calibrated, which depends on the source of the poses.
+    /// Depends on the source of the poses.
     pub(super) fn subject(&self) -> &'static str {
         match self.witness() {
             PoseSourceKind::Controller => {
@@ -136,7 +136,7 @@ impl Calibrated {
         text
     }
 
-    /// Largest significant parameters, in descending order.
+    /// Significant parameters, largest first.
     fn largest(&self) -> Vec<(String, usize)> {
         const SHOWN: usize = 8;
         let found = &self.found;

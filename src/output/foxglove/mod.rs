@@ -29,13 +29,13 @@ use crate::report::{Report, Trouble, write_whole};
 use crate::stats::thin;
 use crate::time::Stamp;
 
-/// Maximum number of scenes per stream.
+/// Per stream.
 const MOST_SCENES: usize = 2_000;
 
 const LOG_TOPIC: &str = "/poseaudit/log";
 const SCENE_TOPIC: &str = "/poseaudit/scene";
 
-/// Registers the file that is written.
+/// Registers the file.
 pub fn enter(path: &Path, places: &mut Places) {
     places.writes("--mcap", path);
 }
@@ -57,7 +57,6 @@ impl Audited {
     }
 }
 
-/// Message with its time.
 struct Message {
     topic: &'static str,
     at: Stamp,
@@ -80,7 +79,7 @@ fn messages(audited: &Audited) -> Vec<Message> {
     messages
 }
 
-/// Finding as a log message at its first stamp.
+/// At its first stamp.
 fn line(finding: &Finding, says: &Outline<'_>, start: Stamp) -> Message {
     let level = match finding.severity {
         Severity::Info => 2,
@@ -107,7 +106,7 @@ fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
     Message { topic: LOG_TOPIC, at, content }
 }
 
-/// Logged and FK pose of a stream's tool over time. Empty for a stream without findings.
+/// Logged and FK pose of a stream's tool. Empty without findings.
 fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
     let topic = stream.topic();
     let is_on = |finding: &&Finding| finding.subject.topic.as_deref() == Some(topic);
@@ -163,7 +162,7 @@ fn colour([r, g, b]: [f64; 3]) -> Value {
 }
 
 fn ball(pose: &Pose, rgb: [f64; 3]) -> Value {
-    /// Diameter, m.
+    /// In m.
     const SIZE: f64 = 0.02;
     json!({
         "pose": { "position": point(pose), "orientation": turned() },
@@ -196,7 +195,6 @@ fn label(pose: &Pose, text: &str) -> Value {
     })
 }
 
-/// Encodes the messages as a file.
 fn written(messages: &[Message]) -> Result<Vec<u8>, McapError> {
     let options = WriteOptions::new()
         .profile("")

@@ -2,7 +2,6 @@
 
 use serde_json::{Map, Value, json};
 
-/// Schema of an object with these fields.
 fn object<const N: usize>(fields: [(&str, Value); N]) -> Value {
     let fields: Map<String, Value> =
         fields.into_iter().map(|(name, field)| (name.to_owned(), field)).collect();
@@ -34,7 +33,6 @@ fn colour() -> Value {
     object(["r", "g", "b", "a"].map(|part| (part, of("number"))))
 }
 
-/// Schema of `foxglove.Log`.
 pub fn log() -> Value {
     object([
         ("timestamp", time()),
@@ -46,7 +44,6 @@ pub fn log() -> Value {
     ])
 }
 
-/// Schema of `foxglove.SceneUpdate`.
 pub fn scene() -> Value {
     let deletion = object([("timestamp", time()), ("type", of("integer")), ("id", of("string"))]);
     let pair = object([("key", of("string")), ("value", of("string"))]);

@@ -10,20 +10,20 @@ use crate::geometry::{Pose, Vec3, xyz_of};
 use crate::robot::{JointKind, turn_z_to};
 use crate::stream::JointTrack;
 
-/// Radius of a link as a fraction of the arm's reach.
+/// Radius, as a fraction of the arm's reach.
 const LINK: f64 = 0.018;
-/// Radius of a joint as a fraction of the arm's reach.
+/// Radius, as a fraction of the arm's reach.
 const JOINT: f64 = 0.028;
-/// Half length of a joint's capsule without its ends, as a fraction of the arm's reach.
+/// Half length without ends, as a fraction of the arm's reach.
 const HALF_JOINT: f64 = 0.022;
 
-/// Capsule from `start` along `along`, m, in the base frame.
+/// From `start` along `along`, m, in the base frame.
 struct Capsule {
     start: Vec3,
     along: Vec3,
 }
 
-/// Adds the entity `part` of an arm: its shape at the positions in `joints`.
+/// Adds the entity `part` at the positions in `joints`.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -61,7 +61,7 @@ pub(super) fn draw(
     tape.columns(&path, &moments, shapes.columns(counts)?)
 }
 
-/// Adds the entity `part` of an arm: a thin line from joint to joint.
+/// A thin line from joint to joint.
 pub(super) fn draw_thin(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -84,7 +84,7 @@ pub(super) fn draw_thin(
     tape.columns(&path, &moments, strips.columns_of_unit_batches()?)
 }
 
-/// Poses of the base, the links moved by joints, and the tip, in the base frame.
+/// Base, links moved by joints, and tip, in the base frame.
 fn frames(arm: &ReplayArm<'_>, q: &[f64]) -> Vec<Pose> {
     let mut moved = Vec::new();
     arm.chain.joint_frames(q, &mut moved);
@@ -114,7 +114,7 @@ fn turning<'a>(
 }
 
 impl Capsule {
-    /// Rotation from z to the capsule's axis.
+    /// From z to the capsule's axis.
     fn rotation(&self) -> RotationQuat {
         let along = self.along.try_normalize(1e-9).unwrap_or(Vec3::z());
         rotation_of(&turn_z_to(&along))

@@ -1,4 +1,4 @@
-//! Assembles the content of a recording from a run, its estimates and the report.
+//! Assembles a recording from a run, its estimates and the report.
 
 use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
 use crate::audit::Audited;
@@ -10,7 +10,7 @@ use crate::run::{Arm, PoseSource, Run};
 use crate::time::Stamp;
 
 impl Recording {
-    /// Registers the output file, and the meshes that may be read.
+    /// Registers the output file and the readable meshes.
     pub fn enter(&self, places: &mut Places) {
         self.mesh_roots.iter().for_each(|root| places.reads_below(root));
         places.writes("--rrd", &self.path);
@@ -18,7 +18,7 @@ impl Recording {
 }
 
 impl Audited {
-    /// Writes the recording of the run. The report then notes which meshes were not found.
+    /// Writes the recording. The report then notes the meshes that were not found.
     ///
     /// # Errors
     /// If it cannot be written or would replace an input file.
@@ -94,7 +94,6 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
     }
 }
 
-/// Receive times of the rows of a stream.
 fn receipts(run: &Run, stream: usize) -> Receipts {
     let clock = run.clocks.iter().find(|clock| clock.stream == stream);
     let Some((clock, stream)) = clock.zip(run.streams.get(stream)) else {
@@ -106,7 +105,7 @@ fn receipts(run: &Run, stream: usize) -> Receipts {
     Receipts::of(rows.collect())
 }
 
-/// Pose of a fixed link in the base of an arm's chain. `None` if the link moves.
+/// In the base of an arm's chain. `None` if the link moves.
 fn base_from_link(arm: &Arm, link: &str) -> Option<Pose> {
     let base = arm.robot.link(arm.chain.base_name())?;
     arm.robot.fixed_transform(base, arm.robot.link(link)?)

@@ -1,7 +1,5 @@
-//! Writes a blueprint, which is Rerun's layout of the viewer.
-//!
-//! The SDK's writer (re_sdk 0.36) cannot set properties of a view, such as its camera. This one logs the
-//! same archetypes.
+//! Writes a blueprint, Rerun's layout of the viewer. The SDK's writer (re_sdk 0.36) cannot set properties
+//! of a view, such as its camera.
 
 use std::cell::Cell;
 
@@ -19,7 +17,6 @@ use re_sdk_types::{Archetype, AsComponents, View};
 use super::ReplayCause;
 use super::reel::Reel;
 
-/// View or container that can be part of a container.
 #[derive(Clone, Copy)]
 pub(super) struct Part {
     kind: &'static str,
@@ -32,32 +29,28 @@ impl Part {
     }
 }
 
-/// Blueprint under construction.
 pub(super) struct Blueprint<'a> {
     reel: &'a Reel,
-    /// Number of parts.
     parts: Cell<usize>,
 }
 
 impl<'a> Blueprint<'a> {
-    /// An empty blueprint.
     pub fn new(reel: &'a Reel) -> Self {
         Self { reel, parts: Cell::new(0) }
     }
 
-    /// Creates a part with a new id.
     fn part(&self, kind: &'static str) -> Part {
         let number = self.parts.replace(self.parts.get() + 1);
         Part { kind, id: Uuid::from_u128(self.reel.seed.id(&format!("{kind} {number}"))) }
     }
 
-    /// Logs at the single time of a blueprint, on its own timeline.
+    /// At the single time of a blueprint, on its timeline.
     fn log(&self, path: String, what: &impl AsComponents) -> Result<(), ReplayCause> {
         let time = TimePoint::default().with(Timeline::new_sequence("blueprint"), 0);
         self.reel.lay_out(path, time, what)
     }
 
-    /// Adds a view of class `V` on `origin` and everything below it.
+    /// View of class `V` on `origin` and everything below.
     pub fn view<V: View>(&self, name: &str, origin: &EntityPath) -> Result<Part, ReplayCause> {
         let view = self.part("view");
         let contents = ViewContents::new(["$origin/**"]);
@@ -69,7 +62,6 @@ impl<'a> Blueprint<'a> {
         Ok(view)
     }
 
-    /// Sets a property of a view.
     pub fn set<A: Archetype + AsComponents>(
         &self,
         view: Part,
@@ -78,19 +70,19 @@ impl<'a> Blueprint<'a> {
         self.log(format!("{}/{}", view.path(), A::name().short_name()), property)
     }
 
-    /// Arranges parts side by side with their shares of the width.
+    /// Side by side, with shares of the width.
     pub fn row(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| ColumnShare(share.into()));
         self.container(ContainerKind::Horizontal, parts, |row| row.with_col_shares(shares))
     }
 
-    /// Arranges parts vertically with their shares of the height.
+    /// Vertical, with shares of the height.
     pub fn column(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |column| column.with_row_shares(shares))
     }
 
-    /// Arranges parts as tabs. The part with index `first` is active.
+    /// Tab `first` is active.
     pub fn tabs(&self, parts: &[Part], first: usize) -> Result<Part, ReplayCause> {
         let first = parts.get(first).map(|part| ActiveTab(part.path().into()));
         self.container(ContainerKind::Tabs, parts, |tabs| match first {
@@ -99,7 +91,7 @@ impl<'a> Blueprint<'a> {
         })
     }
 
-    /// Arranges parts vertically under one name, with their shares of the height.
+    /// Vertical under one name, with shares of the height.
     pub fn page(&self, name: &str, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |page| {
@@ -120,7 +112,7 @@ impl<'a> Blueprint<'a> {
         Ok(container)
     }
 
-    /// Completes the blueprint with the container `root`, collapsed side panels, and the given time panel.
+    /// Uses the container `root` and the time panel, with collapsed side panels.
     pub fn finish(self, root: Part, time: &TimePanelBlueprint) -> Result<(), ReplayCause> {
         let viewport = ViewportBlueprint::new()
             .with_root_container(RootContainer(root.id.into()))

@@ -16,27 +16,25 @@ use crate::report::markdown::{code, prose};
 use crate::report::outline::Outline;
 use crate::time::Stamp;
 
-/// Entity of the log messages, parent of the pages.
+/// Log messages; parent of the pages.
 pub(super) fn log() -> EntityPath {
     entity(&["findings"])
 }
 
-/// Parent entity of the time spans.
 pub(super) fn spans() -> EntityPath {
     entity(&["spans"])
 }
 
-/// Entity of the time span of the finding with this index. The number keeps the order.
+/// The number keeps the order.
 pub(super) fn lane(index: usize, finding: &Finding) -> EntityPath {
     spans().join(&entity(&[&format!("{:02}-{}", index + 1, finding.code)]))
 }
 
-/// Entity of the page of the finding with this index.
 pub(super) fn page(index: usize) -> EntityPath {
     log().join(&entity(&[&format!("page_{}", index + 1)]))
 }
 
-/// Adds each finding at its first stamp, with its time span and its page.
+/// Each finding at its first stamp, with its time span and page.
 pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let says = Outline::of(replay.report);
     let mut on: BTreeMap<EntityPath, (Vec<Text>, Vec<Text>)> = BTreeMap::new();
@@ -45,7 +43,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
         let subject = says.subject(&finding.subject);
         let line = TextLog::new(format!("{}{}", heading(finding, &subject), finding.message))
             .with_level(level(finding.severity));
-        // Lines of different levels cannot be in one column.
+        // One column cannot hold different levels.
         tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
         let links = links(replay, index);
         let text = format!("{}{}", markdown(finding, &says), linked(&links));
@@ -59,7 +57,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
         }
         span(tape, replay, index, [start, end])?;
     }
-    // Attach the findings to the entities that they refer to, so that selecting one shows them.
+    // Selecting an entity shows its findings.
     for (entity, (all, pages)) in on {
         let back = AnyValues::default()
             .with_component::<Text>("findings", all)
@@ -69,7 +67,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
     Ok(())
 }
 
-/// Links of a finding with their titles: its time span, its plots, and its stream or joint.
+/// Titles and links: time span, plots, and stream or joint.
 fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
     let finding = &replay.report.findings[index];
     let own = proofs::views(replay.report, index).into_iter();
@@ -79,14 +77,12 @@ fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
     std::iter::once(("when".to_owned(), lane(index, finding))).chain(own).chain(plots).collect()
 }
 
-/// Line of links that the viewer can follow.
 fn linked(links: &[(String, EntityPath)]) -> String {
     let links =
         links.iter().map(|(title, path)| format!("[{}]({})", prose(title), recording_url(path)));
     format!("\nSelect: {}\n", links.collect::<Vec<_>>().join(" · "))
 }
 
-/// Link of the viewer to an entity.
 fn recording_url(path: &EntityPath) -> String {
     format!("recording://{}", path.to_string().trim_start_matches('/'))
 }
@@ -99,7 +95,7 @@ fn heading(finding: &Finding, subject: &str) -> String {
     }
 }
 
-/// Times of a finding's `stamps` on the timelines of its arm's joint states.
+/// On the timelines of the arm's joint states.
 pub(super) fn moments(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -119,7 +115,7 @@ fn of_arm(tape: &Tape, arm: &ReplayArm<'_>, stamps: &[Stamp]) -> Moments {
     tape.moments(arm, &arm.received, stamps.iter().copied())
 }
 
-/// Lane with a bar from the first to the last stamp.
+/// A bar from the first to the last stamp.
 fn span(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -153,7 +149,7 @@ const fn rgb(severity: Severity) -> [u8; 3] {
     }
 }
 
-/// Finding in Markdown: message, subject, amount and fix.
+/// Message, subject, amount and fix.
 pub(super) fn markdown(finding: &Finding, says: &Outline<'_>) -> String {
     let Finding { code: rule, title, message, fix, .. } = finding;
     let mut text = format!("### {} {rule} {}\n\n", finding.severity.name(), prose(title));

@@ -1,5 +1,4 @@
-//! Initial layout of the viewer: the scene on the left, evidence for the worst finding on the right, time
-//! spans of all findings below.
+//! Initial layout: the scene on the left, the worst finding on the right, time spans of all findings below.
 
 use re_log_types::EntityPath;
 use re_sdk_types::blueprint::archetypes::{
@@ -24,12 +23,12 @@ use crate::finding::Finding;
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
-/// Maximum number of tabs for findings.
+/// Tabs for findings.
 const MOST_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// Adds the layout of a recording, which the viewer plays in a loop.
+/// The viewer plays in a loop.
 pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> {
     let blueprint = Blueprint::new(reel);
     let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
@@ -39,7 +38,7 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
         [] => proof,
         [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
         arms => {
-            // Show the arm of the worst finding first.
+            // Arm of the worst finding.
             let first = replay.report.findings.first().and_then(|it| replay.arm_of(it));
             let is_first = |arm: &ReplayArm<'_>| Some(arm.name) == first.map(|arm| arm.name);
             let first = replay.arms.iter().position(is_first).unwrap_or(0);
@@ -55,11 +54,11 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
     blueprint.finish(root, &time(replay))
 }
 
-/// Plays the run, or only the time span of the worst finding if it is shorter.
+/// Plays the run, or the shorter time span of the worst finding.
 fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
-    /// A span longer than this fraction of the run is replaced by the whole run.
+    /// Longer spans, as a fraction of the run, are replaced by the run.
     const MOST: f64 = 0.8;
-    /// Margin before and after the span, s.
+    /// Before and after the span, s.
     const AROUND_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
@@ -87,9 +86,9 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
 }
 
 fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    /// Viewing direction of the camera, …
+    /// Viewing direction, …
     const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
-    /// … and its distance as a multiple of the radius of the scene.
+    /// … and distance as a multiple of the scene's radius.
     const AWAY: f64 = 1.8;
     let times = tools::magnified(arm);
     let name = match times {
@@ -97,7 +96,7 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
         times => format!("{}, errors × {times}", arm.name),
     };
     let view = blueprint.view::<Spatial3DView>(&name, &scene::root(arm.name))?;
-    // Set the camera explicitly, because a fault may place logged poses a kilometre away.
+    // A fault may place logged poses a kilometre away.
     let (middle, radius_m) = scene::ball(arm);
     let eye = middle + FROM.normalize() * AWAY * radius_m.max(0.1);
     let eye = EyeControls3D::new()
@@ -113,10 +112,9 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     Ok(view)
 }
 
-/// Verdict with the evidence for the worst finding, one tab per finding, then one with all errors of each
-/// arm.
+/// Verdict with the worst finding, one tab per finding, then all errors of each arm.
 fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    /// Number of plots below the verdict.
+    /// Plots below the verdict.
     const UNDER_VERDICT: usize = 1;
     let mut parts = vec![blueprint.view::<TextDocumentView>("report", &page::report())?];
     parts.extend(pictures(replay, 0, UNDER_VERDICT, blueprint)?);
@@ -152,8 +150,7 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     blueprint.tabs(&tabs, 0)
 }
 
-/// Up to the given number of plots for the finding with this index: its specific ones, else the errors of
-/// its stream.
+/// Plots of the finding, at most the given number: its specific ones, else the errors of its stream.
 fn pictures(
     replay: &Replay<'_>,
     index: usize,
@@ -175,8 +172,8 @@ fn pictures(
     plots.map(|(title, series)| plot(&title, &series, blueprint)).collect()
 }
 
-/// Plots of a finding with their titles. These are the errors of its stream (rotation first for rotation
-/// faults), the yaw of its IMU, or the joint and the effect of its zero on all streams.
+/// Plots with titles: errors of its stream (rotation first for rotation faults), yaw of its IMU, or the
+/// joint and the effect of its zero on all streams.
 pub(super) fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
     let topic = finding.subject.topic.as_deref().unwrap_or_default();
     let titled = |quantity: Quantity, path| (quantity.title().to_owned(), path);
@@ -205,7 +202,7 @@ fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<P
     Ok(plot)
 }
 
-/// Time spans of the findings, with their log messages.
+/// With their log messages.
 fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;

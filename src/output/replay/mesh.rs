@@ -1,37 +1,30 @@
-//! Finds the mesh files of a model and checks whether the viewer supports them.
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use re_sdk_types::components::MediaType;
 
-/// Maximum size of a mesh file in a recording, bytes.
+/// In bytes.
 const MOST_BYTES: u64 = 64 << 20;
 
-/// Mesh that the viewer supports.
 #[derive(Debug)]
 pub(super) struct Mesh {
-    /// Content of the file.
     pub bytes: Vec<u8>,
-    /// Media type of the file.
     pub media_type: &'static str,
 }
 
-/// Why a mesh is not drawn.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum NoMesh {
     /// No such file below the mesh folders.
     NotFound,
-    /// The file exists, but the viewer cannot read it.
+    /// The viewer cannot read it.
     Unreadable(String),
 }
 
 impl Mesh {
-    /// Finds the mesh with the given `uri`. Only files below `roots` are read, because a log may name any
-    /// file.
+    /// Only files below `roots` are read: a log may name any file.
     ///
     /// # Errors
-    /// If it is not found, or if the viewer does not support it.
+    /// If the mesh is not found, or not supported by the viewer.
     pub fn find(uri: &str, roots: &[PathBuf]) -> Result<Self, NoMesh> {
         let place = places(uri, roots).into_iter().find(|place| place.is_file());
         let place = place.ok_or(NoMesh::NotFound)?;
@@ -44,14 +37,13 @@ impl Mesh {
         Ok(Self { bytes, media_type })
     }
 
-    /// Returns whether the file contains colours.
     pub fn is_coloured(&self) -> bool {
         self.media_type != MediaType::STL
     }
 }
 
-/// Candidate paths of a mesh, likeliest first. Below each folder, tries the whole path, then drops leading
-/// components. A folder may be the package, contain packages, or be an installation prefix.
+/// Candidate paths, likeliest first: below each folder the whole path, then without leading components. A
+/// folder may be the package, contain packages, or be an installation prefix.
 fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     let path = uri.split_once("://").map_or(uri, |(_, path)| path);
     let parts = path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".");
@@ -66,7 +58,7 @@ fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     places.collect()
 }
 
-/// Media type by extension, because most formats have no signature, with a short check of the content.
+/// By extension, because most formats have no signature, with a short check of the content.
 fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
     let kind = place.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let begins_with = |mark: &str| {
@@ -74,7 +66,7 @@ fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
         beginning.windows(mark.len()).any(|window| window == mark.as_bytes())
     };
     let (media_type, is_one) = match kind.as_str() {
-        // 80 arbitrary bytes and the number of triangles.
+        // 80 arbitrary bytes, then the number of triangles.
         "stl" => (MediaType::STL, bytes.len() >= 84 || begins_with("solid")),
         "obj" => (MediaType::OBJ, bytes.starts_with(b"v ") || begins_with("\nv ")),
         "glb" => (MediaType::GLB, bytes.starts_with(b"glTF")),

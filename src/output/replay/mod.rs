@@ -57,14 +57,12 @@ pub use moments::Receipts;
 use reel::Reel;
 use tape::{Names, Tape};
 
-/// Application id of the recordings.
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
 
-/// Maximum number of rows per stream.
+/// Per stream.
 const MOST_ROWS: usize = 4_000;
 
-/// Output path and identity of a recording. The viewer combines data with the same application and
-/// recording id.
+/// Output path and identity of a recording. The viewer combines data with the same ids.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recording {
     /// The file.
@@ -73,10 +71,10 @@ pub struct Recording {
     pub application: Option<String>,
     /// Recording id. Default: derived from the content.
     pub id: Option<String>,
-    /// Whether the viewer also shows the log itself. The timelines then have the viewer's names,
-    /// `ros2_timestamp` and `message_log_time`, so that one cursor moves both.
+    /// The viewer also shows the log: timelines have its names, `ros2_timestamp` and `message_log_time`, so
+    /// that one cursor moves both.
     pub beside_log: bool,
-    /// Folders in which the models' meshes are searched. No file outside them is read.
+    /// Folders of meshes. No file outside them is read.
     pub mesh_roots: Vec<PathBuf>,
 }
 
@@ -89,25 +87,25 @@ impl From<PathBuf> for Recording {
 /// Content of a recording.
 #[derive(Clone, Debug)]
 pub struct Replay<'a> {
-    /// Origin of the run's times in seconds.
+    /// Origin of times in seconds.
     pub origin: Stamp,
     /// First and last stamp of the run.
     pub span: (Stamp, Stamp),
-    /// The arms, each in a separate space.
+    /// Arms, each in a separate space.
     pub arms: Vec<ReplayArm<'a>>,
-    /// Result of the audit, most severe finding first.
+    /// Report, most severe finding first.
     pub report: &'a Report,
 }
 
 impl<'a> Replay<'a> {
-    /// Arm of a finding: the named one, else the first.
+    /// The named arm, else the first.
     fn arm_of(&self, finding: &Finding) -> Option<&ReplayArm<'a>> {
         let named = finding.subject.robot.as_deref();
         let named = self.arms.iter().find(|arm| Some(arm.name) == named);
         named.or(self.arms.first())
     }
 
-    /// First and last stamp of a finding, or of the run if the finding concerns all of it.
+    /// Of the run if the finding concerns all of it.
     fn span_of(&self, finding: &Finding) -> (Stamp, Stamp) {
         let (start, end) = (finding.start_ns, finding.end_ns);
         (start.unwrap_or(self.span.0), end.unwrap_or(self.span.1))
@@ -117,17 +115,17 @@ impl<'a> Replay<'a> {
 /// One arm and its streams.
 #[derive(Clone, Debug)]
 pub struct ReplayArm<'a> {
-    /// Name of the arm.
+    /// Name.
     pub name: &'a str,
-    /// The robot that contains the arm.
+    /// Robot with the arm.
     pub robot: &'a Robot,
     /// Chain from base to tip.
     pub chain: &'a Chain,
-    /// Column in the joint tracks of each joint of `chain`.
+    /// Columns of the chain's joints in the joint tracks.
     pub columns: &'a [usize],
-    /// Receive times of the joint states.
+    /// Receive times of joint states.
     pub received: Receipts,
-    /// The joint states as recorded.
+    /// Recorded joint states.
     pub recorded: &'a JointTrack,
     /// Corrected joint states.
     pub corrected: JointTrack,
@@ -138,7 +136,7 @@ pub struct ReplayArm<'a> {
 }
 
 impl ReplayArm<'_> {
-    /// Label of a drawing of `stream`: the state, with the topic if the arm has several streams.
+    /// With the topic if the arm has several streams.
     fn label(&self, stream: &ReplayStream<'_>, state: State) -> String {
         let measured = self.streams.iter().filter(|other| other.kind == StreamKind::Pose);
         match stream.kind {
@@ -152,51 +150,49 @@ impl ReplayArm<'_> {
 /// One stream of tool poses.
 #[derive(Clone, Debug)]
 pub struct ReplayStream<'a> {
-    /// Topic of the stream.
+    /// Topic.
     pub topic: &'a str,
     /// Source of the poses.
     pub kind: StreamKind,
     /// Samples aligned with FK.
     pub aligned: &'a AlignedSamples,
-    /// Receive times of the messages.
+    /// Receive times.
     pub received: Receipts,
-    /// Pose of the samples' frame in the base of the arm's chain.
+    /// Pose of the samples' frame in the base of the chain.
     pub base_from_reference: Pose,
-    /// Whether the log connects that frame to the arm. If not, logged poses have no place in the scene and
-    /// no error against FK; corrected poses have both, with the estimated frame.
+    /// The log connects that frame to the arm. Otherwise logged poses have no place and no error; corrected
+    /// poses use the estimated frame.
     pub reference_known: bool,
-    /// Latency of the stamps, s. Corrected poses are drawn at the time of measurement.
+    /// s. Corrected poses are drawn at the time of measurement.
     pub latency_s: f64,
 }
 
 /// Source of a stream's poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamKind {
-    /// Measured and logged as poses.
+    /// Logged as poses.
     Pose,
-    /// Derived from the joint states, in the log's transforms.
+    /// Derived from joint states: the log's transforms.
     Tf,
 }
 
-/// State of the tool's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// As logged.
     Logged,
     /// After correcting all findings.
     Explained,
 }
 
 impl State {
-    /// States in which `stream` is drawn. Transforms derived from the joints have no corrected state. Poses
-    /// in a frame that is not connected to the arm have no logged state.
+    /// Transforms derived from joints have no corrected state. Poses in a frame not connected to the arm
+    /// have no logged state.
     fn drawn(stream: &ReplayStream<'_>) -> impl Iterator<Item = State> {
         let logged = stream.reference_known.then_some(State::Logged);
         let explained = (stream.kind == StreamKind::Pose).then_some(State::Explained);
         logged.into_iter().chain(explained)
     }
 
-    /// Last component of its entity paths.
+    /// Last component of its paths.
     const fn entity(self) -> &'static str {
         match self {
             State::Logged => "as_logged",
@@ -204,7 +200,7 @@ impl State {
         }
     }
 
-    /// Poses of the tool in the reference frame.
+    /// In the reference frame.
     fn poses<'a>(self, stream: &ReplayStream<'a>) -> &'a [Pose] {
         match self {
             State::Logged => &stream.aligned.logged,
@@ -212,7 +208,7 @@ impl State {
         }
     }
 
-    /// Errors of the tool against FK.
+    /// Against FK.
     fn residuals(self, stream: &ReplayStream<'_>) -> PoseDistances {
         match self {
             State::Logged => stream.aligned.before(),
@@ -240,47 +236,47 @@ impl State {
 /// One IMU.
 #[derive(Clone, Debug)]
 pub struct ReplayImu<'a> {
-    /// Topic of the IMU.
+    /// Topic.
     pub topic: &'a str,
-    /// Receive times of the messages.
+    /// Receive times.
     pub received: Receipts,
-    /// Stamp, s from the run's origin, and yaw against FK, rad.
+    /// s from the run's origin, and yaw against FK, rad.
     pub yaw_error: &'a [(f64, f64)],
 }
 
 impl ReplayImu<'_> {
-    /// Returns whether there is a yaw to plot. An IMU may have no orientation.
+    /// An IMU may have no orientation.
     fn has_yaw(&self) -> bool {
         !self.yaw_error.is_empty()
     }
 }
 
-/// Error of writing a recording.
+/// A recording could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: the recording cannot be written: {cause}", path.display())]
 pub struct ReplayError {
-    /// Path of the recording.
+    /// File.
     pub path: PathBuf,
-    /// Cause of the error.
+    /// Cause.
     #[source]
     pub cause: ReplayCause,
 }
 
-/// Cause of an error of a recording.
+/// Why a recording could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub enum ReplayCause {
-    /// The file cannot be created.
+    /// File not created.
     Folder(#[from] std::io::Error),
-    /// Values cannot be serialised.
+    /// Values not serialised.
     Values(#[from] SerializationError),
-    /// Rows cannot be serialised.
+    /// Rows not serialised.
     Rows(#[from] ChunkError),
-    /// The file cannot be encoded.
+    /// File not encoded.
     Encoding(#[from] EncodeError),
 }
 
-/// Writes the recording to its file, creating the folders. Returns notes on the requested meshes.
+/// Writes the recording, creating its folders. Returns notes on the requested meshes.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -309,7 +305,7 @@ fn application(wanted: &Recording) -> ApplicationId {
     named.unwrap_or(APPLICATION.into())
 }
 
-/// Messages of the recording. Adds notes on meshes.
+/// Adds notes on meshes.
 fn messages(
     wanted: &Recording,
     replay: &Replay<'_>,
@@ -330,7 +326,7 @@ fn messages(
     Ok((tape.finish().messages()?, notes))
 }
 
-/// Adds an arm and its streams. Adds notes on its meshes.
+/// Adds notes on the arm's meshes.
 fn draw_arm(
     tape: &Tape,
     arm: &ReplayArm<'_>,

@@ -1,19 +1,17 @@
-//! Times on all timelines.
-
 use crate::time::Stamp;
 
 /// Receive times of stamps.
 #[derive(Clone, Debug, Default)]
 pub struct Receipts {
-    /// Pairs of stamp and log time, in order of distinct stamps.
+    /// Stamp and log time, by distinct stamps.
     rows: Vec<(Stamp, Stamp)>,
 }
 
 impl Receipts {
-    /// Maximum number of stored rows. Times in between are interpolated.
+    /// Times in between are interpolated.
     const MOST_ROWS: usize = 100_000;
 
-    /// Stores rows of stamp and log time, in any order. For equal stamps, the first received one counts.
+    /// From stamps and log times in any order. The first received of equal stamps counts.
     pub fn of(mut rows: Vec<(Stamp, Stamp)>) -> Self {
         rows.sort_unstable();
         rows.dedup_by_key(|(stamp, _)| *stamp);
@@ -21,8 +19,8 @@ impl Receipts {
         Self { rows: kept.into_iter().map(|row| rows[row]).collect() }
     }
 
-    /// Receive time of `stamp`. Interpolated between known stamps; with the delay of the first or last one
-    /// outside their range; `stamp` itself if there are none.
+    /// Interpolated between known stamps; with the delay of the first or last one outside their range;
+    /// `stamp` itself if there are none.
     pub fn log_time(&self, stamp: Stamp) -> Stamp {
         let after = self.rows.partition_point(|(known, _)| *known < stamp);
         let (before, after) = (after.checked_sub(1), self.rows.get(after));
@@ -41,14 +39,12 @@ impl Receipts {
     }
 }
 
-/// Times of the rows of an entity, one entry per row in each column.
+/// One entry per row in each column.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Moments {
-    /// Stamps, ns.
     pub stamps_ns: Vec<i64>,
-    /// Log times, ns.
     pub logs_ns: Vec<i64>,
-    /// Index of the last joint state at that stamp.
+    /// Last joint state at that stamp.
     pub samples: Vec<i64>,
 }
 

@@ -11,12 +11,10 @@ use super::{MOST_ROWS, Replay, ReplayCause, findings};
 use crate::report::markdown::prose;
 use crate::report::outline::Outline;
 
-/// Entity of the page.
 pub(super) fn report() -> EntityPath {
     entity(&["report"])
 }
 
-/// Adds the page. `meshes` are notes on the meshes.
 pub(super) fn write(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -58,7 +56,7 @@ fn list(page: &mut String, title: &str, lines: Vec<String>) {
     page.push('\n');
 }
 
-/// Lists the streams of which not all samples are drawn.
+/// Streams of which not all samples are drawn.
 fn decimated(replay: &Replay<'_>) -> Vec<String> {
     let joints = replay
         .arms

@@ -1,4 +1,4 @@
-//! Plots of errors over time, in everyday units.
+//! Errors over time, in everyday units.
 
 use re_log_types::EntityPath;
 
@@ -16,7 +16,7 @@ use crate::time::Stamp;
 const ERRORS: &str = "errors";
 const JOINT_RGB: [u8; 3] = [110, 170, 240];
 
-/// Plotted quantity; one view each.
+/// One view each.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Quantity {
     Position,
@@ -25,7 +25,6 @@ pub(super) enum Quantity {
 }
 
 impl Quantity {
-    /// Title of its view.
     pub const fn title(self) -> &'static str {
         match self {
             Quantity::Position => "position against FK, mm",
@@ -34,7 +33,7 @@ impl Quantity {
         }
     }
 
-    /// Parent entity of its series.
+    /// Parent of its series.
     pub fn root(self, arm: &str) -> EntityPath {
         entity(&[ERRORS, arm, self.name()])
     }
@@ -47,12 +46,12 @@ impl Quantity {
         }
     }
 
-    /// Parent entity of the series of one topic.
+    /// Parent of the series of one topic.
     pub fn of_topic(self, arm: &str, topic: &str) -> EntityPath {
         self.root(arm).join(&entity(&[topic]))
     }
 
-    /// Factor from SI to the displayed unit.
+    /// From SI to the displayed unit.
     fn factor(self) -> f64 {
         match self {
             Quantity::Position => 1e3,
@@ -61,8 +60,7 @@ impl Quantity {
     }
 }
 
-/// Adds the positions of an arm's joints, the errors of its streams with their limits, and the yaw of its
-/// IMUs.
+/// Joint positions, errors of streams with limits, and yaw of IMUs.
 pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>, report: &Report) -> Result<(), ReplayCause> {
     joints(tape, arm)?;
     for stream in &arm.streams {
@@ -75,7 +73,7 @@ pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>, report: &Report) -> Result<
     Ok(())
 }
 
-/// Entity of a joint's position, and its plotted unit.
+/// Entity and plotted unit.
 pub(super) fn joint(arm: &ReplayArm<'_>, name: &str) -> Option<(EntityPath, &'static str)> {
     let index = arm.chain.joint_names().iter().position(|known| known == name)?;
     let unit = if arm.chain.joint_kinds()[index] == JointKind::Prismatic { "mm" } else { "°" };
@@ -127,7 +125,7 @@ fn residuals(
     Ok(())
 }
 
-/// Limit of a residual (MDL001) as a line over the time of a stream.
+/// Limit of a residual (MDL001), over the time of a stream.
 fn limits(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -162,19 +160,18 @@ fn yaw(tape: &Tape, arm: &ReplayArm<'_>, imu: &ReplayImu<'_>) -> Result<(), Repl
     series.draw(tape, arm, &imu.received, &stamps, &yaw_rad)
 }
 
-/// Line of a plot.
 struct Series {
     path: EntityPath,
     label: String,
     rgb: [u8; 3],
-    /// Width, UI points. A line below another one is wider.
+    /// UI points. A line below another one is wider.
     width: f32,
-    /// Factor from SI to the displayed unit.
+    /// From SI to the displayed unit.
     factor: f64,
 }
 
 impl Series {
-    /// Adds the line through `values`, in SI units.
+    /// `values` are in SI units.
     fn draw(
         &self,
         tape: &Tape,

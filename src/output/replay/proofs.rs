@@ -1,4 +1,4 @@
-//! Plots specific to single findings: spectra, traces, views of a target, axes, rest positions; and limits.
+//! Plots specific to single findings.
 
 use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, BarChart, Points3D, Scalars, SeriesLines};
@@ -15,14 +15,12 @@ use crate::time::Stamp;
 const LIMIT_RGB: [u8; 3] = [230, 180, 80];
 const RGB: [[u8; 3]; 3] = [[240, 80, 60], [60, 200, 110], [110, 170, 240]];
 
-/// View that supports a finding.
 pub(super) struct View {
     pub title: &'static str,
     pub path: EntityPath,
     pub kind: Kind,
 }
 
-/// Kind of a view.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Series,
@@ -30,12 +28,10 @@ pub(super) enum Kind {
     Space,
 }
 
-/// Entity of a plot of the finding with this index.
 fn path(index: usize, name: &str) -> EntityPath {
     entity(&["proof", &format!("{:02}", index + 1), name])
 }
 
-/// Views specific to the finding with this index.
 pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
     let own = report.figures.iter().flat_map(|figures| &figures.own);
     let own = own.filter(|(of, _)| *of == index);
@@ -59,7 +55,6 @@ pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
     views.collect()
 }
 
-/// Adds the content of the views.
 pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let Some(figures) = &replay.report.figures else { return Ok(()) };
     let start = figures.start.unwrap_or(replay.span.0);
@@ -71,7 +66,6 @@ pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> 
     Ok(())
 }
 
-/// Finding with its plots.
 struct Shown<'a> {
     tape: &'a Tape,
     replay: &'a Replay<'a>,
@@ -191,7 +185,7 @@ impl Shown<'_> {
         line(self.tape, &path, (label, rgb, 1.5), &moments, &values)
     }
 
-    /// Limit of the finding's rule in this unit, over the time of `rows`.
+    /// Limit of the finding's rule in this unit.
     fn limits(
         &self,
         view: &str,
@@ -215,7 +209,7 @@ impl Shown<'_> {
         Ok(())
     }
 
-    /// Adds three arrows from the origin.
+    /// Three arrows from the origin.
     fn axes(&self, path: &EntityPath, axes: &[[f64; 3]; 3], name: &str) -> Result<(), ReplayCause> {
         let arrows = Arrows3D::from_vectors(axes.map(|axis| axis.map(|part| part as f32)))
             .with_origins([[0.0f32; 3]])
@@ -230,7 +224,7 @@ fn unit_axes(length: f64) -> [[f64; 3]; 3] {
     [[length, 0.0, 0.0], [0.0, length, 0.0], [0.0, 0.0, length]]
 }
 
-/// Adds a line of a plot: its name, colour and width.
+/// Name, colour and width of a plot's line.
 pub(super) fn line(
     tape: &Tape,
     path: &EntityPath,
@@ -243,7 +237,7 @@ pub(super) fn line(
     tape.columns(path, moments, Scalars::new(values.iter().copied()).columns_of_unit_batches()?)
 }
 
-/// Adds a limit to a plot, from the first to the last time.
+/// From the first to the last time.
 pub(super) fn limit(
     tape: &Tape,
     path: &EntityPath,

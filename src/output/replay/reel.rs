@@ -1,5 +1,5 @@
-//! Recording under construction: its chunks in order of creation. Ids are derived from the content, so
-//! equal recordings have equal bytes.
+//! Chunks of a recording in order of creation. Ids are derived from the content, so equal recordings have
+//! equal bytes.
 
 use std::cell::RefCell;
 
@@ -15,7 +15,7 @@ use re_sdk_types::{AsComponents, SerializedComponentColumn};
 use super::{Replay, ReplayCause};
 use crate::report::json;
 
-/// Seed of the ids: a hash of the report, which contains the name of the log and the findings.
+/// Hash of the report, which contains the log's name and the findings.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed([u8; 32]);
 
@@ -27,7 +27,6 @@ impl Seed {
         Self(*blake3::hash(&text).as_bytes())
     }
 
-    /// Unique id for `what`.
     pub fn id(self, what: &str) -> u128 {
         let hash = blake3::keyed_hash(&self.0, what.as_bytes());
         let first: [u8; 16] = std::array::from_fn(|at| hash.as_bytes()[at]);
@@ -35,7 +34,7 @@ impl Seed {
     }
 }
 
-/// Recording and layout of the viewer.
+/// Recording and layout.
 pub(super) struct Reel {
     pub seed: Seed,
     recording: StoreId,
@@ -43,7 +42,6 @@ pub(super) struct Reel {
     rows: RefCell<Rows>,
 }
 
-/// Existing chunks, and the next id.
 struct Rows {
     /// Start of the run, ns since 1970.
     nanos: u64,
@@ -52,9 +50,9 @@ struct Rows {
 }
 
 impl Reel {
-    /// Creates an empty recording of `application`. Without `id`, its id is derived from the content.
+    /// Without `id`, the recording's id is derived from the content.
     pub fn new(replay: &Replay<'_>, application: &ApplicationId, id: Option<String>) -> Self {
-        /// First id. Leaves room for ids above and below.
+        /// Leaves room for ids above and below.
         const MIDDLE: u64 = 0x3fff_ffff_0000_0000;
         let seed = Seed::of(replay);
         let own = |what: &str| format!("{:032x}", seed.id(what));
@@ -69,13 +67,13 @@ impl Reel {
         }
     }
 
-    /// Adds timeless data.
+    /// Timeless.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.add(&self.recording, Self::row(path.clone(), TimePoint::default(), what)?);
         Ok(())
     }
 
-    /// Adds columns with one row per entry of `times`.
+    /// One row per entry of `times`.
     pub fn columns(
         &self,
         path: &EntityPath,
@@ -89,7 +87,6 @@ impl Reel {
         Ok(())
     }
 
-    /// Adds to the layout.
     pub fn lay_out(
         &self,
         path: String,
@@ -116,7 +113,7 @@ impl Reel {
         rows.chunks.push((store.clone(), chunk));
     }
 
-    /// Messages of the recording. The viewer activates the layout when it is complete.
+    /// The viewer activates the layout when it is complete.
     ///
     /// # Errors
     /// If a chunk cannot be encoded.
@@ -137,7 +134,7 @@ impl Reel {
 }
 
 impl Rows {
-    /// Reserves `count` ids and returns the first. Ids ascend like those of a clock.
+    /// Reserves `count` ids and returns the first. Ids ascend like a clock's.
     fn take(&mut self, count: usize) -> Tuid {
         let first = self.next;
         self.next += count as u64;
@@ -145,13 +142,11 @@ impl Rows {
     }
 }
 
-/// Encodes the messages as a file.
-///
 /// # Errors
 /// If a message cannot be encoded.
 pub(super) fn bytes(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
     let mut encoder = Encoder::local()?;
-    // The index in it is in the order of a hash map, which varies.
+    // Its index is in the varying order of a hash map.
     encoder.do_not_emit_footer();
     for message in messages {
         encoder.append(message)?;

@@ -15,25 +15,24 @@ pub(super) const ARM_RGB: [u8; 3] = [205, 210, 220];
 pub(super) const JOINT_RGB: [u8; 3] = [92, 122, 158];
 pub(super) const RECORDED_RGB: [u8; 3] = [110, 115, 125];
 
-/// Parent entity of everything drawn for an arm. Its space is the base of the chain.
+/// Everything drawn for an arm, in the base of the chain.
 pub(super) fn root(arm: &str) -> EntityPath {
     entity(&["arms", arm])
 }
 
-/// Rows of an arm's joint states that are drawn.
+/// Drawn rows.
 pub(super) fn kept(joints: &JointTrack) -> Vec<usize> {
     thin::even_rows(joints.len(), MOST_ROWS)
 }
 
-/// Positions of the chain's joints in a row.
 pub(super) fn positions(arm: &ReplayArm<'_>, joints: &JointTrack, row: usize) -> Vec<f64> {
     let all = joints.row(row);
     arm.columns.iter().map(|&column| all[column]).collect()
 }
 
-/// Bounding sphere of an arm's motion in its base frame: centre and radius, m.
+/// Bounding sphere of the motion in the base frame: centre and radius, m.
 pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
-    /// Maximum number of rows. More do not change the result noticeably.
+    /// More rows hardly change the result.
     const ENOUGH: usize = 200;
     let (mut low, mut high) = (Vec3::zeros(), Vec3::zeros());
     let mut frames = Vec::new();
@@ -49,13 +48,11 @@ pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
     ((low + high) / 2.0, ((high - low).norm() / 2.0).max(0.1 * arm.chain.max_reach_m()))
 }
 
-/// Timeless transform.
 pub(super) fn still(pose: &Pose) -> Transform3D {
     let rotation = rotation_of(&pose.rotation);
     Transform3D::update_fields().with_translation(xyz_of(pose)).with_quaternion(rotation)
 }
 
-/// Transform per row.
 pub(super) fn moving(poses: &[Pose]) -> Transform3D {
     Transform3D::update_fields()
         .with_many_translation(poses.iter().map(xyz_of))

@@ -9,28 +9,26 @@ use super::reel::Reel;
 use super::{Receipts, ReplayArm, ReplayCause};
 use crate::time::Stamp;
 
-/// Name of the timeline of seconds since the run's origin.
+/// Seconds since the run's origin.
 pub(super) const RUN: &str = "run";
-/// Name of the timeline of joint states.
+/// Index of joint states.
 pub(super) const SAMPLE: &str = "sample";
 
-/// Names of the timelines that come from the log.
+/// Timelines that come from the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Names {
-    /// Timeline of stamps.
     pub stamp: &'static str,
-    /// Timeline of receive times.
+    /// Receive times.
     pub log: &'static str,
 }
 
 impl Names {
-    /// Names in a recording without the log.
+    /// Without the log.
     pub const OWN: Self = Self { stamp: "stamp", log: "log_time" };
-    /// Names that the viewer uses for a log, so that one cursor moves both.
+    /// The viewer's names for a log: one cursor moves both.
     pub const OF_VIEWER: Self = Self { stamp: "ros2_timestamp", log: "message_log_time" };
 }
 
-/// The recording.
 pub(super) struct Tape {
     reel: Reel,
     origin: Stamp,
@@ -42,19 +40,18 @@ impl Tape {
         Self { reel, origin, names }
     }
 
-    /// Stamp of a time in seconds from the origin.
     pub fn stamp(&self, t_s: f64) -> Stamp {
         self.origin.shifted(t_s)
     }
 
-    /// Times of `stamps` on all timelines, given the receive times in `received`.
+    /// Times on all timelines; `received` are the receive times.
     pub fn moments(
         &self,
         arm: &ReplayArm<'_>,
         received: &Receipts,
         stamps: impl Iterator<Item = Stamp>,
     ) -> Moments {
-        /// Tolerance of half a microsecond, because seconds are floats.
+        /// Half a microsecond, because seconds are floats.
         const NOTHING_S: f64 = 5e-7;
         let mut moments = Moments::default();
         for stamp in stamps {
@@ -67,18 +64,17 @@ impl Tape {
         moments
     }
 
-    /// Times of the rows `kept` of an arm's joint states.
     pub fn of_joints(&self, arm: &ReplayArm<'_>, kept: &[usize]) -> Moments {
         let stamps = kept.iter().map(|&row| self.stamp(arm.recorded.t_s[row]));
         self.moments(arm, &arm.received, stamps)
     }
 
-    /// Adds timeless data.
+    /// Timeless.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.reel.still(path, what)
     }
 
-    /// Adds columns with one row per time.
+    /// One row per time.
     pub fn columns(
         &self,
         path: &EntityPath,
@@ -97,13 +93,12 @@ impl Tape {
         self.reel.columns(path, times, columns)
     }
 
-    /// Returns everything that was added.
     pub fn finish(self) -> Reel {
         self.reel
     }
 }
 
-/// Entity path of `parts`. The slashes of a topic separate further parts.
+/// The slashes of a topic separate further parts.
 pub(super) fn entity(parts: &[&str]) -> EntityPath {
     let parts = parts.iter().flat_map(|part| part.split('/')).filter(|part| !part.is_empty());
     EntityPath::from(parts.map(EntityPathPart::new).collect::<Vec<_>>())

@@ -19,14 +19,14 @@ use crate::robot::catalogue;
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
 const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
-/// Delay of the recorder after the stamps.
+/// From stamp to receive time.
 const TRANSPORT_S: f64 = 0.003;
 
 fn chain(robot: &Robot) -> Chain {
     robot.chain(robot.link("base").unwrap(), robot.link("tool0").unwrap()).unwrap()
 }
 
-/// The shoulder rotating, at 100 Hz, with consistent poses.
+/// The shoulder rotates at 100 Hz; poses are consistent.
 fn motion(chain: &Chain, rows: usize) -> (JointTrack, AlignedSamples) {
     let mut joints = JointTrack { dof: chain.dof(), ..JointTrack::default() };
     let mut aligned = AlignedSamples::default();
@@ -94,7 +94,7 @@ fn stream(aligned: &AlignedSamples, kind: StreamKind) -> ReplayStream<'_> {
     }
 }
 
-/// Arm without streams whose joints are as recorded.
+/// No streams, joints as recorded.
 fn arm<'a>(robot: &'a Robot, chain: &'a Chain, recorded: &'a JointTrack) -> ReplayArm<'a> {
     ReplayArm {
         name: "ur5e",
@@ -113,7 +113,6 @@ fn replay<'a>(arms: Vec<ReplayArm<'a>>, report: &'a Report) -> Replay<'a> {
     Replay { origin: ORIGIN, span: (ORIGIN, ORIGIN.shifted(0.5)), arms, report }
 }
 
-/// Encoded recording.
 struct Seen {
     messages: Vec<LogMsg>,
     notes: Vec<String>,
@@ -125,7 +124,7 @@ impl Seen {
         Ok(Self { messages, notes })
     }
 
-    /// Chunks of an entity, without the blueprint.
+    /// Without the blueprint.
     fn chunks(&self, path: &EntityPath) -> Vec<Chunk> {
         let recorded = self.messages.iter().filter_map(|message| match message {
             LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Recording => {
@@ -136,7 +135,6 @@ impl Seen {
         recorded.filter(|chunk| chunk.entity_path() == path).collect()
     }
 
-    /// Chunk of an entity that has a component.
     fn with(&self, path: &[&str], component: &ComponentDescriptor) -> Option<Chunk> {
         let chunks = self.chunks(&entity(path)).into_iter();
         chunks.filter(|chunk| chunk.components().get(component.component).is_some()).last()
@@ -209,7 +207,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
         values.flatten().map(|value| value.0.0).collect()
     };
     assert_eq!(value("proof/01/trace/tip"), [1.0, -1.0]);
-    // In mm: the limit of the vibration, and the limit of a residual.
+    // In mm: limits of the vibration and of a residual.
     assert_eq!(value("proof/01/trace/limit_0"), [0.5, 0.5]);
     assert_eq!(value("errors/ur5e/position_mm/tcp/pose/limit"), [1.0, 1.0]);
     let page = seen.text(&["findings", "page_1"]);
@@ -301,7 +299,7 @@ fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
     let of = |state| seen.with(&["arms", "ur5e", "/tcp/pose", state], &translation).ok_or(state);
     let (logged, explained) = (of("as_logged")?, of("as_explained")?);
     assert_eq!(times(&logged, "run")[10] - times(&explained, "run")[10], 22_000_000);
-    // Stamps of 0.1 s and 0.078 s: the last joint states are number 10 and number 7.
+    // Stamps of 0.1 s and 0.078 s: joint states 10 and 7.
     assert_eq!((times(&logged, "sample")[10], times(&explained, "sample")[10]), (10, 7));
     Ok(())
 }
@@ -357,7 +355,7 @@ fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     Ok(())
 }
 
-/// Two links with one mesh each.
+/// One mesh per link.
 const MESHED: &str = r#"<robot name="two">
   <link name="base"><visual><geometry><mesh filename="package://two/base.obj"/></geometry></visual></link>
   <joint name="turn" type="continuous"><parent link="base"/><child link="tool0"/><origin xyz="0 0 1"/></joint>

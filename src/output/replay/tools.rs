@@ -1,5 +1,3 @@
-//! Draws the tool by FK and by each stream, with trails and errors.
-
 use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
 use re_sdk_types::components::{FillMode, LineStrip3D, Radius};
@@ -13,7 +11,6 @@ use crate::stats::thin;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
 
-/// Adds the tool by FK at the tip of the arm.
 pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<(), ReplayCause> {
     let kept = kept(&arm.corrected);
     let mut moved = Moved { moments: tape.of_joints(arm, &kept), ..Moved::default() };
@@ -28,7 +25,7 @@ pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<
     tool.draw(tape, &entity(&["arms", arm.name, "tip"]), &moved, size_m)
 }
 
-/// Adds the tool by a stream, with its trail and its error.
+/// With trail and error.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -65,7 +62,6 @@ pub(super) fn draw(
     errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
 }
 
-/// Moving frame.
 #[derive(Default)]
 struct Moved {
     moments: Moments,
@@ -74,8 +70,7 @@ struct Moved {
 }
 
 impl Moved {
-    /// Poses of a stream's samples. A logged pose is at its stamp and receive time. A corrected pose is at
-    /// its time of measurement, with the joint states of that time.
+    /// A logged pose is at its stamp and receive time; a corrected pose at its time of measurement.
     fn of(
         tape: &Tape,
         arm: &ReplayArm<'_>,
@@ -98,11 +93,10 @@ impl Moved {
     }
 }
 
-/// Box that represents the tool: from the frame's origin along z, wider along x than along y, so that every
-/// rotation is visible.
+/// Box from the frame's origin along z, wider along x than along y, so that every rotation is visible.
 struct Tool<'a> {
     label: &'a str,
-    /// Whether the label is always shown, not only on hover.
+    /// The label is always shown, not only on hover.
     is_named: bool,
     rgb: [u8; 3],
     fill: FillMode,
@@ -131,7 +125,7 @@ impl Tool<'_> {
     }
 }
 
-/// Whole path of a tool, timeless.
+/// Timeless.
 fn trail(
     tape: &Tape,
     path: &EntityPath,
@@ -144,7 +138,7 @@ fn trail(
     tape.still(path, &strip)
 }
 
-/// Arrows from the FK position to the logged position, magnified by `times`.
+/// From FK to the logged position, magnified by `times`.
 fn errors(
     tape: &Tape,
     path: &EntityPath,
@@ -167,11 +161,10 @@ fn errors(
     tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)
 }
 
-/// Magnification of the errors of an arm's streams, to make them visible.
 pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
-    /// Maximum length of an arrow as a fraction of the arm's reach.
+    /// Of an arrow, as a fraction of the arm's reach.
     const LONGEST: f64 = 0.25;
-    /// Minimum error to magnify, m.
+    /// Smallest magnified error, m.
     const WORTH_M: f64 = 1e-3;
     let measured =
         arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);

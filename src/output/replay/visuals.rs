@@ -1,4 +1,4 @@
-//! Links of an arm: their frames with names, and the visuals of the model.
+//! Links of an arm: frames and visuals of the model.
 
 use std::path::PathBuf;
 
@@ -16,18 +16,17 @@ use super::{ReplayArm, ReplayCause};
 use crate::geometry::Pose;
 use crate::robot::{Chain, LinkId, Shape, Visual};
 
-/// Maximum number of missing files that are named.
+/// Missing files that are named.
 const NAMED: usize = 3;
 
-/// Result of drawing a model's visuals.
 pub(super) struct Drawn {
-    /// Whether all visuals are drawn.
+    /// All visuals are drawn.
     pub is_whole: bool,
-    /// Notes for the report.
+    /// For the report.
     pub notes: Vec<String>,
 }
 
-/// Adds the links of an arm, and the links of its robot that move with them.
+/// Links of an arm, and links of its robot that move with them.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -60,7 +59,7 @@ pub(super) fn draw(
     Ok(found.told(arm, !mesh_roots.is_empty()))
 }
 
-/// Returns whether a link is the base, the tip, or moved by a joint of the chain.
+/// The base, the tip, or moved by a joint of the chain.
 fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
     let name = arm.robot.link_name(link);
     let mut joints = arm.chain.joint_names().iter().filter_map(|joint| arm.robot.joint(joint));
@@ -69,7 +68,6 @@ fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
         || joints.any(|joint| joint.child == link)
 }
 
-/// Attachment of a link.
 enum Carried {
     /// Fixed in the base.
     Still(Pose),
@@ -107,8 +105,7 @@ impl Carried {
     }
 }
 
-/// Adds the axes of a link and its name. The name is always visible at the ends of the chain, else on
-/// hover.
+/// Axes and name, which is always visible at the ends of the chain, else on hover.
 fn frame(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -127,15 +124,14 @@ fn frame(
     tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))
 }
 
-/// Statistics of the visuals.
 #[derive(Default)]
 struct Found {
-    /// Number of drawn visuals, and of meshes among them.
+    /// Drawn visuals, and meshes among them.
     drawn: usize,
     meshes: usize,
-    /// Meshes that are not drawn, with the reason.
+    /// Not drawn, with the reason.
     missing: Vec<(String, NoMesh)>,
-    /// Number of visuals on links whose position is unknown.
+    /// Visuals on links whose position is unknown.
     adrift: usize,
 }
 

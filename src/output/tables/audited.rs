@@ -1,5 +1,3 @@
-//! The tables of an audited run.
-
 use std::path::Path;
 
 use super::{
@@ -10,10 +8,10 @@ use crate::places::Places;
 use crate::report::Trouble;
 use crate::report::reached;
 
-/// Names of the tables in the order of writing.
+/// In write order.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
-/// Registers the files that are written into `folder`.
+/// Registers the files in `folder`.
 pub fn enter(folder: &Path, places: &mut Places) {
     places.writes_into("--parquet", folder, NAMES.map(|name| format!("{name}.parquet")));
 }

@@ -15,7 +15,7 @@ use super::{TableError, split};
 /// Joint positions from a file, one configuration per row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Configurations {
-    /// Positions of the chain's joints, row-major, rad or m.
+    /// Row-major, rad or m.
     pub q: Vec<f64>,
     /// Number of rows.
     pub rows: usize,
@@ -23,9 +23,9 @@ pub struct Configurations {
 
 impl Configurations {
     /// Reads the columns named after the joints of `chain`, optionally with the suffix `_rad`, `_deg` or
-    /// `_m`, from a CSV or Parquet file. Parquet is recognised by its first bytes. A CSV without such names
-    /// is read by position if its number of columns is the number of joints. Revolute joints are in degrees
-    /// if their column has the suffix `_deg`, or if it has no suffix and `deg` is set.
+    /// `_m`, from a CSV or Parquet file. A CSV without such names is read by position if its number of
+    /// columns is the number of joints. Columns of revolute joints are in degrees with the suffix `_deg`,
+    /// or without suffix if `deg` is set.
     ///
     /// # Errors
     /// If the file cannot be read, a joint is missing, or a value is not a finite number.
@@ -39,14 +39,13 @@ impl Configurations {
     }
 }
 
-/// Factor that converts the numbers of a column to rad or m.
+/// To rad or m.
 fn unit(column: &str, kind: JointKind, deg: bool) -> f64 {
     let column = column.trim();
     let is_deg = column.ends_with("_deg") || (deg && !column.ends_with("_rad"));
     if is_deg && kind != JointKind::Prismatic { 1_f64.to_radians() } else { 1.0 }
 }
 
-/// Returns whether `column` is a valid name for a joint's column.
 fn is_column_of(column: &str, joint: &str) -> bool {
     let rest = column.trim().strip_prefix(joint);
     rest.is_some_and(|rest| ["", "_rad", "_deg", "_m"].contains(&rest))
@@ -122,7 +121,7 @@ fn missing(joint: &str) -> String {
     format!("it has no column `{joint}`")
 }
 
-/// Table of joint positions and their poses: `{joint}_rad` (`_m`), `x_m` … `qw`.
+/// Joint positions and their poses: `{joint}_rad` (`_m`), `x_m` … `qw`.
 ///
 /// # Errors
 /// If the numbers of poses and rows differ.

@@ -1,6 +1,4 @@
-//! Polars tables: aligned samples of a stream with forward kinematics, and other stored tables.
-//!
-//! Column names end with the unit. `docs/tables.md` lists the columns of the files.
+//! Polars tables. Column names end with the unit. `docs/tables.md` lists the columns of the files.
 
 mod audited;
 mod configurations;
@@ -20,12 +18,12 @@ use crate::diagnosis::AlignedSamples;
 use crate::geometry::{xyz_of, xyzw_from_rotation};
 use crate::time::Stamp;
 
-/// Stamp of the sample, ns since the epoch of its clock (`i64`; every other column is `f64`).
+/// ns since the epoch of its clock (`i64`; every other column is `f64`).
 const STAMP_NS: &str = "stamp_ns";
-/// Stamp of the sample, s from the run's origin.
+/// s from the run's origin.
 const T_S: &str = "t_s";
 
-/// Aligned samples of a stream and their residuals, one row per sample in time order.
+/// Aligned samples and residuals, one row per sample in time order.
 ///
 /// # Errors
 /// If the columns of `aligned` differ in length.
@@ -54,7 +52,7 @@ fn aligned_frame(aligned: &AlignedSamples, origin: Stamp) -> PolarsResult<DataFr
     DataFrame::new(aligned.t_s.len(), columns)
 }
 
-/// Aligned samples of several streams, preceded by the columns robot and topic.
+/// Preceded by the columns robot and topic.
 ///
 /// # Errors
 /// If the columns of a stream differ in length.

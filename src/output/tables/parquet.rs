@@ -1,5 +1,3 @@
-//! Writes data frames to files.
-
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -14,14 +12,14 @@ use crate::report::write_whole;
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {cause}", path.display())]
 pub struct TableError {
-    /// Path of the file.
+    /// File.
     pub path: PathBuf,
-    /// Cause of the error.
+    /// Cause.
     pub cause: String,
 }
 
-/// Writes `frame` as `{name}.parquet` into `folder`, creating it. An existing file is replaced when the new
-/// one is complete. Equal frames have equal bytes.
+/// Writes `frame` as `{name}.parquet` into `folder`, creating it. An existing file is replaced as a whole.
+/// Equal frames have equal bytes.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -29,7 +27,7 @@ pub fn write_table(folder: &Path, name: &str, frame: &mut DataFrame) -> Result<(
     write_frame(&folder.join(format!("{name}.parquet")), frame)
 }
 
-/// Writes `frame` as CSV or Parquet, depending on the extension `.csv` or `.parquet`.
+/// Writes `frame` as CSV or Parquet, by extension.
 ///
 /// # Errors
 /// If the file cannot be written or has another extension.
@@ -55,7 +53,7 @@ fn write_csv(path: &Path, frame: &mut DataFrame) -> Result<(), WriteError> {
     writer.write_record(frame.columns().iter().map(|column| column.name().as_str()))?;
     for row in 0..frame.height() {
         let cell = |column: &Column| match column.get(row)? {
-            // All digits, which Polars' display would omit.
+            // Polars' display would omit digits.
             AnyValue::Float64(number) => Ok(number.to_string()),
             other => Ok(other.str_value().into_owned()),
         };

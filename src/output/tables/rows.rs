@@ -1,4 +1,4 @@
-//! Report content as data frames: one row per finding, check or joint.
+//! Report content as data frames.
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Serialize;
@@ -7,7 +7,7 @@ use crate::finding::{CheckRow, Estimate, Finding, Subject};
 use crate::report::WorkspaceRow;
 use crate::time::Stamp;
 
-/// Findings, one per row in the order of the report.
+/// Findings in the order of the report.
 ///
 /// # Errors
 /// Does not fail for a valid report.
@@ -34,7 +34,7 @@ pub fn findings_frame(findings: &[Finding]) -> PolarsResult<DataFrame> {
     DataFrame::new(findings.len(), columns)
 }
 
-/// Checks, one per row in the order of the report.
+/// Checks in the order of the report.
 ///
 /// # Errors
 /// Does not fail for a valid report.
@@ -54,7 +54,7 @@ pub fn checks_frame(checks: &[CheckRow]) -> PolarsResult<DataFrame> {
     DataFrame::new(checks.len(), columns)
 }
 
-/// Range of motion of each joint of each arm, one per row from base to tip.
+/// Range of motion of each joint, from base to tip.
 ///
 /// # Errors
 /// Does not fail for a valid report.
@@ -96,7 +96,7 @@ fn subjects<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
     ]
 }
 
-/// Value of an estimate with its interval, if it has one, and the estimate as JSON.
+/// Value, interval and JSON of each estimate.
 fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
     let (mut values, mut units, mut lows, mut highs, mut whole) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -124,7 +124,7 @@ fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Colu
     ]
 }
 
-/// Report values have string keys and finite numbers, so serialisation cannot fail.
+/// String keys and finite numbers: serialisation cannot fail.
 fn as_json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }

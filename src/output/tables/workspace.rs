@@ -1,5 +1,3 @@
-//! Workspace tables: the reach map and the reached poses.
-
 use std::collections::BTreeSet;
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
@@ -12,7 +10,7 @@ use crate::time::Stamp;
 
 use super::split;
 
-/// Reach map: one row per cell of the base frame that a tip reached.
+/// One row per cell of the base frame that a tip reached.
 ///
 /// # Errors
 /// Does not fail for a valid workspace.
@@ -39,7 +37,7 @@ pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFra
     DataFrame::new(rows.len(), columns)
 }
 
-/// Poses that tips reached: one row each, with the joint positions. Joints of other robots are null.
+/// One row per reached pose, with the joint positions. Joints of other robots are null.
 ///
 /// # Errors
 /// Does not fail for a valid workspace.
