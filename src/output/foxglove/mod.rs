@@ -1,12 +1,11 @@
-//! Findings as an MCAP file for Foxglove, to open next to the log: log messages and scene updates, both in
-//! JSON.
+//! Findings as an MCAP file for Foxglove, to open next to the log. Both schemas are JSON.
 //!
 //! | topic | schema | content |
 //! |---|---|---|
 //! | `/poseaudit/log` | `foxglove.Log` | the verdict, and each finding at its start |
-//! | `/poseaudit/scene` | `foxglove.SceneUpdate` | logged and FK pose of a stream's tool, with the findings on that stream |
+//! | `/poseaudit/scene` | `foxglove.SceneUpdate` | logged and FK pose of a stream's tool, with its findings |
 //!
-//! Frame names are those of the log, so the scene is part of the log's frame tree.
+//! Frame names are those of the log, so the scene is part of its frame tree.
 
 mod schema;
 

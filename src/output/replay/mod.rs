@@ -1,24 +1,22 @@
-//! Recording for the Rerun viewer: the arm, and its logged and corrected poses.
-//!
-//! Only positions of drawn objects are computed here. Streams are decimated to about 4 000 rows each:
-//! evenly for moving objects, by minimum and maximum of each interval for plots.
+//! Recording for the Rerun viewer. Streams are decimated to about 4 000 rows each: evenly for moving
+//! objects, by minimum and maximum of each interval for plots.
 //!
 //! | entity | content |
 //! |---|---|
 //! | `/arms/NAME/arm` | capsules along the arm by FK of the corrected joint states |
-//! | `/arms/NAME/arm_as_recorded` | the same for the recorded joint states, if different |
-//! | `/arms/NAME/links/LINK` | frame of a link by FK, with its name and its visuals |
+//! | `/arms/NAME/arm_as_recorded` | same for the recorded joint states, if different |
+//! | `/arms/NAME/links/LINK` | frame, name and visuals of a link by FK |
 //! | `/arms/NAME/tip` | the tool by FK |
-//! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, their trails, and the `error` from FK |
-//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | error against FK, before and after correction, and the limit |
-//! | `/errors/NAME/yaw_deg/TOPIC` | yaw of an IMU against FK |
+//! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, trails, and `error` from FK |
+//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | error against FK before and after correction, and limit |
+//! | `/errors/NAME/yaw_deg/TOPIC` | IMU yaw against FK |
 //! | `/joints/NAME/JOINT` | a joint's corrected position |
-//! | `/proof/NN/…` | plots specific to finding NN: a spectrum, viewing directions, axes |
-//! | `/findings/…`, `/spans/…` | the findings on the time line: log messages, pages, and time spans |
+//! | `/proof/NN/…` | plots specific to finding NN |
+//! | `/findings/…`, `/spans/…` | findings as log messages, pages and time spans |
 //! | `/report` | the report as a page |
 //!
-//! Timelines: `run`, the time since the run's origin; `stamp` and `log_time` as in the log; and `sample`,
-//! the index of the last joint state at a stamp, which shows all streams at the same moment.
+//! Timelines: `run`, since the run's origin; `stamp` and `log_time` as in the log; and `sample`, the index
+//! of the last joint state, which shows all streams at the same moment.
 
 mod arm;
 mod audited;

@@ -11,9 +11,6 @@ use crate::time::Stamp;
 use super::split;
 
 /// One row per cell of the base frame that a tip reached.
-///
-/// # Errors
-/// Does not fail for a valid workspace.
 pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
     let rows: Vec<_> = arms
         .iter()
@@ -37,10 +34,7 @@ pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFra
     DataFrame::new(rows.len(), columns)
 }
 
-/// One row per reached pose, with the joint positions. Joints of other robots are null.
-///
-/// # Errors
-/// Does not fail for a valid workspace.
+/// One row per reached pose, with joint positions; null for other robots.
 pub(super) fn reached_poses_frame(
     arms: &[ArmWorkspace<'_>],
     origin: Stamp,
