@@ -19,9 +19,9 @@ rule! {
     /// Anything fused with this IMU rotates away: 1° in 20 s at 3 °/min, or at once if a magnet passes.
     ///
     /// ## Evidence
-    /// The slope of the yaw error over the run, corrected for the joint zero offsets found; its interval
-    /// allows for correlated noise. `effect` is the total over the run. `kind` is the model that explains
-    /// the error with the fewest parameters:
+    /// The slope of the yaw error, corrected for joint zero offsets; its interval allows for correlated
+    /// noise. `effect` is the total over the run. `kind` is the model that explains the error with the
+    /// fewest parameters:
     ///
     /// - `drift`: a constant rate.
     /// - `jump`: `jumps` lists the time of each, from the start of the log, and its size.
@@ -39,8 +39,8 @@ rule! {
     ///
     /// ## When it misleads
     /// It needs orientation in the log (`orientation_covariance[0]` not −1). Short runs are inconclusive: 1
-    /// s determines a drift to ±0.5 °/min at best. A magnetometer near motors has errors that depend on
-    /// position rather than time or heading; they look like a random walk.
+    /// s determines a drift to ±0.5 °/min at best. Errors of a magnetometer near motors depend on position
+    /// and look like a random walk.
     YAW001 {
         name: "yaw-drift",
         grade: Grade::From(&[THRESHOLD, JUMP]),

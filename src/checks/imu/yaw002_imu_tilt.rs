@@ -8,8 +8,7 @@ rule! {
     /// The roll and pitch of an IMU disagree with gravity.
     ///
     /// ## What it means
-    /// The verticals by the IMU's orientation and by its accelerometer differ by this angle, averaged over
-    /// the run.
+    /// The mean angle between the verticals by the IMU's orientation and by its accelerometer.
     ///
     /// ## Why it matters
     /// 1° appears as an acceleration of 0.17 m/s² and rotates every pose derived from the IMU.

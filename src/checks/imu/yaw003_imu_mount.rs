@@ -23,9 +23,8 @@ rule! {
     /// - `direction_cosines`: the same as a matrix, with one column per IMU axis and one row per link axis.
     /// - `axes`: the direction of each IMU axis in words.
     /// - `logged_direction_cosines`, `logged_axes`: for the mount in the log's frames.
-    /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time. `from`
-    ///   and `to` are the angles to the logged mount before and after; `link_from_imu_after` is the mount
-    ///   afterwards.
+    /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time.
+    ///   `from`, `to`: angles to the logged mount before and after; `link_from_imu_after`: the mount after.
     ///
     /// Without a frame for the IMU, the rule is skipped and the mount is evidence only. Permuted or
     /// reversed axes are named, for instance forward-right-down (FRD) in a forward-left-up frame. A gyro

@@ -17,15 +17,14 @@ rule! {
     /// mm. Against poses it resembles a latency of a few milliseconds, which no shift of stamps corrects.
     ///
     /// ## Evidence
-    /// If the other rules' causes do not explain the log to within the noise, each joint is tested for
-    /// hysteresis, together with sag (ZER003) and eccentricity; latencies, zeros and frames are free. The
-    /// link may wait while its encoder crosses the backlash, or be pushed through it at the reversal.
-    /// Backlash is reported if it reduces the residual substantially, and preferred to zeros or frames that
-    /// change during the run if fewer causes are then needed. Latency and zeros are then judged on
-    /// corrected joint states.
+    /// Unless the other rules' causes explain the log to within the noise, each joint is tested for
+    /// hysteresis, with sag (ZER003) and eccentricity; latencies, zeros and frames are free. The link may
+    /// wait while its encoder crosses the backlash, or be pushed through it at the reversal. It is reported
+    /// if it reduces the residual substantially, and preferred to changing zeros or frames if fewer causes
+    /// are then needed. Latency and zeros are then judged on corrected joint states.
     ///
-    /// `leads`: the poses lead this joint's encoder, which is on the link side; they are computed from the
-    /// motor's encoder.
+    /// `leads`: the poses, computed from the motor's encoder, lead this joint's encoder, which is on the
+    /// link side.
     ///
     /// ## How to fix
     /// Adjust the gear's preload, or tighten the coupling or belt. Until then, approach each target from

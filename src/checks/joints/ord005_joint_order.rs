@@ -8,16 +8,15 @@ rule! {
     /// Joint names and positions are paired in the wrong order.
     ///
     /// ## What it means
-    /// Positions are published under other joints' names. Usually one side uses alphabetical order (elbow
-    /// before shoulder) or driver order, the other the order of the chain.
+    /// Positions are published under other joints' names: usually alphabetical (elbow before shoulder) or
+    /// driver order against the chain's.
     ///
     /// ## Why it matters
     /// Consumers that pair by name get wrong positions. FK, collision checks and /tf are all wrong, but
     /// consistent with each other.
     ///
     /// ## Evidence
-    /// Every order of the chain's joints is compared with a stream that is not computed from the named
-    /// joints.
+    /// Every order is compared with a stream that is not computed from the named joints.
     ///
     /// - `permutation`: the joints in the order of the numbers.
     /// - `as_logged_m`, `corrected_m`, `runner_up_m`: residuals as logged, in that order, and in the next
@@ -28,8 +27,8 @@ rule! {
     /// `joints` parameter defines the order.
     ///
     /// ## When it misleads
-    /// /tf from a robot_state_publisher inherits the mistake; a pose from a different source is required.
-    /// Joints that do not move are indistinguishable.
+    /// /tf from a robot_state_publisher inherits the mistake; another pose is required. Joints that do not
+    /// move are indistinguishable.
     ORD005 {
         name: "joint-order",
         grade: Grade::Fixed(Severity::Error),

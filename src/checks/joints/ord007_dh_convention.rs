@@ -15,8 +15,8 @@ rule! {
     /// of the previous row).
     ///
     /// ## Why it matters
-    /// FK is wrong everywhere by decimetres, but looks plausible with all joints at zero. All other rules
-    /// use the convention that fits.
+    /// FK is wrong by decimetres, but plausible with all joints at zero. All other rules use the convention
+    /// that fits.
     ///
     /// ## Evidence
     /// `streams` has each stream's residuals beyond the noise, after correcting all causes; null if it

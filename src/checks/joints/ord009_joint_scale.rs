@@ -23,7 +23,7 @@ rule! {
     /// from it. All other rules use the corrected joint.
     ///
     /// ## Evidence
-    /// - `factor`: estimated together with all other causes on the arm's pose streams, with an interval.
+    /// - `factor`: estimated with all other causes on the arm's pose streams, with an interval.
     /// - `as_logged_m`, `corrected_m`: pose residuals as logged and corrected. A factor with a large
     ///   residual is not reported.
     /// - `offset`: added after scaling, if the numbers are neither rad nor m and have their own zero. The
@@ -34,8 +34,8 @@ rule! {
     ///   added. In some wrists, one joint's gear rotates the next joint by a few percent.
     /// - `turns`: of a joint off by a quarter, half or whole turn. Only the model's limits, exceeded
     ///   throughout the run, show a whole turn; the poses show the others.
-    /// - `changes`: times from which the scale differs, with the scales before and after. The value is then
-    ///   the size of the change (`from`, `to`, `change_ns`).
+    /// - `changes`: times and scales of changes. The value is then the size of the change (`from`, `to`,
+    ///   `change_ns`).
     ///
     /// ## How to fix
     /// Scale the numbers where the joint states are filled, or correct the driver's `direction`, gear ratio

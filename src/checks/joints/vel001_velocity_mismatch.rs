@@ -10,12 +10,12 @@ rule! {
     ///
     /// ## What it means
     /// The joint states' velocities have a different unit, the wrong sign, another joint's values, a delay
-    /// or a filter, or are zero in motion. One finding per joint; joints with the same fault are one
-    /// finding on their topic.
+    /// or a filter, or are zero in motion. One finding per joint, or on the topic for joints with the same
+    /// fault.
     ///
     /// ## Why it matters
-    /// Feed-forward, damping, interpolation, collision detection and training data use velocities. A wrong
-    /// sign or unit makes a controller unstable; a filter makes it late.
+    /// A wrong sign or unit makes a controller unstable; a filter makes it late. Interpolation, collision
+    /// detection and training data also use velocities.
     ///
     /// ## Evidence
     /// Velocities integrated over windows (`window_s`) are compared with the change of position, so no

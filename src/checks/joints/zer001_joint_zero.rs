@@ -32,13 +32,13 @@ rule! {
     ///   last joint's zero and tool rotation, a rail's zero and a shift of the base.
     /// - `witness`: source of the poses (`controller`, `external`, `unknown`); `meaning`: what the offset
     ///   then implies.
-    /// - `changes`: times from which the offset differs, with the offsets before and after. The value is
-    ///   then the size of the change (`from`, `to`, `change_ns`).
+    /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
+    ///   `change_ns`).
     ///
     /// If an inaccurate nominal model could explain several causes or the residual, all link deviations are
-    /// estimated with the zeros, each with its own standard deviation. A zero is then reported if it makes
-    /// the log fifty times as likely; its interval includes the deviations. `indistinguishable` lists zeros
-    /// of other joints at least a twentieth as likely.
+    /// estimated too, each with its own standard deviation. A zero must then make the log fifty times as
+    /// likely; its interval includes the deviations. `indistinguishable` lists other joints' zeros at least
+    /// a twentieth as likely.
     ///
     /// With an unexplained residual (MDL001), a zero must move the tip at least 30 times as far. If the
     /// motion cannot locate the tracker's marker, it is never reported.

@@ -17,12 +17,11 @@ rule! {
     /// for one configuration is wrong in the others.
     ///
     /// ## Evidence
-    /// If the other rules' causes do not explain the log to within the noise, each joint is tested for a
-    /// deflection proportional to its gravity torque, together with backlash (MOT006) and eccentricity;
-    /// latencies, zeros and frames are free. Gravity points along −z of the chain's base. Link masses lie
-    /// halfway between the joints and decrease outwards at the ratio that fits best; only ratios matter.
-    /// Sag is reported if it reduces the residual substantially. Zeros are then judged on corrected joint
-    /// states.
+    /// Unless the other rules' causes explain the log to within the noise, each joint is tested for a
+    /// deflection proportional to its gravity torque, with backlash (MOT006) and eccentricity; latencies,
+    /// zeros and frames are free. Gravity points along −z of the chain's base. Link masses lie halfway
+    /// between the joints and decrease outwards at the ratio that fits best; only ratios matter. Sag is
+    /// reported if it reduces the residual substantially. Zeros are then judged on corrected joint states.
     ///
     /// If a load is picked up or put down, the value is the size of the change (`from`, `to`, `change_ns`).
     ///
@@ -31,7 +30,7 @@ rule! {
     /// correct each target by the sag in its configuration.
     ///
     /// ## When it misleads
-    /// On a wall or ceiling, gravity has another direction if the base frame is not upright. In few
+    /// The assumed gravity is wrong if the base frame is not upright (wall, ceiling). In few
     /// configurations, sag is indistinguishable from a zero offset. A base that tilts under the arm has
     /// nearly the same effect. If the load changes twice, neither change is reported.
     ZER003 {

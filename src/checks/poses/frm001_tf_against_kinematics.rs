@@ -12,21 +12,20 @@ rule! {
     /// The tip pose in /tf differs from FK of the joint positions, after compensating its latency (LAT001).
     ///
     /// ## Why it matters
-    /// Users of tf2 (planning, sensors, visualisation) have different kinematics from nodes that compute
-    /// FK.
+    /// Users of tf2 and nodes that compute FK have different kinematics.
     ///
     /// ## Evidence
-    /// The constant offset if there is one, otherwise the rms residual beyond the noise. `before_m` is the
-    /// residual without latency compensation. /tf is compared with the joint states as recorded: an error
-    /// inherited from a joint fault is listed with that fault.
+    /// The constant offset, otherwise the rms residual beyond the noise. `before_m`: residual without
+    /// latency compensation. The joint states are used as recorded: an error inherited from a joint fault
+    /// is listed with that fault.
     ///
     /// ## How to fix
-    /// Use the same description for the state publisher and the audit: calibrated kinematics, variant and
-    /// tool. Check whether a second publisher sends the same frames.
+    /// Use one description (calibration, variant, tool) for the state publisher and the audit. Check for a
+    /// second publisher of the frames.
     ///
     /// ## When it misleads
-    /// A `--robot` description other than the publisher's causes this finding. Fixed transforms missing
-    /// from /tf are taken from the model.
+    /// A `--robot` description other than the publisher's causes this finding. The model supplies fixed
+    /// transforms missing from /tf.
     FRM001 {
         name: "tf-against-kinematics",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

@@ -14,14 +14,13 @@ rule! {
     /// reports poses in `base`, and the driver labels them `base_link`, rotated by 180° about z.
     ///
     /// ## Why it matters
-    /// Every pose is wrong by the same transform in the base frame. A half turn sends the arm to the other
-    /// side of the table.
+    /// Every pose is wrong by one transform; a half turn sends the arm to the other side of the table.
     ///
     /// ## Evidence
     /// - `pose`: `reference_from_stream`, which converts a logged pose to the named frame. The value is its
-    ///   distance, `rotation` its angle. The significance test is joint over all six components.
-    /// - `changes`: when the offset changes, with the offsets before and after. The value is then the size
-    ///   of the change (`from`, `to`, `change_ns`).
+    ///   distance, `rotation` its angle; all six components are tested jointly.
+    /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
+    ///   `change_ns`).
     /// - `from`, `to`, `change_ns` also if `frame_id` changes during the run and the poses are right under
     ///   only one of the names.
     ///
@@ -29,9 +28,9 @@ rule! {
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///
     /// ## When it misleads
-    /// No log can distinguish a base rotated about the first joint's axis from a zero offset of that joint.
-    /// The joint zero is preferred unless the angle is a round number; `indistinguishable` lists the
-    /// alternative. A frame not fixed to the robot (a tracker's world) is estimated, never a fault.
+    /// A base rotated about the first joint's axis is indistinguishable from that joint's zero offset,
+    /// which is preferred unless the angle is round; `indistinguishable` lists the alternative. A frame not
+    /// fixed to the robot (a tracker's world) is estimated, never a fault.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

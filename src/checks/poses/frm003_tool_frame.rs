@@ -13,28 +13,27 @@ rule! {
     /// or a TCP active in the controller.
     ///
     /// ## Why it matters
-    /// The error is constant in the tool frame but rotates with the wrist in the base frame: correcting a
-    /// few taught points does not remove it.
+    /// The error rotates with the wrist: correcting a few taught points does not remove it.
     ///
     /// ## Evidence
     /// - `pose`: `tip_from_stream`, the stream's point in the tip frame. The value is its distance,
-    ///   `rotation` its angle. The significance test is joint over all six components.
-    /// - `changes`: when the offset changes, with the offsets before and after. The value is then the size
-    ///   of the change (`from`, `to`, `change_ns`).
+    ///   `rotation` its angle; all six components are tested jointly.
+    /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
+    ///   `change_ns`).
     ///
     /// The poses may alternate between rigid bodies on one tool (a tracker confuses markers, or the TCP is
-    /// switched). Each body other than the most frequent one has a finding with its offset from that
-    /// (`pose` is `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and its number of
-    /// `samples`. All other rules use the poses converted to the most frequent body.
+    /// switched). Each but the most frequent one has a finding with its offset from that (`pose` is
+    /// `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and number of `samples`. All other
+    /// rules use poses converted to the most frequent body.
     ///
     /// ## How to fix
     /// Set the controller's active TCP to the intended one, or name the stream's link with `--tip`.
     ///
     /// ## When it misleads
     /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active
-    /// TCP: `info`. So is an external tracker's offset, the position of its marker. No log can distinguish
-    /// a rotation about the last joint's axis from a zero offset of that joint; `indistinguishable` lists
-    /// the alternative.
+    /// TCP: `info`. So is an external tracker's offset, the position of its marker. A rotation about the
+    /// last joint's axis is indistinguishable from that joint's zero offset; `indistinguishable` lists the
+    /// alternative.
     FRM003 {
         name: "tool-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

@@ -19,14 +19,14 @@ rule! {
     ///
     /// ## Why it matters
     /// Both may almost agree near the pose used for testing, and differ by tens of degrees elsewhere.
-    /// Grasps miss, and hand-eye calibration converges to a wrong result without a warning.
+    /// Grasps miss, and hand-eye calibration silently converges to a wrong result.
     ///
     /// ## Evidence
     /// Orientations are compared with FK under every pair of conventions, on every branch that a pendant
     /// may show (wrapped angles, the second Euler solution, rotation vectors beyond 180°).
     ///
-    /// - `as_logged_rad`, `corrected_rad`: residual as logged and under the best pair; also the ratio of
-    ///   the next best to it.
+    /// - `as_logged_rad`, `corrected_rad`: residual as logged and under the best pair; also the next best's
+    ///   ratio to it.
     /// - `equivalent`: pairs that are the same map or that this motion cannot separate.
     ///
     /// ## How to fix

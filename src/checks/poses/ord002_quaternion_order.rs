@@ -12,8 +12,8 @@ rule! {
     /// storage use x, y, z, w; MuJoCo, transforms3d, ABB robtargets and most constructors w first.
     ///
     /// ## Why it matters
-    /// The result is still a unit quaternion, so nothing fails. Yaw often looks right over part of its
-    /// range and then stops, which is mistaken for drift.
+    /// It is still a unit quaternion, so nothing fails. Yaw often looks right over part of its range and
+    /// then stops, as if drifting.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged_rad`) and in the other order (`corrected_rad`).

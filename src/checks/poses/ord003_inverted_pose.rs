@@ -14,8 +14,8 @@ rule! {
     ///   was read by columns instead of rows.
     ///
     /// ## Why it matters
-    /// Inverted poses move, and transposed rotations turn, the wrong way. Both look plausible at rest and
-    /// make a calibration converge to a wrong result.
+    /// Inverted poses move, and transposed rotations turn, the wrong way. Both look plausible at rest, and
+    /// calibrations converge to a wrong result.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged_rad`) and once inverted (`corrected_rad`). Positions
@@ -26,8 +26,8 @@ rule! {
     /// column-major matrix (such as Franka's `O_T_EE`) before reading it by rows.
     ///
     /// ## When it misleads
-    /// If the reference frame is not fixed to the robot and the motion is about few axes, inverted and
-    /// plain orientations differ only by constant frames. The rule then prefers no fault.
+    /// With a reference frame not fixed to the robot and motion about few axes, inverted and plain
+    /// orientations differ only by constant frames. The rule then prefers no fault.
     ORD003 {
         name: "inverted-pose",
         grade: Grade::Fixed(Severity::Error),

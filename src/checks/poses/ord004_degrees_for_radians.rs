@@ -9,14 +9,13 @@ rule! {
     /// Degrees published as radians, or vice versa.
     ///
     /// ## What it means
-    /// The positions of one or all joints are in degrees, but consumers expect radians (REP 103). Or the
-    /// declared unit of rotation numbers is wrong, either way. Undeclared numbers cannot have a wrong unit;
-    /// ORD001 reports the unit assumed for them. Or an IMU's angular velocity is in degrees per second; the
-    /// other rules use the converted values.
+    /// One or all joints are in degrees instead of radians (REP 103). Or the declared unit of rotation
+    /// numbers is wrong, either way. Undeclared numbers cannot have a wrong unit; ORD001 reports the unit
+    /// assumed for them. Or an IMU's angular velocity is in degrees per second.
     ///
     /// ## Why it matters
-    /// FK of degrees read as radians is noise within the arm's reach. The numbers are converted before any
-    /// other rule is evaluated.
+    /// FK of degrees read as radians is noise within the arm's reach. All other rules use the converted
+    /// numbers.
     ///
     /// ## Evidence
     /// The residual against FK as logged (`as_logged`) and as degrees (`corrected`): metres for joint
@@ -24,8 +23,8 @@ rule! {
     /// arm's rate without integration.
     ///
     /// ## How to fix
-    /// Convert at the source with `np.deg2rad(q)`, or `np.deg2rad(angular_velocity)` for an IMU. If a
-    /// stream is meant to be in degrees, declare it: `--declare TOPIC=CONVENTION,deg`.
+    /// Convert at the source with `np.deg2rad(q)` or `np.deg2rad(angular_velocity)`. Declare a stream meant
+    /// to be in degrees: `--declare TOPIC=CONVENTION,deg`.
     ///
     /// ## When it misleads
     /// A prismatic joint is in metres and is not converted. Within a degree of zero, both units fit: no

@@ -14,7 +14,7 @@ rule! {
     ///
     /// ## Why it matters
     /// There, only the sum or difference of the outer angles is determined. They jump while the tool barely
-    /// moves, so interpolating, filtering, differentiating or averaging them creates false motion.
+    /// moves; interpolating, filtering, differentiating or averaging them creates false motion.
     ///
     /// ## Evidence
     /// - `convention`: of the numbers.

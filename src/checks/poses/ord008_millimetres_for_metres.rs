@@ -19,22 +19,21 @@ rule! {
     /// elsewhere.
     ///
     /// ## Evidence
-    /// The factor is estimated from the motion, with free constant frames if needed. If it matches a common
-    /// unit to 2 %, that unit is reported; otherwise the factor to metres. A unit is reported only if it
-    /// explains the positions.
+    /// The factor is estimated from the motion, with free constant frames if needed. It is reported only if
+    /// it explains the positions: as a common unit if that matches to 2 %, otherwise as the factor to
+    /// metres.
     ///
     /// - `as_logged_m`, `corrected_m`: position residual against FK in metres and in the detected unit.
     /// - `felt`: median magnitude of an accelerometer's specific force at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
     /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit; ORD001 reports the
-    /// unit assumed for them. To check that they are in millimetres, declare it: `--declare
-    /// TOPIC=CONVENTION,mm`.
+    /// unit assumed for them. Declare millimetres to check them: `--declare TOPIC=CONVENTION,mm`.
     ///
     /// ## When it misleads
     /// A factor of 1000 and a scale error of 1000 are the same. Factors within 25 % of 1 are a radial scale
-    /// (ZER002), not a unit. If the tip only rotates about one point, a long tool has the same effect as a
-    /// unit; the unit is reported.
+    /// (ZER002), not a unit. If the tip only rotates about one point, a long tool looks like a unit; the
+    /// unit is reported.
     ORD008 {
         name: "millimetres-for-metres",
         grade: Grade::Fixed(Severity::Error),

@@ -18,8 +18,7 @@ rule! {
     /// ## Evidence
     /// The offset of the stream's clock from the others' clock, by the message with the minimum transport
     /// delay. `spread_s` is the scatter of the delay, the limit of any alignment; LAT001's interval
-    /// includes it. A stream on the common clock with messages received before their own stamps has this in
-    /// its row.
+    /// includes it. The row of a stream on the common clock reports messages received before their stamps.
     ///
     /// ## How to fix
     /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with `--stamp

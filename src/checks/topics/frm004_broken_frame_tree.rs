@@ -8,7 +8,6 @@ rule! {
     /// The TF frames do not form a tree.
     ///
     /// ## What it means
-    /// One of the following:
     ///
     /// - A frame has two parents, or frames form a cycle.
     /// - A transform on /tf_static is published with different values.
@@ -35,7 +34,7 @@ rule! {
     /// transform between the roots.
     ///
     /// ## When it misleads
-    /// - An object that is picked up and put down changes its parent occasionally; this is not counted.
+    /// - An object that is picked up and put down may change its parent: not counted.
     /// - Two publishers with equal values are `info`.
     /// - A static transform recalibrated during the run did change.
     /// - A tracker's world frame needs no transform to the base: it is estimated.

@@ -26,8 +26,8 @@ rule! {
     /// as poses in an unknown frame.
     ///
     /// ## Why it matters
-    /// An unaudited stream may be wrong even if the run passes. A program that trusts its frame or
-    /// orientation is wrong by the full offset.
+    /// An unaudited stream may be wrong even if the run passes, and programs that trust its frame or
+    /// orientation are off by the full error.
     ///
     /// ## Evidence
     /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),

@@ -11,7 +11,7 @@ rule! {
     /// catalogue may be used instead, but does not verify it.
     ///
     /// ## Why it matters
-    /// The topic was not audited, so it may be wrong even if everything else passes.
+    /// The topic was not audited and may be wrong.
     ///
     /// ## Evidence
     /// The number of affected messages, and why the first could not be decoded.

@@ -9,7 +9,6 @@ rule! {
     /// Metadata contradict the data.
     ///
     /// ## What it means
-    /// One of the following:
     ///
     /// - The columns declared by a dataset (rate, row length, names) differ from the file's.
     /// - A column named as rad or joint position exceeds two turns, or holds a unit quaternion in each row.

@@ -16,8 +16,7 @@ rule! {
     /// If a joint is copied from another, one of them is unknown.
     ///
     /// ## Evidence
-    /// `of`: the original column; null if constant. The columns are identical in all rows of all episodes
-    /// read.
+    /// `of`: the original column; null if constant. Columns are identical in all rows of all episodes read.
     ///
     /// A warning if commands equal states, independent poses equal the controller's, or a joint equals
     /// another. Other copies, resting joints and constant topics are `info`.

@@ -14,8 +14,8 @@ rule! {
     /// - A config names a topic that the log does not have.
     ///
     /// ## Why it matters
-    /// Missing data were not audited, even if everything else passes. A stream that ends early indicates a
-    /// crashed driver; a slow one, an overloaded machine.
+    /// Missing data were not audited. An early end indicates a crashed driver; a low rate, an overloaded
+    /// machine.
     ///
     /// ## Evidence
     /// `late_start_s` and `early_end_s` are relative to the median of the other streams. The estimate is
