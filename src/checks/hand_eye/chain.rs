@@ -46,6 +46,7 @@ pub fn describe_mount(mount: CameraMount) -> &'static str {
 }
 
 impl CameraAxes {
+    /// Axis convention, for messages.
     pub fn describe(self) -> &'static str {
         match self {
             CameraAxes::Optical => "z forward, x right",
