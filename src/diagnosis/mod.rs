@@ -5,42 +5,45 @@
 //! A `JointTrack`, and per pose stream a [`PoseStream`]: logged poses, the chain from reference link to
 //! tip, and whether the reference is known. Times are in s from the run's origin.
 //!
-//! # Measurement model (`model`)
+//! # Measurement model (`model::measurement`)
 //! ```text
 //! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
 //! ```
 //! `s` is the stamp, `C` the discrete encoding (unit, axes, rotation convention, inversion), `reference`
 //! and `tool` are constant frame errors, `scaled` multiplies positions by `1 + radial_scale` about the
 //! base. `δ` are joint zeros, and scales and couplings if the joints' encoding has any. The noise is white
-//! plus first-order autoregressive (`noise`), with Huber weights (`robust`).
+//! plus first-order autoregressive (`solver::noise`), with Huber weights (`solver::robust`).
 //!
-//! # Steps (`latency_compensation`)
-//! 1. `coarse_latency` estimates large latency steps and ramps from speeds, to correct the stamps.
-//! 2. `latency` cross-correlates speeds to find candidate lags.
-//! 3. `position_encoding`, `axis_convention` and `joints` determine the encoding of positions and joints
-//!    from positions alone, then `decoded_stream` and `rotation_encoding` that of rotations.
-//! 4. `arm::fit` fits all streams together: `frames` gives starts, `model_selection` selects causes,
-//!    `prefer_tool` replaces a moved reference by a tool if both fit.
-//! 5. `nominal_model` and `link_deviations` drop causes that random link deviations explain.
-//! 6. `arm::stream`, `arm::zeros`, `residual` and `latency_profile` compute values, intervals, confounders,
-//!    excess residual and latency profile. A variable latency is compensated; steps 2 to 6 are repeated.
-//! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects the
-//!    run and repeats steps 2 to 6; it must make the residual much smaller.
+//! # Steps (`latency::compensation`)
+//! 1. `latency::coarse` estimates large latency steps and ramps from speeds, to correct the stamps.
+//! 2. `latency::correlation` cross-correlates speeds to find candidate lags.
+//! 3. `encodings::position`, `encodings::axis_convention` and `joints` determine the encoding of positions
+//!    and joints from positions alone, then `encodings::decoded_stream` and `encodings::rotation` that of
+//!    rotations.
+//! 4. `arm::fit` fits all streams together: `frames` gives starts, `selection::model_selection` selects
+//!    causes, `selection::tool_preference` replaces a moved reference by a tool if both fit.
+//! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
+//!    explain.
+//! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
+//!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
+//!    are repeated.
+//! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects
+//!    the run and repeats steps 2 to 6; it must make the residual much smaller.
 //!
-//! Streams derived from joint states, such as /tf, are compared with these alone (`diagnose_derived`), IMUs
-//! with FK (`imu`). `residual_check` compares streams with FK without the estimators.
+//! Streams derived from joint states, such as /tf, are compared with these alone (`diagnose_derived`),
+//! IMUs with FK (`imu`). `residuals::residual_check` compares streams with FK without the estimators.
 //!
-//! # Selection of causes (`model_selection`)
-//! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros, and
-//! per stream skew, radial scale, reference and tool. After linearising with all of them, a set of causes
-//! scores `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent residuals.
-//! Sets of up to four causes (three above 16 candidates) are searched exhaustively, larger ones greedily;
-//! nearly dependent causes are rejected. Selection and Gauss–Newton steps alternate until convergence from
-//! every start; the least `Σ n·ln σ²` plus price wins.
+//! # Selection of causes (`selection::model_selection`)
+//! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros,
+//! and per stream skew, radial scale, reference and tool. After linearising with all of them, a set of
+//! causes scores `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent
+//! residuals. Sets of up to four causes (three above 16 candidates) are searched exhaustively, larger ones
+//! greedily; nearly dependent causes are rejected. Selection and Gauss–Newton steps alternate until
+//! convergence from every start; the least `Σ n·ln σ²` plus price wins.
 //!
 //! # Output
-//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states whether
-//! its cause was selected.
+//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states
+//! whether its cause was selected.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
@@ -49,57 +52,31 @@ mod test_motion;
 #[path = "../ground/geometry/test_random.rs"]
 mod test_random;
 
-mod aligned;
+// What every estimator uses.
+mod model;
+mod samples;
+mod solver;
+
+// One arm and its pose streams.
 mod arm;
-mod axis_convention;
-mod calibration;
 mod changes;
-mod coarse_latency;
-mod columns;
-mod competing_model;
 mod compliance;
-mod constant;
-mod decoded_stream;
-mod delay_jitter;
-mod dh;
+mod encodings;
 mod frames;
-mod handeye;
-mod imu;
 mod joints;
 mod latency;
-mod latency_compensation;
-mod latency_profile;
-mod latency_ramp;
-mod latency_residual;
-mod latency_steps;
-mod linear;
-mod link_deviations;
-mod model;
-mod model_fit;
-mod model_selection;
-mod motion;
-mod moving_base;
-mod noise;
-mod nominal_model;
-mod observability;
-mod orientation_samples;
+mod residuals;
+mod selection;
+
+// Other streams and questions.
+mod calibration;
+mod columns;
+mod commands;
+mod hand_eye;
+mod imu;
 pub mod plan;
-mod position_encoding;
-mod position_fit;
-mod prefer_tool;
-mod reference;
-mod reinterpret;
-mod residual;
-mod residual_check;
-mod response;
-mod robust;
-mod rotation_encoding;
-mod sampling;
-mod tool_switching;
-mod trend;
-mod velocity;
-mod vibration;
-mod workspace;
+mod robot_models;
+mod signals;
 
 use ground::geometry::{
     Axes, Convention, LengthScale, Misinterpretation, MisinterpretationClass, Pose,
@@ -108,26 +85,29 @@ use ground::geometry::{
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
-pub use aligned::{AlignedSamples, PoseDistances};
 pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived};
 pub use calibration::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FkUncertainty,
     LinkParameter, StreamCalibration, UndeterminedDirection, calibrate_arm,
 };
 pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
-use coarse_latency::{
-    CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes,
-};
 pub use columns::{
     ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
     NumericTable,
 };
-pub use competing_model::{is_seen_from_tool, position_misfit_m};
+pub use commands::{
+    CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
+    LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
+    estimate_joint_delays, estimate_pose_delay, infer_joint_order,
+};
 pub use compliance::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
-pub use delay_jitter::DelayJitter;
-pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, fault_count};
+pub use encodings::reinterpret::{IntendedEncoding, reinterpret_poses};
+pub use frames::moving_base::{
+    BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag,
+};
+pub use frames::tool_switching::{SwitchedTool, ToolSwitching, detect_tool_switching};
 pub use ground::stats::{Measured, MeasuredLength};
-pub use handeye::{
+pub use hand_eye::{
     CameraMount, CameraPose, ClosureError, HandEyeDiagnosis, HandEyeSolution, HandEyeStreams,
     PoseSeries, RotationDiversity, TargetEncoding, TargetScale, TargetScaleError,
     diagnose_hand_eye, rotation_lag_peaks,
@@ -141,40 +121,43 @@ pub use imu::{
 pub use joints::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
-pub use latency::LagPeak;
-pub use latency_compensation::{
+use latency::coarse::{
+    CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes,
+};
+pub use latency::compensation::{
     compensate_latency, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
 };
-pub use latency_profile::{LatencyProfile, LatencyShape, LatencyStep};
-pub use latency_ramp::LatencyRamp;
-pub use latency_residual::{LatencyResidual, residual_by_latency};
-pub use model_fit::{FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model};
-pub use motion::{
+pub use latency::correlation::LagPeak;
+pub use latency::delay_jitter::DelayJitter;
+pub use latency::profile::{LatencyProfile, LatencyShape, LatencyStep};
+pub use latency::ramp::LatencyRamp;
+pub use latency::residual_by_latency::{LatencyResidual, residual_by_latency};
+pub use model::observability::{Observability, StreamParameter, WeakDirection};
+pub use residuals::residual_check::{
+    ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
+};
+pub use robot_models::dh_convention::{
+    DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, fault_count,
+};
+pub use robot_models::position_misfit::{is_seen_from_tool, position_misfit_m};
+pub use robot_models::ranking::{
+    FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model,
+};
+pub use samples::aligned::{AlignedSamples, PoseDistances};
+pub use samples::sampling::row_blocks;
+pub use signals::joint_motion::{
     JointSampleKind, LimitViolation, PeakAcceleration, peak_acceleration, position_violation,
     rates, speed_violation, speed_violation_from_positions,
 };
-pub use moving_base::{BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag};
-pub use observability::{Observability, StreamParameter, WeakDirection};
-pub use reference::{
-    CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
-    LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
-    estimate_joint_delays, estimate_pose_delay, infer_joint_order,
-};
-pub use reinterpret::{IntendedEncoding, reinterpret_poses};
-pub use residual_check::{
-    ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
-};
-pub use response::Response;
-pub use sampling::row_blocks;
-pub use tool_switching::{SwitchedTool, ToolSwitching, detect_tool_switching};
-pub use trend::{MIN_RUNS, RunEstimate, Trend, TrendStep, estimate_trend};
-pub use velocity::{
+pub use signals::response::Response;
+pub use signals::trend::{MIN_RUNS, RunEstimate, Trend, TrendStep, estimate_trend};
+pub use signals::velocity::{
     VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
 };
-pub use vibration::{
+pub use signals::vibration::{
     Vibration, VibrationFailure, VibrationPath, estimate_vibration, vibration_path,
 };
-pub use workspace::{
+pub use signals::workspace::{
     CELL_SIZE_M, JointSpan, MIN_CONFIGURATION_DIFFERENCE, MIN_ORIENTATION_DIFFERENCE_RAD,
     ReachCell, ReachedPose, Workspace, cell_centre_m, reach_m,
 };
@@ -495,7 +478,7 @@ impl PoseDiagnosis {
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
         let left_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
         left_m > MIN_LARGE_RESIDUAL_M
-            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * position_fit::spread(&fk)
+            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * frames::position_fit::spread(&fk)
     }
 
     /// Whether the motion is periodic, so other findings may belong to a wrong lag.

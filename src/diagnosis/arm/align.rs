@@ -1,6 +1,8 @@
-use crate::decoded_stream::DecodedStream;
-use crate::model::{ExcludedComponents, PoseObservations, PredictionBuffers, StreamState};
-use crate::model_selection::SelectedModel;
+use crate::encodings::decoded_stream::DecodedStream;
+use crate::model::measurement::{
+    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState,
+};
+use crate::selection::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::pose;
 use ground::stream::{JointTrack, Orientations};

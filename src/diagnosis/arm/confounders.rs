@@ -1,5 +1,5 @@
 use super::fit::ArmFit;
-use crate::model_selection::{Cause, MIN_CAUSE_SEPARATION};
+use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION};
 use crate::{Confounder, EstimateResult, Measured, NotObservable};
 
 /// Parameter `which` of `cause` if `causes` and the always-free causes are free.

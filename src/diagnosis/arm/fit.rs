@@ -1,20 +1,20 @@
 //! Fits all streams of an arm together, from the best starting state of each.
 
 use super::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD};
-use crate::decoded_stream::DecodedStream;
-use crate::frames::{constant_frame_residual, starting_states};
+use crate::encodings::decoded_stream::DecodedStream;
+use crate::frames::constant_frames::{constant_frame_residual, starting_states};
 use crate::joints::{CorrectedJoints, is_quarter_turn, single_zeros};
-use crate::latency::LagPeak;
-use crate::link_deviations::{
+use crate::latency::correlation::LagPeak;
+use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::samples::sampling::MAX_SEARCH_SAMPLES;
+use crate::selection::link_deviations::{
     LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,
 };
-use crate::model::{PoseObservations, State, StreamState};
-use crate::model_selection::{
+use crate::selection::model_selection::{
     Approach, CandidateCauses, Cause, SelectedModel, best_model, select_model,
 };
-use crate::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
-use crate::prefer_tool::prefer_tool_frames;
-use crate::sampling::MAX_SEARCH_SAMPLES;
+use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
+use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
 use rayon::prelude::*;

@@ -9,18 +9,18 @@ mod zeros;
 use std::borrow::Cow;
 use std::cell::LazyCell;
 
-use super::compliance::apply_compliance;
-use super::decoded_stream::{DecodedStream, decode_stream};
-use super::joints::{
+use crate::compliance::apply_compliance;
+use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
+use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach};
+use crate::frames::position_fit::spread;
+use crate::joints::{
     CorrectedJoints, ResidualSize, correct_joints, estimate_joint_encoding, follows_arm,
     likely_encodings, other_encoding,
 };
-use super::latency::{ArmSpeeds, LagPeak};
-use super::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
-use super::position_encoding::{PositionEncodingEstimate, metres_by_reach};
-use super::position_fit::spread;
-use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
-use super::{
+use crate::latency::correlation::{ArmSpeeds, LagPeak};
+use crate::samples::sampling::{as_rotations, stream_lag_s, stream_peaks};
+use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
+use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,
     JointEncoding, JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseStream,
     ScalarChange, StreamResidual,

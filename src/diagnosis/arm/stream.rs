@@ -3,18 +3,18 @@
 use super::align::align;
 use super::confounders::measured;
 use super::fit::{ArmFit, without_small_causes};
-use crate::decoded_stream::DecodedStream;
-use crate::delay_jitter::{DelayJitter, estimate_delay_jitter};
-use crate::frames::{frame_estimate, with_frames_from_positions};
-use crate::latency::median_period_s;
-use crate::latency_profile::latency_profile;
-use crate::model::StreamState;
-use crate::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
-use crate::nominal_model::link_deviations_beat_profile;
-use crate::observability::Observability;
-use crate::position_encoding::PositionEncodingEstimate;
-use crate::residual::excess_residual;
-use crate::sampling::MAX_SEARCH_SAMPLES;
+use crate::encodings::decoded_stream::DecodedStream;
+use crate::encodings::position::PositionEncodingEstimate;
+use crate::frames::constant_frames::{frame_estimate, with_frames_from_positions};
+use crate::latency::correlation::median_period_s;
+use crate::latency::delay_jitter::{DelayJitter, estimate_delay_jitter};
+use crate::latency::profile::latency_profile;
+use crate::model::measurement::StreamState;
+use crate::model::observability::Observability;
+use crate::residuals::excess::excess_residual;
+use crate::samples::sampling::MAX_SEARCH_SAMPLES;
+use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::selection::nominal_model::link_deviations_beat_profile;
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
     LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis, PoseStream,

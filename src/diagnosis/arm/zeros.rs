@@ -1,8 +1,8 @@
 use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
-use crate::decoded_stream::DecodedStream;
+use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
-use crate::model_selection::Cause;
+use crate::selection::model_selection::Cause;
 use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;

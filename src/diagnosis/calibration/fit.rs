@@ -1,16 +1,18 @@
 //! Gauss–Newton from the nominal model to the maximum of the posterior.
 
-use super::observed::undetermined_directions;
 use super::parameters::CalibrationParameters;
+use super::undetermined::undetermined_directions;
 use super::workspace::TipSensitivity;
 use super::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, StreamCalibration,
 };
 use crate::Measured;
-use crate::linear::{Linear, Normal, Weight};
-use crate::link_deviations::DEVIATION_GRID_M;
-use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist};
-use crate::nominal_model::{FreeAlongside, link_frames};
+use crate::model::measurement::{
+    ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist,
+};
+use crate::selection::link_deviations::DEVIATION_GRID_M;
+use crate::selection::nominal_model::{FreeAlongside, link_frames};
+use crate::solver::linear::{Linear, Normal, Weight};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};

@@ -1,18 +1,18 @@
 //! Kinematic calibration: estimates the deviation of each link from the nominal model.
 //!
 //! Deviations have a prior N(0, s²), with 0.1° per mm; s maximises the marginal likelihood, as for the
-//! zeros in [`crate::nominal_uncertainty`]. Gauss–Newton from the nominal model maximises the posterior,
+//! zeros in [`crate::selection::link_deviations`]. Gauss–Newton from the nominal model maximises the posterior,
 //! with weights for outliers and autocorrelation and sandwich covariances (White 1980). Reference:
 //! Hollerbach, Khalil, Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
 
 mod fit;
-mod observed;
 mod parameters;
 #[cfg(test)]
 mod tests;
+mod undetermined;
 mod workspace;
 
-use super::Measured;
+use crate::Measured;
 use ground::geometry::Pose;
 use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;

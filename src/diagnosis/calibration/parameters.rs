@@ -11,8 +11,8 @@ use ground::robot::LinkPath;
 use nalgebra::{DMatrix, DVector};
 
 /// 0.1° per mm.
-pub(super) use crate::link_deviations::RAD_PER_M;
-use crate::nominal_model::FREE_PRIOR;
+pub(super) use crate::selection::link_deviations::RAD_PER_M;
+use crate::selection::nominal_model::FREE_PRIOR;
 
 /// Shared links and zeros come first.
 pub(super) struct CalibrationParameters {
@@ -115,7 +115,7 @@ impl CalibrationParameters {
         DMatrix::from_diagonal(&DVector::from_vec(precision).map(f64::recip))
     }
 
-    /// Maps parameters to columns of [`crate::nominal_model::link_frames`]: reference, each joint's child
+    /// Maps parameters to columns of `nominal_model::link_frames`: reference, each joint's child
     /// link, latency, zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
         let own = self.free_parameters[stream];

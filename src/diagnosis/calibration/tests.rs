@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::parameters::distinguishable_axes;
-use crate::model::pose_of_twist;
+use crate::model::measurement::pose_of_twist;
 
 const NOISE_M: f64 = 2e-5;
 const NOISE_RAD: f64 = 2e-5;

@@ -2,8 +2,8 @@
 
 use super::FkUncertainty;
 use super::fit::{CalibrationState, CalibrationSystem};
-use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
-use crate::nominal_model::{FreeAlongside, link_frames};
+use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
+use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind, Limits};
 use ground::stream::JointTrack;

@@ -1,7 +1,7 @@
 //! Detects change points: jumps of a stream relative to the arm that motion and noise do not explain.
 
-use crate::latency::median_period_s;
-use crate::residual_check::align_with_fk;
+use crate::latency::correlation::median_period_s;
+use crate::residuals::residual_check::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};

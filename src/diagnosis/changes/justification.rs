@@ -1,10 +1,10 @@
 //! Decides whether change points explain enough of a run's residual.
 
 use super::MIN_SEGMENT_SAMPLES;
-use crate::model::{FLOOR_M, FLOOR_RAD};
-use crate::model_selection::price;
-use crate::noise::Noise;
-use crate::residual_check::{ErrorSeries, ErrorSize, PartError};
+use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use crate::residuals::residual_check::{ErrorSeries, ErrorSize, PartError};
+use crate::selection::model_selection::price;
+use crate::solver::noise::Noise;
 use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, StreamResidual};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 

@@ -6,18 +6,18 @@
 //! corrected. Change points are reported only if this reduces the residual substantially.
 
 mod change_points;
-mod constant;
+mod constant_frames;
 mod encoding_changes;
 mod jumps;
 mod justification;
 mod report;
 mod split_run;
 
-use super::arm::{diagnose_arm, diagnose_other_segment};
-use super::compliance::diagnose_with_compliance;
-use super::residual_check::align_with_fk;
-use super::sampling::stream_lag_s;
-use super::{
+use crate::arm::{diagnose_arm, diagnose_other_segment};
+use crate::compliance::diagnose_with_compliance;
+use crate::residuals::residual_check::align_with_fk;
+use crate::samples::sampling::stream_lag_s;
+use crate::{
     ArmDiagnosis, EstimateResult, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream,
 };
 use ground::geometry::Pose;
@@ -27,7 +27,7 @@ use ground::stream::{JointTrack, Orientations, PoseTrack};
 pub use change_points::{
     ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
 };
-pub(super) use constant::constant_frames_suffice;
+pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
 use jumps::{Jump, jumps_in_joints};
 use justification::is_justified;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::jumps::{Jump, detect_jumps, strongest};
 use crate::arm::diagnose_arm;
-use crate::latency_compensation::with_stamps;
+use crate::latency::compensation::with_stamps;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 

@@ -21,9 +21,9 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::PoseStream;
-use super::model_fit::{ScoredFit, extent, frame_price, tool_fit};
-use super::position_encoding::metres_by_size;
+use crate::PoseStream;
+use crate::encodings::position::metres_by_size;
+use crate::robot_models::ranking::{ScoredFit, extent, frame_price, tool_fit};
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 

@@ -11,11 +11,11 @@ mod search;
 mod shapes;
 mod system;
 
-use super::arm::diagnose_arm;
-use super::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
-use super::joints::correct_joints;
-use super::sampling::stream_lag_s;
-use super::{
+use crate::arm::diagnose_arm;
+use crate::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
+use crate::joints::correct_joints;
+use crate::samples::sampling::stream_lag_s;
+use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
     PoseDistances, PoseStream,
 };

@@ -2,9 +2,9 @@
 
 use super::ResidualSamples;
 use super::search::{ComplianceTerm, FreeParameters};
-use crate::linear::{Linear, Normal, Weight};
-use crate::model::{FLOOR_M, FLOOR_RAD};
-use crate::robust::sandwich;
+use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
+use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::robust::sandwich;
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 

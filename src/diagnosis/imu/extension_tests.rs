@@ -2,9 +2,9 @@
 //! exponential decay, or a dependence on another quantity. Each test extends one linearised model by
 //! weighted columns and evaluates the reduction of the residual.
 
-use super::super::linear::{Linear, Normal, Triangle};
-use super::super::noise::Noise;
-use super::super::robust::robust_sigma;
+use crate::solver::linear::{Linear, Normal, Triangle};
+use crate::solver::noise::Noise;
+use crate::solver::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 
 /// Pieces that approximate a weight function in the coarse search.

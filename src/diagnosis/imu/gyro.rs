@@ -7,18 +7,16 @@
 
 mod changes;
 
-use super::super::latency::median_period_s;
-use super::super::latency_profile::{LatencySample, fit_profile};
-use super::super::linear::Linear;
-use super::super::{
-    EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable,
-};
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block, explains,
     mount_of, rms, turned_noise,
 };
+use crate::latency::correlation::median_period_s;
+use crate::latency::profile::{LatencySample, fit_profile};
+use crate::solver::linear::Linear;
+use crate::{EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
 use ground::stream::sample_noise;

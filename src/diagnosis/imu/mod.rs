@@ -18,13 +18,13 @@ mod tests;
 mod tilt;
 mod yaw;
 
-use super::constant::mean_rotation;
-use super::latency::{
+use crate::encodings::reinterpret::decode_rotations;
+use crate::frames::rotation_frames::mean_rotation;
+use crate::latency::correlation::{
     ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, lag_peaks, norm_series,
 };
-use super::reinterpret::decode_rotations;
-use super::sampling::{REST_SIGMAS, rest_speeds};
-use super::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
+use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
+use crate::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
 pub use estimates::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
     HeadingPair, ImuDiagnosis, ImuMountChange, ImuStream, UpDirections, YawJump, YawProfile,
@@ -50,7 +50,7 @@ const MIN_EXPLAINED_SHARE: f64 = 0.95;
 const ROTATION_LATENCY_SAMPLES: usize = 300;
 
 /// Diagnoses one IMU against the joint states (ideally
-/// [`corrected_joints`](super::JointDiagnosis::corrected_joints)).
+/// [`corrected_joints`](crate::JointDiagnosis::corrected_joints)).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
     let numbers = ImuConventions::detect(joints, stream, most_lag_s);
     let track = numbers.convert(stream.track);

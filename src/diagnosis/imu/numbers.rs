@@ -1,8 +1,8 @@
 //! Units, saturation and handedness of an IMU's measurements. The gyro is compared with FK by the median
 //! ratio of their norms, which mount, axis order and signs do not affect.
 
-use super::super::UnitResiduals;
 use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
+use crate::UnitResiduals;
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stats::quantile;

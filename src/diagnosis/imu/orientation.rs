@@ -4,24 +4,24 @@
 
 mod forms;
 
-use super::super::constant::mean_rotation;
-use super::super::latency_profile::{LatencySample, fit_profile};
-use super::super::linear::Linear;
-use super::super::model::FLOOR_RAD;
-use super::super::rotation_encoding::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
-    estimate_encoding_with_gravity,
-};
-use super::super::{
-    EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
-    YawProfile,
-};
 use super::estimates::ImuMountChange;
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::yaw::{self, YawDecomposition};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
     add_block, explains, mount_of, rms, turned_noise,
+};
+use crate::encodings::rotation::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
+    estimate_encoding_with_gravity,
+};
+use crate::frames::rotation_frames::mean_rotation;
+use crate::latency::profile::{LatencySample, fit_profile};
+use crate::model::measurement::FLOOR_RAD;
+use crate::solver::linear::Linear;
+use crate::{
+    EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
+    YawProfile,
 };
 use forms::YawTerm;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};

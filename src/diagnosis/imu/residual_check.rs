@@ -1,8 +1,8 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
-use super::super::constant::mean_rotation;
-use super::super::residual_check::{ErrorSeries, FkError};
 use super::{ImuDiagnosis, ImuStream, Link, MAX_IMU_FIT_SAMPLES, MIN_CORRELATION, rms};
+use crate::frames::rotation_frames::mean_rotation;
+use crate::residuals::residual_check::{ErrorSeries, FkError};
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};

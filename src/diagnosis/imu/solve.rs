@@ -1,9 +1,9 @@
 //! Gauss–Newton for the free parameters of an IMU model.
 
-use super::super::linear::{Linear, Normal, Weight};
-use super::super::robust::{pseudo_inverse, sandwich};
-use super::super::{EstimateResult, Measured, NotObservable};
 use super::MOUNT_SIGNIFICANCE;
+use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::robust::{pseudo_inverse, sandwich};
+use crate::{EstimateResult, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};

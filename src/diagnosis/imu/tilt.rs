@@ -1,8 +1,8 @@
 //! Tilt of an IMU's orientation against gravity.
 
-use super::super::{EstimateResult, NotObservable};
 use super::Link;
 use super::estimates::UpDirections;
+use crate::{EstimateResult, NotObservable};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;

@@ -5,8 +5,8 @@
 //! of density q have the covariance `q²Δ(i + 1/2)` for bins i < j of length Δ, and `q²Δ(i + 1/3)` for i =
 //! j.
 
-use super::super::noise::Noise;
-use super::super::{Measured, YawJump, YawProfile};
+use crate::solver::noise::Noise;
+use crate::{Measured, YawJump, YawProfile};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::f64::consts::{PI, TAU};
 

@@ -1,10 +1,10 @@
-use super::super::sampling::rest_speeds;
 use super::encoding::{JointCoupling, JointEncoding, JointUnit, is_coded};
 use super::{correct_joints, with_zeros};
+use crate::samples::sampling::rest_speeds;
 use ground::stream::JointTrack;
 
 /// Decoded joint states.
-pub(in super::super) struct CorrectedJoints {
+pub(crate) struct CorrectedJoints {
     /// Track with corrected names and units.
     pub track: JointTrack,
     /// Same with large zeros added, if any.

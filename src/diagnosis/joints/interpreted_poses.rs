@@ -1,8 +1,8 @@
 //! Residual of a pose stream at slow samples for a mapping of the joint states.
 
-use super::super::frames::{initial_frames, tool_frame};
-use super::super::position_fit::FkColumns;
 use super::map::JointMap;
+use crate::frames::constant_frames::{initial_frames, tool_frame};
+use crate::frames::position_fit::FkColumns;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 
@@ -26,7 +26,7 @@ pub(super) struct ConstantFrames {
 
 /// Rms; no angle if only positions are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in super::super) struct ResidualSize {
+pub(crate) struct ResidualSize {
     pub m: f64,
     pub rad: Option<f64>,
 }

@@ -110,7 +110,7 @@ impl JointMap {
 }
 
 /// Including zero.
-pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
+pub(crate) fn is_quarter_turn(angle: f64) -> bool {
     /// Estimates of round angles are within it; a tuned zero rarely is.
     const ROUND_TOLERANCE_RAD: f64 = 5e-3;
     let quarters = angle / FRAC_PI_2;
@@ -118,7 +118,7 @@ pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
 }
 
 /// Whole turns outside (−π, π].
-pub(in super::super) fn half_turns(angle: f64) -> f64 {
+pub(crate) fn half_turns(angle: f64) -> f64 {
     ((angle - PI) / TAU).ceil()
 }
 

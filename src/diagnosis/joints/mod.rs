@@ -5,19 +5,19 @@ mod corrected_joints;
 mod encoding;
 mod interpreted_poses;
 mod map;
-mod moments;
 mod refinement;
 mod search;
 mod single_joint;
+mod slow_samples;
 
-use self::moments::{
+use self::slow_samples::{
     JOINT_ENCODING_SAMPLES, SimultaneousSamples, converted_to_radians, normalize_velocities,
     slow_simultaneous_samples,
 };
-use super::latency::{joint_activity, lag_peaks, linear_speed};
-use super::model::PoseObservations;
-use super::position_fit::{FkColumns, spread};
-use super::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
+use crate::frames::position_fit::{FkColumns, spread};
+use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
+use crate::model::measurement::PoseObservations;
+use crate::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
 pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };

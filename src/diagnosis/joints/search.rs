@@ -2,11 +2,11 @@
 //! the simplest first: another unit, reversed joints or one joint misinterpreted; another order;
 //! combinations of two. The best proposals of a kind are refined.
 
-use super::super::position_fit::spread;
 use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders};
 use super::refinement::{JointProposal, RefinedProposal};
 use super::single_joint::SingleJoint;
+use crate::frames::position_fit::spread;
 use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;

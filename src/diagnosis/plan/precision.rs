@@ -2,13 +2,15 @@
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
-use crate::handeye;
+use crate::hand_eye;
 use crate::imu;
-use crate::linear::Linear;
-use crate::link_deviations::{self, RAD_PER_M, ZERO_PRIOR};
-use crate::model::{PoseObservations, StreamState, ToolPart};
-use crate::nominal_model::{FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames};
-use crate::robust::pseudo_inverse;
+use crate::model::measurement::{PoseObservations, StreamState, ToolPart};
+use crate::selection::link_deviations::{self, RAD_PER_M, ZERO_PRIOR};
+use crate::selection::nominal_model::{
+    FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames,
+};
+use crate::solver::linear::Linear;
+use crate::solver::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stream::JointTrack;
@@ -128,7 +130,7 @@ impl<'a> LinearizedMotion<'a> {
             Purpose::HandEye => {
                 let hands = (0..motion.len()).map(|row| chain.forward(motion.row(row)));
                 let (camera, ahead) = (sensing.hand_from_camera, Vec3::z() * sensing.target_m);
-                handeye::design(&motion.t_s, hands.collect(), camera, ahead)
+                hand_eye::design(&motion.t_s, hands.collect(), camera, ahead)
             }
             _ => linearised(chain, motion),
         };
@@ -254,7 +256,7 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     fn camera_query() -> PrecisionQuery {
-        Self::flat_query((0..handeye::WIDTH).collect(), 6)
+        Self::flat_query((0..hand_eye::WIDTH).collect(), 6)
     }
 
     /// Log determinant of the covariance; lower is better.
@@ -268,7 +270,7 @@ impl<'a> LinearizedMotion<'a> {
             Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
             Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
             Purpose::Latency => (self.latency_query(), FIT_SAMPLES),
-            Purpose::HandEye => (Self::camera_query(), handeye::MAX_FIT_POSES),
+            Purpose::HandEye => (Self::camera_query(), hand_eye::MAX_FIT_POSES),
             Purpose::Yaw => (self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES),
         };
         question.score(&self.information(most))
@@ -313,7 +315,7 @@ impl<'a> LinearizedMotion<'a> {
                 each(&self.latency_query(), FIT_SAMPLES, &|_| PlannedQuantity::Latency)
             }
             Purpose::HandEye => {
-                each(&Self::camera_query(), handeye::MAX_FIT_POSES, &|at| match at {
+                each(&Self::camera_query(), hand_eye::MAX_FIT_POSES, &|at| match at {
                     0..3 => PlannedQuantity::CameraShift(at),
                     _ => PlannedQuantity::CameraTurn(at - 3),
                 })

@@ -2,13 +2,13 @@
 //! error, or an exponential warm-up. Hard and soft iron act at the first and second harmonic of the
 //! heading, as in a ship's compass.
 
-use super::super::super::Measured;
-use super::super::super::model::FLOOR_RAD;
 use super::super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::super::extension_tests::{ExtensionTests, ModelExtension};
 use super::super::solve::Solved;
 use super::super::yaw;
 use super::{OrientationModel, Settled};
+use crate::Measured;
+use crate::model::measurement::FLOOR_RAD;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
 /// Linear combination of given functions.

@@ -1,0 +1,184 @@
+//! Delay of the arm behind its commands.
+
+use super::is_streamed;
+use crate::latency::correlation::median_period_s;
+use crate::signals::response::{ResponseChanges, TimeSeries};
+use crate::{NotObservable, PoseSeries, Response};
+use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
+
+/// Response of a joint or the tip to commands.
+#[derive(Clone, Debug)]
+pub struct CommandDelay {
+    /// Column; `None` for poses.
+    pub joint: Option<usize>,
+    /// Median of the commands.
+    pub period_s: f64,
+    /// Response, or why not.
+    pub response: Result<Response, DelayFailure>,
+}
+
+/// Why the delay is undetermined.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DelayFailure {
+    /// Single goals, not a stream.
+    Goals,
+    /// A stream of repeated goals.
+    Steps,
+    /// Shared with other estimates.
+    NotObservable(NotObservable),
+}
+
+impl From<NotObservable> for DelayFailure {
+    fn from(why: NotObservable) -> Self {
+        Self::NotObservable(why)
+    }
+}
+
+/// To compare changes over: the minimum, and multiples of command and state periods.
+const MIN_WINDOW_S: f64 = 0.1;
+const COMMAND_PERIODS: f64 = 2.5;
+const STATE_PERIODS: f64 = 4.0;
+const MAX_DELAY_S: f64 = 2.0;
+/// In rad or m.
+const MIN_MOTION: f64 = 0.01;
+
+/// Estimates the delay per commanded joint. `q` has `order.len()` numbers per row (NaN without a command);
+/// `order` holds their columns in `joints`.
+pub fn estimate_joint_delays(
+    t_s: &[f64],
+    order: &[usize],
+    q: &[f64],
+    joints: &JointTrack,
+    most_lag_s: f64,
+) -> Vec<CommandDelay> {
+    let width = order.len().max(1);
+    let of = |(at, &column): (usize, &usize)| {
+        let told = t_s.iter().zip(q.iter().skip(at).step_by(width));
+        let (t_s, told): (Vec<f64>, Vec<f64>) =
+            told.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
+        let done: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
+        let command = (TimeSeries::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
+        let response = match is_streamed(&t_s) {
+            false => Err(DelayFailure::Goals),
+            true if advances_in_steps(&t_s, &told, &joints.t_s, &done) => Err(DelayFailure::Steps),
+            true => estimate_delay(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
+        };
+        CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
+    };
+    order.iter().enumerate().map(of).collect()
+}
+
+/// Delay of the tip behind commanded poses; both series are `base_from_tip`.
+pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
+    let period_s = median_period_s(&told.t_s);
+    let columns = [told, done].map(columns);
+    let [told_columns, done_columns] = columns;
+    let path = |columns: &[Vec<f64>]| -> Vec<f64> {
+        let mut sum = 0.0;
+        let rows = columns.first().map_or(0, Vec::len);
+        let step = |row: usize| columns.iter().map(|c| (c[row] - c[row - 1]).powi(2)).sum::<f64>();
+        let lengths = (1..rows).map(|row| {
+            sum += step(row).sqrt();
+            sum
+        });
+        std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
+    };
+    let response = match is_streamed(&told.t_s) {
+        false => Err(DelayFailure::Goals),
+        true if advances_in_steps(
+            &told.t_s,
+            &path(&told_columns),
+            &done.t_s,
+            &path(&done_columns),
+        ) =>
+        {
+            Err(DelayFailure::Steps)
+        }
+        true => {
+            let command =
+                (TimeSeries::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
+            estimate_delay(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
+        }
+    };
+    CommandDelay { joint: None, period_s, response }
+}
+
+/// Whether over half of the path consists of jumps several times faster than the arm's top speed. The
+/// controller then plans its own profile, which hides the delay.
+fn advances_in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
+    const MIN_STEP_SPEED_RATIO: f64 = 4.0;
+    const MIN_STEP_PATH_SHARE: f64 = 0.5;
+    const STEP_WINDOW_S: f64 = 0.1;
+    let mut fastest = 0.0_f64;
+    let mut first = 0;
+    for (last, &t_s) in done_t_s.iter().enumerate() {
+        while t_s - done_t_s[first] > 2.0 * STEP_WINDOW_S {
+            first += 1;
+        }
+        let length_s = t_s - done_t_s[first];
+        if length_s >= STEP_WINDOW_S {
+            fastest = fastest.max((done[last] - done[first]).abs() / length_s);
+        }
+    }
+    let noise = 6.0 * sample_noise(done);
+    let (mut way, mut leapt) = (0.0, 0.0);
+    for (times, ends) in told_t_s.windows(2).zip(told.windows(2)) {
+        let step = (ends[1] - ends[0]).abs();
+        way += step;
+        if step > MIN_STEP_SPEED_RATIO * fastest * (times[1] - times[0]) + noise {
+            leapt += step;
+        }
+    }
+    leapt > MIN_STEP_PATH_SHARE * way
+}
+
+/// Position, m, and accumulated rotation vectors, rad, times a balancing length.
+fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
+    const ROTATION_LEVER_M: f64 = 0.3;
+    let mut turned = Vec3::zeros();
+    let mut columns: [Vec<f64>; 6] = Default::default();
+    for (row, pose) in series.poses.iter().enumerate() {
+        if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
+            turned += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
+        }
+        let scaled = ROTATION_LEVER_M * turned;
+        let both = pose.translation.vector.iter().chain(scaled.iter());
+        columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
+    }
+    columns.to_vec()
+}
+
+fn estimate_delay(
+    (command, told_t_s): (TimeSeries, &[f64]),
+    (done_t_s, done): (&[f64], Vec<Vec<f64>>),
+    told: &[Vec<f64>],
+    most_lag_s: f64,
+) -> Result<Response, DelayFailure> {
+    let (Some(first), Some(last)) = (told_t_s.first(), told_t_s.last()) else {
+        return Err(NotObservable::NoOverlap.into());
+    };
+    let way = |columns: &[Vec<f64>]| -> f64 {
+        let of = |column: &Vec<f64>| {
+            let ends = column
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
+            ends.1 - ends.0
+        };
+        columns.iter().map(of).fold(0.0, f64::max)
+    };
+    if way(told) < MIN_MOTION {
+        return Err(NotObservable::AtRest.into());
+    }
+    let window_s = (COMMAND_PERIODS * median_period_s(told_t_s))
+        .max(STATE_PERIODS * median_period_s(done_t_s))
+        .max(MIN_WINDOW_S);
+    let changes = ResponseChanges::from_windows(done_t_s, &done, (*first, *last), window_s);
+    if changes.windows.is_empty() {
+        return Err(NotObservable::NoOverlap.into());
+    }
+    if way(&done) < MIN_MOTION {
+        return Err(NotObservable::DoesNotFollow(0.0).into());
+    }
+    Ok(changes.estimate_response(&command, most_lag_s.min(MAX_DELAY_S))?)
+}

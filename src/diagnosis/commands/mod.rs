@@ -1,0 +1,437 @@
+//! Compares commands with the motion of the arm: error at rest, following error and latency, and
+//! straightness of commanded lines.
+//!
+//! Once a command has been constant for a while and the arm rests, only a constant pose error remains.
+//! Goals that the arm never approached are counted separately.
+
+mod delay;
+mod line;
+mod rest;
+mod rest_error;
+
+pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
+pub use self::rest_error::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
+use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
+use crate::solver::noise::Noise;
+use crate::{EstimateResult, NotObservable, PoseSeries};
+use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stats::{Measured, MeasuredLength};
+use ground::stream::JointTrack;
+
+pub use line::{CommandedLine, LineDeviation};
+use rest::{Hold, Rest, constant_commands, detect_rests, mean_pose};
+
+/// Commanded poses over time.
+#[derive(Clone, Debug, Default)]
+pub struct Commands {
+    /// Commanded `base_from_tip`.
+    pub series: PoseSeries,
+    /// Positions, row-major, in joint-track order; NaN without a command. Empty for pose commands.
+    pub joints: Vec<f64>,
+}
+
+impl Commands {
+    /// Converts joint commands: `q` has `order.len()` numbers per row, `order` their joint-track columns. A
+    /// joint missing from a row keeps its last command; joints never commanded use their measured position.
+    pub fn from_joints(
+        t_s: &[f64],
+        order: &[usize],
+        q: &[f64],
+        joints: &JointTrack,
+        (chain, columns): (&Chain, &[usize]),
+    ) -> Self {
+        let mut commands = Self::default();
+        let mut held = vec![f64::NAN; joints.dof];
+        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let mut own = vec![0.0; columns.len()];
+        for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
+            for (&column, &value) in order.iter().zip(row).filter(|(_, value)| value.is_finite()) {
+                held[column] = value;
+            }
+            let is_whole = columns.iter().all(|&column| held[column].is_finite());
+            if !is_whole && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
+                continue;
+            }
+            for (own, &column) in own.iter_mut().zip(columns) {
+                *own = if held[column].is_finite() { held[column] } else { at[column] };
+            }
+            commands.series.t_s.push(t_s);
+            commands.series.poses.push(chain.forward(&own));
+            commands.joints.extend(&held);
+        }
+        commands
+    }
+}
+
+/// Joint order of unnamed commands: chain, joint-track or alphabetical order, whichever is closest to the
+/// measured joints. `None` if none follows them.
+pub fn infer_joint_order(
+    t_s: &[f64],
+    q: &[f64],
+    joints: &JointTrack,
+    names: &[String],
+    columns: &[usize],
+) -> Option<Vec<usize>> {
+    /// From the commands, rad or m, at one of the delays below.
+    const MAX_JOINT_DISTANCE: f64 = 0.1;
+    const TRIAL_DELAYS_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
+    let mut alphabetical = columns.to_vec();
+    alphabetical.sort_by_key(|&column| names.get(column));
+    let mut as_tracked = columns.to_vec();
+    as_tracked.sort_unstable();
+    let distance_at = |order: &[usize], later_s: f64| {
+        let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
+            if joints.at(t_s + later_s, &mut cursor, &mut at, &mut speed) {
+                sum += order
+                    .iter()
+                    .zip(row)
+                    .map(|(&at_column, q)| (at[at_column] - q).abs())
+                    .sum::<f64>();
+                count += order.len() as f64;
+            }
+        }
+        if count > 0.0 { sum / count } else { f64::INFINITY }
+    };
+    let distance = |order: &[usize]| {
+        TRIAL_DELAYS_S
+            .iter()
+            .map(|&later_s| distance_at(order, later_s))
+            .fold(f64::INFINITY, f64::min)
+    };
+    // Returns the first of equal candidates.
+    let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
+    let orders = orders.map(|order| (distance(&order), order));
+    let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (least < MAX_JOINT_DISTANCE).then_some(order)
+}
+
+/// Joint states and chain to the commanded tip.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandedArm<'a> {
+    /// Joint states as recorded.
+    pub joints: &'a JointTrack,
+    /// Base to tip.
+    pub chain: &'a Chain,
+    /// Column in `joints` per joint of `chain`.
+    pub columns: &'a [usize],
+}
+
+struct MeasuredPoses<'a> {
+    series: &'a PoseSeries,
+    /// Per component of position, m, and rotation, rad.
+    noise: [Noise; 2],
+}
+
+/// Compares commands with the arm's motion. `witnesses` are measured `base_from_tip`, corrected for
+/// latency; the first is FK of the joint states.
+///
+/// # Errors
+/// If the commands do not overlap the joint states, or the arm never rests.
+pub fn diagnose_reference(
+    commands: &Commands,
+    arm: &CommandedArm<'_>,
+    witnesses: &[PoseSeries],
+    most_lag_s: f64,
+) -> EstimateResult<ReferenceDiagnosis> {
+    let series = &commands.series;
+    let Some(end_s) = arm.joints.span().map(|(_, end_s)| end_s) else {
+        return Err(NotObservable::NoOverlap);
+    };
+    if series.t_s.first().is_none_or(|&first_s| first_s > end_s) {
+        return Err(NotObservable::NoOverlap);
+    }
+    let is_streamed = is_streamed(&series.t_s);
+    let following = if is_streamed { command_tracking(series, arm, most_lag_s) } else { None };
+    let rests = detect_rests(arm.joints);
+    if rests.is_empty() {
+        return Err(NotObservable::NeverRests);
+    }
+    let holds = constant_commands(series, is_streamed, end_s);
+    let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
+    let noises =
+        witnesses.iter().map(|series| MeasuredPoses { series, noise: noise_of(series, &rests) });
+    let witnesses: Vec<MeasuredPoses<'_>> = noises.collect();
+    let pairs: Vec<Vec<(f64, f64)>> = holds
+        .iter()
+        .map(|hold| rest_windows(hold, &rests, is_streamed, following.is_some(), delay_s))
+        .collect();
+    let mut found = ReferenceDiagnosis {
+        is_streamed,
+        tracking: following,
+        goals: holds.iter().filter(|hold| hold.to_s - hold.from_s >= rest::MIN_REST_S).count(),
+        not_reached: 0,
+        nearest_miss: None,
+        rest_errors: vec![Vec::new(); witnesses.len()],
+        lines: Vec::new(),
+    };
+    let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
+        witnesses.iter().map(|one| rest_error(commands, arm, hold, (from_s, to_s), one)).collect()
+    };
+    let mut far: Vec<Vec<Option<RestError>>> = Vec::new();
+    let mut near: Vec<Vec<Option<RestError>>> = Vec::new();
+    for (hold, windows) in holds.iter().zip(&pairs) {
+        let at_rests = windows.iter().map(|window| gaps_of(hold, window));
+        let mut at_rests: Vec<_> =
+            at_rests.filter(|gaps| gaps.iter().any(Option::is_some)).collect();
+        if found.tracking.is_some() {
+            near.append(&mut at_rests);
+            continue;
+        }
+        let best = at_rests.into_iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b)));
+        match best {
+            Some(gaps) if is_near(&gaps) => near.push(gaps),
+            Some(gaps) => far.push(gaps),
+            None => {}
+        }
+    }
+    let missed = |gaps: &Vec<Option<RestError>>| {
+        let least =
+            gaps.iter().flatten().min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
+        Some((least.distance_m.norm.value, least.angle_rad.norm.value))
+    };
+    found.nearest_miss =
+        far.iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b))).and_then(missed);
+    if (0..witnesses.len()).any(|witness| is_one_transform(&far, witness)) {
+        near.append(&mut far);
+    }
+    near.sort_by(|a, b| start_of(a).total_cmp(&start_of(b)));
+    for gaps in &mut near {
+        for (all, gap) in found.rest_errors.iter_mut().zip(gaps) {
+            all.extend(gap.take());
+        }
+    }
+    if found.tracking.is_none() {
+        found.not_reached = found.goals.saturating_sub(near.len());
+    }
+    if is_streamed && commands.joints.is_empty() {
+        found.lines = line::detect_lines(series, &holds, &rests, &witnesses);
+    }
+    Ok(found)
+}
+
+fn is_streamed(t_s: &[f64]) -> bool {
+    const MIN_STREAM_COMMANDS: usize = 20;
+    const MAX_STREAM_PERIOD_S: f64 = 0.2;
+    t_s.len() >= MIN_STREAM_COMMANDS && median_period_s(t_s) <= MAX_STREAM_PERIOD_S
+}
+
+/// The command is constant and the arm rests as its result.
+fn rest_windows(
+    hold: &Hold,
+    rests: &[Rest],
+    is_streamed: bool,
+    follows: bool,
+    delay_s: f64,
+) -> Vec<(f64, f64)> {
+    /// After the command stops; twice the delay is added.
+    const SETTLING_S: f64 = 0.1;
+    /// At the end of a long rest.
+    const MAX_REST_S: f64 = 1.0;
+    let is_led = |rest: &&Rest| {
+        // With no command before it, the arm is holding a constant stream.
+        follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
+    };
+    let window = |rest: &Rest| {
+        let from_s = rest.from_s.max(hold.from_s + SETTLING_S + 2.0 * delay_s);
+        let to_s = rest.to_s.min(hold.to_s);
+        // The motion has settled further in the later half.
+        let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::MIN_REST_S).max(to_s - MAX_REST_S);
+        (to_s - from_s >= rest::MIN_REST_S).then_some((from_s.max(late_s), to_s))
+    };
+    rests.iter().filter(is_led).filter_map(window).collect()
+}
+
+/// A rest farther from the goal was not its target: the arm stopped early or was moved by other means.
+const MAX_GOAL_DISTANCE_M: f64 = 0.02;
+const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
+/// Relative to the thresholds for near.
+fn relative_error(gap: &RestError) -> f64 {
+    (gap.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
+        .max(gap.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)
+}
+
+/// Smallest among the observations.
+fn least_error(gaps: &[Option<RestError>]) -> f64 {
+    gaps.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
+}
+
+fn is_near(gaps: &[Option<RestError>]) -> bool {
+    least_error(gaps) <= 1.0
+}
+
+fn start_of(gaps: &[Option<RestError>]) -> f64 {
+    gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
+}
+
+/// Whether one rigid transform explains all distant goals (three or more): another frame or tool.
+fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
+    const FEWEST: usize = 3;
+    const MAX_TRANSFORM_SPREAD: (f64, f64) = (0.25 * MAX_GOAL_DISTANCE_M, 0.1 * MAX_GOAL_ANGLE_RAD);
+    let gaps: Vec<RestError> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
+    let is_alike = |spread: (f64, f64)| {
+        spread.0 <= MAX_TRANSFORM_SPREAD.0 && spread.1 <= MAX_TRANSFORM_SPREAD.1
+    };
+    let constancy = RestErrorSpread::from_rests(&gaps).filter(|_| gaps.len() >= FEWEST);
+    constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
+}
+
+/// Noise of position, m, and rotation, rad.
+fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
+    /// From the specification: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-6;
+    let (mut metres, mut radians) = (Vec::new(), Vec::new());
+    for rest in rests {
+        let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
+        for pose in rest::poses_within(series, rest.from_s, rest.to_s) {
+            let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
+            metres.push((pose.translation.vector - mean.translation.vector).into());
+            radians.push(turn.into());
+        }
+    }
+    [metres, radians]
+        .map(|left: Vec<[f64; 3]>| Noise::estimate(&left, &vec![1.0; left.len()], FLOOR))
+}
+
+/// Accounts for autocorrelation.
+fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
+    let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
+    noise.sigma * noise.sigma * inflation
+}
+
+/// All components have this variance.
+fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
+    /// Squared: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-12;
+    let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
+    MeasuredLength::estimate(vector.as_slice(), &covariance, f64::INFINITY)
+}
+
+/// `None` if there are too few samples or the pose still moves.
+fn rest_error(
+    commands: &Commands,
+    arm: &CommandedArm<'_>,
+    hold: &Hold,
+    (from_s, to_s): (f64, f64),
+    witness: &MeasuredPoses<'_>,
+) -> Option<RestError> {
+    const FEWEST: usize = 4;
+    /// Between the two halves of a rest.
+    const MAX_REST_MOTION_M_RAD: (f64, f64) = (2e-4, 3e-4);
+    const SIGMAS: f64 = 4.0;
+    let series = witness.series;
+    let count = rest::poses_within(series, from_s, to_s).count();
+    if count < FEWEST {
+        return None;
+    }
+    let middle_s = 0.5 * (from_s + to_s);
+    let measured = mean_pose(series, from_s, to_s)?;
+    let halves = [mean_pose(series, from_s, middle_s)?, mean_pose(series, middle_s, to_s)?];
+    let crept_m = (halves[1].translation.vector - halves[0].translation.vector).norm();
+    let crept_rad = angle_between(&halves[0].rotation, &halves[1].rotation);
+    let by_noise = |noise: &Noise| SIGMAS * (2.0 * variance_of_mean(noise, count / 2)).sqrt();
+    let [metres, radians] = &witness.noise;
+    if crept_m > MAX_REST_MOTION_M_RAD.0 + by_noise(metres)
+        || crept_rad > MAX_REST_MOTION_M_RAD.1 + by_noise(radians)
+    {
+        return None;
+    }
+    let commanded = commands.series.poses[hold.last];
+    let shift = commanded.translation.vector - measured.translation.vector;
+    let turn = rotvec_from_rotation(&(commanded.rotation * measured.rotation.inverse()));
+    Some(RestError {
+        from_s,
+        to_s,
+        commanded,
+        measured,
+        distance_m: length_of(shift, variance_of_mean(metres, count)),
+        angle_rad: length_of(turn, variance_of_mean(radians, count)),
+        joints: joint_errors(commands, arm.joints, hold, (from_s, to_s)),
+    })
+}
+
+fn joint_errors(
+    commands: &Commands,
+    joints: &JointTrack,
+    hold: &Hold,
+    (from_s, to_s): (f64, f64),
+) -> Vec<(usize, Measured)> {
+    let dof = joints.dof;
+    let Some(commanded) = commands.joints.chunks_exact(dof.max(1)).nth(hold.last) else {
+        return Vec::new();
+    };
+    let rows =
+        joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
+    let count = rows.len() as f64;
+    let off = |column: usize| {
+        let mean = rows.clone().map(|row| joints.row(row)[column]).sum::<f64>() / count;
+        let square = rows.clone().map(|row| (joints.row(row)[column] - mean).powi(2)).sum::<f64>();
+        let dof = (count - 1.0).max(1.0);
+        let std_error = (square / dof / count).sqrt();
+        (column, Measured { value: mean - commanded[column], std_error, dof })
+    };
+    (0..dof).filter(|&column| commanded[column].is_finite()).map(off).collect()
+}
+
+/// `None` if the arm's speed does not correlate with the commands'.
+fn command_tracking(
+    series: &PoseSeries,
+    arm: &CommandedArm<'_>,
+    most_lag_s: f64,
+) -> Option<CommandTracking> {
+    const MIN_CORRELATION: f64 = 0.7;
+    /// Below the highest peak; the equal one with the smallest lag is selected.
+    const MAX_PEAK_DEFICIT: f64 = 0.03;
+    let CommandedArm { joints, chain, columns } = *arm;
+    let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
+        series.poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+    let speeds = ArmSpeeds::from_joints(joints, chain, columns);
+    let peaks = speeds.lag_peaks(&series.t_s, &xyz, Some(&rotations), most_lag_s);
+    let highest = peaks.first()?.correlation;
+    let high = peaks.iter().filter(|peak| peak.correlation >= highest - MAX_PEAK_DEFICIT);
+    let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;
+    if peak.correlation < MIN_CORRELATION {
+        return None;
+    }
+    // The commands lead the arm.
+    let LagPeak { lag_s, correlation } = *peak;
+    let delay_s = -lag_s;
+    Some(CommandTracking {
+        delay_s,
+        correlation,
+        rms: tracking_error(series, arm, 0.0),
+        compensated: tracking_error(series, arm, delay_s),
+    })
+}
+
+/// Distance and angle, rms m and rad, between FK and the command `delay_s` earlier, while the arm moves.
+fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
+    /// More rows do not improve the rms.
+    const ENOUGH: usize = 4000;
+    /// Speed of a moving arm, rad/s or m/s.
+    const MIN_JOINT_SPEED: f64 = 0.02;
+    let CommandedArm { joints, chain, columns } = *arm;
+    let period_s = median_period_s(&series.t_s);
+    let mut own = vec![0.0; columns.len()];
+    let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
+    for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+        let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
+        if speeds.iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
+            continue;
+        }
+        let Some(told) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
+        own.iter_mut().zip(columns).for_each(|(own, &column)| *own = joints.row(row)[column]);
+        let done = chain.forward(&own);
+        metres += (told.translation.vector - done.translation.vector).norm_squared();
+        radians += angle_between(&told.rotation, &done.rotation).powi(2);
+        count += 1.0;
+    }
+    let rms = |sum: f64| (sum / f64::max(count, 1.0)).sqrt();
+    (rms(metres), rms(radians))
+}
+
+#[cfg(test)]
+mod tests;

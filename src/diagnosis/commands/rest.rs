@@ -1,0 +1,130 @@
+//! Rests of the arm and constant commands.
+
+use crate::PoseSeries;
+use crate::latency::correlation::median_period_s;
+use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
+
+/// In shorter rests the motion has not settled.
+pub(super) const MIN_REST_S: f64 = 0.1;
+
+/// Interval without joint motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rest {
+    pub from_s: f64,
+    pub to_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hold {
+    pub first: usize,
+    pub last: usize,
+    pub from_s: f64,
+    pub to_s: f64,
+}
+
+/// Means over a tenth of a second before and after each sample must agree within the noise.
+pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
+    let period_s = median_period_s(&joints.t_s);
+    let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
+    let (mut found, mut open): (Vec<Rest>, Option<Rest>) = (Vec::new(), None);
+    let still = still_rows(joints, period_s);
+    for (row, (&t_s, is_still)) in joints.t_s.iter().zip(still).enumerate() {
+        if row > 0 && is_gap(row) {
+            found.extend(open.take());
+        }
+        match &mut open {
+            Some(rest) if is_still => rest.to_s = t_s,
+            None if is_still => open = Some(Rest { from_s: t_s, to_s: t_s }),
+            _ => found.extend(open.take()),
+        }
+    }
+    found.extend(open);
+    found.retain(|rest| rest.to_s - rest.from_s >= MIN_REST_S);
+    found
+}
+
+fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
+    const HALF_WINDOW_S: f64 = 0.1;
+    /// In rad/s or m/s: 2 mm/s at a radius of 1 m.
+    const MAX_REST_SPEED: f64 = 2e-3;
+    const SIGMAS: f64 = 4.0;
+    let (rows, dof) = (joints.len(), joints.dof);
+    let half = ((HALF_WINDOW_S / period_s.max(1e-6)).round() as usize).max(1);
+    let mut still = vec![true; rows];
+    for joint in 0..dof {
+        let q: Vec<f64> = joints.q.iter().skip(joint).step_by(dof).copied().collect();
+        let mut before = vec![0.0];
+        for q in &q {
+            before.push(before[before.len() - 1] + q);
+        }
+        let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
+        let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();
+        for (row, still) in still.iter_mut().enumerate() {
+            // Truncated at the ends of the track.
+            let (from, to) = (row.saturating_sub(half), (row + 1 + half).min(rows));
+            let left = if from == row { q[row] } else { mean(from, row) };
+            let right = if row + 1 == to { q[row] } else { mean(row + 1, to) };
+            let apart_s = (joints.t_s[to - 1] - joints.t_s[from]).max(period_s) / 2.0;
+            *still &= (right - left).abs() <= MAX_REST_SPEED * apart_s + by_noise;
+        }
+    }
+    still
+}
+
+/// A single goal holds until the next one or `end_s`; a streamed command until the stream stops.
+pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
+    /// Equal commands.
+    const COMMAND_TOLERANCE_M_RAD: (f64, f64) = (5e-5, 5e-5);
+    let PoseSeries { t_s, poses } = series;
+    let silent_s = match is_streamed {
+        true => (10.0 * median_period_s(t_s)).max(0.5),
+        false => f64::INFINITY,
+    };
+    let mut found = Vec::new();
+    let mut first = 0;
+    for row in 1..=t_s.len() {
+        let last = row - 1;
+        let next_s = t_s.get(row).copied();
+        let is_silent = next_s.is_some_and(|next_s| next_s - t_s[last] > silent_s);
+        let is_other = poses.get(row).is_none_or(|next| {
+            (next.translation.vector - poses[first].translation.vector).norm()
+                > COMMAND_TOLERANCE_M_RAD.0
+                || angle_between(&next.rotation, &poses[first].rotation) > COMMAND_TOLERANCE_M_RAD.1
+        });
+        if !is_other && !is_silent {
+            continue;
+        }
+        let to_s = match next_s {
+            Some(next_s) if !is_silent => next_s,
+            None if !is_streamed => end_s.max(t_s[last]),
+            _ => t_s[last],
+        };
+        found.push(Hold { first, last, from_s: t_s[first], to_s });
+        first = row;
+    }
+    found
+}
+
+pub(super) fn poses_within(
+    series: &PoseSeries,
+    from_s: f64,
+    to_s: f64,
+) -> impl Iterator<Item = &Pose> {
+    let from = series.t_s.partition_point(|&t| t < from_s);
+    let to = series.t_s.partition_point(|&t| t <= to_s).max(from);
+    series.poses[from..to].iter()
+}
+
+/// Mean of nearly equal poses. `None` if the interval has none.
+pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
+    let first = poses_within(series, from_s, to_s).next()?;
+    let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);
+    for pose in poses_within(series, from_s, to_s) {
+        xyz += pose.translation.vector;
+        turn += rotvec_from_rotation(&(first.rotation.inverse() * pose.rotation));
+        count += 1.0;
+    }
+    let rotation = first.rotation * rotation_from_rotvec(turn / count);
+    Some(Pose::from_parts((xyz / count).into(), rotation))
+}

@@ -1,0 +1,476 @@
+//! Unit, axis convention and inversion of a stream, from positions only. They do not depend on the rotation
+//! encoding.
+//!
+//! `logged = turn · (s · (fk + R·tool)) + shift`, with FK's poses or their inverses. This is linear for
+//! each of the 48 axis conventions, so all are tested. If the frame's rotation is free, it is fitted
+//! alternately with the rest. The simplest of the best solutions comes first.
+
+use crate::frames::position_fit::{rigid_rotation, spread};
+use ground::geometry::{Axes, LengthScale, Pose, Vec3};
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// As a fraction of the arm's reach.
+const MIN_MOTION_SHARE: f64 = 0.01;
+/// Below this fraction of the extent, positions as logged are accepted without other tests.
+const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.003;
+/// Two solutions are equivalent if their residuals are within this factor, …
+const MAX_EQUIVALENT_RATIO: f64 = 5.0;
+/// … or if the residual is at most this fraction of the extent.
+const MAX_EQUIVALENT_RESIDUAL_SHARE: f64 = 0.002;
+/// For a unit, mirroring or inverse, as a fraction of the extent.
+const MAX_RESIDUAL_SHARE: f64 = 0.15;
+/// Limits for an unusual unit: residual as a fraction of the extent, and the usual units' residual divided
+/// by its own. Strict, because a free scale absorbs part of any other error.
+const MAX_UNUSUAL_RESIDUAL_SHARE: f64 = 0.003;
+const MIN_UNUSUAL_RATIO: f64 = 30.0;
+/// Maximum motion of a marker relative to the tip: 0.3 m from a tip that rotates by 1 rad and moves by 0.1
+/// m.
+const MAX_MARKER_MOTION_RATIO: f64 = 4.0;
+/// Scales (or inverses) closer to 1 are radial scale, not units.
+const MIN_UNIT_SCALE: f64 = 1.25;
+/// Relative tolerance to identify a usual unit, or the residual if larger.
+const UNIT_TOLERANCE: f64 = 0.02;
+const MAX_TOOL_M: f64 = 1.5;
+const MAX_BASE_DISTANCE_M: f64 = 20.0;
+
+#[derive(Clone, Debug)]
+pub(crate) struct PositionEncoding {
+    /// Unit of the track's numbers, m.
+    pub metres: f64,
+    /// Whether the poses are inverted.
+    pub is_inverted: bool,
+    /// `None` if the rotation of the frame is free.
+    pub axes: Option<Axes>,
+    /// Maps base directions to logged ones. A rotation, possibly with mirroring.
+    pub turn: Matrix3<f64>,
+    /// Position residual, rms m.
+    pub residual_m: f64,
+    /// Whether the residual is small relative to the motion.
+    pub is_explained: bool,
+    rank: u32,
+}
+
+impl PositionEncoding {
+    /// Whether the logged axes are left-handed.
+    pub fn is_mirrored(&self) -> bool {
+        self.turn.determinant() < 0.0
+    }
+
+    /// Whether only frames differ from the standard encoding.
+    pub fn is_standard(&self) -> bool {
+        self.metres == 1.0 && !self.is_inverted && !self.is_mirrored()
+    }
+
+    fn is_same(&self, other: &Self) -> bool {
+        let kind = |layout: &Self| (layout.is_inverted, layout.axes, layout.is_mirrored());
+        self.metres == other.metres && kind(self) == kind(other)
+    }
+}
+
+pub(crate) struct StreamPositions<'a> {
+    pub xyz: &'a [Vec3],
+    /// Index of a constant coordinate to ignore.
+    pub constant: Option<usize>,
+    /// Unit assumed when reading the track, m.
+    pub read_as_m: f64,
+    /// Whether the frame is fixed relative to the base.
+    pub reference_known: bool,
+}
+
+/// Whether a marker's extent is plausible for a tip with extent `by_fk`.
+pub(crate) fn is_plausible_extent(extent: f64, by_fk: f64) -> bool {
+    (extent / by_fk).ln().abs() < MAX_MARKER_MOTION_RATIO.ln()
+}
+
+/// Encodings with about the smallest residual, simplest first. Empty if the tip moves too little.
+pub(crate) fn candidate_encodings(
+    fk: &[Pose],
+    reach_m: f64,
+    written: &StreamPositions,
+) -> Vec<PositionEncoding> {
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let extent_m = spread(&at);
+    if fk.len() < 6 || extent_m < MIN_MOTION_SHARE * reach_m {
+        return Vec::new();
+    }
+    let search = EncodingSearch::new(fk, written, extent_m);
+    let mut found = search.candidates(1.0, false);
+    let least = |found: &[PositionEncoding], is: fn(&PositionEncoding) -> bool| {
+        found.iter().filter(|one| is(one)).map(|one| one.residual_m).fold(f64::INFINITY, f64::min)
+    };
+    let sound_m = least(&found, PositionEncoding::is_standard);
+    if sound_m > MAX_LOGGED_RESIDUAL_SHARE * extent_m {
+        let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
+        let inverse = EncodingSearch {
+            is_inverted: true,
+            ..EncodingSearch::new(&inverse, written, extent_m)
+        };
+        for search in [&search, &inverse] {
+            for metres in std::iter::once(1.0).chain(search.units()) {
+                found.extend(search.candidates(metres, true));
+            }
+        }
+        let is_odd = |one: &PositionEncoding| {
+            LengthScale::common()
+                .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6)
+        };
+        let usual = found.iter().filter(|one| !is_odd(one)).map(|one| one.residual_m);
+        let usual_m = usual.fold(f64::INFINITY, f64::min);
+        found.retain(|one| {
+            let explains = match is_odd(one) {
+                true => {
+                    one.residual_m <= MAX_UNUSUAL_RESIDUAL_SHARE * extent_m
+                        && MIN_UNUSUAL_RATIO * one.residual_m <= usual_m
+                }
+                false => {
+                    one.residual_m <= MAX_RESIDUAL_SHARE * extent_m
+                        && MAX_EQUIVALENT_RATIO * one.residual_m <= sound_m
+                }
+            };
+            one.is_standard() || explains
+        });
+    } else {
+        found.retain(PositionEncoding::is_standard);
+    }
+    let near = (MAX_EQUIVALENT_RATIO * least(&found, |_| true))
+        .max(MAX_EQUIVALENT_RESIDUAL_SHARE * extent_m);
+    found.retain(|one| one.residual_m <= near);
+    found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.residual_m.total_cmp(&b.residual_m)));
+    let mut kept: Vec<PositionEncoding> = Vec::new();
+    for one in found {
+        if !kept.iter().any(|known| known.is_same(&one)) {
+            kept.push(one);
+        }
+    }
+    kept
+}
+
+/// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.
+struct EncodingSums {
+    normal: DMatrix<f64>,
+    /// Ignored base axis.
+    skipped: Option<usize>,
+}
+
+struct EncodingSearch<'a> {
+    fk: &'a [Pose],
+    positions: &'a StreamPositions<'a>,
+    is_inverted: bool,
+    /// m.
+    extent_m: f64,
+    /// One entry, or one for each base axis ignored.
+    sums: Vec<EncodingSums>,
+}
+
+struct EncodingSolution {
+    scale: f64,
+    /// In the stream's unit.
+    tool: Vec3,
+    residual_m: f64,
+}
+
+#[derive(Clone, Copy)]
+struct FreeOffsets {
+    tool: bool,
+    shift: bool,
+}
+
+const FREE_COMBINATIONS: [FreeOffsets; 4] = [
+    FreeOffsets { tool: false, shift: false },
+    FreeOffsets { tool: true, shift: false },
+    FreeOffsets { tool: false, shift: true },
+    FreeOffsets { tool: true, shift: true },
+];
+
+impl<'a> EncodingSearch<'a> {
+    fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, extent_m: f64) -> Self {
+        let skipped = match written.constant {
+            None => vec![None],
+            Some(_) => vec![Some(0), Some(1), Some(2)],
+        };
+        let sums = skipped.into_iter().map(|skipped| EncodingSums::from_fk(fk, skipped)).collect();
+        Self { fk, positions: written, is_inverted: false, extent_m, sums }
+    }
+
+    /// Includes left-handed axes only if `any`.
+    fn candidates(&self, metres: f64, any: bool) -> Vec<PositionEncoding> {
+        let known = self.positions.reference_known;
+        let mut found = Vec::new();
+        let mut add = |axes: Option<Axes>,
+                       turn: Matrix3<f64>,
+                       solved: &EncodingSolution,
+                       free: FreeOffsets| {
+            let is_mirrored = turn.determinant() < 0.0;
+            let rank = [
+                (metres != 1.0, 4),
+                (self.is_inverted, 4),
+                (is_mirrored, 5),
+                (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
+                (axes.is_none() && known, 6),
+                (free.tool, 2),
+                (free.shift && known, 2),
+            ];
+            let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
+            let (inverted, left_m) = (self.is_inverted, solved.residual_m);
+            let is_explained = left_m <= MAX_RESIDUAL_SHARE * self.extent_m;
+            found.push(PositionEncoding {
+                metres,
+                is_inverted: inverted,
+                axes,
+                turn,
+                residual_m: left_m,
+                is_explained,
+                rank,
+            });
+        };
+        let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
+        for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
+            let turn = axes_matrix(axes);
+            let right = self.right_hand_side(&turn, self.sums_of(axes));
+            for free in FREE_COMBINATIONS {
+                let Some(solved) = self.solve(&right, Some(metres.recip()), free) else { continue };
+                if known || self.positions.constant.is_some() {
+                    add(Some(axes), turn, &solved, free);
+                }
+                if free.tool && free.shift {
+                    starts[usize::from(axes.are_left_handed())].push((solved.residual_m, turn));
+                }
+            }
+        }
+        if self.positions.constant.is_some() {
+            return found;
+        }
+        for (starts, sign) in starts.iter_mut().zip([1.0, -1.0]) {
+            starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for (_, start) in starts.iter().take(2) {
+                for tool in [false, true] {
+                    let free = FreeOffsets { tool, shift: true };
+                    if let Some((turn, solved)) = self.best_rotation(*start, sign, metres, free) {
+                        add(None, turn, &solved, free);
+                    }
+                }
+            }
+        }
+        found
+    }
+
+    /// Candidate units, in metres per number: usual units for which the extents agree, one fitted to the
+    /// arm, and one fitted to its mirror image.
+    fn units(&self) -> Vec<f64> {
+        let ratio = spread(self.positions.xyz) / self.extent_m;
+        let may_be = |metres: &f64| {
+            !is_plausible_extent(ratio, 1.0) && is_plausible_extent(ratio * metres, 1.0)
+        };
+        let usual = LengthScale::common().map(|unit| unit.in_m() / self.positions.read_as_m);
+        let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
+        for sign in [1.0, -1.0] {
+            let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
+            let mut best: Option<EncodingSolution> = None;
+            let mut consider = |solved: Option<EncodingSolution>| {
+                let Some(solved) = solved else { return };
+                // Prefer the fit without a tool, which can hide the scale of a motion about a point.
+                let lead = if best.is_some() { 0.5 } else { 1.0 };
+                if best.as_ref().is_none_or(|best| solved.residual_m < lead * best.residual_m) {
+                    best = Some(solved);
+                }
+            };
+            for free in [FREE_COMBINATIONS[2], FREE_COMBINATIONS[3]] {
+                let mut start: Option<(f64, Matrix3<f64>)> = None;
+                for &axes in Axes::all().iter().filter(of_sign) {
+                    let turn = axes_matrix(axes);
+                    let right = self.right_hand_side(&turn, self.sums_of(axes));
+                    let solved = self.solve(&right, None, free);
+                    if let Some(solved) = &solved
+                        && start.as_ref().is_none_or(|(left_m, _)| solved.residual_m < *left_m)
+                    {
+                        start = Some((solved.residual_m, turn));
+                    }
+                    consider(solved);
+                }
+                if let (Some((_, start)), None) = (start, self.positions.constant) {
+                    consider(self.best_rotation_and_scale(start, sign, free));
+                }
+            }
+            let Some(best) =
+                best.filter(|best| best.residual_m <= MAX_RESIDUAL_SHARE * self.extent_m)
+            else {
+                continue;
+            };
+            let metres = best.scale.recip() * self.positions.read_as_m;
+            let tolerance = (2.0 * best.residual_m / self.extent_m).clamp(UNIT_TOLERANCE, 0.1);
+            let off = |unit: &LengthScale| (metres / unit.in_m() - 1.0).abs();
+            let usual = LengthScale::common()
+                .filter(|unit| off(unit) <= tolerance)
+                .min_by(|a, b| off(a).total_cmp(&off(b)));
+            let factor = match usual {
+                Some(unit) => unit.in_m() / self.positions.read_as_m,
+                None => best.scale.recip(),
+            };
+            let is_unit = !(MIN_UNIT_SCALE.recip()..MIN_UNIT_SCALE).contains(&factor);
+            if is_unit && !units.contains(&factor) {
+                units.push(factor);
+            }
+        }
+        units
+    }
+
+    fn sums_of(&self, axes: Axes) -> &EncodingSums {
+        let constant = self.positions.constant.and_then(|axis| {
+            let along = axes.to_standard(Vec3::ith(axis, 1.0));
+            self.sums.get(along.iamax())
+        });
+        constant.unwrap_or(&self.sums[0])
+    }
+
+    fn right_hand_side<'s>(
+        &self,
+        turn: &Matrix3<f64>,
+        sums: &'s EncodingSums,
+    ) -> RightHandSide<'s> {
+        let mut right = DVector::zeros(7);
+        let mut square = 0.0;
+        let back = turn.transpose();
+        for (fk, logged) in self.fk.iter().zip(self.positions.xyz) {
+            let mut y = back * logged;
+            if let Some(skipped) = sums.skipped {
+                y[skipped] = 0.0;
+            }
+            right[0] += fk.translation.vector.dot(&y);
+            let tool = fk.rotation.inverse() * y;
+            for axis in 0..3 {
+                right[1 + axis] += tool[axis];
+                right[4 + axis] += y[axis];
+            }
+            square += y.norm_squared();
+        }
+        RightHandSide { sums, right, square }
+    }
+
+    /// `None` if the result is implausible.
+    fn solve(
+        &self,
+        right: &RightHandSide,
+        scale: Option<f64>,
+        free: FreeOffsets,
+    ) -> Option<EncodingSolution> {
+        let RightHandSide { sums: EncodingSums { normal, .. }, right, square } = right;
+        let mut columns: Vec<usize> = Vec::with_capacity(7);
+        columns.extend(scale.is_none().then_some(0));
+        columns.extend((1..4).filter(|_| free.tool));
+        columns.extend((4..7).filter(|_| free.shift));
+        let known = scale.unwrap_or(0.0);
+        let square = square - 2.0 * known * right[0] + known * known * normal[(0, 0)];
+        let target = |column: usize| right[column] - known * normal[(column, 0)];
+        let rhs = DVector::from_iterator(columns.len(), columns.iter().map(|&c| target(c)));
+        let mut matrix =
+            DMatrix::from_fn(columns.len(), columns.len(), |a, b| normal[(columns[a], columns[b])]);
+        let plain = matrix.clone();
+        let samples = self.fk.len() as f64;
+        for (own, &column) in columns.iter().enumerate() {
+            // Keeps an unobservable tool at zero.
+            matrix[(own, own)] += if column == 0 { 0.0 } else { 1e-6 * samples };
+        }
+        let found = match columns.is_empty() {
+            true => DVector::zeros(0),
+            false => matrix.cholesky()?.solve(&rhs),
+        };
+        let left = square - 2.0 * found.dot(&rhs) + found.dot(&(&plain * &found));
+        let value = |column: usize| {
+            columns.iter().position(|&one| one == column).map_or(0.0, |own| found[own])
+        };
+        let scale = scale.unwrap_or_else(|| value(0));
+        if scale <= 0.0 {
+            return None;
+        }
+        let tool = Vec3::new(value(1), value(2), value(3));
+        let longest_m = if self.is_inverted { MAX_BASE_DISTANCE_M } else { MAX_TOOL_M };
+        let left_m = (left.max(0.0) / samples).sqrt() / scale;
+        (tool.norm() <= longest_m * scale).then_some(EncodingSolution {
+            scale,
+            tool,
+            residual_m: left_m,
+        })
+    }
+
+    fn best_rotation(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        metres: f64,
+        free: FreeOffsets,
+    ) -> Option<(Matrix3<f64>, EncodingSolution)> {
+        self.alternate_rotation(start, sign, Some(metres.recip()), free)
+    }
+
+    fn best_rotation_and_scale(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        free: FreeOffsets,
+    ) -> Option<EncodingSolution> {
+        self.alternate_rotation(start, sign, None, free).map(|(_, solved)| solved)
+    }
+
+    fn alternate_rotation(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        scale: Option<f64>,
+        free: FreeOffsets,
+    ) -> Option<(Matrix3<f64>, EncodingSolution)> {
+        const MAX_ROUNDS: usize = 60;
+        const MIN_RELATIVE_IMPROVEMENT: f64 = 1e-4;
+        let mut turn = start;
+        let mut last = f64::INFINITY;
+        for _ in 0..MAX_ROUNDS {
+            let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
+            if solved.residual_m > (1.0 - MIN_RELATIVE_IMPROVEMENT) * last {
+                return Some((turn, solved));
+            }
+            last = solved.residual_m;
+            let of = |fk: &Pose| solved.scale * fk.translation.vector + fk.rotation * solved.tool;
+            let points: Vec<Vec3> = self.fk.iter().map(of).collect();
+            turn = rigid_rotation(&points, self.positions.xyz, sign)?;
+        }
+        let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
+        Some((turn, solved))
+    }
+}
+
+struct RightHandSide<'s> {
+    sums: &'s EncodingSums,
+    right: DVector<f64>,
+    square: f64,
+}
+
+impl EncodingSums {
+    fn from_fk(fk: &[Pose], skipped: Option<usize>) -> Self {
+        let mut normal = DMatrix::zeros(7, 7);
+        for pose in fk {
+            let rotation = pose.rotation.to_rotation_matrix();
+            for row in (0..3).filter(|row| Some(*row) != skipped) {
+                let mut design = [0.0; 7];
+                design[0] = pose.translation.vector[row];
+                for axis in 0..3 {
+                    design[1 + axis] = rotation[(row, axis)];
+                }
+                design[4 + row] = 1.0;
+                for a in 0..7 {
+                    for b in 0..7 {
+                        normal[(a, b)] += design[a] * design[b];
+                    }
+                }
+            }
+        }
+        Self { normal, skipped }
+    }
+}
+
+/// Matrix from base directions to `axes`.
+pub(crate) fn axes_matrix(axes: Axes) -> Matrix3<f64> {
+    let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.convert_from_standard(unit));
+    Matrix3::from_columns(&columns)
+}
+
+#[cfg(test)]
+mod tests;

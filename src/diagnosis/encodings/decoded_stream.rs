@@ -1,0 +1,286 @@
+//! Decodes a stream: position unit, rotation encoding, and the branch of each ambiguous rotation.
+
+use std::borrow::Cow;
+
+use super::orientation_samples::{
+    MAX_ENCODING_RESIDUAL_RAD, OrientationSamples, PositionInterpretation,
+};
+use super::position::{PositionEncodingEstimate, follows_as_logged};
+use super::rotation::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
+    estimate_encoding,
+};
+use crate::frames::position_fit::spread;
+use crate::joints::CorrectedJoints;
+use crate::latency::correlation::LagPeak;
+use crate::model::measurement::{
+    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
+};
+use crate::samples::sampling::{MAX_SEARCH_SAMPLES, slow_samples};
+use crate::{
+    AxesError, EncodingEstimate, EstimateResult, NotObservable, PoseStream, UnitResiduals,
+};
+use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
+
+/// For a latency estimate.
+const MIN_MOVING_SAMPLES: usize = 10;
+
+/// Decoded stream with the evidence for its encoding.
+pub(crate) struct DecodedStream<'a> {
+    pub observations: PoseObservations<'a>,
+    /// Estimated if the stream has orientations.
+    pub encoding: EstimateResult<EncodingEstimate>,
+    pub degrees: Option<UnitResiduals>,
+    pub metres: f64,
+    /// Position and rotation axes, if not standard.
+    pub axes: Option<AxesError>,
+    /// Whether whole poses are inverted.
+    pub is_inverted: bool,
+    /// Constant coordinates.
+    pub constant: [bool; 3],
+    /// Frames that must be rotated to match the rotations.
+    rotated_frames: u8,
+    pub peaks: Vec<LagPeak>,
+    pub moves: bool,
+}
+
+impl DecodedStream<'_> {
+    /// Whether rotations confirm the encoding fault, so joint faults need no test. Without rotations, no
+    /// joint fault resembles an inverse.
+    pub fn is_confirmed(&self) -> bool {
+        let is_constant = self.constant.contains(&true);
+        match &self.encoding {
+            Ok(reading) if reading.best_rad <= MAX_ENCODING_RESIDUAL_RAD => {
+                // An arm read from tip to base resembles an inverse between rotated frames.
+                self.axes.is_some() || (self.is_inverted && self.rotated_frames < 2) || is_constant
+            }
+            Ok(_) => false,
+            Err(_) => self.is_inverted,
+        }
+    }
+}
+
+pub(crate) fn decode_stream<'a>(
+    read_as: &'a CorrectedJoints,
+    stream: &PoseStream<'a>,
+    placement: &PositionEncodingEstimate,
+) -> EstimateResult<DecodedStream<'a>> {
+    let joints = read_as.approximate_track();
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let peaks = placement.peaks.clone();
+    let peak_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
+    let lag_s = if follows_as_logged(joints, stream) { 0.0 } else { peak_s };
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+    if rows.is_empty() {
+        return Err(NotObservable::NoOverlap);
+    }
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
+    let metres = placement.metres();
+    let mut ways: Vec<PositionInterpretation> = placement
+        .candidates
+        .iter()
+        .flat_map(|layout| PositionInterpretation::from_encoding(layout, spread(&at)))
+        .collect();
+    if ways.is_empty() {
+        ways.push(PositionInterpretation {
+            metres,
+            axes: AxesError::NONE,
+            is_inverted: false,
+            reference: None,
+        });
+    }
+    let first = PositionInterpretation { ..ways[0] };
+    if first.axes != AxesError::NONE {
+        let axes = AxesError::NONE;
+        ways.push(PositionInterpretation {
+            metres,
+            axes,
+            is_inverted: first.is_inverted,
+            reference: None,
+        });
+    }
+    let (orientation, degrees) =
+        in_detected_angle_unit(track, &rows, &turning, reference_known, first.corrections());
+    let there = at_rows(&orientation, &rows);
+    let turning = OrientationSamples {
+        logged: LoggedRotations::from_orientations(&there),
+        fk: &turning,
+        reference_known,
+        are_quaternions: are_quaternions(track),
+    };
+    let (way, reading, fit) = match is_set(&there, turning.fk) {
+        true => match turning.best(ways) {
+            Ok((way, reading, fit)) => (way, Ok(reading), Some(fit)),
+            // Positions that match FK are used even without rotations.
+            Err(why) if first.axes == AxesError::NONE && placement.is_on_arm() => {
+                (first, Err(why), None)
+            }
+            Err(why) => return Err(why),
+        },
+        false => (first, Err(NotObservable::OrientationNotSet), None),
+    };
+    let constant_axes = {
+        let mut blind = [false; 3];
+        for axis in (0..3).filter(|&axis| placement.constant[axis]) {
+            blind[way.axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
+        }
+        blind
+    };
+    let mut witness = PoseObservations {
+        joints: &read_as.track,
+        chain,
+        columns,
+        gains: &read_as.gains,
+        reference_known,
+        rest_speeds: &read_as.rest_speeds,
+        t_s: track.t_s.clone(),
+        xyz: way.positions(&track.xyz),
+        rotation: Vec::new(),
+        excluded: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
+        tool_part: match fit {
+            None => ToolPart::Point,
+            Some(_) => ToolPart::Whole,
+        },
+        middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
+    };
+    let logged = LoggedRotations::from_orientations(&orientation);
+    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
+    if witness.len() < 3 {
+        return Err(NotObservable::TooFewSamples { have: witness.len(), need: 3 });
+    }
+    let moves = witness.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
+        && !peaks.is_empty();
+    let axes = Some(way.axes).filter(|axes| *axes != AxesError::NONE);
+    let PositionInterpretation { metres, is_inverted: inverted, .. } = way;
+    let constant = placement.constant;
+    let frames = fit.map_or(0, |fit| fit.frames.frame_count());
+    Ok(DecodedStream {
+        observations: witness,
+        encoding: reading,
+        degrees,
+        metres,
+        axes,
+        is_inverted: inverted,
+        constant,
+        rotated_frames: frames,
+        peaks,
+        moves,
+    })
+}
+
+/// Whether orientations are set: they change, or FK's do not.
+fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
+    const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-3;
+    let stays = match logged {
+        Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
+        Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
+        Orientations::Unset(_) => return false,
+    };
+    !stays || !has_rotation(fk)
+}
+
+/// Whether rotations change more than small joint errors explain.
+fn has_rotation(rotations: &[Rotation]) -> bool {
+    const MIN_ROTATION_RAD: f64 = 0.2;
+    max_angle(rotations) > MIN_ROTATION_RAD
+}
+
+/// rad, from the first rotation.
+fn max_angle(rotations: &[Rotation]) -> f64 {
+    let from = rotations.first().copied().unwrap_or_default();
+    rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
+}
+
+/// Orientations in the detected angle unit, and the unit slip if it differs from the logged or declared
+/// one.
+fn in_detected_angle_unit<'a>(
+    track: &'a PoseTrack,
+    rows: &[usize],
+    fk: &[Rotation],
+    reference_known: bool,
+    after: RotationCorrections,
+) -> (Cow<'a, Orientations>, Option<UnitResiduals>) {
+    let other = match (&track.orientation, &track.declared) {
+        (Orientations::Numbers(numbers), _) => {
+            Orientations::Numbers(numbers.iter().map(|n| n.map(f64::to_radians)).collect())
+        }
+        (_, Some(DeclaredUnits { in_other_angles: Some(rotations), .. })) => {
+            Orientations::Rotations(rotations.clone())
+        }
+        _ => return (Cow::Borrowed(&track.orientation), None),
+    };
+    let residual = |orientation: &Orientations| {
+        let there = at_rows(orientation, rows);
+        let logged = LoggedRotations::from_orientations(&there);
+        let are_quaternions = are_quaternions(track);
+        let samples = RotationSamples {
+            logged,
+            fk,
+            reference_free: true,
+            reference_known,
+            are_quaternions,
+            after,
+        };
+        estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
+    };
+    let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
+    if corrected * 3.0 < as_logged {
+        (Cow::Owned(other), Some(UnitResiduals { as_logged, corrected }))
+    } else {
+        (Cow::Borrowed(&track.orientation), None)
+    }
+}
+
+/// Whether the log has quaternions rather than three declared numbers.
+fn are_quaternions(track: &PoseTrack) -> bool {
+    track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
+}
+
+fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
+    match orientation {
+        Orientations::Rotations(all) => {
+            Orientations::Rotations(rows.iter().map(|&k| all[k]).collect())
+        }
+        Orientations::Numbers(all) => Orientations::Numbers(rows.iter().map(|&k| all[k]).collect()),
+        Orientations::Unset(_) => Orientations::Unset(rows.len()),
+    }
+}
+
+/// Chooses for each sample the branch nearest to FK. Drops samples without joint states. Without an
+/// encoding, uses FK's rotations.
+fn choose_branches(
+    witness: &mut PoseObservations,
+    logged: &LoggedRotations,
+    way: &PositionInterpretation,
+    fit: Option<&EncodingFit>,
+    lag_s: f64,
+    offsets: &[f64],
+) {
+    let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
+    let mut sweep = PredictionBuffers::new(witness);
+    let mut buffer = Vec::new();
+    let state = StreamState::at_latency(lag_s);
+    let after = way.corrections();
+    for k in 0..witness.len() {
+        let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
+            continue;
+        };
+        let rotation = match fit {
+            Some(EncodingFit { encoding: reading, reference, tool, .. }) => {
+                let expected = reference * fk.rotation * tool;
+                decode_nearest(reading, &after, logged, k, &expected, &mut buffer)
+            }
+            None => Some(way.reference.unwrap_or_default() * fk.rotation),
+        };
+        let Some(rotation) = rotation else { continue };
+        kept_t.push(witness.t_s[k]);
+        kept_xyz.push(match way.is_inverted {
+            true => -(rotation * witness.xyz[k]),
+            false => witness.xyz[k],
+        });
+        kept_rotation.push(rotation);
+    }
+    (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
+}

@@ -1,0 +1,208 @@
+//! Rotation encoding of a stream, given candidate position encodings.
+
+use super::axis_convention::{PositionEncoding, axes_matrix};
+use super::rotation::fit_known;
+use super::rotation::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, estimate_encoding,
+};
+use crate::PoseEncoding;
+use crate::frames::position_fit::MAX_POSITION_RESIDUAL_SHARE;
+use crate::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
+use ground::geometry::{Axes, Rotation, Vec3, angle_between};
+use ground::geometry::{Convention, QuaternionOrderError};
+use nalgebra::Matrix3;
+
+/// Correct encodings stay below this although joints may be off by some degrees.
+pub(crate) const MAX_ENCODING_RESIDUAL_RAD: f64 = 0.05;
+
+/// Interpretation of positions and axes before rotations are decoded.
+pub(crate) struct PositionInterpretation {
+    pub metres: f64,
+    pub axes: AxesError,
+    pub is_inverted: bool,
+    /// Rotation of the reference, if determined.
+    pub reference: Option<Rotation>,
+}
+
+impl PositionInterpretation {
+    /// Interpretations of `layout` for a motion of `extent_m`.
+    pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
+        let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
+        let way = |axes, reference| {
+            let PositionEncoding { metres, is_inverted: inverted, .. } = *layout;
+            // Inverse positions do not determine the base's rotation.
+            PositionInterpretation {
+                metres,
+                axes,
+                is_inverted: inverted,
+                reference: if inverted { None } else { reference },
+            }
+        };
+        if layout.residual_m > MAX_POSITION_RESIDUAL_SHARE * extent_m {
+            return vec![way(standard, None)];
+        }
+        let both = |axes| AxesError { positions: axes, rotations: axes };
+        let positions = |axes| AxesError { positions: axes, ..standard };
+        match (layout.axes, layout.is_mirrored()) {
+            (Some(axes), true) => {
+                vec![
+                    way(both(axes), Some(Rotation::identity())),
+                    way(positions(axes), Some(Rotation::identity())),
+                ]
+            }
+            (None, true) => {
+                // In a freely rotated world all mirrors are equivalent; use the most common.
+                let back = axes_matrix(Axes::UNITY).transpose();
+                let turn = rotation_of(&(back * layout.turn));
+                vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
+            }
+            (Some(axes), false) if axes.are_exchanged() && !layout.is_inverted => vec![
+                way(standard, Some(rotation_of(&layout.turn))),
+                way(both(axes), Some(Rotation::identity())),
+                way(positions(axes), Some(Rotation::identity())),
+            ],
+            (_, false) => vec![way(standard, Some(rotation_of(&layout.turn)))],
+        }
+    }
+
+    /// Copy with other rotation axes.
+    pub fn with_rotations_in(&self, rotations: Axes) -> Self {
+        PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }
+    }
+
+    pub fn corrections(&self) -> RotationCorrections {
+        let axes = self.axes.rotations;
+        let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
+        RotationCorrections { conjugator, inverted: self.is_inverted }
+    }
+
+    /// m, before any inversion.
+    pub fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
+        xyz.iter().map(|p| self.axes.positions.to_standard(*p) * self.metres).collect()
+    }
+}
+
+fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
+    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
+}
+
+/// Orientations with FK at the same times.
+pub(crate) struct OrientationSamples<'a> {
+    pub logged: LoggedRotations<'a>,
+    pub fk: &'a [Rotation],
+    pub reference_known: bool,
+    pub are_quaternions: bool,
+}
+
+impl OrientationSamples<'_> {
+    /// Rotation encoding under one interpretation, with its rotated reference.
+    pub fn estimate_encoding(
+        &self,
+        way: &PositionInterpretation,
+    ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
+        let turned = self.rotated(way);
+        let (mut reading, mut fit) = estimate_encoding(&self.samples(way, &turned))?;
+        fit.reference *= way.reference.unwrap_or_default();
+        if way.axes != AxesError::NONE {
+            reading.as_logged_rad = self.as_logged_rad();
+        }
+        Ok((reading, fit))
+    }
+
+    /// Smallest residual of the simplest encodings, rad.
+    pub fn simplest_residual_rad(&self, way: &PositionInterpretation) -> f64 {
+        let turned = self.rotated(way);
+        let samples = self.samples(way, &turned);
+        let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
+            .into_iter()
+            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder));
+        let numbers = || Convention::all().iter().map(|&one| PoseEncoding::Numbers(one));
+        let readings: Vec<PoseEncoding> = match self.logged {
+            LoggedRotations::Rotations(_) => simple.collect(),
+            LoggedRotations::Numbers(_) => numbers().collect(),
+        };
+        let fits = readings.into_iter().filter_map(|reading| fit_known(&samples, reading));
+        fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+    }
+
+    pub fn rotated(&self, way: &PositionInterpretation) -> Vec<Rotation> {
+        let reference = way.reference.unwrap_or_default();
+        self.fk.iter().map(|fk| reference * fk).collect()
+    }
+
+    pub fn samples<'s>(
+        &'s self,
+        way: &PositionInterpretation,
+        turned: &'s [Rotation],
+    ) -> RotationSamples<'s> {
+        RotationSamples {
+            logged: self.logged,
+            fk: turned,
+            reference_free: way.reference.is_none(),
+            reference_known: self.reference_known || way.reference.is_some(),
+            are_quaternions: self.are_quaternions,
+            after: way.corrections(),
+        }
+    }
+
+    /// Rms angle of logged rotations to FK, rad.
+    pub fn as_logged_rad(&self) -> Option<f64> {
+        let LoggedRotations::Rotations(logged) = self.logged else { return None };
+        let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
+        Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
+    }
+
+    /// Interpretation under which rotations fit best.
+    pub fn best(
+        &self,
+        ways: Vec<PositionInterpretation>,
+    ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
+        /// For other axes of rotations only.
+        const MIN_RESIDUAL_RATIO: f64 = 5.0;
+        let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
+        let mut why = NotObservable::NoOrientation;
+        // Rotations may have other axes even if positions have standard ones.
+        let is_told =
+            |way: &&PositionInterpretation| way.reference.is_some() && way.axes == AxesError::NONE;
+        let told = ways.iter().find(is_told).map(|way| PositionInterpretation { ..*way });
+        for way in ways {
+            let (reading, fit) = match self.estimate_encoding(&way) {
+                Ok(found) => found,
+                Err(unseen) => {
+                    why = unseen;
+                    continue;
+                }
+            };
+            // Reversed joints may mirror positions, but not rotations.
+            if way.axes != AxesError::NONE && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD {
+                continue;
+            }
+            let order = |fit: &EncodingFit| match fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD {
+                true => (0, f64::from(fit.frames.frame_count())),
+                false => (1, fit.residual_rad),
+            };
+            let is_done = order(&fit) == (0, 0.0);
+            if best.as_ref().is_none_or(|(_, _, known)| order(&fit) < order(known)) {
+                best = Some((way, reading, fit));
+            }
+            if is_done {
+                break;
+            }
+        }
+        let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
+        let Some(told) = told.filter(|_| left > MAX_ENCODING_RESIDUAL_RAD) else {
+            return best.ok_or(why);
+        };
+        let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
+        let turned = right_handed.map(|&axes| told.with_rotations_in(axes));
+        let turned = turned.map(|way| (self.simplest_residual_rad(&way), way));
+        let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
+        let better = turned.filter(|(rad, _)| {
+            *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < left
+        });
+        match better.and_then(|(_, way)| Some((self.estimate_encoding(&way).ok()?, way))) {
+            Some(((reading, fit), way)) => Ok((way, reading, fit)),
+            None => best.ok_or(why),
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Encoding of positions, from positions alone: unit, axes, constant coordinates. Also the lags at which
+//! the stream follows the arm.
+
+use super::axis_convention::{
+    PositionEncoding, StreamPositions, candidate_encodings, is_plausible_extent,
+};
+use super::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
+use crate::frames::constant_frames::misfit_of_frames;
+use crate::frames::position_fit::spread;
+use crate::latency::correlation::{ArmSpeeds, LagPeak};
+use crate::samples::sampling::{MIN_SPEED_CORRELATION, as_rotations, slow_samples, stream_peaks};
+use crate::{EstimateResult, NotObservable, PoseStream};
+use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
+use ground::stream::{JointTrack, PoseTrack};
+
+/// As far as positions alone determine it.
+pub(crate) struct PositionEncodingEstimate {
+    /// Factor to metres.
+    pub metres: EstimateResult<f64>,
+    /// Most likely first. Empty if undetermined.
+    pub candidates: Vec<PositionEncoding>,
+    /// Coordinates constant while FK's change.
+    pub constant: [bool; 3],
+    /// Candidate lags.
+    pub peaks: Vec<LagPeak>,
+    /// Maximum tip speed, m/s.
+    pub top_speed_m_s: f64,
+}
+
+impl PositionEncodingEstimate {
+    /// Encoding of `stream`'s positions against FK.
+    pub fn estimate(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
+        /// Relative to the extent; below it, no further lag is tried.
+        const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
+        let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+        let arm = ArmSpeeds::from_joints(joints, chain, columns);
+        let mut peaks = stream_peaks(&arm, stream, most_lag_s);
+        peaks.retain(|peak| peak.correlation > MIN_SPEED_CORRELATION);
+        let read_as_m = metres_per_unit(track);
+        let reach_m = chain.max_reach_m();
+        let mut placement = Self {
+            metres: Err(NotObservable::NoOverlap),
+            candidates: Vec::new(),
+            constant: [false; 3],
+            peaks,
+            top_speed_m_s: arm.top_m_s(),
+        };
+        let near = if follows_as_logged(joints, stream) { 0 } else { 2 };
+        let lags = placement.peaks.iter().take(near).map(|peak| peak.lag_s).chain([0.0]);
+        let mut least_m = f64::INFINITY;
+        for lag_s in lags.collect::<Vec<f64>>() {
+            let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
+            if rows.len() < 2 {
+                continue;
+            }
+            let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+            let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+            let sized = metres_from_size(&at, &xyz, reach_m, read_as_m, reference_known);
+            if let Ok(metres) = sized
+                && metres != 1.0
+                && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
+            {
+                // Positions match FK in that unit.
+                placement.metres = Ok(metres);
+                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
+                return placement;
+            }
+            let by_poses = match reference_known {
+                true => None,
+                false => unit_by_poses(track, &rows, &fk),
+            };
+            if let Some(metres) = by_poses.filter(|metres| *metres != 1.0) {
+                placement.metres = Ok(metres);
+                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
+                return placement;
+            }
+            let constant = constant_coordinates(&track.xyz, &at);
+            let left_out = match constant {
+                [false, false, false] => Some(None),
+                [true, false, false] => Some(Some(0)),
+                [false, true, false] => Some(Some(1)),
+                [false, false, true] => Some(Some(2)),
+                _ => None,
+            };
+            let mut layouts = left_out.map_or_else(Vec::new, |constant| {
+                let written = StreamPositions { xyz: &xyz, constant, read_as_m, reference_known };
+                candidate_encodings(&fk, reach_m, &written)
+            });
+            if by_poses.is_some() {
+                layouts.retain(|layout| layout.metres == 1.0);
+            }
+            let left_m = layouts.first().map_or(f64::MAX, |layout| layout.residual_m);
+            if left_m < least_m {
+                least_m = left_m;
+                placement.metres = sized;
+                (placement.candidates, placement.constant) = (layouts, constant);
+            }
+            if least_m < MAX_FINAL_RESIDUAL_SHARE * spread(&at) {
+                break;
+            }
+        }
+        if let Some(metres) = placement.most_likely().map(|layout| layout.metres) {
+            placement.metres = Ok(metres);
+        }
+        placement
+    }
+
+    /// Factor to metres; 1 if undetermined.
+    pub fn metres(&self) -> f64 {
+        *self.metres.as_ref().unwrap_or(&1.0)
+    }
+
+    /// Most likely encoding, if it explains the positions.
+    fn most_likely(&self) -> Option<&PositionEncoding> {
+        self.candidates.first().filter(|layout| layout.is_explained)
+    }
+
+    /// Copy without mirrored, inverted or rescaled candidates.
+    pub fn standard_only(&self) -> Self {
+        let layouts =
+            self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
+        Self {
+            metres: Ok(1.0),
+            candidates: layouts,
+            constant: self.constant,
+            peaks: self.peaks.clone(),
+            top_speed_m_s: self.top_speed_m_s,
+        }
+    }
+
+    /// Whether a candidate explains the positions.
+    pub fn is_on_arm(&self) -> bool {
+        self.most_likely().is_some()
+    }
+
+    /// Whether positions match FK only when corrected.
+    pub fn needs_correction(&self) -> bool {
+        let is_constant = self.constant.contains(&true);
+        self.most_likely()
+            .is_some_and(|layout| is_constant || layout.is_inverted || layout.is_mirrored())
+    }
+}
+
+/// Constant up to noise, while the others and all of FK's change.
+fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
+    /// Relative to the widest coordinate.
+    const MAX_CONSTANT_SPREAD_SHARE: f64 = 0.01;
+    /// Of FK, relative to the widest coordinate and in m.
+    const MIN_MOVING_SPREAD_SHARE: f64 = 0.05;
+    const MIN_MOVING_SPREAD_M: f64 = 5e-3;
+    /// Relative to the magnitude; less is rounding.
+    const ROUNDING_SHARE: f64 = 1e-9;
+    let spreads = |points: &[Vec3]| -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            let along: Vec<Vec3> = points.iter().map(|p| Vec3::x() * p[axis]).collect();
+            spread(&along)
+        })
+    };
+    let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
+    let (logged, expected) = (spreads(xyz), spreads(fk));
+    let least = MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * widest(expected));
+    let all_move = expected.into_iter().all(|spread| spread > least);
+    let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
+    let some_move = widest(logged) > ROUNDING_SHARE * size;
+    logged
+        .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
+}
+
+/// Factor to metres from the extent relative to FK's or, at rest, the distance from a known base.
+pub(crate) fn metres_from_size(
+    fk: &[Vec3],
+    xyz: &[Vec3],
+    reach_m: f64,
+    read_as_m: f64,
+    reference_known: bool,
+) -> EstimateResult<f64> {
+    const MAX_SIZE_RATIO: f64 = 1.5;
+    let (moved, extent) = (spread(fk), spread(xyz));
+    let rests = moved <= 0.01 * reach_m;
+    let ratio = if !rests {
+        extent / moved
+    } else if reference_known {
+        let norm =
+            |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
+        norm(xyz) / norm(fk).max(0.05 * reach_m)
+    } else {
+        return Err(NotObservable::AtRest);
+    };
+    let off = |factor: f64| (ratio * factor).ln().abs();
+    let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
+    let near = usual.filter(|factor| off(*factor) < MAX_SIZE_RATIO.ln());
+    let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
+    // Ratios within an arm's reach determine no unit.
+    Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
+}
+
+/// Factor to metres by size alone; 1 if undetermined.
+pub(crate) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    if at.len() < 2 {
+        return 1.0;
+    }
+    let read_as_m = metres_per_unit(track);
+    metres_from_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
+}
+
+/// Factor to metres of the usual unit whose extent is closest to the arm's reach, without joint states.
+pub(crate) fn metres_by_reach(stream: &PoseStream) -> f64 {
+    /// Typical, for an arm's tip.
+    const SPREAD_PER_REACH: f64 = 0.3;
+    let track = stream.track;
+    let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
+    let off = |factor: f64| {
+        (extent * factor / (SPREAD_PER_REACH * stream.chain.max_reach_m())).ln().abs()
+    };
+    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
+    usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
+}
+
+/// Factor to metres of the usual unit in which constant world and marker frames explain the poses at
+/// `rows`. Prefers metres unless another is clearly better. Rotations fix the world's orientation if
+/// positions do not.
+fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
+    /// Relative to the spread, and metres' residual relative to this unit's.
+    const MAX_RESIDUAL_SHARE: f64 = 0.1;
+    const MIN_RESIDUAL_RATIO: f64 = 5.0;
+    let rotations = as_rotations(&track.orientation)?;
+    let extent = spread(&track.xyz);
+    let share_left = |metres: f64| {
+        let scaled =
+            |&row: &usize| Pose::from_parts((track.xyz[row] * metres).into(), rotations[row]);
+        let logged: Vec<Pose> = rows.iter().map(scaled).collect();
+        misfit_of_frames(fk, &logged)[0] / (metres * extent)
+    };
+    let in_metres = share_left(1.0);
+    if in_metres <= MAX_RESIDUAL_SHARE {
+        return Some(1.0);
+    }
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    if is_plausible_extent(extent, spread(&at)) {
+        return None;
+    }
+    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
+    let shares = usual.map(|metres| (share_left(metres), metres));
+    let (least, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (metres != 1.0 && least <= MAX_RESIDUAL_SHARE && MIN_RESIDUAL_RATIO * least <= in_metres)
+        .then_some(metres)
+}
+
+fn metres_per_unit(track: &PoseTrack) -> f64 {
+    track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
+}
+
+/// Whether positions match FK to this share of its extent, rms.
+fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
+    let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
+    let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
+    rms_m < share * spread(fk)
+}
+
+/// Whether a stream matches FK as logged at zero lag. If so, spurious lags of short or uniform motion are
+/// ignored.
+pub(crate) fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
+    /// Relative to FK's extent.
+    const MAX_POSITION_ERROR_SHARE: f64 = 0.02;
+    let PoseStream { track, chain, columns, .. } = *stream;
+    let Some(rotations) = as_rotations(&track.orientation) else { return false };
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    let most_m = MAX_POSITION_ERROR_SHARE * spread(&at);
+    let is_there = |(&row, fk): (&usize, &Pose)| {
+        (track.xyz[row] - fk.translation.vector).norm() <= most_m
+            && angle_between(&rotations[row], &fk.rotation) <= MAX_ENCODING_RESIDUAL_RAD
+    };
+    !rows.is_empty() && rows.iter().zip(&fk).all(is_there)
+}

@@ -1,0 +1,98 @@
+//! Decodes streams with a declared encoding; FK resolves ambiguous rotations.
+
+use super::rotation::{
+    LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
+};
+use crate::samples::sampling::stream_lag_s;
+use crate::{AxesError, PoseEncoding, PoseStream};
+use ground::geometry::{Axes, Rotation};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+
+/// For the constant frames.
+const MAX_FIT_SAMPLES: usize = 150;
+
+/// Intended encoding of a stream.
+#[derive(Clone, Copy, Debug)]
+pub struct IntendedEncoding {
+    /// Rotation encoding.
+    pub encoding: PoseEncoding,
+    /// Position and rotation axes.
+    pub axes: AxesError,
+    /// Whether whole poses are inverted.
+    pub is_inverted: bool,
+}
+
+/// Decodes a stream as `meant`, each sample on the branch nearest to FK of `joints` after fitting constant
+/// frames on top of `known`, `[stream_from_reference, tip_from_stream]`. `None` for bare numbers, or
+/// without overlap in time.
+pub fn reinterpret_poses(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    meant: IntendedEncoding,
+    known: [Rotation; 2],
+    most_lag_s: f64,
+) -> Option<PoseTrack> {
+    let PoseStream { track, chain, columns, reference_known, .. } = *stream;
+    let Orientations::Rotations(logged) = &track.orientation else { return None };
+    let lag_s = stream_lag_s(joints, stream, most_lag_s);
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let expected: Vec<Option<Rotation>> = track
+        .t_s
+        .iter()
+        .map(|stamp| {
+            joints.at(stamp - lag_s, &mut cursor, &mut q, &mut qd).then(|| {
+                let own: Vec<f64> = columns.iter().map(|&column| q[column]).collect();
+                known[0] * chain.forward(&own).rotation
+            })
+        })
+        .collect();
+    let truths = decode_rotations(logged, &meant, &expected, &known[1], reference_known)?;
+    let is_inverted = meant.is_inverted || matches!(meant.encoding, PoseEncoding::Inverted);
+    let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
+        let xyz = meant.axes.positions.to_standard(*xyz);
+        if is_inverted { -(rotation * xyz) } else { xyz }
+    });
+    let xyz = xyz.collect();
+    Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
+}
+
+/// Decodes `logged` as `meant`, nearest to `expected` up to constant frames and a known `tool`. Samples
+/// without FK follow the previous one.
+pub(crate) fn decode_rotations(
+    logged: &[Rotation],
+    meant: &IntendedEncoding,
+    expected: &[Option<Rotation>],
+    tool: &Rotation,
+    reference_known: bool,
+) -> Option<Vec<Rotation>> {
+    let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)? * tool)));
+    let known: Vec<(usize, Rotation)> = known.collect();
+    let some = known.iter().step_by(known.len().div_ceil(MAX_FIT_SAMPLES).max(1));
+    let (rows, fk): (Vec<usize>, Vec<Rotation>) = some.copied().unzip();
+    let there: Vec<Rotation> = rows.iter().map(|&row| logged[row]).collect();
+    if there.is_empty() {
+        return None;
+    }
+    let axes = meant.axes.rotations;
+    let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
+    let after = RotationCorrections { conjugator, inverted: meant.is_inverted };
+    let samples = RotationSamples {
+        logged: LoggedRotations::Rotations(&there),
+        fk: &fk,
+        reference_free: true,
+        reference_known,
+        are_quaternions: true,
+        after,
+    };
+    let fit = fit_known(&samples, meant.encoding)?;
+    let all = LoggedRotations::Rotations(logged);
+    let mut buffer = Vec::new();
+    let mut last = fit.reference * fk[0] * fit.tool;
+    let mut truths = Vec::with_capacity(logged.len());
+    for (row, fk) in expected.iter().enumerate() {
+        let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
+        last = decode_nearest(&meant.encoding, &after, &all, row, &expected, &mut buffer)?;
+        truths.push(last);
+    }
+    Some(truths)
+}

@@ -1,0 +1,496 @@
+//! Estimates the encoding of a stream's rotations.
+//!
+//! Each candidate (as logged, 443 misinterpretations, permuted quaternions, transposed) is compared with FK
+//! on a few dozen samples, with and without constant frame errors. The simplest one near the smallest
+//! residual wins. Frame-independent invariants do not suffice, because several encodings differ only by a
+//! constant frame.
+
+use crate::arm::MAX_EXPLAINED_RAD;
+use crate::frames::rotation_frames::{
+    CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
+};
+use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
+use ground::geometry::{
+    Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
+    rotation_from_xyzw, xyzw_from_rotation,
+};
+use ground::stream::Orientations;
+use rayon::prelude::*;
+
+/// An accepted residual is within this ratio of the smallest, …
+const MAX_RESIDUAL_RATIO: f64 = 5.0;
+/// … or within this difference (0.05°).
+const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
+/// Above this, no candidate is accepted (20°).
+const MAX_RESIDUAL_RAD: f64 = 0.35;
+
+const MIN_SCREENING_SAMPLES: usize = 16;
+const SCREENING_ERROR_FACTOR: f64 = 1.5;
+/// Approximate number compared on all samples.
+const SCREENED_CANDIDATES: usize = 48;
+
+/// Of the largest tilt of an upright world (10°).
+const MIN_UPRIGHT_COSINE: f64 = 0.985;
+
+/// A tilt of gravity is a further fault.
+const TILT_RANK_PENALTY: u8 = 2;
+
+/// Samples with FK at the same times.
+pub(crate) struct RotationSamples<'a> {
+    pub logged: LoggedRotations<'a>,
+    pub fk: &'a [Rotation],
+    /// Whether the reference may have an error.
+    pub reference_free: bool,
+    /// If not, its rotation is not a fault.
+    pub reference_known: bool,
+    /// Whether components may be permuted.
+    pub are_quaternions: bool,
+    /// From positions, applied after decoding.
+    pub after: RotationCorrections,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RotationCorrections {
+    /// From the stream's axes to standard ones, by conjugation. `None` for standard axes.
+    pub conjugator: Option<Rotation>,
+    /// Whether whole poses are inverted.
+    pub inverted: bool,
+}
+
+impl RotationCorrections {
+    fn apply(&self, rotations: &mut [Rotation]) {
+        for rotation in rotations {
+            if let Some(conjugator) = self.conjugator {
+                *rotation = conjugator.inverse() * *rotation * conjugator;
+            }
+            if self.inverted {
+                *rotation = rotation.inverse();
+            }
+        }
+    }
+
+    /// Reported encoding if whole poses are inverted.
+    fn reported_encoding(&self, reading: PoseEncoding) -> PoseEncoding {
+        match reading {
+            PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
+            PoseEncoding::Transposed if self.inverted => PoseEncoding::AsLogged,
+            reading => reading,
+        }
+    }
+}
+
+/// As logged.
+#[derive(Clone, Copy)]
+pub(crate) enum LoggedRotations<'a> {
+    Rotations(&'a [Rotation]),
+    Numbers(&'a [[f64; 3]]),
+}
+
+impl<'a> LoggedRotations<'a> {
+    /// Orientations of a stream.
+    pub fn from_orientations(orientation: &'a Orientations) -> Self {
+        match orientation {
+            Orientations::Rotations(rotations) => Self::Rotations(rotations),
+            Orientations::Numbers(numbers) => Self::Numbers(numbers),
+            Orientations::Unset(_) => Self::Rotations(&[]),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FreeFrameErrors {
+    None,
+    Tool,
+    Reference,
+    Both,
+}
+
+impl FreeFrameErrors {
+    /// Number of frames.
+    pub fn frame_count(self) -> u8 {
+        match self {
+            Self::None => 0,
+            Self::Tool | Self::Reference => 1,
+            Self::Both => 2,
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct EncodingFit {
+    pub encoding: PoseEncoding,
+    pub frames: FreeFrameErrors,
+    pub reference: Rotation,
+    pub tool: Rotation,
+    /// Rms angle over the best 90 %, rad.
+    pub residual_rad: f64,
+}
+
+fn fill(
+    truths_of: &mut CandidateRotations,
+    reading: &PoseEncoding,
+    samples: &RotationSamples,
+    buffer: &mut Vec<Rotation>,
+) {
+    truths_of.clear();
+    let logged = &samples.logged;
+    let count = match logged {
+        LoggedRotations::Rotations(rotations) => rotations.len(),
+        LoggedRotations::Numbers(numbers) => numbers.len(),
+    };
+    for sample in 0..count {
+        candidate_rotations(reading, logged, sample, buffer);
+        samples.after.apply(buffer);
+        truths_of.push(buffer);
+    }
+}
+
+/// Possible true rotations of one sample.
+fn candidate_rotations(
+    reading: &PoseEncoding,
+    logged: &LoggedRotations,
+    sample: usize,
+    out: &mut Vec<Rotation>,
+) {
+    out.clear();
+    match (reading, logged) {
+        (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
+            out.push(convention.rotation(numbers[sample]));
+        }
+        (_, LoggedRotations::Numbers(_)) => {}
+        (
+            PoseEncoding::AsLogged | PoseEncoding::Numbers(_),
+            LoggedRotations::Rotations(rotations),
+        ) => {
+            out.push(rotations[sample]);
+        }
+        (
+            PoseEncoding::Transposed | PoseEncoding::Inverted,
+            LoggedRotations::Rotations(rotations),
+        ) => {
+            out.push(rotations[sample].inverse());
+        }
+        (PoseEncoding::QuaternionOrder(slip), LoggedRotations::Rotations(rotations)) => {
+            let q_xyzw = slip.true_xyzw(xyzw_from_rotation(&rotations[sample]));
+            out.extend(rotation_from_xyzw(q_xyzw));
+        }
+        (PoseEncoding::Misinterpreted(class), LoggedRotations::Rotations(rotations)) => {
+            class.members[0].true_rotations(&rotations[sample], out);
+        }
+    }
+}
+
+/// Decodes one sample to the branch nearest to `expected`.
+pub(crate) fn decode_nearest(
+    reading: &PoseEncoding,
+    after: &RotationCorrections,
+    logged: &LoggedRotations,
+    sample: usize,
+    expected: &Rotation,
+    buffer: &mut Vec<Rotation>,
+) -> Option<Rotation> {
+    candidate_rotations(reading, logged, sample, buffer);
+    after.apply(buffer);
+    nearest(buffer, expected).map(|(rotation, _)| rotation)
+}
+
+/// Encoding that follows FK.
+///
+/// # Errors
+/// If there are too few samples or no candidate follows FK.
+pub(crate) fn estimate_encoding(
+    samples: &RotationSamples,
+) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
+    estimate_encoding_with_gravity(samples, &[])
+}
+
+/// Like [`estimate_encoding`], with specific forces in the sensor frame. A candidate must leave gravity
+/// upright on average, unless only the world is rotated. Otherwise it explains one fault by two.
+pub(crate) fn estimate_encoding_with_gravity(
+    samples: &RotationSamples,
+    forces: &[Vec3],
+) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
+    let need = 3;
+    if samples.fk.len() < need {
+        return Err(NotObservable::TooFewSamples { have: samples.fk.len(), need });
+    }
+    let fits = all_fits(samples);
+    let Some(least) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
+        return Err(NotObservable::NoOrientation);
+    };
+    if least > MAX_RESIDUAL_RAD {
+        return Err(NotObservable::DoesNotFollow(least.cos()));
+    }
+    let accepted =
+        (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD).min(MAX_RESIDUAL_RAD);
+    let ranked: Vec<(u8, &EncodingFit)> = fits
+        .iter()
+        .map(|fit| {
+            let leans = fit.residual_rad <= accepted && tilts_gravity(fit, samples, forces);
+            (
+                simplicity(fit, samples.reference_known)
+                    + if leans { TILT_RANK_PENALTY } else { 0 },
+                fit,
+            )
+        })
+        .collect();
+    // A healthy arm with link deviations may have this as logged.
+    let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
+        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= MAX_EXPLAINED_RAD)
+    };
+    let accepted_ranks = ranked.iter().filter(is_accepted);
+    let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
+    let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
+    let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
+    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
+    // Prefer an upright world, then the most common encoding.
+    let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
+    let best =
+        *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
+    let near_best = (MAX_RESIDUAL_RATIO * best.residual_rad)
+        .max(best.residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
+        (Vec::new(), None);
+    let others = fits.iter().filter(|fit| {
+        fit.frames == best.frames && !is_same_encoding(&fit.encoding, &best.encoding)
+    });
+    let mut worse = 0;
+    for fit in others {
+        let named = samples.after.reported_encoding(fit.encoding);
+        if fit.residual_rad <= near_best {
+            equivalent.push(named);
+            continue;
+        }
+        worse += 1;
+        if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
+            runner_up = Some((named, fit.residual_rad));
+        }
+    }
+    let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
+    let as_logged = fits
+        .iter()
+        .find(|fit| matches!(named(fit), PoseEncoding::AsLogged) && fit.frames == best.frames);
+    let ranked = ranking(&fits, &best).into_iter();
+    let estimate = EncodingEstimate {
+        ranked: ranked
+            .map(|(reading, rad)| (samples.after.reported_encoding(reading), rad))
+            .collect(),
+        best: named(&best),
+        is_inverted: samples.after.inverted,
+        as_logged_rad: as_logged.map(|fit| fit.residual_rad),
+        best_rad: best.residual_rad,
+        runner_up,
+        is_determined: worse > equivalent.len(),
+        equivalent,
+    };
+    Ok((estimate, best))
+}
+
+/// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
+fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
+    /// Besides those two.
+    const MAX_RANKED: usize = 6;
+    let alike = fits.iter().filter(|fit| fit.frames == best.frames);
+    let mut alike: Vec<&EncodingFit> = alike.collect();
+    alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
+    let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
+        *rank < MAX_RANKED
+            || matches!(fit.encoding, PoseEncoding::AsLogged)
+            || is_same_encoding(&fit.encoding, &best.encoding)
+    };
+    let kept = alike.into_iter().enumerate().filter(is_kept);
+    kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
+}
+
+/// Except by rotating the world only.
+fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
+    let turned_world_only =
+        matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);
+    if turned_world_only && matches!(fit.encoding, PoseEncoding::AsLogged) {
+        return false;
+    }
+    let mut buffer = Vec::new();
+    let felt: Vec3 = forces
+        .iter()
+        .enumerate()
+        .filter_map(|(sample, force)| {
+            let expected = fit.reference * samples.fk[sample] * fit.tool;
+            let truth = decode_nearest(
+                &fit.encoding,
+                &samples.after,
+                &samples.logged,
+                sample,
+                &expected,
+                &mut buffer,
+            )?;
+            Some(truth * force)
+        })
+        .sum();
+    // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
+    let all: f64 = forces.iter().map(Vec3::norm).sum();
+    all > 0.0 && felt.z < MIN_UPRIGHT_COSINE * felt.norm().max(0.5 * all)
+}
+
+fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
+    match (a, b) {
+        (PoseEncoding::Misinterpreted(a), PoseEncoding::Misinterpreted(b)) => std::ptr::eq(*a, *b),
+        (PoseEncoding::QuaternionOrder(a), PoseEncoding::QuaternionOrder(b)) => a == b,
+        (PoseEncoding::Numbers(a), PoseEncoding::Numbers(b)) => a == b,
+        _ => std::mem::discriminant(a) == std::mem::discriminant(b),
+    }
+}
+
+/// Rank by faults; lower is simpler. Rotation of an unknown reference is no fault.
+fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
+    let fault =
+        u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
+    match (reference_known, fit.frames) {
+        (true, FreeFrameErrors::None) => fault,
+        (true, FreeFrameErrors::Tool | FreeFrameErrors::Reference) => 2 + fault,
+        (true, FreeFrameErrors::Both) => 4 + fault,
+        (false, FreeFrameErrors::None | FreeFrameErrors::Reference) => 2 * fault,
+        (false, FreeFrameErrors::Tool | FreeFrameErrors::Both) => 1 + 2 * fault,
+    }
+}
+
+fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
+    let is_possible = |reading: &PoseEncoding| {
+        samples.are_quaternions || !matches!(reading, PoseEncoding::QuaternionOrder(_))
+    };
+    match samples.logged {
+        LoggedRotations::Numbers(_) => {
+            Convention::all().iter().map(|&c| PoseEncoding::Numbers(c)).collect()
+        }
+        LoggedRotations::Rotations(_) => [PoseEncoding::AsLogged, PoseEncoding::Transposed]
+            .into_iter()
+            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))
+            .chain(misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted))
+            .filter(is_possible)
+            .collect(),
+    }
+}
+
+/// Fits of all candidates. If the stream fits as logged without a fault, other frames cannot win and are
+/// not tried.
+fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
+    let mut frames = allowed_frames(samples);
+    if let LoggedRotations::Rotations(_) = samples.logged {
+        let plain = &frames[..1];
+        let known = &mut Default::default();
+        let as_logged = fits_of(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
+        if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
+            frames = plain;
+        }
+    }
+    let each_of =
+        |samples: &RotationSamples, readings: Vec<PoseEncoding>| -> Vec<Vec<EncodingFit>> {
+            let fits_of = |(truths, buffer): &mut (CandidateRotations, Vec<_>),
+                           reading: PoseEncoding| {
+                fits_of(samples, frames, reading, truths, buffer)
+            };
+            readings.into_par_iter().map_init(Default::default, fits_of).collect()
+        };
+    let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
+    let logged: Vec<Rotation> = match samples.logged {
+        LoggedRotations::Rotations(all) if stride > 1 => {
+            all.iter().step_by(stride).copied().collect()
+        }
+        _ => return each_of(samples, candidate_encodings(samples)).concat(),
+    };
+    // Screen all on a few samples, then fit the near ones on all.
+    let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
+    let few = RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
+    let screened = each_of(&few, candidate_encodings(samples));
+    let left = |fits: &[EncodingFit]| {
+        fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+    };
+    let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
+    all.sort_by(f64::total_cmp);
+    let few_near = all[SCREENED_CANDIDATES.min(all.len() - 1)];
+    let near = match all[0] > SCREENING_ERROR_FACTOR * MAX_RESIDUAL_RAD {
+        true => few_near,
+        false => few_near.max(
+            SCREENING_ERROR_FACTOR
+                * (MAX_RESIDUAL_RATIO * all[0]).max(all[0] + MAX_RESIDUAL_DIFFERENCE_RAD),
+        ),
+    };
+    let again = |few: Vec<EncodingFit>| match few[0].encoding {
+        reading if left(&few) <= near || matches!(reading, PoseEncoding::AsLogged) => {
+            fits_of(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
+        }
+        _ => few,
+    };
+    screened.into_par_iter().flat_map_iter(again).collect()
+}
+
+/// The first is not a fault.
+fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
+    match (samples.reference_known, samples.reference_free) {
+        (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],
+        (true, false) => &[FreeFrameErrors::None, FreeFrameErrors::Tool],
+        (true, true) => &[
+            FreeFrameErrors::None,
+            FreeFrameErrors::Tool,
+            FreeFrameErrors::Reference,
+            FreeFrameErrors::Both,
+        ],
+    }
+}
+
+/// One fit per entry of `frames`.
+fn fits_of(
+    samples: &RotationSamples,
+    frames: &[FreeFrameErrors],
+    reading: PoseEncoding,
+    truths: &mut CandidateRotations,
+    buffer: &mut Vec<Rotation>,
+) -> Vec<EncodingFit> {
+    fill(truths, &reading, samples, buffer);
+    let fit = |&frames: &FreeFrameErrors| {
+        let (reference, tool) = match frames {
+            FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
+            FreeFrameErrors::Tool => {
+                (Rotation::identity(), fit_one_frame(truths, samples.fk, Side::Tool))
+            }
+            FreeFrameErrors::Reference => {
+                (fit_one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
+            }
+            FreeFrameErrors::Both => fit_both_frames(truths, samples.fk),
+        };
+        let residual_rad = residual(truths, samples.fk, &reference, &tool);
+        EncodingFit { encoding: reading, frames, reference, tool, residual_rad }
+    };
+    frames.iter().map(fit).collect()
+}
+
+/// Simplest among the close fits of a known encoding.
+pub(crate) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Option<EncodingFit> {
+    let known = &mut CandidateRotations::default();
+    let fits = fits_of(samples, allowed_frames(samples), reading, known, &mut Vec::new());
+    let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
+    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let near = fits.into_iter().filter(|fit| fit.residual_rad <= near);
+    near.min_by_key(|fit| simplicity(fit, samples.reference_known))
+}
+
+/// Rms angle to `reference · fk · tool` over the best 90 %.
+fn residual(
+    truths: &CandidateRotations,
+    fk: &[Rotation],
+    reference: &Rotation,
+    tool: &Rotation,
+) -> f64 {
+    let mut squares: Vec<f64> = fk
+        .iter()
+        .enumerate()
+        .map(|(sample, fk)| {
+            let expected = reference * fk * tool;
+            nearest(truths.of_sample(sample), &expected)
+                .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
+                .powi(2)
+        })
+        .collect();
+    let kept = (squares.len() * 9).div_ceil(10);
+    squares.sort_unstable_by(f64::total_cmp);
+    (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+}

@@ -1,0 +1,439 @@
+//! Constant frame errors: initial guesses and estimates.
+
+use super::position_fit::FkColumns;
+use super::rotation_frames::mean_rotation;
+use crate::model::measurement::{
+    PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
+};
+use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
+use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
+use ground::geometry::rotation_by_wahba;
+use ground::geometry::{
+    Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
+    rotvec_from_rotation,
+};
+use ground::stats::{MeasuredLength, joint_p_value};
+use nalgebra::{Matrix3, SMatrix, SVector};
+use std::sync::LazyLock;
+
+const INITIAL_GUESS_SAMPLES: usize = 120;
+/// If most deviations are smaller, the fit needs no initial guess.
+const MAX_UNGUESSED_RAD: f64 = 0.06;
+const MAX_UNGUESSED_M: f64 = 0.03;
+/// To identify a round rotation.
+const ROUND_TOLERANCE_RAD: f64 = 0.06;
+
+/// Starting states of a stream's fit, near joint offsets `offsets`. The first has no frame error. A stream
+/// far from FK adds closed-form frame errors, exact and round.
+pub(crate) fn starting_states(
+    witness: &PoseObservations,
+    latency_s: f64,
+    offsets: &[f64],
+) -> Vec<StreamState> {
+    let tool_part = witness.tool_part;
+    let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    if fk.len() < 3 {
+        return vec![plain];
+    }
+    let with = |reference: Pose, tool: Pose| StreamState { reference, tool, ..plain.clone() };
+    let identity = Pose::identity();
+    let (reference, tool) = fit_frames(&fk, &logged);
+    let mut starts = Vec::new();
+    if !witness.reference_known {
+        starts.push(with(reference_frame(&fk, &logged), identity));
+        starts.push(with(reference, tool));
+        return starts;
+    }
+    starts.push(plain.clone());
+    let far = fk.iter().zip(&logged).filter(|(fk, logged)| {
+        angle_between(&fk.rotation, &logged.rotation) > MAX_UNGUESSED_RAD
+            || (fk.translation.vector - logged.translation.vector).norm() > MAX_UNGUESSED_M
+    });
+    if far.count() * 4 < fk.len() {
+        return starts;
+    }
+    let reference_only = reference_frame(&fk, &logged);
+    let tool_only = tool_frame(&fk, &logged);
+    let first_joint = witness.chain.first_joint_frame();
+    starts.push(with(identity, tool_only));
+    starts.push(with(reference_only, identity));
+    starts.push(with(reference, tool));
+    if let Some(round) = round_frame_error(&reference_only, &first_joint) {
+        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        let start = StreamState { round_reference: Some(round), ..with(round, identity) };
+        starts.push(StreamState { tool: tool_frame(&turned, &logged), ..start.clone() });
+        starts.push(start);
+    }
+    if let Some(round) = round_frame_error(&reference, &first_joint) {
+        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        starts.push(StreamState {
+            round_reference: Some(round),
+            ..with(round, tool_frame(&turned, &logged))
+        });
+    }
+    if let Some(round) = round_rotation(&tool_only.rotation) {
+        let shifted = pose(tool_only.translation.vector.into(), round.rotation);
+        starts.push(StreamState { round_tool: Some(round), ..with(identity, round) });
+        starts.push(StreamState { round_tool: Some(round), ..with(identity, shifted) });
+    }
+    starts
+}
+
+/// FK and logged poses of a subset of samples.
+fn pose_pairs(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> (Vec<Pose>, Vec<Pose>) {
+    let mut sweep = PredictionBuffers::new(witness);
+    let step = witness.len().div_ceil(INITIAL_GUESS_SAMPLES).max(1);
+    (0..witness.len())
+        .step_by(step)
+        .filter_map(|k| {
+            let fk = witness.pose_at(k, state, offsets, &mut sweep)?;
+            Some((fk, pose(witness.xyz[k].into(), witness.rotation[k])))
+        })
+        .unzip()
+}
+
+fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
+    let n = points.len().max(1) as f64;
+    points.sum::<Vec3>() / n
+}
+
+fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
+    let turns: Vec<Rotation> =
+        fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
+    let turn = mean_rotation(&turns);
+    let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
+    pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
+}
+
+/// Sets both frames of `state` to those determined by positions at its latency.
+pub(crate) fn with_frames_from_positions(
+    witness: &PoseObservations,
+    state: StreamState,
+    offsets: &[f64],
+) -> StreamState {
+    let identity = Pose::identity();
+    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    if fk.len() < 3 {
+        return state;
+    }
+    let (reference, tool) = frames_from_positions(&fk, &logged);
+    StreamState { reference, tool, ..state }
+}
+
+fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
+    let (reference, point) = FkColumns::from_poses(fk).fit_rigid_or_collinear(&xyz);
+    let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
+    let turn = tool_frame(&turned, logged).rotation;
+    (reference, pose(point.into(), turn))
+}
+
+/// Tool frame that best maps FK to the logged poses.
+pub(crate) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
+    let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
+    let turns: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
+    pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
+}
+
+/// Same for a stream without a reference error. `None` if there are too few samples.
+pub(crate) fn tool_start(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> Option<Pose> {
+    let plain = StreamState { tool: Pose::identity(), ..state.clone() };
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
+}
+
+/// Assumed position noise, and the lever arm that converts rotation to position residuals.
+const START_NOISE_M: f64 = 1e-3;
+const START_LEVER_M: f64 = 0.3;
+/// Prior on the marker's distance from the tip: a hand with its tool. It bounds unobservable directions.
+const MARKER_PRIOR_M: f64 = 0.5;
+const MAX_ITERATIONS: usize = 25;
+const CONVERGED_COST_DECREASE: f64 = 1e-6;
+
+/// Closed-form reference and tool frame (`A X = X B`; Park and Martin 1994).
+pub(crate) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    frames_for_rotation(rotation_by_wahba(&relative_rotations(fk, logged)), fk, logged)
+}
+
+/// Fits reference and tool frame together.
+///
+/// The cost has several minima if the hand rotates little or about one axis. Starts are one rotation from
+/// relative rotations (Park and Martin 1994), one from positions (Kabsch 1976), and four that align the
+/// common axis. Returns the best pair.
+fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    let correlation = relative_rotations(fk, logged);
+    let by_positions = frames_from_positions(fk, logged);
+    let turns = candidate_reference_rotations(&correlation, &by_positions.0.rotation);
+    let starts =
+        turns.into_iter().map(|turn| frames_for_rotation(turn, fk, logged)).chain([by_positions]);
+    starts
+        .map(|(reference, tool)| refine_frames(fk, logged, reference, tool))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
+}
+
+/// Residual after fitting constant frames, rms m and rad.
+pub(crate) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
+    let (reference, tool) = fit_frames(fk, logged);
+    let (mut squares_m, mut squares_rad) = (0.0, 0.0);
+    for (fk, logged) in fk.iter().zip(logged) {
+        let left = (reference * fk * tool).inverse() * logged;
+        squares_m += left.translation.vector.norm_squared();
+        squares_rad += left.rotation.angle().powi(2);
+    }
+    [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
+}
+
+/// Same for a stream at its latency with joint offsets.
+pub(crate) fn constant_frame_residual(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> [f64; 2] {
+    let identity = Pose::identity();
+    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    misfit_of_frames(&fk, &logged)
+}
+
+/// Correlation `Σ stream·FKᵀ` of relative rotation vectors.
+fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
+    let n = fk.len();
+    let stride = (n / 3).max(1);
+    let pair = |a: usize| {
+        let b = (a + stride) % n;
+        let by_stream = rotvec_from_rotation(&(logged[b].rotation * logged[a].rotation.inverse()));
+        let by_fk = rotvec_from_rotation(&(fk[b].rotation * fk[a].rotation.inverse()));
+        by_stream * by_fk.transpose()
+    };
+    (0..n).map(pair).sum()
+}
+
+/// Candidate reference rotations: the least-squares solution, and four that align the common axis, a
+/// quarter turn apart, starting nearest to `about`.
+fn candidate_reference_rotations(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
+    let mut turns = vec![rotation_by_wahba(correlation)];
+    let svd = correlation.svd(true, true);
+    if let (Some(u), Some(v_t)) = (svd.u, svd.v_t) {
+        let in_stream: Vec3 = u.column(0).into();
+        let by_fk: Vec3 = v_t.row(0).transpose();
+        let to_axis = Rotation::rotation_between(&(about * by_fk), &in_stream);
+        let aligned = to_axis.unwrap_or_default() * about;
+        turns.extend((0..4).map(|quarter| {
+            let angle = f64::from(quarter) * std::f64::consts::FRAC_PI_2;
+            rotation_from_rotvec(in_stream * angle) * aligned
+        }));
+    }
+    turns
+}
+
+fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    let tools: Vec<Rotation> =
+        fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
+    let tool_turn = mean_rotation(&tools);
+    // p = t + turn·(p_fk + R_fk·c): linear in t and c.
+    let mut normal = SMatrix::<f64, 6, 6>::zeros();
+    let mut right = SVector::<f64, 6>::zeros();
+    for (fk, l) in fk.iter().zip(logged) {
+        let r = (turn * fk.rotation).to_rotation_matrix();
+        let mut rows = SMatrix::<f64, 3, 6>::zeros();
+        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(r.matrix());
+        let target = l.translation.vector - turn * fk.translation.vector;
+        normal += rows.transpose() * rows;
+        right += rows.transpose() * target;
+    }
+    for i in 3..6 {
+        normal[(i, i)] += (START_NOISE_M / MARKER_PRIOR_M).powi(2);
+    }
+    let solution = normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right));
+    let xyz = |first: usize| [solution[first], solution[first + 1], solution[first + 2]];
+    (pose(xyz(0), turn), pose(xyz(3), tool_turn))
+}
+
+/// Twelve parameters, reference first.
+type Frames12 = (SMatrix<f64, 12, 12>, SVector<f64, 12>);
+
+/// Predicted pose, weighted position residual, weighted rotation residual.
+fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, Vec3, Vec3) {
+    let predicted = reference * fk * tool;
+    let position = (logged.translation.vector - predicted.translation.vector) / START_NOISE_M;
+    let rotation = rotvec_from_rotation(&(logged.rotation * predicted.rotation.inverse()));
+    (predicted, position, rotation * (START_LEVER_M / START_NOISE_M))
+}
+
+/// Includes the prior on the marker's distance.
+fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
+    let square = |(fk, l): (&Pose, &Pose)| {
+        let (_, position, rotation) = residuals(fk, l, reference, tool);
+        position.norm_squared() + rotation.norm_squared()
+    };
+    let prior = tool.translation.vector.norm_squared() / MARKER_PRIOR_M.powi(2);
+    fk.iter().zip(logged).map(square).sum::<f64>() + prior
+}
+
+fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> Frames12 {
+    let (mut normal, mut right) = (SMatrix::zeros(), SVector::zeros());
+    let turn_weight = START_LEVER_M / START_NOISE_M;
+    for (fk, l) in fk.iter().zip(logged) {
+        let (predicted, position, rotation) = residuals(fk, l, reference, tool);
+        let hand = *predicted.rotation.to_rotation_matrix().matrix();
+        let lever = predicted.translation.vector.cross_matrix();
+        let mut rows = SMatrix::<f64, 6, 12>::zeros();
+        let identity = Matrix3::<f64>::identity();
+        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&(identity / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-lever / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(hand / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(3, 3).copy_from(&(identity * turn_weight));
+        rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(hand * turn_weight));
+        let mut residual = SVector::<f64, 6>::zeros();
+        residual.fixed_rows_mut::<3>(0).copy_from(&position);
+        residual.fixed_rows_mut::<3>(3).copy_from(&rotation);
+        normal += rows.transpose() * rows;
+        right += rows.transpose() * residual;
+    }
+    let prior = MARKER_PRIOR_M.powi(-2);
+    let pull = tool.rotation.inverse() * tool.translation.vector * prior;
+    for axis in 0..3 {
+        normal[(6 + axis, 6 + axis)] += prior;
+        right[6 + axis] -= pull[axis];
+    }
+    (normal, right)
+}
+
+/// Levenberg–Marquardt. Returns the cost first.
+fn refine_frames(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
+    let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
+    let mut damping = 1e-6;
+    for _ in 0..MAX_ITERATIONS {
+        let (normal, right) = normal_equations(fk, logged, &best.1, &best.2);
+        let before = best.0;
+        while damping < 1e3 {
+            let mut damped = normal;
+            for i in 0..12 {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let step = damped.cholesky().map(|cholesky| cholesky.solve(&right));
+            let moved = step.map(|step| {
+                let reference = pose_of_twist(&step.as_slice()[..6]) * best.1;
+                let tool = best.2 * pose_of_twist(&step.as_slice()[6..]);
+                (cost_of(fk, logged, &reference, &tool), reference, tool)
+            });
+            match moved.filter(|moved| moved.0 < best.0) {
+                Some(moved) => {
+                    best = moved;
+                    damping = (damping * 0.1).max(1e-9);
+                    break;
+                }
+                None => damping *= 10.0,
+            }
+        }
+        if before - best.0 <= CONVERGED_COST_DECREASE * before {
+            break;
+        }
+    }
+    best
+}
+
+/// Nearest quarter turn within [`ROUND_TOLERANCE_RAD`], excluding the identity.
+fn round_rotation(rotation: &Rotation) -> Option<Pose> {
+    static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
+    QUARTER_TURNS
+        .iter()
+        .find(|quarter| angle_between(quarter, rotation) < ROUND_TOLERANCE_RAD)
+        .map(|quarter| pose([0.0; 3], *quarter))
+}
+
+/// Round rotation nearest to `frame`, about its origin or the first joint, where the arm may be mounted.
+fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
+    let away_m =
+        |round: &Pose| (round.translation.vector - frame.translation.vector).norm_squared();
+    let at_joint = round_rotation(&(first_joint.inverse() * frame * first_joint).rotation)
+        .map(|round| first_joint * round * first_joint.inverse());
+    let both = [round_rotation(&frame.rotation), at_joint];
+    both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
+}
+
+/// The 23 axis permutations without the identity.
+fn quarter_turns() -> Vec<Rotation> {
+    let axes = [0usize, 1, 2];
+    let signs = [1.0, -1.0];
+    let mut turns = Vec::new();
+    for x in axes {
+        for y in axes.into_iter().filter(|&y| y != x) {
+            for (sx, sy) in signs.into_iter().flat_map(|sx| signs.map(|sy| (sx, sy))) {
+                let first = Vec3::ith(x, sx);
+                let second = Vec3::ith(y, sy);
+                let third = first.cross(&second);
+                let rows = std::array::from_fn(|r| [first[r], second[r], third[r]]);
+                turns.extend(rotation_from_matrix_rows(rows).map(|(rotation, _)| rotation));
+            }
+        }
+    }
+    turns.retain(|turn| turn.angle() > 0.1);
+    turns
+}
+
+/// Estimates one frame with `causes` and the always-free causes free.
+pub(crate) fn frame_estimate(
+    explanation: &SelectedModel,
+    menu: &CandidateCauses,
+    causes: &[Cause],
+    cause: Cause,
+    stream: usize,
+) -> EstimateResult<FrameEstimate> {
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let mut parameters: Vec<usize> =
+        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters.dedup();
+    let own = cause.parameters(state);
+    let width = own.len();
+    let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;
+    let covariance = linear.covariance(&parameters, state);
+    let block = covariance.view((first, first), (width, width)).into_owned();
+    if !block.diagonal().iter().all(|variance| variance.is_finite()) {
+        return Err(NotObservable::NotExcited);
+    }
+    let mut moved = state.clone();
+    moved.step(&linear.step(&parameters));
+    let found = &moved.streams[stream];
+    let (frame, round) = match cause {
+        Cause::Tool(_) => (found.tool, found.round_tool),
+        _ => (found.reference, found.round_reference),
+    };
+    let twist = twist_of(&frame);
+    let dof = linear.dof(parameters.len());
+    let tuned = moved.values().rows(own.start, width).into_owned();
+    let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
+    let is_tool = matches!(cause, Cause::Tool(_));
+    let part = if is_tool { found.tool_part.range() } else { 0..6 };
+    let length = |first: usize| {
+        let Some(at) = first.checked_sub(part.start).filter(|_| part.contains(&first)) else {
+            // The rotation is not observable.
+            return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
+        };
+        let own = block.view((at, at), (3, 3)).into_owned();
+        MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
+    };
+    let chosen = round.is_some() || explanation.causes.contains(&cause);
+    // The model maps base coordinates to the stream's; the reported error is the inverse.
+    let pose = if is_tool { frame } else { frame.inverse() };
+    Ok(FrameEstimate {
+        pose,
+        translation_m: length(0),
+        rotation_rad: length(3),
+        p_value,
+        is_chosen: chosen,
+    })
+}

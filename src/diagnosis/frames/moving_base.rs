@@ -1,0 +1,400 @@
+//! Arms with a moving base, whose poses are in a frame that does not move along.
+
+use super::constant_frames::misfit_of_frames;
+use super::position_fit::spread;
+use crate::PoseStream;
+use crate::encodings::position::metres_by_size;
+use crate::latency::correlation::ArmSpeeds;
+use ground::geometry::{Pose, Vec3};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+
+const MAX_SAMPLES: usize = 300;
+const MIN_SAMPLES: usize = 20;
+/// For latency and lag.
+const MAX_LAG_S: f64 = 0.5;
+const INITIAL_STEP_S: f64 = 0.02;
+const FINAL_STEP_S: f64 = 2e-5;
+/// Separate latencies of transforms and poses must reduce the residual to this fraction, …
+const MAX_RESIDUAL_RATIO: f64 = 0.7;
+/// … and differ by more than this.
+const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
+/// With a residual above the first fraction of the extent, joints may be misinterpreted. A lag must then
+/// reduce it below the second fraction.
+const MAX_RESIDUAL_SHARE: f64 = 0.1;
+const MAX_RESIDUAL_RATIO_OFF_ARM: f64 = 0.5;
+
+/// Time at which to evaluate the transform of a moving frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MovingBaseLag {
+    /// Before the poses' stamps, s.
+    pub lag_s: f64,
+    /// Whether it equals the poses' latency, so transforms are on time.
+    pub is_on_time: bool,
+}
+
+/// Time at which to evaluate the transform of `logged`'s frame to match FK: minimises the position residual
+/// of `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool` over λ and τ, which are equal unless
+/// separate values fit clearly better. `None` if too few samples have a transform.
+///
+/// `stream` gives chain and columns; `base_from_frame` is defined at some times only.
+pub fn estimate_moving_base_lag(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    logged: &PoseTrack,
+    base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
+    most_lag_s: f64,
+) -> Option<MovingBaseLag> {
+    let rows = sample_rows(logged.t_s.len());
+    let cost = |lag_s: f64, latency_s: f64| -> f64 {
+        let mut fk = FkSequence::new(joints, stream);
+        let offsets = rows.iter().filter_map(|&row| {
+            let t_s = logged.t_s[row];
+            let at = base_from_frame(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
+            let arm = fk.at(t_s - latency_s)?;
+            Some(arm.rotation.inverse() * (at.coords - arm.translation.vector))
+        });
+        let offsets: Vec<Vec3> = offsets.collect();
+        if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
+            return f64::INFINITY;
+        }
+        // About a constant tool offset.
+        let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
+        let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
+        (squares.sum::<f64>() / offsets.len() as f64).sqrt()
+    };
+    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
+    let best = lags.min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
+    let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
+    let left = cost(together, together);
+    if !left.is_finite() {
+        return None;
+    }
+    let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
+    let in_base = rows.iter().filter_map(|&row| {
+        let at = base_from_frame(logged.t_s[row])? * nalgebra::Point3::from(logged.xyz[row]);
+        Some(at.coords)
+    });
+    let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
+    let least = cost(lag_s, latency_s);
+    if least > MAX_RESIDUAL_SHARE * extent_m && least > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
+    {
+        // No lag matches FK: joints may be misinterpreted, so keep the stamps.
+        return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
+    }
+    let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
+        || cost(lag_s, latency_s) > MAX_RESIDUAL_RATIO * left;
+    Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
+}
+
+/// Pattern search (Hooke and Jeeves 1961): steps along axes and diagonals, halved when none improves.
+fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
+    const SEARCH_DIRECTIONS: [[f64; 2]; 8] = [
+        [1.0, 0.0],
+        [-1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, -1.0],
+        [1.0, 1.0],
+        [-1.0, -1.0],
+        [1.0, -1.0],
+        [-1.0, 1.0],
+    ];
+    let (mut at, mut least, mut step) = (start, cost(start), INITIAL_STEP_S);
+    while step > FINAL_STEP_S {
+        let ways =
+            SEARCH_DIRECTIONS.iter().map(|way| [at[0] + step * way[0], at[1] + step * way[1]]);
+        let best = ways.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
+        match best {
+            Some((less, to)) if less < least => (at, least) = (to, less),
+            _ => step *= 0.5,
+        }
+    }
+    at
+}
+
+/// Motion of a base in the frame of its poses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseMotion {
+    /// Largest distance from the mean, m.
+    pub travel_m: f64,
+    /// Largest rotation from the first, rad.
+    pub turn_rad: f64,
+}
+
+/// Detects a base that moves in the frame of its poses, as on a vehicle, lift or rail. At some latency, the
+/// base pose from FK must move in a plane or on a line and rotate about one axis only, with several times
+/// more travel than deviation.
+pub fn detect_base_motion(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> Option<BaseMotion> {
+    /// An arm that differs from its model can deviate by less.
+    const MIN_TRAVEL_M: f64 = 0.1;
+    /// Travel to deviation.
+    const MIN_TRAVEL_RATIO: f64 = 10.0;
+    /// Between samples, as a fraction of the travel. A larger step is a base that was pushed once.
+    const MAX_STEP_SHARE: f64 = 0.5;
+    let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
+    let rows = sample_rows(stream.track.t_s.len());
+    let bases = |latency_s: f64| -> Vec<Pose> {
+        let mut fk = FkSequence::new(joints, stream);
+        let of_row = |&row: &usize| {
+            let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
+            Some(logged * fk.at(stream.track.t_s[row] - latency_s)?.inverse())
+        };
+        rows.iter().filter_map(of_row).collect()
+    };
+    let strays = |latency_s: f64| -> f64 {
+        let bases = bases(latency_s);
+        match 2 * bases.len() < rows.len() || bases.len() < MIN_SAMPLES {
+            true => f64::INFINITY,
+            false => PlanarTravel::fit(&bases).deviation_m,
+        }
+    };
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let peaks = arm.lag_peaks(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
+    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
+    let near: Vec<f64> = peaks.iter().take(3).map(|peak| peak.lag_s).collect();
+    let best = lags.chain(near.iter().copied()).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
+    let latency_s = descend([best, 0.0], &|[latency_s, _]| strays(latency_s))[0];
+    let bases = bases(latency_s);
+    if bases.len() < MIN_SAMPLES {
+        return None;
+    }
+    let course = PlanarTravel::fit(&bases);
+    let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
+    let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
+    let middle =
+        bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
+    let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
+    let travel_m = far.fold(0.0, f64::max);
+    let moves = travel_m > MIN_TRAVEL_M
+        && course.along_m > MIN_TRAVEL_RATIO * course.deviation_m
+        && largest_m < MAX_STEP_SHARE * course.along_m
+        && !near
+            .into_iter()
+            .chain([latency_s])
+            .any(|lag_s| is_base_fixed(joints, stream, lag_s, course.along_m / MIN_TRAVEL_RATIO));
+    moves.then(|| {
+        let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
+        BaseMotion { travel_m, turn_rad: turned.fold(0.0, f64::max) }
+    })
+}
+
+/// Whether a fixed base, with constant world frame and marker, has a position residual below `most_m` rms,
+/// in metres or the unit whose spread matches FK. Otherwise a tool of constant orientation or a single
+/// rotation axis resembles a moving base.
+fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
+    let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
+    let mut fk = FkSequence::new(joints, stream);
+    let both = sample_rows(stream.track.t_s.len()).into_iter().filter_map(|row| {
+        let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
+        Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
+    });
+    let (fk, logged): (Vec<Pose>, Vec<Pose>) = both.unzip();
+    [1.0, metres_by_size(joints, stream)].into_iter().any(|metres| {
+        let scaled = |pose: &Pose| {
+            Pose::from_parts((pose.translation.vector * metres).into(), pose.rotation)
+        };
+        let logged: Vec<Pose> = logged.iter().map(scaled).collect();
+        misfit_of_frames(&fk, &logged)[0] < most_m * metres
+    })
+}
+
+/// Travel in the plane normal to the rotation axis.
+struct PlanarTravel {
+    along_m: f64,
+    deviation_m: f64,
+}
+
+impl PlanarTravel {
+    /// From rotations to lengths.
+    const LEVER_M: f64 = 0.5;
+    /// Smaller values of `1 − σ_min` of the mean rotation are a constant orientation (5 mrad rms).
+    const MIN_ROTATION_SPREAD: f64 = 1e-5;
+
+    fn fit(poses: &[Pose]) -> Self {
+        let n = poses.len().max(1) as f64;
+        let mut mean = nalgebra::Matrix3::zeros();
+        for pose in poses {
+            mean += pose.rotation.to_rotation_matrix().into_inner() / n;
+        }
+        let middle = poses.iter().map(|pose| pose.translation.vector).sum::<Vec3>() / n;
+        let away: Vec<Vec3> = poses.iter().map(|pose| pose.translation.vector - middle).collect();
+        let scatter =
+            away.iter().map(|away| away * away.transpose()).sum::<nalgebra::Matrix3<f64>>() / n;
+        let squares = scatter.symmetric_eigenvalues();
+        let svd = mean.svd(true, true);
+        let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+            return Self { along_m: 0.0, deviation_m: f64::INFINITY };
+        };
+        let turns = 1.0 - svd.singular_values.min();
+        let (across, leans_rad) = if turns < Self::MIN_ROTATION_SPREAD {
+            // Only positions define the plane.
+            (squares.min(), (2.0 * turns).max(0.0).sqrt())
+        } else {
+            // Body axis that varies least, and its direction.
+            let at = svd.singular_values.imax();
+            let (up, axis) = (u.column(at).into_owned(), v_t.row(at).transpose());
+            let leans = poses.iter().map(|pose| (pose.rotation * axis - up).norm_squared());
+            let across = away.iter().map(|away| away.dot(&up).powi(2));
+            (across.sum::<f64>() / n, (leans.sum::<f64>() / n).sqrt())
+        };
+        Self {
+            along_m: (squares.sum() - across).max(0.0).sqrt(),
+            deviation_m: across.max(0.0).sqrt().hypot(Self::LEVER_M * leans_rad),
+        }
+    }
+}
+
+/// At mostly increasing times.
+struct FkSequence<'a> {
+    joints: &'a JointTrack,
+    stream: &'a PoseStream<'a>,
+    cursor: usize,
+    row: Vec<f64>,
+    rates: Vec<f64>,
+    q: Vec<f64>,
+}
+
+impl<'a> FkSequence<'a> {
+    fn new(joints: &'a JointTrack, stream: &'a PoseStream<'a>) -> Self {
+        let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
+        Self { joints, stream, cursor: 0, row, rates, q: vec![0.0; stream.columns.len()] }
+    }
+
+    fn at(&mut self, t_s: f64) -> Option<Pose> {
+        if !self.joints.at(t_s, &mut self.cursor, &mut self.row, &mut self.rates) {
+            return None;
+        }
+        for (q, &column) in self.q.iter_mut().zip(self.stream.columns) {
+            *q = self.row[column];
+        }
+        Some(self.stream.chain.forward(&self.q))
+    }
+}
+
+fn sample_rows(rows: usize) -> Vec<usize> {
+    (0..rows).step_by(rows.div_ceil(MAX_SAMPLES).max(1)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_motion::arm;
+    use ground::geometry::rotation_from_rpy;
+
+    fn odometry(t_s: f64) -> Pose {
+        let turn = rotation_from_rpy([0.0, 0.0, 0.4 * (0.27 * t_s).sin()]);
+        Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
+    }
+
+    /// In `frame(t)`, with a constant latency.
+    fn track(
+        joints: &JointTrack,
+        chain: &ground::robot::Chain,
+        latency_s: f64,
+        frame: impl Fn(f64) -> Pose,
+    ) -> PoseTrack {
+        let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp - latency_s, &mut 0, &mut q, &mut qd));
+            let pose = frame(stamp - latency_s) * chain.forward(&q);
+            t_s.push(stamp);
+            xyz.push(pose.translation.vector);
+            rotations.push(pose.rotation);
+        }
+        PoseTrack { t_s, xyz, orientation: Orientations::Rotations(rotations), declared: None }
+    }
+
+    fn stream<'a>(track: &'a PoseTrack, chain: &'a ground::robot::Chain) -> PoseStream<'a> {
+        const COLUMNS: [usize; 6] = [0, 1, 2, 3, 4, 5];
+        PoseStream {
+            track,
+            chain,
+            columns: &COLUMNS,
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+            removed_ramp: None,
+        }
+    }
+
+    #[test]
+    fn transforms_are_taken_when_they_were_true_be_they_late_or_not() {
+        let (joints, chain) = arm();
+        let logged = track(&joints, &chain, 0.03, odometry);
+        let lag = |edge_s: f64| {
+            let at = move |t_s: f64| Some(odometry(t_s - edge_s).inverse());
+            estimate_moving_base_lag(&joints, &stream(&logged, &chain), &logged, &at, 5.0).unwrap()
+        };
+        let (on_time, late) = (lag(0.0), lag(0.05));
+        assert!(on_time.is_on_time && (on_time.lag_s - 0.03).abs() < 2e-4, "{on_time:?}");
+        assert!(!late.is_on_time && (late.lag_s + 0.02).abs() < 1e-3, "{late:?}");
+    }
+
+    #[test]
+    fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
+        // A gantry with prismatic joints only.
+        let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
+            let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
+            urdf + &format!(
+                "<link name=\"l{}\"/><joint name=\"{axis}\" type=\"prismatic\"><parent link=\"l{n}\"/>\
+                 <child link=\"l{}\"/><axis xyz=\"{unit}\"/><limit lower=\"-2\" upper=\"2\" effort=\"1\" \
+                 velocity=\"2\"/></joint>",
+                n + 1,
+                n + 1
+            )
+        });
+        let urdf = format!("<robot name=\"g\"><link name=\"l0\"/>{urdf}</robot>");
+        let robot = ground::robot::Robot::from_urdf(&urdf, "g").unwrap();
+        let link = |name| robot.link(name).unwrap();
+        let chain = robot.chain(link("l0"), link("l3")).unwrap();
+        let mut joints = JointTrack { dof: 3, ..Default::default() };
+        for row in 0..2500 {
+            let t_s = f64::from(row) * 0.008;
+            joints.t_s.push(t_s);
+            joints.q.extend([0.3 * (0.9 * t_s).sin(), 0.2 * (0.31 * t_s).cos(), 0.0]);
+            joints.qd.extend([0.27 * (0.9 * t_s).cos(), -0.062 * (0.31 * t_s).sin(), 0.0]);
+        }
+        let world = Pose::from_parts([1.0, 0.2, 0.4].into(), rotation_from_rpy([0.1, -0.2, 2.1]));
+        let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
+        let mut track = PoseTrack {
+            t_s: Vec::new(),
+            xyz: Vec::new(),
+            orientation: Orientations::Rotations(Vec::new()),
+            declared: None,
+        };
+        let (mut q, mut qd) = ([0.0; 3], [0.0; 3]);
+        let mut rotations = Vec::new();
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp, &mut 0, &mut q, &mut qd));
+            let pose = world * chain.forward(&q) * body;
+            track.t_s.push(stamp);
+            track.xyz.push(pose.translation.vector);
+            rotations.push(pose.rotation);
+        }
+        track.orientation = Orientations::Rotations(rotations);
+        let stream = PoseStream { columns: &[0, 1, 2], ..stream(&track, &chain) };
+        assert_eq!(detect_base_motion(&joints, &stream, 5.0), None);
+    }
+
+    #[test]
+    fn a_base_that_drives_is_told_from_one_that_stands_and_from_an_arm_that_is_another() {
+        let (joints, chain) = arm();
+        let travel = |track: PoseTrack| detect_base_motion(&joints, &stream(&track, &chain), 5.0);
+        let driven = travel(track(&joints, &chain, 0.03, odometry)).unwrap();
+        assert!(driven.travel_m > 1.0 && (driven.turn_rad - 0.8).abs() < 0.4, "{driven:?}");
+        assert_eq!(travel(track(&joints, &chain, 0.0, |_| odometry(3.0))), None);
+        let pushed = |t_s: f64| odometry(if t_s < 9.0 { 1.0 } else { 2.0 });
+        assert_eq!(travel(track(&joints, &chain, 0.0, pushed)), None);
+        let mut other = track(&joints, &chain, 0.0, |_| Pose::identity());
+        other.xyz.iter_mut().for_each(|xyz| xyz.x += 0.3 * xyz.y * xyz.z);
+        assert_eq!(travel(other), None);
+    }
+}

@@ -1,0 +1,185 @@
+//! Compares positions with FK before rotations are decoded.
+
+use ground::geometry::rotation_by_wahba;
+use ground::geometry::{Pose, Rotation, Vec3, pose};
+use nalgebra::Matrix3;
+
+/// Relative to the extent, for positions to match FK.
+pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
+/// Of the second direction to the first, to determine a rotation.
+const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
+
+/// In the unit of the positions.
+const CONVERGED_TOOL_CHANGE: f64 = 1e-8;
+
+/// FK poses at a stream's samples.
+pub(crate) struct FkColumns {
+    pub xyz: Vec<Vec3>,
+    pub rotation: Vec<Rotation>,
+}
+
+impl FkColumns {
+    /// Columns of `poses`.
+    pub fn from_poses(poses: &[Pose]) -> Self {
+        let (xyz, rotation) =
+            poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
+        Self { xyz, rotation }
+    }
+
+    /// Rms of `xyz − fk − R·t` at the best tool offset `t`.
+    pub fn tool_misfit(&self, xyz: &[Vec3]) -> f64 {
+        self.misfit_at(xyz, &Pose::identity())
+    }
+
+    /// Smallest rms over a tool offset, with or without a rigid reference, in the unit of `xyz`.
+    pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
+        let plain = self.tool_misfit(xyz);
+        self.fit_rigid(xyz)
+            .map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
+    }
+
+    /// Like [`FkColumns::fit_rigid`]. The rotation about collinear positions is arbitrary.
+    pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
+        self.fit_rigid(xyz).unwrap_or_else(|| {
+            let reference = rigid_transform_from(&self.xyz, xyz, &products(&self.xyz, xyz));
+            (reference, self.tool(xyz, &reference))
+        })
+    }
+
+    /// Reference and tool offset with the smallest misfit, after at most `turns` iterations; 0 fits the
+    /// tool only.
+    pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
+        let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
+        let found = if turns > 0 { self.fit_rigid_iterations(xyz, turns) } else { None };
+        match found {
+            Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
+            _ => plain,
+        }
+    }
+
+    /// Rms of `reference⁻¹·xyz − fk − R·t` at the best `t`.
+    fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
+        let tool = self.tool(xyz, reference);
+        let left = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
+        (left.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
+    }
+
+    /// Offsets from FK, in the tool frame.
+    fn offsets(&self, xyz: &[Vec3], reference: &Pose) -> impl Iterator<Item = Vec3> {
+        let to_base = reference.inverse();
+        let samples = xyz.iter().zip(self.xyz.iter().zip(&self.rotation));
+        samples.map(move |(p, (fk, rotation))| {
+            rotation.inverse() * ((to_base * nalgebra::Point3::from(*p)).coords - fk)
+        })
+    }
+
+    fn tool(&self, xyz: &[Vec3], reference: &Pose) -> Vec3 {
+        self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
+    }
+
+    /// Fits reference (Kabsch 1976) and tool (mean) alternately. `None` if positions are collinear.
+    pub fn fit_rigid(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
+        self.fit_rigid_iterations(xyz, 30)
+    }
+
+    fn fit_rigid_iterations(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
+        let mut tool = Vec3::zeros();
+        let mut reference = Pose::identity();
+        for _ in 0..turns {
+            let points: Vec<Vec3> = self
+                .xyz
+                .iter()
+                .zip(&self.rotation)
+                .map(|(fk, rotation)| fk + rotation * tool)
+                .collect();
+            reference = rigid_transform(&points, xyz)?;
+            let before = std::mem::replace(&mut tool, self.tool(xyz, &reference));
+            if (tool - before).norm() < CONVERGED_TOOL_CHANGE {
+                break;
+            }
+        }
+        Some((reference, tool))
+    }
+}
+
+/// `None` if collinear.
+fn rigid_transform(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
+    Some(rigid_transform_from(from, to, &correlation(from, to)?))
+}
+
+fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
+    let turn = rotation_by_wahba(correlation);
+    let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    pose((mean(to) - turn * mean(from)).into(), turn)
+}
+
+/// Best rotation about the means, with a reflection if `sign` is −1. `None` if collinear.
+pub(crate) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
+    let correlation = correlation(from, to)?;
+    // A reflection through the origin commutes with rotations.
+    let turn = rotation_by_wahba(&(correlation * sign)).to_rotation_matrix();
+    Some(turn.matrix() * sign)
+}
+
+/// `Σ to·fromᵀ` about the means.
+fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
+    let n = from.len().max(1) as f64;
+    let (centre, target) = (from.iter().sum::<Vec3>() / n, to.iter().sum::<Vec3>() / n);
+    let both = from.iter().zip(to);
+    both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
+}
+
+/// `None` if collinear.
+fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
+    let correlation = products(from, to);
+    let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
+    singular.sort_by(|a, b| b.total_cmp(a));
+    (singular[1] > MIN_SECOND_SPREAD_SHARE * MIN_SECOND_SPREAD_SHARE * singular[0])
+        .then_some(correlation)
+}
+
+/// Rms distance from the mean.
+pub(crate) fn spread(points: &[Vec3]) -> f64 {
+    let mean = points.iter().sum::<Vec3>() / points.len().max(1) as f64;
+    let squares: f64 = points.iter().map(|p| (p - mean).norm_squared()).sum();
+    (squares / points.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::{angle_between, rotation_from_rotvec};
+
+    fn arm() -> FkColumns {
+        let poses: Vec<Pose> = (0..40)
+            .map(|i| {
+                let t = f64::from(i) * 0.2;
+                let turn = rotation_from_rotvec(Vec3::new(t.sin(), (0.7 * t).cos(), 0.5 * t.cos()));
+                pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
+            })
+            .collect();
+        FkColumns::from_poses(&poses)
+    }
+
+    #[test]
+    fn a_turned_base_and_a_tool_are_told_apart_by_positions_alone() {
+        let arm = arm();
+        let reference = pose([0.2, -0.1, 0.4], rotation_from_rotvec(Vec3::new(0.0, 0.0, 3.1)));
+        let tool = Vec3::new(0.02, 0.0, 0.14);
+        let samples = arm.xyz.iter().zip(&arm.rotation);
+        let xyz: Vec<Vec3> = samples
+            .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
+            .collect();
+        let (found, _) = arm.fit_rigid(&xyz).expect("a reference");
+        assert!(angle_between(&found.rotation, &reference.rotation) < 0.01);
+        assert!((found.translation.vector - reference.translation.vector).norm() < 0.01);
+        assert!(arm.misfit(&xyz) < 0.01 * spread(&arm.xyz));
+    }
+
+    #[test]
+    fn positions_of_another_arm_have_no_reference() {
+        let arm = arm();
+        let xyz: Vec<Vec3> = arm.xyz.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
+        assert!(arm.misfit(&xyz) > MAX_POSITION_RESIDUAL_SHARE * spread(&arm.xyz));
+    }
+}

@@ -1,0 +1,180 @@
+//! Fits constant frames between two series of rotations.
+
+use ground::geometry::{
+    Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec, rotvec_from_rotation,
+};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
+
+/// Candidate rotations of every sample under one encoding.
+#[derive(Default)]
+pub(crate) struct CandidateRotations {
+    ends: Vec<usize>,
+    rotations: Vec<Rotation>,
+}
+
+impl CandidateRotations {
+    pub fn of_sample(&self, sample: usize) -> &[Rotation] {
+        let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.rotations[start..self.ends[sample]]
+    }
+
+    /// Removes all candidates.
+    pub fn clear(&mut self) {
+        self.ends.clear();
+        self.rotations.clear();
+    }
+
+    /// Appends the next sample's candidates.
+    pub fn push(&mut self, candidates: &[Rotation]) {
+        self.rotations.extend_from_slice(candidates);
+        self.ends.push(self.rotations.len());
+    }
+}
+
+/// Nearest candidate, and the cosine of half its angle.
+pub(crate) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
+    candidates
+        .iter()
+        .map(|candidate| (*candidate, candidate.coords.dot(&expected.coords).abs()))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+#[derive(Clone, Copy)]
+pub(crate) enum Side {
+    Reference,
+    Tool,
+}
+
+/// Constant frame that best maps FK to the candidates. Tries several samples as anchors, because one may be
+/// on a wrong branch.
+pub(crate) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
+    let frame_at = |truth: &Rotation, fk: &Rotation| match side {
+        Side::Reference => truth * fk.inverse(),
+        Side::Tool => fk.inverse() * truth,
+    };
+    let apply = |frame: &Rotation, fk: &Rotation| match side {
+        Side::Reference => frame * fk,
+        Side::Tool => fk * frame,
+    };
+    let step = fk.len().div_ceil(4);
+    let anchors = (0..fk.len())
+        .step_by(step)
+        .flat_map(|sample| truths.of_sample(sample).iter().map(move |truth| (sample, truth)));
+    let closeness = |frame: &Rotation| -> f64 {
+        let cosine = |(sample, fk): (usize, &Rotation)| {
+            nearest(truths.of_sample(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
+        };
+        fk.iter().enumerate().map(cosine).sum()
+    };
+    let anchored = anchors
+        .map(|(sample, truth)| frame_at(truth, &fk[sample]))
+        .map(|frame| (closeness(&frame), frame))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, mut frame)) = anchored else {
+        return Rotation::identity();
+    };
+    for _ in 0..2 {
+        let mean: Vec3 = fk
+            .iter()
+            .enumerate()
+            .filter_map(|(sample, fk)| {
+                let (truth, _) = nearest(truths.of_sample(sample), &apply(&frame, fk))?;
+                Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
+            })
+            .sum::<Vec3>()
+            / fk.len() as f64;
+        frame *= rotation_from_rotvec(mean);
+    }
+    frame
+}
+
+/// Estimates reference and tool rotation together. The axes of relative rotations determine the reference
+/// by Wahba's problem (`AX = XB`); the tool follows.
+///
+/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994; singular
+/// value solution by Markley 1988. With a single rotation axis, noise alone determines the angle about it,
+/// so Gauss–Newton steps on all samples follow.
+pub(crate) fn fit_both_frames(
+    truths: &CandidateRotations,
+    fk: &[Rotation],
+) -> (Rotation, Rotation) {
+    let first = (0..fk.len()).map(|sample| truths.of_sample(sample).first().copied()).collect();
+    let mut chosen: Vec<Option<Rotation>> = first;
+    let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());
+    for round in 0..3 {
+        if round > 0 {
+            let nearest = |(sample, fk): (usize, &Rotation)| {
+                nearest(truths.of_sample(sample), &(reference * fk * tool)).map(|n| n.0)
+            };
+            chosen = fk.iter().enumerate().map(nearest).collect();
+        }
+        let mut correlation = Matrix3::zeros();
+        let stride = (fk.len() / 3).max(1);
+        for a in 0..fk.len() {
+            let b = (a + stride) % fk.len();
+            let (Some(truth_a), Some(truth_b)) = (chosen[a], chosen[b]) else { continue };
+            let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
+            let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
+            correlation += by_stream * by_fk.transpose();
+        }
+        reference = rotation_by_wahba(&correlation);
+        let offsets: Vec<Rotation> = chosen
+            .iter()
+            .zip(fk)
+            .filter_map(|(truth, fk)| truth.map(|truth| (reference * fk).inverse() * truth))
+            .collect();
+        tool = mean_rotation(&offsets);
+    }
+    refine_frames(&chosen, fk, reference, tool)
+}
+
+fn refine_frames(
+    truths: &[Option<Rotation>],
+    fk: &[Rotation],
+    mut reference: Rotation,
+    mut tool: Rotation,
+) -> (Rotation, Rotation) {
+    /// Relative damping of the diagonal (Levenberg 1944): rotations about one axis leave a direction
+    /// unobservable.
+    const MAX_STEPS: usize = 6;
+    const DAMPING: f64 = 1e-6;
+    const CONVERGED_RAD: f64 = 1e-7;
+    for _ in 0..MAX_STEPS {
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for (truth, fk) in truths.iter().zip(fk) {
+            let Some(truth) = truth else { continue };
+            let predicted = reference * fk * tool;
+            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
+            let hand = *predicted.to_rotation_matrix().matrix();
+            let mut rows = SMatrix::<f64, 3, 6>::zeros();
+            rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+            rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&hand);
+            normal += rows.transpose() * rows;
+            right += rows.transpose() * residual;
+        }
+        for i in 0..6 {
+            normal[(i, i)] *= 1.0 + DAMPING;
+        }
+        let Some(cholesky) = normal.cholesky() else { break };
+        let step: Vector6<f64> = cholesky.solve(&right);
+        reference = rotation_from_rotvec(step.fixed_rows::<3>(0).into()) * reference;
+        tool *= rotation_from_rotvec(step.fixed_rows::<3>(3).into());
+        if step.amax() < CONVERGED_RAD {
+            break;
+        }
+    }
+    (reference, tool)
+}
+
+/// Mean of similar rotations, by averaging rotation vectors.
+pub(crate) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
+    let Some(first) = rotations.get(rotations.len() / 2) else {
+        return Rotation::identity();
+    };
+    let mut mean = *first;
+    for _ in 0..4 {
+        let sum: Vec3 = rotations.iter().map(|r| rotvec_from_rotation(&(mean.inverse() * r))).sum();
+        mean *= rotation_from_rotvec(sum / rotations.len() as f64);
+    }
+    mean
+}

@@ -1,0 +1,347 @@
+//! Joint estimate of camera pose, constant and time offset by Gauss–Newton with robust weights. The
+//! residual is in the camera frame, where the noise is the detector's own: `camera_from_target = (carrier ·
+//! X)⁻¹ · Y`.
+
+use super::series::{HandEyeSetting, PoseSeries};
+use super::start::{HandEyeStart, combined_rad};
+use super::{CameraMount, CameraPose, MIN_POSES};
+use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::robust::sandwich;
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stats::Measured;
+use ground::stats::median;
+use nalgebra::DMatrix;
+
+/// Translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the time offset.
+pub(crate) const WIDTH: usize = 13;
+const OFFSET_COLUMN: usize = 12;
+const NOISE_FLOOR_M_RAD: [f64; 2] = [1e-6, 1e-6];
+const MAX_ROUNDS: usize = 25;
+/// Standard deviations of the remaining poses.
+const OUTLIER_SIGMAS: f64 = 6.0;
+/// Beyond it, outliers cannot be separated from data.
+const MAX_OUTLIER_SHARE: f64 = 0.35;
+
+pub(super) struct HandEyeFit {
+    pub camera: Pose,
+    pub constant: Pose,
+    pub offset_s: Measured,
+    /// Position and rotation noise per component, m and rad.
+    pub sigma: [f64; 2],
+    covariance: DMatrix<f64>,
+    /// Without outliers.
+    keep: Vec<bool>,
+}
+
+/// Scale factors of the target's positions.
+#[derive(Clone, Copy, Debug)]
+pub struct TargetScale {
+    /// Factor of all coordinates; not 1 if the configured target size is wrong.
+    pub size: Measured,
+    /// Factor of the depth; not 1 if the focal length is wrong.
+    pub depth: Measured,
+    /// Depth coordinate: 0 to 2.
+    pub along: usize,
+    /// Mean distance to the target.
+    pub distance_m: f64,
+}
+
+impl HandEyeFit {
+    /// Scale of the target's positions to first order; `along` is the depth axis.
+    pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
+        let Self { camera, constant, offset_s, .. } = *self;
+        let state = HandEyeState { camera, constant, offset_s: offset_s.value };
+        let linear = state.linear(setting, &self.keep);
+        let foretold: Vec<Vec3> = setting
+            .targets
+            .iter()
+            .zip(&self.keep)
+            .filter_map(|((t_s, _), keep)| {
+                let carrier = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
+                Some(state.predict(&carrier).translation.vector)
+            })
+            .collect();
+        let distance_m =
+            foretold.iter().map(|xyz| xyz.norm()).sum::<f64>() / foretold.len().max(1) as f64;
+        let deep = |xyz: &Vec3| Vec3::ith(along, xyz[along]);
+        Self::scale_of(&linear, &foretold, Vec3::clone)
+            .zip(Self::scale_of(&linear, &foretold, deep))
+            .map_or_else(
+                || TargetScale::unknown(along, distance_m),
+                |(size, depth)| TargetScale { size, depth, along, distance_m },
+            )
+    }
+
+    /// Scale of the component selected by `stretched`.
+    fn scale_of(
+        linear: &Linear,
+        foretold: &[Vec3],
+        stretched: impl Fn(&Vec3) -> Vec3,
+    ) -> Option<Measured> {
+        let mut wider = Linear::new(WIDTH + 1, &NOISE_FLOOR_M_RAD);
+        for (sample, xyz) in foretold.iter().enumerate() {
+            let mut rows = wider.push(&[linear.residual[0][sample], linear.residual[1][sample]]);
+            for kind in 0..2 {
+                let row = |axis: usize| linear.row(sample, 3 * kind + axis);
+                for column in 0..WIDTH {
+                    rows.set(kind, column, [0, 1, 2].map(|axis| row(axis)[column]));
+                }
+            }
+            rows.set(0, WIDTH, stretched(xyz).into());
+        }
+        let all: Vec<usize> = (0..=WIDTH).collect();
+        let mut normal = Normal::zeros(WIDTH + 1);
+        wider.accumulate(&wider.weights_after(&[0.0; WIDTH + 1]), &all, &mut normal);
+        let step = normal.step(&nalgebra::DVector::zeros(WIDTH + 1), &all);
+        let weights = wider.weights_after(step.as_slice());
+        let targets: Vec<Option<usize>> = all.iter().copied().map(Some).collect();
+        let mut information = DMatrix::zeros(WIDTH + 1, WIDTH + 1);
+        let mut scores = information.clone();
+        wider.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
+        let variance = sandwich(&information, &scores)[(WIDTH, WIDTH)];
+        let dof = (3.0 * wider.len() as f64 / weights.first()?.noise.inflation()
+            - (WIDTH + 1) as f64)
+            .max(3.0);
+        Some(Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof })
+    }
+
+    /// Combined residual, rad.
+    pub fn misfit(&self) -> f64 {
+        combined_rad(self.sigma[0], self.sigma[1])
+    }
+
+    /// Pose with standard errors.
+    pub fn camera(&self) -> CameraPose {
+        let dof = self.offset_s.dof;
+        let error = |first: usize| {
+            [0, 1, 2].map(|axis| self.covariance[(first + axis, first + axis)].max(0.0).sqrt())
+        };
+        // Along the vector, or the largest component of a zero vector.
+        let along = |vector: Vec3, first: usize| {
+            let value = vector.norm();
+            let direction = vector.try_normalize(1e-9);
+            let block = self.covariance.view((first, first), (3, 3));
+            let variance = match direction {
+                Some(u) if block.iter().all(|entry| entry.is_finite()) => {
+                    (u.transpose() * block * u)[(0, 0)]
+                }
+                _ => (0..3).map(|axis| block[(axis, axis)]).fold(0.0, f64::max),
+            };
+            Measured { value, std_error: variance.max(0.0).sqrt(), dof }
+        };
+        let shift = self.camera.rotation.inverse() * self.camera.translation.vector;
+        CameraPose {
+            pose: self.camera,
+            translation_error_m: error(0),
+            rotation_error_rad: error(3),
+            distance_m: along(shift, 0),
+            angle_rad: along(rotvec_from_rotation(&self.camera.rotation), 3),
+        }
+    }
+
+    /// Deviation from the prediction, m and rad in camera axes.
+    pub fn residual(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
+        difference(target, &((carrier * self.camera).inverse() * self.constant))
+    }
+
+    /// Whether these residuals are an outlier's.
+    pub fn is_outlier(&self, left: &[Vec3; 2]) -> bool {
+        (0..2).any(|kind| {
+            left[kind].norm() > OUTLIER_SIGMAS * self.sigma[kind].max(NOISE_FLOOR_M_RAD[kind])
+        })
+    }
+}
+
+impl TargetScale {
+    fn unknown(along: usize, distance_m: f64) -> Self {
+        let nothing = Measured { value: 1.0, std_error: f64::INFINITY, dof: 3.0 };
+        Self { size: nothing, depth: nothing, along, distance_m }
+    }
+
+    /// Depth error at the mean distance by the more significant factor.
+    pub fn effect_m(&self) -> Measured {
+        let off = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
+        let surely = |of: &Measured| (of.value / of.std_error).abs();
+        let (size, depth) = (off(&self.size), off(&self.depth));
+        let surer = if surely(&size) > surely(&depth) { size } else { depth };
+        surer.scaled(self.distance_m)
+    }
+}
+
+/// Position and rotation, m and rad.
+fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
+    [
+        seen.translation.vector - foretold.translation.vector,
+        rotvec_from_rotation(&(seen.rotation * foretold.rotation.inverse())),
+    ]
+}
+
+#[derive(Clone, Copy)]
+struct HandEyeState {
+    camera: Pose,
+    constant: Pose,
+    offset_s: f64,
+}
+
+impl HandEyeState {
+    fn predict(&self, carrier: &Pose) -> Pose {
+        (carrier * self.camera).inverse() * self.constant
+    }
+
+    fn stepped(&self, step: &[f64]) -> Self {
+        let xyz = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
+        let Self { camera, constant, offset_s } = *self;
+        let turned = rotation_from_rotvec(xyz(9)) * constant.rotation;
+        Self {
+            camera: camera * pose(xyz(0).into(), rotation_from_rotvec(xyz(3))),
+            constant: pose((constant.translation.vector + xyz(6)).into(), turned),
+            offset_s: offset_s + step[OFFSET_COLUMN],
+        }
+    }
+
+    /// Linearises at the poses selected by `keep`.
+    fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
+        /// For the hand's velocity.
+        const STEP_S: f64 = 0.01;
+        let mut linear = Linear::new(WIDTH, &NOISE_FLOOR_M_RAD);
+        for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
+            let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
+            let (true, Some(carrier)) = (*keep, at(0.0)) else { continue };
+            let foretold = self.predict(&carrier);
+            let mut rows = linear.push(&difference(&target, &foretold).map(Into::into));
+            let seen = foretold.translation.vector;
+            let turned = (carrier * self.camera).rotation.inverse();
+            for axis in 0..3 {
+                let unit = Vec3::ith(axis, 1.0);
+                rows.set(0, axis, (-unit).into());
+                rows.set(0, 3 + axis, seen.cross(&unit).into());
+                rows.set(1, 3 + axis, (-unit).into());
+                rows.set(0, 6 + axis, (turned * unit).into());
+                rows.set(1, 9 + axis, (turned * unit).into());
+            }
+            if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
+                let [shift, turn] = difference(&self.predict(&before), &self.predict(&after));
+                rows.set(0, OFFSET_COLUMN, (shift / (2.0 * STEP_S)).into());
+                rows.set(1, OFFSET_COLUMN, (turn / (2.0 * STEP_S)).into());
+            }
+        }
+        linear
+    }
+}
+
+/// Derivatives of the observed target pose for a camera in the hand, with the hand at `hands` at times
+/// `t_s`. The target is first at `ahead` in the camera, m.
+pub(crate) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -> Linear {
+    let target = pose(ahead.into(), Default::default());
+    let constant = hands.first().copied().unwrap_or_default() * camera * target;
+    let series = PoseSeries { t_s: t_s.to_vec(), poses: hands };
+    // Observed poses affect only the residuals.
+    let targets = t_s.iter().map(|&t_s| (t_s, target));
+    let setting = HandEyeSetting::new(&series, targets, CameraMount::InHand);
+    let state = HandEyeState { camera, constant, offset_s: 0.0 };
+    state.linear(&setting, &vec![true; t_s.len()])
+}
+
+/// `None` if fewer than [`MIN_POSES`] poses remain.
+pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> Option<HandEyeFit> {
+    let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
+    let all = vec![true; setting.targets.len()];
+    let state = iterate(state, setting, &all)?;
+    let found = with_covariance(state, setting, &all)?;
+    let near: Vec<bool> = setting
+        .targets
+        .iter()
+        .map(|(t_s, target)| {
+            let carrier = setting.carrier_at(t_s - state.offset_s);
+            carrier.is_some_and(|carrier| !found.is_outlier(&found.residual(&carrier, target)))
+        })
+        .collect();
+    let kept = near.iter().filter(|near| **near).count();
+    if (kept as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
+        return Some(found);
+    }
+    let state = iterate(state, setting, &near)?;
+    with_covariance(state, setting, &near)
+}
+
+/// Halves each step until the cost decreases under the previous weights.
+fn iterate(
+    mut state: HandEyeState,
+    setting: &HandEyeSetting,
+    keep: &[bool],
+) -> Option<HandEyeState> {
+    const MAX_HALVINGS: usize = 6;
+    let mut linear = state.linear(setting, keep);
+    let mut weights = linear.first_weights();
+    for _ in 0..MAX_ROUNDS {
+        if linear.len() < MIN_POSES {
+            return None;
+        }
+        let normal = normal_of(&linear, &weights);
+        let all: Vec<usize> = (0..WIDTH).collect();
+        let mut step = normal.step(&nalgebra::DVector::zeros(WIDTH), &all);
+        let mut next = None;
+        for _ in 0..MAX_HALVINGS {
+            let moved = state.stepped(step.as_slice());
+            let there = moved.linear(setting, keep);
+            // The offset may add or remove poses at the ends.
+            let same = there.len() == linear.len();
+            if !same || normal_of(&there, &weights).cost <= normal.cost {
+                next = Some((moved, there));
+                break;
+            }
+            step *= 0.5;
+        }
+        let Some((moved, there)) = next else { break };
+        state = moved;
+        linear = there;
+        let zero = [0.0; WIDTH];
+        weights = linear.weights_after(&zero);
+        let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
+        if is_small && step[OFFSET_COLUMN].abs() < 1e-8 {
+            break;
+        }
+    }
+    Some(state)
+}
+
+fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
+    let mut normal = Normal::zeros(WIDTH);
+    let columns: Vec<usize> = (0..WIDTH).collect();
+    linear.accumulate(weights, &columns, &mut normal);
+    normal
+}
+
+fn with_covariance(
+    state: HandEyeState,
+    setting: &HandEyeSetting,
+    keep: &[bool],
+) -> Option<HandEyeFit> {
+    let linear = state.linear(setting, keep);
+    if linear.len() < MIN_POSES {
+        return None;
+    }
+    let weights = linear.weights_after(&[0.0; WIDTH]);
+    let mut information = DMatrix::zeros(WIDTH, WIDTH);
+    let mut scores = DMatrix::zeros(WIDTH, WIDTH);
+    let columns: Vec<Option<usize>> = (0..WIDTH).map(Some).collect();
+    linear.accumulate_covariance(&weights, &columns, &mut information, &mut scores);
+    let covariance = sandwich(&information, &scores);
+    let independent: f64 =
+        weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
+    let dof = (independent - WIDTH as f64).max(3.0);
+    let sigma = [0, 1].map(|kind| {
+        /// Length of three normal components, in standard deviations.
+        const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
+        let mut norms: Vec<f64> =
+            linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
+        median(&mut norms).unwrap_or(0.0) / MEDIAN_NORMAL_LENGTH
+    });
+    let offset_s = Measured {
+        value: state.offset_s,
+        std_error: covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt(),
+        dof,
+    };
+    let HandEyeState { camera, constant, .. } = state;
+    Some(HandEyeFit { camera, constant, offset_s, sigma, covariance, keep: keep.to_vec() })
+}

@@ -1,0 +1,383 @@
+//! Hand-eye calibration: whether a hand moved by an arm and a target seen by a camera fit one rigid setup.
+//!
+//! With the camera in the hand, `base_from_hand · X · camera_from_target` is the constant
+//! `base_from_target`. With the camera in the base, `base_from_hand⁻¹ · X · camera_from_target` is
+//! `hand_from_target`. Both have the form `carrier · X · camera_from_target = Y` with `X =
+//! mount_from_camera` and `Y` unknown, so one solver handles both:
+//! 1. The lag at which hand and target rotate alike.
+//! 2. A closed-form solution from relative motions (`A X = X B`: Park and Martin, "Robot sensor
+//!    calibration: solving AX = XB on the Euclidean group", IEEE Trans. Robotics and Automation 10(5),
+//!    1994), from pairs with equal rotation angles (Chen, "A screw motion approach to uniqueness analysis
+//!    of head-eye geometry", CVPR 1991).
+//! 3. Gauss–Newton over `X`, `Y` and the time offset, with robust weights.
+
+mod closure;
+mod diversity;
+mod fit;
+mod series;
+mod start;
+mod target_encoding;
+mod target_scale;
+
+use crate::latency::correlation::{self, LagPeak, SpeedSeries};
+use crate::{EstimateResult, FrameEstimate, NotObservable};
+use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
+use ground::stats::{Measured, MeasuredLength};
+
+use closure::closure_error;
+use diversity::rotation_diversity;
+pub use fit::TargetScale;
+use fit::{HandEyeFit, fit};
+pub(super) use fit::{WIDTH, design};
+use series::HandEyeSetting;
+pub use series::PoseSeries;
+pub use target_encoding::TargetEncoding;
+use target_encoding::{DecodedTarget, better_encoding};
+pub use target_scale::TargetScaleError;
+
+/// Longer streams are thinned evenly.
+pub(super) const MAX_FIT_POSES: usize = 500;
+const MIN_POSES: usize = 12;
+
+/// Mounting of the camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraMount {
+    /// Target fixed in the base (eye-in-hand).
+    InHand,
+    /// Target in the hand (eye-to-hand).
+    InBase,
+}
+
+impl CameraMount {
+    /// Both mountings.
+    pub const ALL: [CameraMount; 2] = [CameraMount::InHand, CameraMount::InBase];
+}
+
+/// Input streams.
+#[derive(Clone, Copy, Debug)]
+pub struct HandEyeStreams<'a> {
+    /// `base_from_hand` over time.
+    pub hand: &'a PoseSeries,
+    /// `camera_from_target` over time.
+    pub target: &'a PoseSeries,
+    /// Standard error of the clock alignment; 0 on a shared clock.
+    pub stamp_error_s: f64,
+    /// Logged `hand_from_camera` or `base_from_camera`, if any.
+    pub logged: Option<(CameraMount, Pose)>,
+}
+
+/// Diversity of the hand's rotations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotationDiversity {
+    /// Largest angle between orientations.
+    pub span_rad: f64,
+    /// Rms angle to the mean orientation.
+    pub turning_rad: f64,
+    /// 95th percentile of the angle between rotation axes and principal axis; 0 to π/2.
+    pub spread_rad: f64,
+    /// Principal axis, in the hand.
+    pub axis_in_hand: [f64; 3],
+}
+
+/// Closure error of the hand-eye chain. Rms values exclude outliers, medians do not.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClosureError {
+    /// Poses compared, including outliers.
+    pub poses: usize,
+    /// Errors beyond six standard deviations.
+    pub outliers: usize,
+    /// Position error.
+    pub rms_m: f64,
+    /// Rotation error.
+    pub rms_rad: f64,
+    /// Position error.
+    pub median_m: f64,
+    /// Rotation error.
+    pub median_rad: f64,
+    /// Rms beyond the pose-to-pose noise.
+    pub excess_m: Measured,
+    /// Rms beyond the pose-to-pose noise.
+    pub excess_rad: Measured,
+    /// Stamp (s from the run's origin), position error (m) and rotation error (rad) per pose.
+    pub each: Vec<(f64, f64, f64)>,
+}
+
+/// Estimated camera pose `X`. Standard errors are infinite if not observable.
+#[derive(Clone, Debug)]
+pub struct CameraPose {
+    /// `hand_from_camera` or `base_from_camera`.
+    pub pose: Pose,
+    /// Along the camera axes.
+    pub translation_error_m: [f64; 3],
+    /// About the camera axes.
+    pub rotation_error_rad: [f64; 3],
+    /// Translation's length.
+    pub distance_m: Measured,
+    /// Rotation angle.
+    pub angle_rad: Measured,
+}
+
+/// Hand-eye solution for one mounting.
+#[derive(Clone, Debug)]
+pub struct HandEyeSolution {
+    /// Mounting of the camera.
+    pub mount: CameraMount,
+    /// Residual of the other mounting over this one's; infinite if it has no solution.
+    pub ratio: f64,
+    /// Target's delay relative to the hand: a sample stamped *t* was measured at *t − offset*.
+    pub offset_s: Measured,
+    /// Camera on its mount.
+    pub camera: CameraPose,
+    /// `base_from_target` or `hand_from_target`.
+    pub target: Pose,
+    /// Combined residual of the fit.
+    pub misfit_rad: f64,
+    /// Closure error.
+    pub closure: ClosureError,
+    /// Scale of the target's positions.
+    pub scale: TargetScale,
+}
+
+/// Results of the hand-eye calibration.
+#[derive(Clone, Debug)]
+pub struct HandEyeDiagnosis {
+    /// Best correlation of angular speeds.
+    pub follows: Option<LagPeak>,
+    /// Rotations while the target is visible.
+    pub diversity: EstimateResult<RotationDiversity>,
+    /// Solution for poses as logged.
+    pub solution: EstimateResult<HandEyeSolution>,
+    /// Encoding with a much smaller closure error, if any, and its solution.
+    pub alternative: Option<(TargetEncoding, HandEyeSolution)>,
+    /// Target's delay relative to the hand by the best solution.
+    pub latency_s: EstimateResult<Measured>,
+    /// Deviation from the logged camera pose, `logged_from_solved`.
+    pub mount_error: Option<FrameEstimate>,
+    /// Mean direction camera to target, in camera axes.
+    pub view: [f64; 3],
+}
+
+impl HandEyeDiagnosis {
+    fn not_observable(why: &NotObservable) -> Self {
+        Self {
+            follows: None,
+            diversity: Err(why.clone()),
+            solution: Err(why.clone()),
+            alternative: None,
+            latency_s: Err(why.clone()),
+            mount_error: None,
+            view: [0.0; 3],
+        }
+    }
+
+    /// Alternative encoding's solution if there is one.
+    pub fn best(&self) -> Option<&HandEyeSolution> {
+        let read = self.alternative.as_ref().map(|(_, solution)| solution);
+        read.or(self.solution.as_ref().ok())
+    }
+}
+
+/// Correlation of the angular speeds over the target's lag, best first.
+pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
+    let window_s = (2.5 * correlation::median_period_s(&target.t_s)).clamp(0.25, 0.6);
+    let speed = |series: &PoseSeries| -> SpeedSeries {
+        correlation::differenced_speed(&series.t_s, window_s, |a, b| {
+            angle_between(&series.poses[a].rotation, &series.poses[b].rotation)
+        })
+    };
+    correlation::lag_peaks(&speed(hand), &speed(target), most_lag_s)
+}
+
+/// Estimates time offset, camera pose and closure error.
+pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDiagnosis {
+    let HandEyeStreams { hand, target, .. } = *streams;
+    if hand.overlap_s(target) <= 0.0 {
+        return HandEyeDiagnosis::not_observable(&NotObservable::NoOverlap);
+    }
+    let peaks = rotation_lag_peaks(hand, target, most_lag_s);
+    let lags = candidate_lags(&peaks);
+    let as_logged = DecodedTarget::as_logged(target, MAX_FIT_POSES);
+    let lag_s = best_lag_s(hand, &as_logged, &lags);
+    let seen = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
+    let have = seen.count_at(lag_s);
+    let diversity = rotation_diversity(&seen, lag_s);
+    let solution = match have {
+        MIN_POSES.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
+        _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
+    };
+    let reading = match &solution {
+        Ok(solution) => better_encoding(streams, solution, lag_s),
+        Err(_) => None,
+    };
+    let mut diagnosis = HandEyeDiagnosis {
+        follows: peaks.first().copied(),
+        diversity: match have {
+            MIN_POSES.. => Ok(diversity),
+            _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
+        },
+        solution,
+        alternative: reading,
+        latency_s: Err(NotObservable::NotExcited),
+        mount_error: None,
+        view: series::mean_direction(target),
+    };
+    diagnosis.mount_error = diagnosis.best().and_then(|best| mount_error(streams, best));
+    diagnosis.latency_s = latency(streams, &diagnosis, &lags);
+    diagnosis
+}
+
+/// Delay of the target by the best solution.
+///
+/// # Errors
+/// If the target does not follow the hand, nothing moves while it is visible, or several of `lags` fit
+/// equally well.
+fn latency(
+    streams: &HandEyeStreams,
+    found: &HandEyeDiagnosis,
+    lags: &[f64],
+) -> EstimateResult<Measured> {
+    /// Share of the hand's rotation, for a target that follows it.
+    const MAX_RESIDUAL_SHARE: f64 = 0.5;
+    /// Another lag with a smaller ratio to the best fits equally well.
+    const MAX_RESIDUAL_RATIO: f64 = 2.0;
+    let best = match (found.best(), &found.solution) {
+        (Some(best), _) => best,
+        (None, Err(why)) => return Err(why.clone()),
+        (None, Ok(_)) => return Err(NotObservable::NotExcited),
+    };
+    let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
+    if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
+        let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
+        return Err(NotObservable::DoesNotFollow(correlation));
+    }
+    if !best.offset_s.std_error.is_finite() {
+        return Err(NotObservable::AtRest);
+    }
+    let reading =
+        found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(reading, _)| *reading);
+    let target = DecodedTarget {
+        encoding: reading,
+        ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES)
+    };
+    let apart_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
+    let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > apart_s;
+    let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
+        let other = solve(streams, &target, lag_s)?;
+        let is_as_good = other.misfit_rad < MAX_RESIDUAL_RATIO * best.misfit_rad;
+        Some(other.offset_s.value).filter(|offset_s| is_as_good && is_other(offset_s))
+    });
+    let mut fitting: Vec<f64> = others.collect();
+    if fitting.is_empty() {
+        return Ok(best.offset_s);
+    }
+    fitting.push(best.offset_s.value);
+    fitting.sort_by(f64::total_cmp);
+    fitting.dedup_by(|a, b| (*a - *b).abs() < apart_s);
+    Err(NotObservable::Periodic(fitting))
+}
+
+/// Best correlation peak and those close to it.
+fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
+    /// Correlation below the best peak.
+    const MAX_PEAK_DEFICIT: f64 = 0.1;
+    const MAX_LAGS: usize = 3;
+    /// Below it, only zero lag is tried.
+    const MIN_CORRELATION: f64 = 0.4;
+    let Some(best) = peaks.first().filter(|peak| peak.correlation > MIN_CORRELATION) else {
+        return vec![0.0];
+    };
+    let near =
+        peaks.iter().take_while(|peak| peak.correlation > best.correlation - MAX_PEAK_DEFICIT);
+    near.take(MAX_LAGS).map(|peak| peak.lag_s).collect()
+}
+
+/// Smallest closure error of the closed form.
+fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
+    let misfit = |lag_s: f64| {
+        let misfits = CameraMount::ALL.map(|mount| {
+            let setting = HandEyeSetting::new(hand, target.poses(), mount);
+            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))
+                .map_or(f64::MAX, |s| s.misfit)
+        });
+        misfits[0].min(misfits[1])
+    };
+    match lags {
+        [only] => *only,
+        lags => lags
+            .iter()
+            .map(|&lag_s| (misfit(lag_s), lag_s))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or(0.0, |(_, lag_s)| lag_s),
+    }
+}
+
+/// Solves for both mountings; the smaller residual wins.
+fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option<HandEyeSolution> {
+    let fits = CameraMount::ALL.map(|mount| {
+        let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
+        let start =
+            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))?;
+        let fit = fit(&setting, start, lag_s)?;
+        Some((mount, fit.misfit(), fit))
+    });
+    let mut fits: Vec<(CameraMount, f64, HandEyeFit)> = fits.into_iter().flatten().collect();
+    fits.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
+    let (mount, misfit, fit) = fits.into_iter().next()?;
+    let full = DecodedTarget { series: streams.target, encoding: target.encoding, stride: 1 };
+    let closure = closure_error(&HandEyeSetting::new(streams.hand, full.poses(), mount), &fit)?;
+    let along = Vec3::from(series::mean_direction(streams.target)).iamax();
+    let scale = fit.scale(&HandEyeSetting::new(streams.hand, target.poses(), mount), along);
+    let offset_s =
+        Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
+    Some(HandEyeSolution {
+        mount,
+        ratio: other / misfit.max(1e-9),
+        offset_s,
+        camera: fit.camera(),
+        target: fit.constant,
+        misfit_rad: misfit,
+        closure,
+        scale,
+    })
+}
+
+/// `None` if the mountings differ.
+fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<FrameEstimate> {
+    let (mount, logged) = streams.logged?;
+    if mount != solution.mount {
+        return None;
+    }
+    let camera = &solution.camera;
+    let pose = logged.inverse() * camera.pose;
+    let turned = rotvec_from_rotation(&pose.rotation);
+    let of = |vector: [f64; 3], errors: [f64; 3]| {
+        let covariance =
+            nalgebra::DMatrix::from_fn(
+                3,
+                3,
+                |i, j| {
+                    if i == j { errors[i] * errors[i] } else { 0.0 }
+                },
+            );
+        errors
+            .iter()
+            .all(|error| error.is_finite())
+            .then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
+    };
+    // The errors are in the axes of the estimated camera: nearly the logged ones for any deviation of
+    // interest.
+    let length = of(pose.translation.vector.into(), camera.translation_error_m)?;
+    let angle = of(turned.into(), camera.rotation_error_rad)?;
+    Some(FrameEstimate {
+        pose,
+        translation_m: length.norm,
+        rotation_rad: angle.norm,
+        // Bonferroni, two tests.
+        p_value: (2.0 * length.p_value.min(angle.p_value)).min(1.0),
+        is_chosen: true,
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,138 @@
+//! Pose series of hand and target.
+
+use super::CameraMount;
+use crate::latency::correlation::median_period_s;
+use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+
+/// Poses over time. Times are from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub struct PoseSeries {
+    /// Sample times.
+    pub t_s: Vec<f64>,
+    /// Translations in m.
+    pub poses: Vec<Pose>,
+}
+
+impl PoseSeries {
+    /// `None` if the orientations are undecoded.
+    pub fn from_track(track: &PoseTrack) -> Option<Self> {
+        let Orientations::Rotations(rotations) = &track.orientation else { return None };
+        let poses = track.xyz.iter().zip(rotations);
+        let poses = poses.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
+        Some(Self { t_s: track.t_s.clone(), poses })
+    }
+
+    /// Tip poses by FK, thinned to 100–200 Hz.
+    pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+        /// Between samples the hand's motion is nearly linear.
+        const PERIOD_S: f64 = 0.01;
+        let period_s = median_period_s(&joints.t_s).max(1e-6);
+        let step = ((PERIOD_S / period_s) as usize).max(1);
+        let mut q = vec![0.0; columns.len()];
+        let mut series = Self::default();
+        for row in (0..joints.len()).step_by(step) {
+            for (own, &column) in q.iter_mut().zip(columns) {
+                *own = joints.row(row)[column];
+            }
+            series.t_s.push(joints.t_s[row]);
+            series.poses.push(chain.forward(&q));
+        }
+        series
+    }
+
+    /// Common time span, s; not positive if none.
+    pub fn overlap_s(&self, other: &PoseSeries) -> f64 {
+        let span = |series: &PoseSeries| Some((*series.t_s.first()?, *series.t_s.last()?));
+        match (span(self), span(other)) {
+            (Some(a), Some(b)) => a.1.min(b.1) - a.0.max(b.0),
+            _ => 0.0,
+        }
+    }
+
+    /// Interpolates position linearly, rotation along the shortest path. `None` outside the samples and in
+    /// gaps longer than both 0.2 s and ten periods.
+    pub(crate) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
+        let right = self.t_s.partition_point(|&t| t < t_s);
+        let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
+        if after_s == t_s {
+            return Some(*after);
+        }
+        let left = right.checked_sub(1)?;
+        let (before_s, before) = (self.t_s[left], &self.poses[left]);
+        let length_s = after_s - before_s;
+        if length_s > (10.0 * period_s).max(0.2) {
+            return None;
+        }
+        let part = (t_s - before_s) / length_s;
+        let turn = rotvec_from_rotation(&(before.rotation.inverse() * after.rotation));
+        Some(Pose::from_parts(
+            before.translation.vector.lerp(&after.translation.vector, part).into(),
+            before.rotation * rotation_from_rotvec(turn * part),
+        ))
+    }
+}
+
+/// Mean in the series' own frame. Shorter than 1 if the directions vary.
+pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
+    let directions = series.poses.iter().filter_map(|pose| {
+        let xyz = pose.translation.vector;
+        let norm = xyz.norm();
+        (norm > 1e-9).then(|| xyz / norm)
+    });
+    let sum: Vec3 = directions.sum();
+    (sum / series.poses.len().max(1) as f64).into()
+}
+
+/// Simultaneous poses.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PosePair {
+    /// `base_from_hand` or, for a camera in the base, `hand_from_base`.
+    pub carrier: Pose,
+    /// `camera_from_target`.
+    pub target: Pose,
+}
+
+/// Both streams for one mounting.
+pub(super) struct HandEyeSetting<'a> {
+    hand: &'a PoseSeries,
+    period_s: f64,
+    mount: CameraMount,
+    /// Decoded target poses.
+    pub targets: Vec<(f64, Pose)>,
+}
+
+impl<'a> HandEyeSetting<'a> {
+    pub fn new(
+        hand: &'a PoseSeries,
+        target: impl Iterator<Item = (f64, Pose)>,
+        mount: CameraMount,
+    ) -> Self {
+        let period_s = median_period_s(&hand.t_s);
+        Self { hand, period_s, mount, targets: target.collect() }
+    }
+
+    /// Carrier pose at `t_s`.
+    pub fn carrier_at(&self, t_s: f64) -> Option<Pose> {
+        let hand = self.hand.at(t_s, self.period_s)?;
+        Some(match self.mount {
+            CameraMount::InHand => hand,
+            CameraMount::InBase => hand.inverse(),
+        })
+    }
+
+    /// Simultaneous poses for a target delay of `lag_s`.
+    pub fn count_at(&self, lag_s: f64) -> usize {
+        self.pairs_at(lag_s, usize::MAX).len()
+    }
+
+    /// Takes at most `most` pairs, evenly spaced, at delay `lag_s`.
+    pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
+        let step = self.targets.len().div_ceil(most).max(1);
+        let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
+            Some(PosePair { carrier: self.carrier_at(t_s - lag_s)?, target })
+        });
+        pairs.collect()
+    }
+}

@@ -1,0 +1,99 @@
+//! Slow samples used to determine the encoding of the joints.
+
+use crate::PoseStream;
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{Chain, JointKind};
+use ground::stream::{JointTrack, Orientations};
+
+pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
+
+#[derive(Clone)]
+pub(super) struct SimultaneousSamples {
+    pub xyz: Vec<Vec3>,
+    /// If decoded.
+    pub rotation: Option<Vec<Rotation>>,
+    /// Positions of the inverse poses, if there are rotations.
+    pub inverse_xyz: Option<Vec<Vec3>>,
+    /// Row-major, in chain order.
+    pub q: Vec<f64>,
+}
+
+/// Divides each joint's velocity by its rms.
+pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
+    let mut evened = joints.clone();
+    let rms = rms_speeds(joints);
+    for row in evened.qd.chunks_exact_mut(joints.dof.max(1)) {
+        row.iter_mut().zip(&rms).for_each(|(speed, rms)| *speed /= rms);
+    }
+    evened
+}
+
+/// Bounded below to allow division.
+pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
+    let square = |joint: usize| {
+        joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
+    };
+    let rms = |joint: usize| (square(joint) / joints.len().max(1) as f64).sqrt().max(1e-4);
+    (0..joints.dof).map(rms).collect()
+}
+
+/// Spread over the run.
+pub(super) fn slow_simultaneous_samples(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    scale: f64,
+    lag_s: f64,
+) -> SimultaneousSamples {
+    let track = stream.track;
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let rms = rms_speeds(joints);
+    let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
+    for (k, t_s) in track.t_s.iter().enumerate() {
+        if joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
+            let speed = qd.iter().zip(&rms).map(|(speed, rms)| (speed / rms).powi(2)).sum();
+            covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
+        }
+    }
+    let mut by_speed: Vec<usize> = (0..covered.len()).collect();
+    by_speed.sort_by(|&a, &b| covered[a].1.total_cmp(&covered[b].1));
+    by_speed.truncate(covered.len().div_ceil(2));
+    by_speed.sort_unstable();
+    let step = by_speed.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1);
+    let rotations = match &track.orientation {
+        Orientations::Rotations(rotations) => Some(rotations),
+        Orientations::Numbers(_) | Orientations::Unset(_) => None,
+    };
+    let mut moments = SimultaneousSamples {
+        xyz: Vec::new(),
+        rotation: rotations.map(|_| Vec::new()),
+        inverse_xyz: rotations.map(|_| Vec::new()),
+        q: Vec::new(),
+    };
+    for &i in by_speed.iter().step_by(step) {
+        let k = covered[i].0;
+        let xyz = track.xyz[k] * scale;
+        moments.xyz.push(xyz);
+        if let (Some(inverse_xyz), Some(rotations)) = (&mut moments.inverse_xyz, rotations) {
+            inverse_xyz.push(-(rotations[k].inverse() * xyz));
+        }
+        if let (Some(rotation), Some(rotations)) = (&mut moments.rotation, rotations) {
+            rotation.push(rotations[k]);
+        }
+        moments.q.extend_from_slice(&covered[i].2);
+    }
+    moments
+}
+
+pub(super) fn converted_to_radians(
+    chain: &Chain,
+    moments: &SimultaneousSamples,
+) -> SimultaneousSamples {
+    let kinds = chain.joint_kinds();
+    let convert = |(i, q): (usize, &f64)| {
+        if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
+    };
+    SimultaneousSamples {
+        q: moments.q.iter().enumerate().map(convert).collect(),
+        ..moments.clone()
+    }
+}

@@ -1,0 +1,304 @@
+//! Large changes of a stream's latency, estimated from speeds alone. They are too large for
+//! [`super::profile`], which requires small residuals.
+//!
+//! In each window of several seconds, the stream's speed matches the arm's at some lag. These lags form
+//! steps ([`super::steps`]) or a piecewise linear profile ([`super::ramp`]).
+
+use super::correlation::{
+    ArmSpeeds, SpeedSeries, angular_speed, lag_peaks, linear_speed, norm_series,
+};
+use super::ramp::{LatencyRamp, RampFit};
+use super::steps::{LatencySteps, detect_steps};
+use crate::{ImuStream, PoseStream};
+use ground::stats::quantile;
+use ground::stream::{JointTrack, Orientations};
+
+const MIN_CORRELATION: f64 = 0.85;
+/// A piecewise linear profile must reduce the residual of simpler models to this fraction.
+const MAX_RESIDUAL_RATIO: f64 = 0.9;
+pub(crate) const MAX_PROFILE_SAMPLES: usize = 4000;
+/// After compensation, as a fraction of the speeds' variation.
+pub(crate) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
+
+/// Large latency change within the run.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CoarseLatencyChange {
+    /// Steps between constant levels.
+    Steps(LatencySteps),
+    /// Piecewise linear latency. The steps apply if the model fit rejects it.
+    Ramp(LatencyRamp, Option<LatencySteps>),
+}
+
+impl CoarseLatencyChange {
+    /// Compensated stamps, each with its row.
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        match self {
+            Self::Steps(steps) => steps.compensated(t_s),
+            Self::Ramp(gradual, _) => gradual.compensated(t_s),
+        }
+    }
+
+    /// The steps, if any.
+    pub fn steps(&self) -> Option<&LatencySteps> {
+        match self {
+            Self::Steps(steps) => Some(steps),
+            Self::Ramp(..) => None,
+        }
+    }
+
+    /// The piecewise linear latency, if any.
+    pub fn ramp(&self) -> Option<&LatencyRamp> {
+        match self {
+            Self::Steps(_) => None,
+            Self::Ramp(gradual, _) => Some(gradual),
+        }
+    }
+}
+
+/// Detects large latency changes of a pose stream.
+pub fn detect_pose_latency_changes(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> Option<CoarseLatencyChange> {
+    let ArmSpeeds { linear, angular, .. } =
+        ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let track = stream.track;
+    let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
+    if let Orientations::Rotations(rotations) = &track.orientation {
+        pairs.push((angular, angular_speed(&track.t_s, rotations)));
+    }
+    for (arm, speed) in &mut pairs {
+        *speed = without_spikes(arm, std::mem::take(speed));
+    }
+    detect_changes(&pairs, most_lag_s)
+}
+
+/// Removes spikes, which occur where stamps step back and distant positions have close stamps.
+fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
+    const MAX_QUANTILE_RATIO: f64 = 4.0;
+    const SPEED_QUANTILE: f64 = 0.95;
+    /// On the ratio of the arm's maximum speed to its quantile.
+    const QUANTILE_MARGIN: f64 = 1.3;
+    let nearly_all = |speed: &SpeedSeries| quantile(&mut speed.value.clone(), SPEED_QUANTILE);
+    let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
+    let fastest = arm.value.iter().copied().fold(0.0, f64::max);
+    let times = (QUANTILE_MARGIN * fastest / of_arm).min(MAX_QUANTILE_RATIO);
+    let most = if times.is_finite() { times * own } else { MAX_QUANTILE_RATIO * own };
+    let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
+    let (t_s, value) = kept.unzip();
+    SpeedSeries { t_s, value }
+}
+
+/// Same for an IMU, from its angular speed.
+pub fn detect_imu_latency_changes(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    most_lag_s: f64,
+) -> Option<CoarseLatencyChange> {
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+}
+
+/// Window with the lag of the highest correlation.
+pub(crate) struct LagWindow {
+    /// In the arm's time, s.
+    pub middle_s: f64,
+    /// Latency, s.
+    pub lag_s: f64,
+    /// −1 to 1.
+    pub correlation: f64,
+}
+
+/// Uses the pair (arm, stream) that correlates best.
+fn detect_changes(
+    pairs: &[(SpeedSeries, SpeedSeries)],
+    most_lag_s: f64,
+) -> Option<CoarseLatencyChange> {
+    let seen =
+        pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, most_lag_s)));
+    let typical = |windows: &[LagWindow]| {
+        let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(0.0)
+    };
+    let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
+    let followed: Vec<&LagWindow> =
+        windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
+    let steps = detect_steps(arm, stream, &followed);
+    let Some(RampFit { ramp: gradual, residual: of_gradual, line_residual: of_line }) =
+        LatencyRamp::fit_windows(arm, stream, &followed)
+    else {
+        return steps.map(CoarseLatencyChange::Steps);
+    };
+    let spread = squared_deviation(stream, &fit_rows(stream));
+    let of_steps = steps
+        .as_ref()
+        .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
+    // Linear growth is skew, not steps.
+    let otherwise = steps.filter(|_| of_steps < of_line);
+    match of_gradual
+        < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line.min(of_steps))
+    {
+        true => Some(CoarseLatencyChange::Ramp(gradual, otherwise)),
+        false => otherwise.map(CoarseLatencyChange::Steps),
+    }
+}
+
+/// Drops rows whose compensated stamps precede an earlier one.
+pub(crate) fn monotonic_rows(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
+    let mut kept: Vec<(usize, f64)> = Vec::with_capacity(straight_s.size_hint().0);
+    for (row, t_s) in straight_s {
+        if kept.last().is_none_or(|(_, before_s)| t_s > *before_s) {
+            kept.push((row, t_s));
+        }
+    }
+    kept
+}
+
+pub(crate) fn squared_residual(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    lag_s: &dyn Fn(f64) -> f64,
+) -> f64 {
+    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
+}
+
+pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
+    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
+}
+
+fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<LagWindow> {
+    const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
+    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
+        return Vec::new();
+    };
+    let length_s =
+        (0.25 * (end_s - begin_s)).clamp(WINDOW_LENGTH_LIMITS_S.0, WINDOW_LENGTH_LIMITS_S.1);
+    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
+    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
+    let window = |index: usize| {
+        let from_s = from_s(index);
+        let own = between(arm, from_s, from_s + length_s);
+        let best = lag_peaks(&own, stream, most_lag_s).into_iter().next()?;
+        let middle_s = from_s + 0.5 * length_s;
+        Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
+    };
+    let (mut windows, mut index) = (Vec::new(), 0);
+    while index < count {
+        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
+        let Some(next_s) = arm.t_s.get(next) else { break };
+        // Skip gaps, however long.
+        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
+        index = index.max(reaching.saturating_sub(1));
+        windows.extend(window(index));
+        index += 1;
+    }
+    windows
+}
+
+fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
+    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
+    SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+}
+
+pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
+    let values = || rows.iter().map(|&row| speed.value[row]);
+    let mean = values().sum::<f64>() / rows.len().max(1) as f64;
+    values().map(|value| (value - mean).powi(2)).sum()
+}
+
+/// Squared differences of the two speeds at a lag. 0 if the arm's speed is unknown.
+pub(crate) fn differences(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    rows: &[usize],
+    lag_s: impl Fn(f64) -> f64,
+) -> Vec<f64> {
+    /// For interpolation, s.
+    const MAX_GAP_S: f64 = 0.5;
+    let mut after = 0;
+    let arm_at = |t_s: f64, after: &mut usize| {
+        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
+            *after += 1;
+        }
+        while *after > 0 && arm.t_s[*after - 1] >= t_s {
+            *after -= 1;
+        }
+        let before = after.checked_sub(1)?;
+        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
+        let part = (t_s - a_s) / (b_s - a_s);
+        (b_s - a_s < MAX_GAP_S)
+            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
+    };
+    let pairs: Vec<Option<(f64, f64)>> = rows
+        .iter()
+        .map(|&row| {
+            Some((arm_at(stream.t_s[row] - lag_s(stream.t_s[row]), &mut after)?, stream.value[row]))
+        })
+        .collect();
+    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
+    // The stream may use another length unit.
+    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
+    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
+    pairs
+        .into_iter()
+        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
+        .collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    fn shape(t_s: f64) -> f64 {
+        (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
+    }
+
+    /// 40 s of speeds of an arm and of a stream with latency `late`.
+    pub fn pair(late: impl Fn(f64) -> f64) -> (SpeedSeries, SpeedSeries) {
+        let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
+        let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
+        let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
+        (SpeedSeries { t_s: t_s.clone(), value }, SpeedSeries { t_s, value: own })
+    }
+
+    pub fn changed(late: impl Fn(f64) -> f64) -> Option<CoarseLatencyChange> {
+        detect_changes(&[pair(late)], 5.0)
+    }
+
+    #[test]
+    fn a_century_without_samples_has_no_windows() {
+        let (mut arm, stream) = pair(|_| 0.0);
+        arm.t_s.push(3e9);
+        arm.value.push(0.0);
+        let windows = lag_windows(&arm, &stream, 5.0);
+        assert!((5..20).contains(&windows.len()), "{}", windows.len());
+    }
+
+    #[test]
+    fn a_latency_that_stays_or_grows_steadily_changes_by_nothing() {
+        for late_s in [0.0, 0.022, -0.7] {
+            assert_eq!(changed(|_| late_s), None);
+        }
+        for skew in [3e-4, 3e-3, -8e-3] {
+            assert_eq!(changed(|t_s| skew * t_s), None, "{skew}");
+        }
+    }
+
+    #[test]
+    fn a_latency_that_ramps_is_known_at_each_time() {
+        for (from_s, to_s, size_s) in [(10.0, 25.0, 0.1), (4.0, 36.0, -0.25), (20.0, 26.0, 0.08)] {
+            let late =
+                |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+            let found = changed(late);
+            let gradual = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
+            for t_s in (1..39).map(f64::from) {
+                let off_s = gradual.lag_s(t_s) - late(t_s);
+                assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");
+                let straight_s = t_s - gradual.lag_s(t_s);
+                assert!((gradual.logged_s(straight_s) - t_s).abs() < 1e-6, "{size_s} at {t_s} s");
+            }
+        }
+    }
+}

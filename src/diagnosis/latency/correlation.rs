@@ -1,0 +1,391 @@
+//! Coarse latency, from the correlation of the stream's speed with the arm's. Speed does not depend on the
+//! reference frame, so nothing else need be known. A tool offset or wrong convention biases the lag by
+//! milliseconds; the model fit refines it.
+
+use std::cell::RefCell;
+
+use crate::samples::sampling::row_blocks;
+use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::robot::Chain;
+use ground::stats::median;
+use ground::stream::JointTrack;
+use realfft::RealFftPlanner;
+
+/// Candidate lag.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LagPeak {
+    /// Latency, s. Positive if the stream is late.
+    pub lag_s: f64,
+    /// Pearson correlation over the common span, −1 to 1.
+    pub correlation: f64,
+}
+
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SpeedSeries {
+    pub t_s: Vec<f64>,
+    pub value: Vec<f64>,
+}
+
+/// Speeds of an arm by FK at the joint stamps.
+pub(crate) struct ArmSpeeds {
+    /// Tip, m/s.
+    pub linear: SpeedSeries,
+    /// Tip, rad/s.
+    pub angular: SpeedSeries,
+    /// Base in the tip frame, m/s.
+    inverse: SpeedSeries,
+}
+
+impl ArmSpeeds {
+    pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+        /// More do not improve the correlation.
+        const MAX_ROWS: usize = 30_000;
+        let mut jacobian = vec![[0.0; 6]; columns.len()];
+        let mut q = vec![0.0; columns.len()];
+        let mut t_s = Vec::new();
+        let mut speeds: [Vec<f64>; 3] = Default::default();
+        for row in (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1)) {
+            t_s.push(joints.t_s[row]);
+            for (own, &column) in q.iter_mut().zip(columns) {
+                *own = joints.row(row)[column];
+            }
+            let base_from_tip = chain.forward_with_jacobian(&q, &mut jacobian);
+            let mut twist = [0.0; 6];
+            for (column, &track) in jacobian.iter().zip(columns) {
+                let rate = joints.qd[row * joints.dof + track];
+                for (sum, part) in twist.iter_mut().zip(column) {
+                    *sum += part * rate;
+                }
+            }
+            let linear = Vec3::new(twist[0], twist[1], twist[2]);
+            let angular = Vec3::new(twist[3], twist[4], twist[5]);
+            // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
+            let inverse = linear - angular.cross(&base_from_tip.translation.vector);
+            for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
+                speed.push(vector.norm());
+            }
+        }
+        let [linear, angular, inverse] =
+            speeds.map(|value| SpeedSeries { t_s: t_s.clone(), value });
+        Self { linear, angular, inverse }
+    }
+
+    /// Maximum tip speed, m/s.
+    pub fn top_m_s(&self) -> f64 {
+        self.linear.value.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// Candidate lags from the speed (linear or angular) that correlates best.
+    pub fn lag_peaks(
+        &self,
+        t_s: &[f64],
+        xyz: &[Vec3],
+        rotation: Option<&[Rotation]>,
+        most_s: f64,
+    ) -> Vec<LagPeak> {
+        let linear = linear_speed(t_s, xyz);
+        // Inverse poses can be identified without rotations.
+        let mut found = vec![
+            lag_peaks(&self.linear, &linear, most_s),
+            lag_peaks(&self.inverse, &linear, most_s),
+        ];
+        if let Some(rotation) = rotation {
+            found.push(lag_peaks(&self.angular, &angular_speed(t_s, rotation), most_s));
+            let inverse = inverse_linear_speed(t_s, xyz, rotation);
+            found.push(lag_peaks(&self.linear, &inverse, most_s));
+        }
+        let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
+        found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
+    }
+}
+
+/// Root of the sum of squared joint speeds. Invariant to permuted joint names.
+pub(crate) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
+    let value = joints
+        .qd
+        .chunks_exact(joints.dof.max(1))
+        .map(|row| row.iter().map(|v| v * v).sum::<f64>().sqrt())
+        .collect();
+    SpeedSeries { t_s: joints.t_s.clone(), value }
+}
+
+/// Speed between samples `window_s` apart.
+pub(crate) fn differenced_speed(
+    t_s: &[f64],
+    window_s: f64,
+    distance: impl Fn(usize, usize) -> f64,
+) -> SpeedSeries {
+    let mut speed = SpeedSeries::default();
+    let mut first = 0;
+    for last in 0..t_s.len() {
+        while first + 1 < last && t_s[last] - t_s[first + 1] >= window_s {
+            first += 1;
+        }
+        let span = t_s[last] - t_s[first];
+        if span >= window_s && span < 4.0 * window_s {
+            speed.t_s.push(0.5 * (t_s[last] + t_s[first]));
+            speed.value.push(distance(first, last) / span);
+        }
+    }
+    speed
+}
+
+/// Averaging time, s: long relative to noise, short relative to a motion.
+fn window_s(t_s: &[f64]) -> f64 {
+    (2.5 * median_period_s(t_s)).clamp(0.02, 0.2)
+}
+
+pub(crate) fn median_period_s(t_s: &[f64]) -> f64 {
+    /// More do not improve the median.
+    const MAX_INTERVALS: usize = 5_000;
+    let stretches = row_blocks(t_s.len(), MAX_INTERVALS);
+    let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
+    median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
+}
+
+/// Position speed, in the logged unit per second.
+pub(crate) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> SpeedSeries {
+    differenced_speed(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
+}
+
+/// Speed of the origin of *inverse* poses, m/s.
+pub(crate) fn inverse_linear_speed(
+    t_s: &[f64],
+    xyz: &[Vec3],
+    rotation: &[Rotation],
+) -> SpeedSeries {
+    let inverse = |k: usize| rotation[k].inverse() * xyz[k];
+    differenced_speed(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
+}
+
+/// rad/s.
+pub(crate) fn angular_speed(t_s: &[f64], rotation: &[Rotation]) -> SpeedSeries {
+    differenced_speed(t_s, window_s(t_s), |a, b| angle_between(&rotation[a], &rotation[b]))
+}
+
+pub(crate) fn norm_series(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
+    SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
+}
+
+/// Lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
+pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
+    let by_lag = correlation_by_lag(arm, stream, most_s);
+    let mut peaks: Vec<LagPeak> = by_lag
+        .windows(3)
+        .filter_map(|around| {
+            let [a, b, c] = [0, 1, 2].map(|at| around[at].correlation);
+            let is_peak = b.is_finite() && b >= a && b > c;
+            let bend = a - 2.0 * b + c;
+            let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+            let step = around[2].lag_s - around[1].lag_s;
+            let peak = LagPeak { lag_s: around[1].lag_s + shift * step, correlation: b };
+            is_peak.then_some(peak)
+        })
+        .collect();
+    peaks.sort_by(|a, b| b.correlation.total_cmp(&a.correlation));
+    peaks
+}
+
+/// Correlation at evenly spaced lags within ±`most_s`. NaN if not comparable. Empty without a common span.
+/// Long gaps split the arm's speed into pieces, whose sums are added.
+pub(crate) fn correlation_by_lag(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    most_s: f64,
+) -> Vec<LagPeak> {
+    /// Over all pieces.
+    const MAX_STEPS: f64 = 30_000.0;
+    let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
+    let silences = periods.map(max_gap_s);
+    let pieces = pieces(&arm.t_s, silences[0]);
+    let covered_s: f64 = pieces.iter().map(|(start, end)| end - start).sum();
+    let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / MAX_STEPS);
+    if stream.t_s.is_empty() || covered_s < 20.0 * step {
+        return Vec::new();
+    }
+    let lags = (most_s.min(covered_s / 3.0) / step).floor() as usize;
+    let mut sums = CorrelationSums::zeros(2 * lags + 1);
+    for (start, end) in pieces {
+        let count = ((end - start) / step) as usize + 1;
+        // A late stream describes the piece after its end.
+        let before = start - lags as f64 * step;
+        sums.add(
+            &SpeedGrid::resample(arm, silences[0], start, step, count),
+            &SpeedGrid::resample(stream, silences[1], before, step, count + 2 * lags),
+        );
+    }
+    let lag_s = |at: usize| (at as f64 - lags as f64) * step;
+    let correlations = sums.correlations().into_iter().enumerate();
+    correlations.map(|(at, correlation)| LagPeak { lag_s: lag_s(at), correlation }).collect()
+}
+
+/// Longest gap to interpolate, s.
+fn max_gap_s(period_s: f64) -> f64 {
+    (20.0 * period_s).max(2.0)
+}
+
+/// Start and end of each piece without long gaps.
+fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
+    let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
+    unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
+}
+
+struct SpeedGrid {
+    /// 0 if invalid.
+    value: Vec<f64>,
+    /// 1 if valid, else 0.
+    known: Vec<f64>,
+}
+
+impl SpeedGrid {
+    /// Interpolates across gaps up to `longest_s`.
+    fn resample(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
+        let mut right = speed.t_s.partition_point(|&t| t < start);
+        let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
+        for i in 0..count {
+            let t = start + i as f64 * step;
+            while speed.t_s.get(right).is_some_and(|&at| at < t) {
+                right += 1;
+            }
+            let Some(&after) = speed.t_s.get(right) else { break };
+            let value = match right.checked_sub(1).map(|left| (left, speed.t_s[left])) {
+                _ if after == t => speed.value[right],
+                Some((left, before)) if after - before <= longest_s => {
+                    let share = (t - before) / (after - before);
+                    speed.value[left] + share * (speed.value[right] - speed.value[left])
+                }
+                _ => continue,
+            };
+            (grid.value[i], grid.known[i]) = (value, 1.0);
+        }
+        grid
+    }
+
+    fn powers(&self) -> [Vec<f64>; 3] {
+        [self.known.clone(), self.value.clone(), self.value.iter().map(|v| v * v).collect()]
+    }
+}
+
+thread_local! {
+    /// Planning a transform takes longer than computing it.
+    static FFT_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+}
+
+/// Sums for Pearson's correlation at every lag.
+struct CorrelationSums {
+    /// Number of common times, and sums of x, x², y, y² and xy.
+    sums: [Vec<f64>; 6],
+    /// Valid times of each speed.
+    known: [f64; 2],
+}
+
+impl CorrelationSums {
+    fn zeros(lags: usize) -> Self {
+        Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
+    }
+
+    /// Adds a piece. `stream` has one step more than `arm` for each lag after the first.
+    ///
+    /// Products at all lags by Fourier transforms (Press et al., *Numerical Recipes*, 3rd ed., §13.2). The
+    /// masks restrict them to valid times.
+    fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
+        let length = stream.value.len().next_power_of_two();
+        let (forward, inverse) = FFT_PLANS.with_borrow_mut(|planner| {
+            (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
+        });
+        let spectrum = |values: &Vec<f64>| {
+            let (mut padded, mut spectrum) = (values.clone(), forward.make_output_vec());
+            padded.resize(length, 0.0);
+            // Fails only if lengths differ from those planned.
+            let done = forward.process(&mut padded, &mut spectrum);
+            debug_assert!(done.is_ok());
+            spectrum
+        };
+        let [arm_powers, stream_powers] = [arm.powers(), stream.powers()];
+        let [a, b] = [arm_powers.each_ref(), stream_powers.each_ref()].map(|p| p.map(spectrum));
+        let pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)];
+        for (sums, (of_arm, of_stream)) in self.sums.iter_mut().zip(pairs) {
+            let product = a[of_arm].iter().zip(&b[of_stream]).map(|(a, b)| a.conj() * b);
+            let (mut product, mut lags): (Vec<_>, _) =
+                (product.collect(), inverse.make_output_vec());
+            for end in [0, length / 2] {
+                // Real in theory; required by the transform.
+                product[end].im = 0.0;
+            }
+            let done = inverse.process(&mut product, &mut lags);
+            debug_assert!(done.is_ok());
+            sums.iter_mut().zip(&lags).for_each(|(sum, lag)| *sum += lag / length as f64);
+        }
+        self.known[0] += arm.known.iter().sum::<f64>();
+        self.known[1] += stream.known.iter().sum::<f64>();
+    }
+
+    /// NaN if a speed is constant or less than a third of the times are common.
+    fn correlations(&self) -> Vec<f64> {
+        /// Speeds below this are constant; rounding stays below it.
+        const MIN_RELATIVE_VARIANCE: f64 = 1e-10;
+        let fewest = self.known[0].min(self.known[1]) / 3.0;
+        let at = |lag: usize| {
+            let [n, x, xx, y, yy, xy] = self.sums.each_ref().map(|sums| sums[lag]);
+            if n < fewest.max(0.5) {
+                return f64::NAN;
+            }
+            let (vx, vy) = (xx - x * x / n, yy - y * y / n);
+            if vx <= MIN_RELATIVE_VARIANCE * xx || vy <= MIN_RELATIVE_VARIANCE * yy {
+                return f64::NAN;
+            }
+            (xy - x * y / n) / (vx * vy).sqrt()
+        };
+        (0..self.sums[0].len()).map(at).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bumps(offset_s: f64, from: f64, to: f64, rate: f64) -> SpeedSeries {
+        let shape = |t: f64| (1.3 * t).sin().powi(2) + 0.5 * (0.37 * t * t).sin().powi(2);
+        let t_s: Vec<f64> =
+            (0..((to - from) * rate) as usize).map(|i| from + i as f64 / rate).collect();
+        let value = t_s.iter().map(|t| shape(t - offset_s)).collect();
+        SpeedSeries { t_s, value }
+    }
+
+    #[test]
+    fn a_planted_lag_is_found_to_a_fraction_of_a_sample() {
+        for lag in [-0.4, -0.015, 0.0, 0.0221, 0.9] {
+            let found = lag_peaks(&bumps(0.0, 0.0, 10.0, 125.0), &bumps(lag, 0.31, 9.7, 90.0), 2.0);
+            assert!((found[0].lag_s - lag).abs() < 2e-3, "{lag}: {:?}", found[0]);
+        }
+    }
+
+    #[test]
+    fn pieces_between_silences_add_up() {
+        let excerpts = |speed: SpeedSeries, around: f64| {
+            let kept = speed.t_s.iter().zip(&speed.value).filter(|(t, _)| {
+                let within = |from: f64| (from - around..from + 8.0 + around).contains(*t);
+                within(3.0) || within(30.0) || within(71.0)
+            });
+            let (t_s, value) = kept.map(|(t, v)| (*t, *v)).unzip();
+            SpeedSeries { t_s, value }
+        };
+        let lag = 0.713;
+        let arm = excerpts(bumps(0.0, 0.0, 90.0, 125.0), 0.0);
+        for around in [0.0, 2.0] {
+            let stream = excerpts(bumps(lag, 0.31, 89.0, 90.0), around);
+            let found = lag_peaks(&arm, &stream, 2.0)[0];
+            assert!((found.lag_s - lag).abs() < 2e-3, "{found:?}");
+            assert!(found.correlation > 0.99, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_constant_speed_has_no_peak() {
+        let still = SpeedSeries {
+            t_s: (0..1000).map(|i| i as f64 * 0.01).collect(),
+            value: vec![0.3; 1000],
+        };
+        assert!(lag_peaks(&still, &bumps(0.0, 0.0, 10.0, 100.0), 1.0).is_empty());
+    }
+}

@@ -1,0 +1,10 @@
+//! Latency of a stream: candidate lags, large changes, the profile over the run, jitter, compensation.
+
+pub(crate) mod coarse;
+pub(crate) mod compensation;
+pub(crate) mod correlation;
+pub(crate) mod delay_jitter;
+pub(crate) mod profile;
+pub(crate) mod ramp;
+pub(crate) mod residual_by_latency;
+pub(crate) mod steps;

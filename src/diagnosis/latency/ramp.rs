@@ -1,0 +1,114 @@
+//! Large piecewise linear latency of a stream.
+
+use super::coarse::{LagWindow, monotonic_rows, squared_residual};
+use super::correlation::SpeedSeries;
+use crate::LatencyProfile;
+
+/// Piecewise linear latency of a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatencyRamp {
+    /// Stamp, s from the run's origin, and latency, s. At least two.
+    knots: Vec<(f64, f64)>,
+}
+
+/// Fitted latency with its squared speed residual, and the residual of a linear latency.
+pub(crate) struct RampFit {
+    pub ramp: LatencyRamp,
+    pub residual: f64,
+    pub line_residual: f64,
+}
+
+impl LatencyRamp {
+    /// Fits the lags of `windows`. Also returns the speed residuals of this fit and of the best line.
+    /// `None` if the lags vary little.
+    pub(crate) fn fit_windows(
+        arm: &SpeedSeries,
+        stream: &SpeedSeries,
+        windows: &[&LagWindow],
+    ) -> Option<RampFit> {
+        /// Smaller variations do not affect estimates over a second of motion.
+        const MIN_VARIATION_S: f64 = 0.035;
+        /// Smaller deviations are skew.
+        const MIN_LINE_DEVIATION_S: f64 = 0.005;
+        const MIN_KNOTS: usize = 6;
+        let (first, last) = (windows.first()?, windows.last()?);
+        let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
+        let inner = windows.iter().map(|window| (window.middle_s, window.lag_s));
+        let inner = inner.filter(|(middle_s, _)| (begin_s..end_s).contains(middle_s));
+        let whole = [(begin_s, first.lag_s)].into_iter().chain(inner);
+        let whole = whole.chain([(end_s, last.lag_s)]);
+        let knots: Vec<(f64, f64)> = whole.map(|(t_s, lag_s)| (t_s + lag_s, lag_s)).collect();
+        let lags = || knots.iter().map(|knot| knot.1);
+        let swing_s = lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min);
+        let is_in_order = knots.windows(2).all(|two| two[1].0 > two[0].0);
+        if knots.len() < MIN_KNOTS || swing_s < MIN_VARIATION_S || !is_in_order {
+            return None;
+        }
+        let mut line = Self { knots: vec![knots[0], knots[knots.len() - 1]] };
+        let of_line = line.refine(arm, stream);
+        let mut rough = Self { knots };
+        rough.refine(arm, stream);
+        // Windows overlap, so add a knot between every two.
+        let mut gradual = Self { knots: rough.with_midpoints() };
+        let left = gradual.refine(arm, stream);
+        let bends = gradual
+            .knots
+            .iter()
+            .any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > MIN_LINE_DEVIATION_S);
+        Some(RampFit {
+            ramp: gradual,
+            residual: if bends { left } else { of_line },
+            line_residual: of_line,
+        })
+    }
+
+    /// `None` if the profile is not piecewise linear.
+    pub(crate) fn from_profile(course: &LatencyProfile) -> Option<Self> {
+        let knots = &course.levels;
+        (course.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
+    }
+
+    /// Latency at a stamp, s.
+    pub(crate) fn lag_s(&self, t_s: f64) -> f64 {
+        let after = self.knots.partition_point(|knot| knot.0 <= t_s).clamp(1, self.knots.len() - 1);
+        let ((a_s, a), (b_s, b)) = (self.knots[after - 1], self.knots[after]);
+        a + (b - a) * ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)
+    }
+
+    /// Compensated stamps, each with its row. Drops rows that would be out of order.
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        monotonic_rows(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
+    }
+
+    /// Logged stamp of a compensated one, s.
+    pub(crate) fn logged_s(&self, t_s: f64) -> f64 {
+        // Fixed-point iteration; converges because the latency changes slowly.
+        (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
+    }
+
+    /// Minimises the speed residual over the lag at each knot. Returns the residual.
+    fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
+        const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
+        let mut least = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
+        for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
+            for knot in 0..self.knots.len() {
+                for by_s in [step_s, -step_s] {
+                    self.knots[knot].1 += by_s;
+                    match squared_residual(arm, stream, &|t_s| self.lag_s(t_s)) {
+                        better if better < least => least = better,
+                        _ => self.knots[knot].1 -= by_s,
+                    }
+                }
+            }
+        }
+        least
+    }
+
+    fn with_midpoints(&self) -> Vec<(f64, f64)> {
+        let amid = self.knots.windows(2).flat_map(|two| {
+            let ((a_s, a), (b_s, b)) = (two[0], two[1]);
+            [(a_s, a), (0.5 * (a_s + b_s), 0.5 * (a + b))]
+        });
+        amid.chain(self.knots.last().copied()).collect()
+    }
+}

@@ -1,0 +1,282 @@
+//! Large latency steps: assigns a candidate lag to each time, minimising speed differences plus a price per
+//! step (Viterbi 1967).
+
+use super::coarse::{
+    LagWindow, MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows,
+    monotonic_rows, squared_deviation,
+};
+use super::correlation::SpeedSeries;
+use super::profile::{LatencyProfile, LatencyShape, LatencyStep};
+use crate::{EstimateResult, Measured};
+
+/// Between two candidate lags.
+const MIN_LAG_SEPARATION_S: f64 = 0.015;
+const MIN_LEVEL_S: f64 = 1.5;
+const MAX_LAGS: usize = 8;
+/// Standard error of a lag from speeds alone.
+const COARSE_STD_ERROR_S: f64 = 2e-3;
+/// After the steps, relative to the best constant lag.
+const MAX_RESIDUAL_RATIO: f64 = 0.35;
+
+/// Levels of a latency with steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatencySteps {
+    /// Start stamp, s from the run's origin, and latency, s. At least two; the first starts at −∞.
+    levels: Vec<(f64, f64)>,
+}
+
+/// Latency steps, from the lags in `windows`.
+pub(crate) fn detect_steps(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    followed: &[&LagWindow],
+) -> Option<LatencySteps> {
+    let lags = candidate_lags(followed);
+    let rough = (lags.len() > 1).then(|| assign_lags(arm, stream, &lags)).flatten()?;
+    let finer = assign_lags(arm, stream, &rough.finer_lags(arm, stream));
+    Some(finer.unwrap_or(rough))
+}
+
+/// Lags of the windows. Close ones merge to the best correlated.
+fn candidate_lags(windows: &[&LagWindow]) -> Vec<f64> {
+    let mut all = windows.to_vec();
+    all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
+    let mut groups: Vec<&[&LagWindow]> =
+        all.chunk_by(|a, b| b.lag_s - a.lag_s < MIN_LAG_SEPARATION_S).collect();
+    groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+    let best = |group: &[&LagWindow]| {
+        group.iter().max_by(|a, b| a.correlation.total_cmp(&b.correlation)).map(|best| best.lag_s)
+    };
+    groups.into_iter().take(MAX_LAGS).filter_map(best).collect()
+}
+
+fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<LatencySteps> {
+    /// Price of a step, as a duration of the smallest speed difference.
+    const STEP_PRICE_S: f64 = 10.0;
+    let rows = fit_rows(stream);
+    let costs: Vec<Vec<f64>> =
+        lags.iter().map(|&lag_s| differences(arm, stream, &rows, |_| lag_s)).collect();
+    let at = |row: usize, lag: usize| costs[lag][row];
+    let least = |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
+    let (first, last) = (*rows.first()?, *rows.last()?);
+    let span_s = stream.t_s[last] - stream.t_s[first];
+    let best: f64 = (0..rows.len()).map(least).sum();
+    let price = (STEP_PRICE_S * best / span_s.max(f64::MIN_POSITIVE)).max(f64::MIN_POSITIVE);
+    let mut sums: Vec<f64> = (0..lags.len()).map(|lag| at(0, lag)).collect();
+    let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows.len());
+    for row in 1..rows.len() {
+        let cheapest = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
+        let from: Vec<usize> = (0..lags.len())
+            .map(|lag| if sums[cheapest] + price < sums[lag] { cheapest } else { lag })
+            .collect();
+        let next = (0..lags.len()).map(|lag| {
+            let step = if from[lag] == lag { 0.0 } else { price };
+            sums[from[lag]] + step + at(row, lag)
+        });
+        sums = next.collect();
+        came_by.push(from);
+    }
+    let mut lag = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
+    let mut way = vec![lag; rows.len()];
+    for row in (1..rows.len()).rev() {
+        lag = came_by[row - 1][lag];
+        way[row - 1] = lag;
+    }
+    let mut levels: Vec<(f64, usize)> = vec![(f64::NEG_INFINITY, way[0])];
+    for row in 1..rows.len() {
+        if way[row] != way[row - 1] {
+            levels.push((stream.t_s[rows[row]], way[row]));
+        }
+    }
+    // Short levels are glitches in one of the speeds.
+    let ends: Vec<f64> =
+        levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
+    let begin_s = stream.t_s[first];
+    let lasts = |(level, end_s): (&(f64, usize), &f64)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S;
+    let mut kept: Vec<(f64, usize)> =
+        levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
+    kept.dedup_by_key(|level| level.1);
+    kept.first_mut()?.0 = f64::NEG_INFINITY;
+    let levels: Vec<(f64, f64)> = kept.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
+    let steps = LatencySteps { levels };
+    let clear: Vec<usize> =
+        (0..rows.len()).filter(|&row| steps.is_far_from_steps(stream.t_s[rows[row]])).collect();
+    let with: f64 = clear
+        .iter()
+        .map(|&row| {
+            let level = kept.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
+            at(row, kept[level].1)
+        })
+        .sum();
+    let alone = (0..lags.len()).map(|lag| clear.iter().map(|&row| at(row, lag)).sum::<f64>());
+    let alone = alone.fold(f64::INFINITY, f64::min);
+    let clear_rows: Vec<usize> = clear.iter().map(|&row| rows[row]).collect();
+    let explains = with
+        < (MAX_RESIDUAL_RATIO * alone)
+            .min(MAX_SPEED_RESIDUAL_SHARE * squared_deviation(stream, &clear_rows));
+    (steps.levels.len() > 1 && explains).then_some(steps)
+}
+
+impl LatencySteps {
+    /// Lag with the smallest speed difference over each level, s.
+    fn finer_lags(&self, arm: &SpeedSeries, stream: &SpeedSeries) -> Vec<f64> {
+        /// Around the coarse lag.
+        const LAG_SEARCH_RANGE_S: f64 = 0.03;
+        const LAG_SEARCH_STEP_S: f64 = 1e-3;
+        let ends_s = self.levels.iter().skip(1).map(|level| level.0).chain([f64::INFINITY]);
+        let finer = self.levels.iter().zip(ends_s).map(|(&(from_s, lag_s), end_s)| {
+            let [from, to] =
+                [from_s, end_s].map(|at_s| stream.t_s.partition_point(|t_s| *t_s < at_s));
+            let clear: Vec<usize> =
+                (from..to).filter(|&row| self.is_far_from_steps(stream.t_s[row])).collect();
+            let stride = clear.len().div_ceil(MAX_PROFILE_SAMPLES).max(1);
+            let rows: Vec<usize> = clear.into_iter().step_by(stride).collect();
+            let cost = |lag_s: f64| differences(arm, stream, &rows, |_| lag_s).iter().sum::<f64>();
+            let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
+            let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));
+            let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((least, best_s)) = best_s else { return lag_s };
+            let [before, after] =
+                [best_s - LAG_SEARCH_STEP_S, best_s + LAG_SEARCH_STEP_S].map(cost);
+            let bend = before - 2.0 * least + after;
+            if bend > 0.0 {
+                best_s + 0.5 * LAG_SEARCH_STEP_S * (before - after) / bend
+            } else {
+                best_s
+            }
+        });
+        let mut finer: Vec<f64> = finer.collect();
+        finer.sort_by(f64::total_cmp);
+        finer.dedup_by(|a, b| (*a - *b).abs() < LAG_SEARCH_STEP_S);
+        finer
+    }
+
+    /// Lag that remains when the steps are removed: the smallest in magnitude, s.
+    fn retained_lag_s(&self) -> f64 {
+        let lags = self.levels.iter().map(|level| level.1);
+        lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
+    }
+
+    /// Latency at a stamp, s.
+    pub(crate) fn lag_s(&self, t_s: f64) -> f64 {
+        let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
+        self.levels[after.saturating_sub(1)].1
+    }
+
+    fn relative_s(&self, t_s: f64) -> f64 {
+        self.lag_s(t_s) - self.retained_lag_s()
+    }
+
+    /// Whether a stamp belongs to one level. Stamps of both overlap near a backward step.
+    fn is_far_from_steps(&self, t_s: f64) -> bool {
+        let mut steps = self.levels.windows(2);
+        steps.all(|both| (t_s - both[1].0).abs() > (both[1].1 - both[0].1).abs())
+    }
+
+    /// Stamps without the steps, each with its row. Skips rows near a step and rows out of order.
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_far_from_steps(**t_s));
+        monotonic_rows(clear.map(|(row, t_s)| (row, t_s - self.relative_s(*t_s))))
+    }
+
+    /// Latency profile of these steps, refined with the profile `found` on the stream without them, plus
+    /// its additional jumps.
+    pub fn profile(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
+        /// For merging a remaining jump with a step.
+        const MAX_MERGE_DISTANCE_S: f64 = 2.0;
+        let fine = found.as_ref().ok();
+        let begins: Vec<f64> = self
+            .levels
+            .iter()
+            .map(|(from_s, lag_s)| from_s - (lag_s - self.retained_lag_s()))
+            .collect();
+        let level = |index: usize| {
+            let until_s = begins.get(index + 1).copied().unwrap_or(f64::INFINITY);
+            let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
+            mean(windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
+        };
+        let mut jumps: Vec<LatencyStep> = (1..self.levels.len())
+            .map(|index| {
+                let [(_, before_s), (at_s, after_s)] = [self.levels[index - 1], self.levels[index]];
+                let coarse_s = after_s - before_s;
+                let size_s = match (level(index - 1), level(index)) {
+                    (Some(before), Some(after)) => Measured {
+                        value: coarse_s + after.value - before.value,
+                        std_error: before.std_error.hypot(after.std_error),
+                        dof: before.dof + after.dof,
+                    },
+                    _ => Measured {
+                        value: coarse_s,
+                        std_error: COARSE_STD_ERROR_S,
+                        dof: f64::INFINITY,
+                    },
+                };
+                LatencyStep { at_s, size_s }
+            })
+            .collect();
+        let is_beside = |jump: &&LatencyStep| {
+            begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > MAX_MERGE_DISTANCE_S)
+        };
+        let own = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
+        jumps.extend(own.iter().filter(is_beside));
+        jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let size = |jump: &LatencyStep| jump.size_s.value.abs();
+        let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        let none = Measured { value: 0.0, std_error: COARSE_STD_ERROR_S, dof: f64::INFINITY };
+        LatencyProfile {
+            swing_s: largest.map_or(none, |jump| jump.size_s),
+            is_unsteady: true,
+            shape: LatencyShape::Steps,
+            levels: self
+                .levels
+                .iter()
+                .map(|(t_s, lag_s)| (*t_s, lag_s - self.retained_lag_s()))
+                .collect(),
+            windows: fine.map_or(Vec::new(), |fine| fine.windows.clone()),
+            steps: jumps,
+        }
+    }
+}
+
+/// Weighted mean, with a standard error scaled by the scatter.
+pub(crate) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
+    const MIN_STD_ERROR_S: f64 = 2e-5;
+    let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
+    let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();
+    if windows.len() < 2 || !weight.is_finite() {
+        return None;
+    }
+    let value = windows.iter().map(|one| one.value * one.std_error.powi(-2)).sum::<f64>() / weight;
+    let chi2: f64 = windows.iter().map(|one| ((one.value - value) / one.std_error).powi(2)).sum();
+    let birge = (chi2 / (windows.len() as f64 - 1.0)).max(1.0).sqrt();
+    let std_error = (birge / weight.sqrt()).max(MIN_STD_ERROR_S);
+    Some(Measured { value, std_error, dof: windows.len() as f64 })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::latency::coarse::CoarseLatencyChange;
+    use crate::latency::coarse::tests::changed;
+
+    #[test]
+    fn steps_are_found_with_their_moments() {
+        for sizes_s in [[0.3, 0.3], [-0.4, -0.4], [0.1, 0.8], [1.5, 0.0]] {
+            let late = |t_s: f64| match t_s {
+                t_s if t_s < 14.0 => 0.0,
+                t_s if t_s < 27.0 => sizes_s[0],
+                _ => sizes_s[1],
+            };
+            let found = changed(late);
+            let found = found.as_ref().and_then(CoarseLatencyChange::steps).expect("it steps");
+            let course = found.profile(&Err(crate::NotObservable::AtRest));
+            let first = course.steps[0];
+            assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
+            assert!((first.size_s.value - sizes_s[0]).abs() < 0.01, "{sizes_s:?}: {found:?}");
+            let is_one = sizes_s[0] == sizes_s[1];
+            assert_eq!(course.steps.len(), if is_one { 1 } else { 2 }, "{found:?}");
+            let straight = found.compensated(&[1.0, 2.0, 38.0]);
+            let last = straight[straight.len() - 1].1 - 38.0 + sizes_s[1];
+            assert!(last.abs() < 0.01, "{sizes_s:?}: {straight:?}");
+        }
+    }
+}

@@ -1,0 +1,430 @@
+//! Measurement model of a pose stream and its derivatives (see [`crate`]).
+//!
+//! Perturbations of `reference` multiply on the left, those of `tool` on the right. Residuals are in the
+//! reference frame: position in m, and the rotation vector of `logged · predicted⁻¹` in rad.
+
+use crate::FrameCorrection;
+use crate::solver::linear::{Linear, Rows};
+use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::robot::Chain;
+use ground::stream::JointTrack;
+use nalgebra::{DVector, Translation3};
+
+/// Columns of a stream's parameters.
+pub(crate) const LATENCY_COLUMN: usize = 0;
+pub(crate) const SKEW_COLUMN: usize = 1;
+pub(crate) const RADIAL_SCALE_COLUMN: usize = 2;
+pub(crate) const REFERENCE_COLUMNS_START: usize = 3;
+pub(crate) const TOOL_COLUMNS_START: usize = 9;
+pub(crate) const STREAM_WIDTH: usize = 15;
+
+/// Residual kinds, in row order.
+const POSITION: usize = 0;
+const ROTATION: usize = 1;
+
+/// Lower bounds of standard deviations.
+pub(crate) const FLOOR_M: f64 = 1e-6;
+pub(crate) const FLOOR_RAD: f64 = 1e-6;
+
+/// Components of a stream without information, excluded from every residual.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ExcludedComponents {
+    /// In the stream's frame.
+    pub position: [bool; 3],
+    /// All three components.
+    pub rotation: bool,
+}
+
+impl ExcludedComponents {
+    /// Sets excluded coordinates to zero.
+    pub fn mask_position(&self, mut vector: [f64; 3]) -> [f64; 3] {
+        for (part, blind) in vector.iter_mut().zip(self.position) {
+            *part *= f64::from(u8::from(!blind));
+        }
+        vector
+    }
+
+    /// Copies excluded components from `expected`.
+    pub fn fill(&self, pose: &mut Pose, expected: &Pose) {
+        for (axis, _) in self.position.iter().enumerate().filter(|(_, blind)| **blind) {
+            pose.translation.vector[axis] = expected.translation.vector[axis];
+        }
+        if self.rotation {
+            pose.rotation = expected.rotation;
+        }
+    }
+
+    /// Sets excluded rotations to zero.
+    pub fn mask_rotation(&self, vector: [f64; 3]) -> [f64; 3] {
+        if self.rotation { [0.0; 3] } else { vector }
+    }
+}
+
+/// Decoded observations of one stream, ready for the fit.
+#[derive(Clone)]
+pub(crate) struct PoseObservations<'a> {
+    pub joints: &'a JointTrack,
+    pub chain: &'a Chain,
+    pub columns: &'a [usize],
+    /// Pairs of joints: the first's position contains an unknown share of the second's (coupling). A joint
+    /// paired with itself has an unknown scale.
+    pub gains: &'a [(usize, usize)],
+    pub reference_known: bool,
+    /// Per joint of the track; slower ones rest, rad/s or m/s.
+    pub rest_speeds: &'a [f64],
+    pub t_s: Vec<f64>,
+    pub xyz: Vec<Vec3>,
+    pub rotation: Vec<Rotation>,
+    pub excluded: ExcludedComponents,
+    pub tool_part: ToolPart,
+    /// Stamp at which skew has no effect, s.
+    pub middle_s: f64,
+}
+
+/// Components of a tool that a log can determine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ToolPart {
+    /// Translation and rotation.
+    Whole,
+    /// Translation only, without orientations.
+    Point,
+}
+
+impl ToolPart {
+    /// Range among the six tool parameters.
+    pub fn range(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Whole => 0..6,
+            Self::Point => 0..3,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct StreamState {
+    pub latency_s: f64,
+    pub skew: f64,
+    pub radial_scale: f64,
+    pub reference: Pose,
+    pub tool: Pose,
+    /// Part of `reference` that is a round slip (such as a quarter turn), not estimated.
+    pub round_reference: Option<Pose>,
+    /// Same for `tool`.
+    pub round_tool: Option<Pose>,
+    pub tool_part: ToolPart,
+}
+
+impl StreamState {
+    pub fn at_latency(latency_s: f64) -> Self {
+        Self {
+            latency_s,
+            skew: 0.0,
+            radial_scale: 0.0,
+            reference: Pose::identity(),
+            tool: Pose::identity(),
+            round_reference: None,
+            round_tool: None,
+            tool_part: ToolPart::Whole,
+        }
+    }
+
+    /// Pose correction by these parameters.
+    pub fn frame_correction(&self) -> FrameCorrection {
+        FrameCorrection {
+            reference: self.reference,
+            tool: self.tool,
+            radial_scale: self.radial_scale,
+        }
+    }
+
+    /// Zero means that the cause is absent.
+    fn values(&self) -> [f64; STREAM_WIDTH] {
+        let mut values = [0.0; STREAM_WIDTH];
+        values[LATENCY_COLUMN] = self.latency_s;
+        values[SKEW_COLUMN] = self.skew;
+        values[RADIAL_SCALE_COLUMN] = self.radial_scale;
+        let reference = self.reference * self.round_reference.unwrap_or_default().inverse();
+        let tool = self.round_tool.unwrap_or_default().inverse() * self.tool;
+        values[REFERENCE_COLUMNS_START..TOOL_COLUMNS_START].copy_from_slice(&twist_of(&reference));
+        values[TOOL_COLUMNS_START..].copy_from_slice(&twist_of(&tool));
+        values
+    }
+
+    fn step(&mut self, delta: &[f64]) {
+        self.latency_s += delta[LATENCY_COLUMN];
+        self.skew += delta[SKEW_COLUMN];
+        self.radial_scale += delta[RADIAL_SCALE_COLUMN];
+        self.reference =
+            pose_of_twist(&delta[REFERENCE_COLUMNS_START..TOOL_COLUMNS_START]) * self.reference;
+        self.tool *= pose_of_twist(&delta[TOOL_COLUMNS_START..]);
+    }
+}
+
+/// Translation and rotation vector.
+pub(crate) fn twist_of(pose: &Pose) -> [f64; 6] {
+    let (p, r) = (pose.translation.vector, rotvec_from_rotation(&pose.rotation));
+    [p.x, p.y, p.z, r.x, r.y, r.z]
+}
+
+pub(crate) fn pose_of_twist(twist: &[f64]) -> Pose {
+    Pose::from_parts(
+        Translation3::new(twist[0], twist[1], twist[2]),
+        rotation_from_rotvec(Vec3::new(twist[3], twist[4], twist[5])),
+    )
+}
+
+/// Joint offsets, joint gains, then the parameters of each stream.
+#[derive(Clone, Debug)]
+pub(crate) struct State {
+    /// Offset of each joint, rad or m, then the share of each pair in [`PoseObservations::gains`].
+    pub offsets: Vec<f64>,
+    pub streams: Vec<StreamState>,
+}
+
+impl State {
+    /// Number of parameters.
+    pub fn width(&self) -> usize {
+        self.offsets.len() + self.streams.len() * STREAM_WIDTH
+    }
+
+    /// Index of a stream's parameter.
+    pub fn index(&self, stream: usize, parameter: usize) -> usize {
+        self.offsets.len() + stream * STREAM_WIDTH + parameter
+    }
+
+    /// Damping scales (Levenberg 1944). They barely affect observable parameters; unobservable ones keep
+    /// their value.
+    pub fn scales(&self) -> Vec<f64> {
+        let mut stream = [0.02; STREAM_WIDTH];
+        stream[SKEW_COLUMN] = 1e-4;
+        let joints = std::iter::repeat_n(0.02, self.offsets.len());
+        joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
+    }
+
+    /// Values of all parameters.
+    pub fn values(&self) -> DVector<f64> {
+        let streams = self.streams.iter().flat_map(StreamState::values);
+        DVector::from_iterator(self.width(), self.offsets.iter().copied().chain(streams))
+    }
+
+    /// Adds `delta` to the parameters.
+    pub fn step(&mut self, delta: &DVector<f64>) {
+        let joints = self.offsets.len();
+        for (offset, change) in self.offsets.iter_mut().zip(delta.iter()) {
+            *offset += change;
+        }
+        for (s, stream) in self.streams.iter_mut().enumerate() {
+            let start = joints + s * STREAM_WIDTH;
+            stream.step(&delta.as_slice()[start..start + STREAM_WIDTH]);
+        }
+    }
+}
+
+struct Predicted {
+    pose: Pose,
+    /// `base_from_link · tool`.
+    in_base: Pose,
+    moving: bool,
+}
+
+pub(crate) struct PredictionBuffers {
+    cursor: usize,
+    track_q: Vec<f64>,
+    track_qd: Vec<f64>,
+    q: Vec<f64>,
+    qd: Vec<f64>,
+    jacobian: Vec<[f64; 6]>,
+}
+
+impl PredictionBuffers {
+    pub fn new(witness: &PoseObservations) -> Self {
+        let (dof, track) = (witness.columns.len(), witness.joints.dof);
+        Self {
+            cursor: 0,
+            track_q: vec![0.0; track],
+            track_qd: vec![0.0; track],
+            q: vec![0.0; dof],
+            qd: vec![0.0; dof],
+            jacobian: vec![[0.0; 6]; dof],
+        }
+    }
+}
+
+impl PredictionBuffers {
+    /// Last joint positions, in chain order.
+    pub fn q(&self) -> &[f64] {
+        &self.q
+    }
+
+    /// Linear and angular Jacobian column for a point at `lever` from the link origin, in the base.
+    pub fn column(&self, joint: usize, lever: &Vec3) -> (Vec3, Vec3) {
+        let [x, y, z, rx, ry, rz] = self.jacobian[joint];
+        let angular = Vec3::new(rx, ry, rz);
+        (Vec3::new(x, y, z) + angular.cross(lever), angular)
+    }
+
+    /// Linear and angular link velocity, in the base.
+    pub fn twist(&self) -> (Vec3, Vec3) {
+        let mut twist = (Vec3::zeros(), Vec3::zeros());
+        for (column, rate) in self.jacobian.iter().zip(&self.qd) {
+            twist.0 += Vec3::new(column[0], column[1], column[2]) * *rate;
+            twist.1 += Vec3::new(column[3], column[4], column[5]) * *rate;
+        }
+        twist
+    }
+}
+
+impl PoseObservations<'_> {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.t_s.len()
+    }
+
+    /// Index among the offsets and multiplied joint, for each gain of a joint.
+    fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
+        let gained = self.gains.iter().enumerate();
+        gained.filter_map(move |(at, &(own, by))| {
+            (own == column).then_some((self.joints.dof + at, by))
+        })
+    }
+
+    /// Predicts sample `k`; leaves the Jacobian in `sweep`. `None` if joint states do not cover it.
+    fn predict(
+        &self,
+        k: usize,
+        stream: &StreamState,
+        offsets: &[f64],
+        sweep: &mut PredictionBuffers,
+    ) -> Option<Predicted> {
+        let stamp = self.t_s[k];
+        let truth = stamp - stream.latency_s - stream.skew * (stamp - self.middle_s);
+        let PredictionBuffers { cursor, track_q, track_qd, q, qd, jacobian } = sweep;
+        if !self.joints.at(truth, cursor, track_q, track_qd) {
+            return None;
+        }
+        let mut moving = false;
+        for (i, &column) in self.columns.iter().enumerate() {
+            (q[i], qd[i]) = (track_q[column] + offsets[column], track_qd[column]);
+            for (at, by) in self.gains_of(column) {
+                let gain = offsets.get(at).unwrap_or(&0.0);
+                q[i] += gain * track_q[by];
+                qd[i] += gain * track_qd[by];
+            }
+            moving |= qd[i].abs() > self.rest_speeds[column];
+        }
+        let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
+        let mut in_base = base_from_link * stream.tool;
+        in_base.translation.vector *= 1.0 + stream.radial_scale;
+        Some(Predicted { pose: stream.reference * in_base, in_base, moving })
+    }
+
+    /// Samples, out of about `most`, at which a joint moves.
+    pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
+        let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
+        let mut sweep = PredictionBuffers::new(self);
+        (0..self.len())
+            .step_by(self.len().div_ceil(most).max(1))
+            .filter_map(|k| self.predict(k, &state, &offsets, &mut sweep))
+            .filter(|predicted| predicted.moving)
+            .count()
+    }
+
+    /// Rms residual over about `most` samples (m and rad combined), and the latency change that reduces it
+    /// most, s.
+    pub fn residual_at_latency(
+        &self,
+        stream: &StreamState,
+        offsets: &[f64],
+        most: usize,
+    ) -> (f64, f64) {
+        let linear = self.linearize(stream, offsets, self.len().div_ceil(most).max(1));
+        let latency = offsets.len() + LATENCY_COLUMN;
+        let (mut square, mut along, mut steep) = (0.0, 0.0, f64::MIN_POSITIVE);
+        for (slope, residual) in linear.along(latency) {
+            square += residual * residual;
+            along += slope * residual;
+            steep += slope * slope;
+        }
+        ((square / linear.len().max(1) as f64).sqrt(), along / steep)
+    }
+
+    /// `reference_from_tip · tool`. `None` if joint states do not cover `k`.
+    pub fn pose_at(
+        &self,
+        k: usize,
+        stream: &StreamState,
+        offsets: &[f64],
+        sweep: &mut PredictionBuffers,
+    ) -> Option<Pose> {
+        self.predict(k, stream, offsets, sweep).map(|predicted| predicted.pose)
+    }
+
+    /// Logged minus predicted: m, rotation vector in rad.
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
+        let position = self.xyz[k] - predicted.translation.vector;
+        let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
+        [self.excluded.mask_position(position.into()), self.excluded.mask_rotation(rotation.into())]
+    }
+
+    /// Linearises every `stride`-th sample that joint states cover.
+    pub fn linearize(&self, stream: &StreamState, offsets: &[f64], stride: usize) -> Linear {
+        let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
+        let mut sweep = PredictionBuffers::new(self);
+        let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
+        for k in (0..self.len()).step_by(stride.max(1)) {
+            let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {
+                continue;
+            };
+            let mut rows = linear.push(&self.residual(k, &predicted.pose));
+            self.fill(k, stream, &predicted, &sweep, joints, &mut rows);
+        }
+        linear
+    }
+
+    fn fill(
+        &self,
+        k: usize,
+        stream: &StreamState,
+        predicted: &Predicted,
+        sweep: &PredictionBuffers,
+        joints: usize,
+        rows: &mut Rows,
+    ) {
+        let mut set = |column: usize, linear: Vec3, angular: Vec3| {
+            rows.set(POSITION, column, self.excluded.mask_position(linear.into()));
+            rows.set(ROTATION, column, self.excluded.mask_rotation(angular.into()));
+        };
+        let to_reference = stream.reference.rotation;
+        let at = predicted.pose.translation.vector;
+        let in_base = predicted.in_base.translation.vector;
+        let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
+        // The Jacobian is for the link origin; the lever moves it to the tool.
+        let base_from_link = predicted.in_base.rotation * stream.tool.rotation.inverse();
+        let lever = base_from_link * stream.tool.translation.vector;
+        for i in 0..sweep.jacobian.len() {
+            let (linear, angular) = sweep.column(i, &lever);
+            let (linear, angular) = (to_reference * linear, to_reference * angular);
+            set(self.columns[i], linear, angular);
+            for (gain, by) in self.gains_of(self.columns[i]).filter(|(gain, _)| *gain < joints) {
+                let number = sweep.track_q[by];
+                set(gain, linear * number, angular * number);
+            }
+            v += linear * sweep.qd[i];
+            w += angular * sweep.qd[i];
+        }
+        if predicted.moving {
+            set(joints + LATENCY_COLUMN, -v, -w);
+            let lever_s = self.t_s[k] - self.middle_s;
+            set(joints + SKEW_COLUMN, -v * lever_s, -w * lever_s);
+        }
+        set(joints + RADIAL_SCALE_COLUMN, to_reference * in_base, Vec3::zeros());
+        for axis in 0..3 {
+            let unit = Vec3::ith(axis, 1.0);
+            set(joints + REFERENCE_COLUMNS_START + axis, unit, Vec3::zeros());
+            set(joints + REFERENCE_COLUMNS_START + 3 + axis, unit.cross(&at), unit);
+            let tool_axis = predicted.pose.rotation * unit;
+            set(joints + TOOL_COLUMNS_START + axis, tool_axis, Vec3::zeros());
+            set(joints + TOOL_COLUMNS_START + 3 + axis, Vec3::zeros(), tool_axis);
+        }
+    }
+}

@@ -1,0 +1,4 @@
+//! Measurement model of a pose stream, and what a motion reveals about its parameters.
+
+pub(crate) mod measurement;
+pub(crate) mod observability;

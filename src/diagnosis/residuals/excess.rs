@@ -1,0 +1,208 @@
+//! Residual of a corrected stream, with a test of whether it exceeds noise.
+//!
+//! Model errors repeat with the configuration, correlated noise does not. The test is a cross-validation:
+//! small changes of all link frames, fitted to three quarters of the log, predict the residual of the rest.
+
+use crate::model::measurement::{PoseObservations, StreamState};
+use crate::selection::nominal_model::{FreeAlongside, damped, link_frames};
+use crate::solver::linear::{Linear, Normal};
+use crate::solver::noise::Noise;
+use crate::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use nalgebra::DVector;
+
+/// For the link frames.
+const MAX_SAMPLES: usize = 1000;
+/// Of the cross-validation.
+const FOLDS: usize = 4;
+/// Fewer if noise is correlated for longer.
+const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
+/// Below this the correlation is chance, for 95 % of chance correlations even with few blocks.
+const CHANCE_STD_ERRORS: f64 = 2.0;
+
+/// Residual of `aligned` beyond the noise. `stream` and `offsets` are estimated on `witness`.
+pub(crate) fn excess_residual(
+    aligned: &AlignedSamples,
+    witness: &PoseObservations,
+    stream: &StreamState,
+    offsets: &[f64],
+) -> EstimateResult<StreamResidual> {
+    let n = aligned.t_s.len();
+    if n < 8 {
+        return Err(NotObservable::TooFewSamples { have: n, need: 8 });
+    }
+    let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
+    let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
+    let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
+        a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
+    };
+    let left_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &position);
+    let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
+    let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
+    let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
+    let [common_m, common_rad] = fold_correlation(witness, stream, offsets);
+    Ok(StreamResidual {
+        excess_m: excess(&left_m, &common_m),
+        excess_rad: excess(&left_rad, &common_rad),
+        rms_m: rms(&left_m),
+        rms_rad: rms(&left_rad),
+        before_m,
+        before_rad,
+    })
+}
+
+fn rms(vectors: &[Vec3]) -> f64 {
+    (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
+}
+
+/// Rms beyond the noise between samples (half the mean squared successive difference, von Neumann 1941).
+/// The standard error, from the scatter over blocks, is raised until the value is no more significant than
+/// the correlation `in_common` with the prediction.
+fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
+    let blocks = 20.min(vectors.len() / 2).max(1);
+    let size = vectors.len() / blocks;
+    let beyond: Vec<f64> = vectors
+        .chunks_exact(size)
+        .map(|block| {
+            let square = rms(block).powi(2);
+            let steps: Vec<Vec3> = block.windows(2).map(|w| w[1] - w[0]).collect();
+            square - 0.5 * rms(&steps).powi(2)
+        })
+        .collect();
+    let Measured { value: mean, std_error: mean_error, .. } = mean_of(&beyond);
+    let value = mean.max(0.0).sqrt();
+    // d(√x) = dx / 2√x, limited to √dx near zero.
+    let by_spread = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
+    let distance = in_common.value / in_common.std_error.max(f64::MIN_POSITIVE);
+    Measured {
+        value,
+        std_error: by_spread.max(value / distance.max(CHANCE_STD_ERRORS)),
+        dof: in_common.dof,
+    }
+}
+
+/// The standard error is infinite for fewer than two values.
+fn mean_of(values: &[f64]) -> Measured {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n.max(1.0);
+    let spread =
+        values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    let std_error = if n < 2.0 { f64::INFINITY } else { (spread / n).sqrt() };
+    Measured { value: mean, std_error, dof: (n - 1.0).max(1.0) }
+}
+
+/// Correlation of each fold's residual with the prediction from the other folds, −1 to 1, for position and
+/// rotation.
+fn fold_correlation(
+    witness: &PoseObservations,
+    stream: &StreamState,
+    offsets: &[f64],
+) -> [Measured; 2] {
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
+    let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
+    let parts: Vec<Linear> = rows
+        .chunks(rows.len().div_ceil(FOLDS).max(1))
+        .map(|rows| {
+            link_frames(witness, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
+        })
+        .collect();
+    let normals: Vec<Normal> = parts.iter().map(normal_of).collect();
+    let foretold = |part: usize| {
+        let others = normals.iter().enumerate().filter(|(other, _)| *other != part);
+        let mut normal = Normal::zeros(parts[part].width);
+        for (_, other) in others {
+            normal.matrix += &other.matrix;
+            normal.right += &other.right;
+        }
+        let all: Vec<usize> = (0..parts[part].width).collect();
+        damped(normal).step(&DVector::zeros(all.len()), &all)
+    };
+    let steps: Vec<DVector<f64>> = (0..parts.len()).map(foretold).collect();
+    [0, 1].map(|kind| {
+        let mut pairs = Vec::new();
+        for (part, step) in parts.iter().zip(&steps) {
+            let after = part.residuals_after(step.as_slice()).swap_remove(kind);
+            pairs.extend(part.residual[kind].iter().zip(after).map(|(&left, after)| {
+                let foretold = std::array::from_fn(|axis| left[axis] - after[axis]);
+                (left, foretold)
+            }));
+        }
+        correlation(&pairs)
+    })
+}
+
+fn normal_of(linear: &Linear) -> Normal {
+    let mut normal = Normal::zeros(linear.width);
+    let columns: Vec<usize> = (0..linear.width).collect();
+    linear.accumulate(&linear.first_weights(), &columns, &mut normal);
+    normal
+}
+
+/// Mean over blocks. Each is at least twice as long as the first series' correlation.
+fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
+    let left: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
+    let noise = Noise::estimate(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);
+    let lasting = 2.0 * noise.inflation();
+    let blocks = (pairs.len() as f64 / lasting) as usize;
+    let blocks = blocks.clamp(*BLOCK_COUNTS.start(), *BLOCK_COUNTS.end());
+    let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let of_block = |block: &[([f64; 3], [f64; 3])]| {
+        let (mut left, mut foretold, mut both) = (0.0, 0.0, 0.0);
+        for (a, b) in block {
+            (left, foretold, both) = (left + dot(a, a), foretold + dot(b, b), both + dot(a, b));
+        }
+        both / (left * foretold).sqrt().max(f64::MIN_POSITIVE)
+    };
+    let size = pairs.len().div_ceil(blocks).max(1);
+    mean_of(&pairs.chunks(size).map(of_block).collect::<Vec<f64>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn wandering(n: usize, seed: u64) -> Vec<[f64; 3]> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut state = [0.0; 3];
+        let mut next = || {
+            state = state.map(|s| {
+                let innovation: f64 = StandardNormal.sample(&mut rng);
+                0.95 * s + 0.31 * innovation
+            });
+            state
+        };
+        (0..n).map(|_| next()).collect()
+    }
+
+    fn reaches_zero(vectors: &[[f64; 3]], foretold: &[[f64; 3]]) -> bool {
+        let pairs: Vec<_> = vectors.iter().copied().zip(foretold.iter().copied()).collect();
+        let vectors: Vec<Vec3> = vectors.iter().map(|&v| Vec3::from(v)).collect();
+        excess(&vectors, &correlation(&pairs)).interval(0.95)[0] <= 0.0
+    }
+
+    #[test]
+    fn noise_that_wanders_is_no_excess_and_what_was_foretold_is() {
+        let covered = (0..40)
+            .filter(|&seed| reaches_zero(&wandering(1000, seed), &wandering(1000, 1000 + seed)));
+        assert!(covered.count() >= 35);
+        let foretold = wandering(1000, 7);
+        let noise = wandering(1000, 8);
+        let mixed: Vec<[f64; 3]> = foretold
+            .iter()
+            .zip(&noise)
+            .map(|(f, n)| std::array::from_fn(|axis| f[axis] + 0.2 * n[axis]))
+            .collect();
+        assert!(!reaches_zero(&mixed, &foretold));
+    }
+
+    #[test]
+    fn nothing_left_is_zero_and_not_nan() {
+        let nothing = vec![[0.0; 3]; 40];
+        let pairs: Vec<_> = nothing.iter().map(|&v| (v, v)).collect();
+        let vectors = vec![Vec3::zeros(); 40];
+        let found = excess(&vectors, &correlation(&pairs));
+        assert!(found.value == 0.0 && found.interval(0.95).iter().all(|end| end.is_finite()));
+    }
+}

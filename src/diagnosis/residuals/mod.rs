@@ -1,0 +1,4 @@
+//! Residuals of a stream against FK, with and without the estimators.
+
+pub(crate) mod excess;
+pub(crate) mod residual_check;

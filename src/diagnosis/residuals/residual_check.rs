@@ -1,0 +1,504 @@
+//! Compares a stream directly with FK, as logged and corrected, without the estimators. A `pass` requires
+//! it.
+//!
+//! An error that lasts for part of the run is large there, whatever its mean. Its size is therefore a high
+//! quantile, robust to single outliers, over the run and over each tenth of the moving run. Its noise must
+//! not come from the error itself, because a tool that slips resembles one long fluctuation. It comes from
+//! second differences over times with little motion (von Neumann 1941; Hall, Kay and Titterington 1990).
+
+use crate::latency::correlation::median_period_s;
+use crate::model::measurement::{
+    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
+};
+use crate::model::observability::travel;
+use crate::samples::sampling::rest_speeds;
+use crate::selection::nominal_model::calibrated_residuals;
+use crate::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
+use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
+use ground::stream::{JointTrack, Orientations};
+
+/// Defines the size of an error.
+const ERROR_QUANTILE: f64 = 0.95;
+/// Of the moving run.
+const MAX_PARTS: usize = 10;
+/// Shorter runs have fewer parts.
+const MIN_PART_SAMPLES: usize = 20;
+const MIN_SAMPLES: usize = 8;
+/// With fewer, the arm rests.
+const MIN_MOVING_SAMPLES: usize = 10;
+/// Rms of the tip's points.
+const MAX_REST_SPREAD_M: f64 = 2e-3;
+/// Of the joints, rad or m: 3°, as for joint zeros.
+const MAX_SINGLE_CONFIGURATION_RANGE: f64 = 0.05;
+/// Relative to the motion's correlation time.
+const MAX_NOISE_SPAN_SHARE: f64 = 0.25;
+/// Represents the tip's rotation.
+const LEVER_M: f64 = 0.3;
+/// For the motion's correlation time.
+const CORRELATION_SAMPLES: usize = 2000;
+const MAX_CALIBRATION_SAMPLES: usize = 5000;
+
+/// Error of a stream against FK.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ResidualCheck {
+    /// Whether the arm rests, so few configurations count.
+    pub is_at_rest: bool,
+    /// As logged, against recorded FK.
+    pub as_logged: FkError,
+    /// After correcting all findings.
+    pub corrected: Option<FkError>,
+    /// Only poses corrected, not joints and times: names, units, zeros, latency, skew.
+    pub poses_corrected: Option<FkError>,
+    /// Only joints and times corrected, not poses: encoding, units, frames.
+    pub joints_corrected: Option<FkError>,
+    /// All findings and small changes of every link frame corrected, as by a calibration.
+    pub calibrated: Option<FkError>,
+}
+
+/// Differences from FK.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FkError {
+    /// Position error, m.
+    pub length: ErrorSize,
+    /// Rotation error, rad. `None` for bare numbers.
+    pub angle: Option<ErrorSize>,
+}
+
+/// Size of an error over the run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ErrorSize {
+    /// Whole run.
+    pub whole: ErrorMagnitude,
+    /// Parts in time order.
+    pub parts: Vec<PartError>,
+}
+
+/// Size of an error, m or rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ErrorMagnitude {
+    /// Samples.
+    pub samples: usize,
+    /// Rms, outliers clipped to the quantile.
+    pub rms: f64,
+    /// 95 % quantile.
+    pub quantile_95: f64,
+    /// `None` if samples are too sparse to separate noise from motion.
+    pub noise: Option<SampleNoise>,
+}
+
+/// Noise between samples, m or rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SampleNoise {
+    /// Rms.
+    pub rms: f64,
+    /// 95 % quantile.
+    pub quantile_95: f64,
+    /// Lag of differences, samples.
+    pub lag_samples: usize,
+}
+
+/// Part of the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PartError {
+    /// Start, s from the run's origin.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// FK position of the largest error, reference frame, m.
+    pub at: Vec3,
+    /// Error size.
+    pub magnitude: ErrorMagnitude,
+}
+
+impl ErrorSize {
+    /// Part with the largest error, if any.
+    pub fn worst(&self) -> Option<&PartError> {
+        self.parts.iter().max_by(|a, b| a.magnitude.quantile_95.total_cmp(&b.magnitude.quantile_95))
+    }
+}
+
+/// Error as logged and corrected for `found`, with corrected joint states `mended`.
+///
+/// # Errors
+/// If the joint states cover too few samples.
+pub fn check_residual(
+    joints: &JointTrack,
+    mended: &JointTrack,
+    stream: &PoseStream,
+    found: &PoseDiagnosis,
+) -> EstimateResult<ResidualCheck> {
+    let logged = align_with_fk(joints, stream, 0.0);
+    let have = logged.t_s.len();
+    if have == 0 {
+        return Err(NotObservable::NoOverlap);
+    }
+    if have < MIN_SAMPLES {
+        return Err(NotObservable::TooFewSamples { have, need: MIN_SAMPLES });
+    }
+    let moves = moving(joints, stream, &logged.t_s);
+    let points = tip_points(&logged.fk);
+    // Null-space motion of a seven-joint arm leaves the tip at rest.
+    let is_in_one_posture = variance(&points) < MAX_REST_SPREAD_M * MAX_REST_SPREAD_M
+        && stream
+            .columns
+            .iter()
+            .all(|&column| travel(joints, column) < MAX_SINGLE_CONFIGURATION_RANGE);
+    let at_rest =
+        moves.iter().filter(|moves| **moves).count() < MIN_MOVING_SAMPLES || is_in_one_posture;
+    let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
+    let as_logged = ErrorSeries::from_poses(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
+        .error(&moves, at_rest);
+    let aligned = &found.aligned;
+    let moves = moving(joints, stream, &aligned.t_s);
+    let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
+        let series = ErrorSeries::from_poses(&aligned.t_s, poses, fk, has_rotation);
+        (aligned.t_s.len() >= MIN_SAMPLES).then(|| series.error(&moves, at_rest))
+    };
+    Ok(ResidualCheck {
+        is_at_rest: at_rest,
+        as_logged,
+        corrected: error(&aligned.corrected, &aligned.fk_at_truth, true),
+        poses_corrected: error(&aligned.corrected, &aligned.fk, true),
+        joints_corrected: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
+        calibrated: residual_with_calibration(mended, stream, found, at_rest),
+    })
+}
+
+fn residual_with_calibration(
+    mended: &JointTrack,
+    stream: &PoseStream,
+    found: &PoseDiagnosis,
+    at_rest: bool,
+) -> Option<FkError> {
+    let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &found.aligned;
+    let (first, last) = (t_s.first()?, t_s.last()?);
+    if at_rest || t_s.len() < MIN_SAMPLES {
+        return None;
+    }
+    let still = rest_speeds(mended);
+    let witness = PoseObservations {
+        joints: mended,
+        chain: stream.chain,
+        columns: stream.columns,
+        gains: &[],
+        reference_known: true,
+        rest_speeds: &still,
+        t_s: t_s.clone(),
+        xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
+        rotation: corrected.iter().map(|pose| pose.rotation).collect(),
+        excluded: ExcludedComponents::default(),
+        tool_part: ToolPart::Whole,
+        middle_s: 0.5 * (first + last),
+    };
+    let skew = found.skew.as_ref().ok().filter(|_| found.is_skew_chosen);
+    let plain = StreamState {
+        skew: skew.map_or(0.0, |skew| skew.value),
+        ..StreamState::at_latency(found.latency_s.as_ref().map_or(0.0, |latency| latency.value))
+    };
+    let stride = t_s.len().div_ceil(MAX_CALIBRATION_SAMPLES);
+    let (mut sweep, none) = (PredictionBuffers::new(&witness), vec![0.0; mended.dof]);
+    let rows: Vec<usize> = (0..t_s.len())
+        .step_by(stride)
+        .filter(|&row| witness.pose_at(row, &plain, &none, &mut sweep).is_some())
+        .collect();
+    let kinds = calibrated_residuals(&witness, &plain, stride);
+    let [length, angle] = kinds.try_into().ok()?;
+    let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
+    let (length, angle) = (vectors(length), vectors(angle));
+    if length.len() != rows.len() {
+        return None;
+    }
+    let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
+    let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
+    let moves = moving(mended, stream, &t_s);
+    Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
+}
+
+/// Samples with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
+pub(crate) fn align_with_fk(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    lag_s: f64,
+) -> AlignedSamples {
+    let track = stream.track;
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut aligned = AlignedSamples::default();
+    for (row, &t_s) in track.t_s.iter().enumerate() {
+        if !joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
+            continue;
+        }
+        let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
+        let rotation = match &track.orientation {
+            Orientations::Rotations(all) => all[row],
+            Orientations::Numbers(_) | Orientations::Unset(_) => Default::default(),
+        };
+        aligned.t_s.push(t_s);
+        aligned.logged.push(pose(track.xyz[row].into(), rotation));
+        aligned.fk.push(stream.chain.forward(&own));
+    }
+    aligned
+}
+
+/// Whether a joint of the chain moves at each stamp.
+fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
+    let still = rest_speeds(joints);
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut moves = |t_s: &f64| {
+        joints.at(*t_s, &mut cursor, &mut q, &mut qd)
+            && stream.columns.iter().any(|&column| qd[column].abs() > still[column])
+    };
+    t_s.iter().map(&mut moves).collect()
+}
+
+pub(crate) struct ErrorSeries<'a> {
+    t_s: &'a [f64],
+    fk: &'a [Pose],
+    length: Vec<Vec3>,
+    angle: Option<Vec<Vec3>>,
+    /// Longest lag, in samples, with negligible motion. 0 if there is none.
+    short: usize,
+    period_s: f64,
+}
+
+impl<'a> ErrorSeries<'a> {
+    pub fn from_poses(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
+        let both = || poses.iter().zip(fk);
+        let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
+        let turn =
+            |(a, b): (&Pose, &Pose)| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
+        let angle = has_rotation.then(|| both().map(turn).collect());
+        Self::new(t_s, fk, length, angle)
+    }
+
+    pub fn new(
+        t_s: &'a [f64],
+        fk: &'a [Pose],
+        length: Vec<Vec3>,
+        angle: Option<Vec<Vec3>>,
+    ) -> Self {
+        let period_s = median_period_s(t_s);
+        let short = MAX_NOISE_SPAN_SHARE * correlation_time_s(t_s, fk, period_s)
+            / period_s.max(f64::MIN_POSITIVE);
+        let short = (short as usize).min(t_s.len() / 4);
+        Self { t_s, fk, length, angle, short, period_s }
+    }
+
+    /// Over samples with motion, or all at rest.
+    pub fn error(&self, moves: &[bool], at_rest: bool) -> FkError {
+        let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
+        FkError {
+            length: self.size(&self.length, &rows),
+            angle: self.angle.as_ref().map(|angle| self.size(angle, &rows)),
+        }
+    }
+
+    fn size(&self, error: &[Vec3], rows: &[usize]) -> ErrorSize {
+        let parts = (rows.len() / MIN_PART_SAMPLES).clamp(1, MAX_PARTS);
+        let parts = (0..parts)
+            .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
+        let part = |rows: &[usize]| {
+            let amount = self.magnitude(error, rows);
+            let (first, last) = (*rows.first()?, *rows.last()?);
+            let at = self.where_largest(error, rows, amount.quantile_95);
+            Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, magnitude: amount })
+        };
+        ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
+    }
+
+    /// Mean tip position over samples with at least the error `most`.
+    fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
+        let large = rows.iter().filter(|&&row| error[row].norm() >= most);
+        let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
+        places.iter().sum::<Vec3>() / places.len().max(1) as f64
+    }
+
+    fn magnitude(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
+        let [rms, most] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
+        ErrorMagnitude {
+            samples: rows.len(),
+            rms,
+            quantile_95: most,
+            noise: self.noise(error, rows),
+        }
+    }
+
+    /// The largest over lags with negligible motion, because correlated noise appears only at longer lags.
+    fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<SampleNoise> {
+        let distances = std::iter::successors(Some(1), |k| Some(2 * k));
+        let noises = distances.take_while(|&k| k <= self.short).filter_map(|over| {
+            let span_s = over as f64 * self.period_s;
+            let is_whole = |from: usize, to: usize| {
+                (self.t_s[to] - self.t_s[from] - span_s).abs() < 0.5 * span_s
+            };
+            let difference = |&row: &usize| {
+                let (before, after) = (row.checked_sub(over)?, row + over);
+                let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
+                // Their variance is six times that of independent noise.
+                is_even
+                    .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
+            };
+            let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
+            let enough = differences.len() >= MIN_SAMPLES;
+            let [rms, most] = sizes(differences);
+            enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
+        });
+        noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
+    }
+}
+
+/// Rms clipped to the quantile, and the quantile.
+fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
+    if sizes.is_empty() {
+        return [0.0; 2];
+    }
+    let at = ((sizes.len() - 1) as f64 * ERROR_QUANTILE) as usize;
+    let most = *sizes.select_nth_unstable_by(at, f64::total_cmp).1;
+    let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
+    [(squares / sizes.len() as f64).sqrt(), most]
+}
+
+/// Origin of the tip, and two levers from it, m.
+type TipPoints = [Vec3; 3];
+
+fn tip_points(fk: &[Pose]) -> Vec<TipPoints> {
+    let points = |pose: &Pose| {
+        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * LEVER_M);
+        [pose.translation.vector, x, y]
+    };
+    fk.iter().map(points).collect()
+}
+
+fn squared_distance(a: &TipPoints, b: &TipPoints) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
+}
+
+/// m².
+fn variance(points: &[TipPoints]) -> f64 {
+    let n = points.len().max(1) as f64;
+    let mean: TipPoints =
+        std::array::from_fn(|of| points.iter().map(|points| points[of]).sum::<Vec3>() / n);
+    points.iter().map(|points| squared_distance(points, &mean)).sum::<f64>() / n
+}
+
+/// Time after which the tip's mean squared change is half that between random times, s. Infinite without
+/// motion.
+fn correlation_time_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
+    let stride = fk.len().div_ceil(CORRELATION_SAMPLES).max(1);
+    let points = tip_points(fk);
+    let variance = variance(&points);
+    let mut before = (0, 0.0);
+    let mut k = 1;
+    while k < points.len() {
+        let span_s = k as f64 * period_s;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for row in (k..points.len()).step_by(stride) {
+            if (t_s[row] - t_s[row - k] - span_s).abs() < 0.5 * span_s {
+                sum += squared_distance(&points[row], &points[row - k]);
+                count += 1.0;
+            }
+        }
+        // 2·(1 − ρ)·variance, for correlation ρ.
+        let change = if count > 0.0 { sum / count } else { 0.0 };
+        if change >= variance {
+            let (from, at) = before;
+            let share = (variance - at) / (change - at).max(f64::MIN_POSITIVE);
+            return (from as f64 + share * (k - from) as f64) * period_s;
+        }
+        before = (k, change);
+        k += k.div_ceil(4);
+    }
+    f64::INFINITY
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::rotation_from_rotvec;
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const N: usize = 4000;
+
+    /// 32 s at 125 Hz: half a metre every 4 s.
+    fn motion() -> (Vec<f64>, Vec<Pose>) {
+        let t_s: Vec<f64> = (0..N).map(|row| row as f64 / 125.0).collect();
+        let at = |t_s: &f64| {
+            let phase = t_s * std::f64::consts::TAU / 4.0;
+            let turn = rotation_from_rotvec(Vec3::new(0.4 * phase.sin(), 0.0, 0.0));
+            pose([0.25 * phase.sin(), 0.2 * (0.7 * phase).cos(), 0.4], turn)
+        };
+        let fk = t_s.iter().map(at).collect();
+        (t_s, fk)
+    }
+
+    /// Autoregressive, 1 mm per component.
+    fn noise(rho: f64, seed: u64) -> Vec<Vec3> {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        let mut state = Vec3::zeros();
+        let mut next = || {
+            let new: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
+            state = state * rho + Vec3::from(new) * 1e-3 * (1.0 - rho * rho).sqrt();
+            state
+        };
+        (0..N).map(|_| next()).collect()
+    }
+
+    fn size_of(error: Vec<Vec3>) -> ErrorSize {
+        let (t_s, fk) = motion();
+        ErrorSeries::new(&t_s, &fk, error, None).error(&[true; N], false).length
+    }
+
+    fn beyond(size: &ErrorSize) -> f64 {
+        let amount = size.worst().expect("a part").magnitude;
+        amount.rms / amount.noise.expect("its noise").rms
+    }
+
+    #[test]
+    fn noise_is_noise_whether_or_not_it_remembers() {
+        for (seed, rho) in [(1, 0.0), (2, 0.6), (3, 0.9)] {
+            let size = size_of(noise(rho, seed));
+            assert!(beyond(&size) < 1.6, "{rho}: {}", beyond(&size));
+        }
+    }
+
+    #[test]
+    fn a_step_is_far_beyond_the_noise_and_begins_where_it_does() {
+        let mut error = noise(0.6, 4);
+        error[2000..].iter_mut().for_each(|error| error.x += 0.07);
+        let size = size_of(error);
+        assert!(beyond(&size) > 20.0, "{}", beyond(&size));
+        let large: Vec<f64> = size
+            .parts
+            .iter()
+            .filter(|part| part.magnitude.quantile_95 > 0.02)
+            .map(|part| part.from_s)
+            .collect();
+        assert_eq!(large.len(), 5);
+        assert!((large[0] - 16.0).abs() < 0.1, "{large:?}");
+    }
+
+    #[test]
+    fn what_comes_again_with_the_posture_is_no_noise() {
+        let (_, fk) = motion();
+        let bent = fk.iter().map(|fk| fk.translation.vector.cross(&Vec3::z()) * 0.02);
+        let error = bent.zip(noise(0.0, 5)).map(|(bent, noise)| bent + 0.1 * noise).collect();
+        assert!(beyond(&size_of(error)) > 5.0);
+    }
+
+    #[test]
+    fn single_strays_do_not_count() {
+        let mut error = noise(0.0, 6);
+        let before = size_of(error.clone()).whole.quantile_95;
+        (0..N).step_by(200).for_each(|row| error[row].z = 3.0);
+        assert!(size_of(error).whole.quantile_95 < 1.2 * before);
+    }
+
+    #[test]
+    fn samples_as_far_apart_as_the_motion_tell_no_noise() {
+        let (t_s, fk) = motion();
+        let few: Vec<usize> = (0..N).step_by(125).collect();
+        let (t_s, fk): (Vec<f64>, Vec<Pose>) = few.iter().map(|&row| (t_s[row], fk[row])).unzip();
+        let series = ErrorSeries::new(&t_s, &fk, vec![Vec3::x(); few.len()], None);
+        assert_eq!(series.error(&vec![true; few.len()], false).length.whole.noise, None);
+    }
+}

@@ -1,0 +1,51 @@
+//! Fits competing models to the positions of a stream, without a search over causes.
+
+use crate::PoseStream;
+use crate::frames::position_fit::FkColumns;
+use crate::samples::sampling::slow_samples;
+use ground::geometry::Vec3;
+use ground::stream::{JointTrack, Orientations};
+
+/// Rms distance of `stream` from FK after fitting a tool offset and a reference frame, m. `None` if the
+/// joint states cover too few samples.
+///
+/// `scale` converts positions to m. `latency_s` may be approximate, because only slow samples are used.
+/// Inverse poses are tried as well.
+pub fn position_misfit_m(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    scale: f64,
+    latency_s: f64,
+) -> Option<f64> {
+    let (as_logged, inverted) = misfits_m(joints, stream, scale, latency_s)?;
+    Some(as_logged.min(inverted))
+}
+
+/// Whether the positions fit better as a fixed object seen from the tool than as the tool.
+pub fn is_seen_from_tool(joints: &JointTrack, stream: &PoseStream, latency_s: f64) -> bool {
+    let misfits = misfits_m(joints, stream, 1.0, latency_s);
+    misfits.is_some_and(|(as_logged, inverted)| inverted < as_logged)
+}
+
+/// Misfit of positions as logged and of inverse poses, rms m. The second is infinite without rotations.
+fn misfits_m(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    scale: f64,
+    latency_s: f64,
+) -> Option<(f64, f64)> {
+    const MIN_SAMPLES: usize = 12;
+    let PoseStream { track, chain, columns, .. } = *stream;
+    let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, latency_s);
+    if rows.len() < MIN_SAMPLES {
+        return None;
+    }
+    let expected = FkColumns::from_poses(&fk);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
+    let as_logged = expected.misfit(&xyz);
+    let Orientations::Rotations(rotations) = &track.orientation else {
+        return Some((as_logged, f64::INFINITY));
+    };
+    let inverted = rows.iter().zip(&xyz).map(|(&row, p)| -(rotations[row].inverse() * p));
+    Some((as_logged, expected.misfit(&inverted.collect::<Vec<_>>())))
+}

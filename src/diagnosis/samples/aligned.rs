@@ -1,0 +1,61 @@
+//! Samples of a stream aligned with forward kinematics.
+
+use ground::geometry::{Pose, angle_between};
+
+/// Poses of a stream and of FK, one entry per sample in each column.
+#[derive(Clone, Debug, Default)]
+pub struct AlignedSamples {
+    /// Stamp, s from the run's origin.
+    pub t_s: Vec<f64>,
+    /// `reference_from_child` as logged.
+    pub logged: Vec<Pose>,
+    /// `reference_from_tip` from FK of the recorded joint states.
+    pub fk: Vec<Pose>,
+    /// Logged pose with all findings corrected.
+    pub corrected: Vec<Pose>,
+    /// `reference_from_tip` from FK of corrected joints at the time of measurement. Comparable with
+    /// `corrected`.
+    pub fk_at_truth: Vec<Pose>,
+}
+
+/// Distances between pairs of poses, one entry per pair.
+#[derive(Clone, Debug, Default)]
+pub struct PoseDistances {
+    /// Position distance, m.
+    pub m: Vec<f64>,
+    /// Rotation angle, rad.
+    pub rad: Vec<f64>,
+}
+
+impl AlignedSamples {
+    /// Logged poses against recorded FK.
+    pub fn before(&self) -> PoseDistances {
+        PoseDistances::between(&self.logged, &self.fk)
+    }
+
+    /// Corrected poses against corrected FK.
+    pub fn after(&self) -> PoseDistances {
+        PoseDistances::between(&self.corrected, &self.fk_at_truth)
+    }
+
+    /// Middle of the stamps, s. 0 without samples.
+    pub(crate) fn middle_s(&self) -> f64 {
+        0.5 * (self.t_s.first().unwrap_or(&0.0) + self.t_s.last().unwrap_or(&0.0))
+    }
+
+    /// Distance of recorded FK from the reference origin, m.
+    pub fn reach_m(&self) -> Vec<f64> {
+        self.fk.iter().map(|fk| fk.translation.vector.norm()).collect()
+    }
+}
+
+impl PoseDistances {
+    fn between(a: &[Pose], b: &[Pose]) -> Self {
+        let pair = |(a, b): (&Pose, &Pose)| {
+            let distance_m = (a.translation.vector - b.translation.vector).norm();
+            (distance_m, angle_between(&a.rotation, &b.rotation))
+        };
+        let (m, rad) = a.iter().zip(b).map(pair).unzip();
+        Self { m, rad }
+    }
+}

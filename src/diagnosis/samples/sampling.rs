@@ -1,0 +1,104 @@
+//! Selects samples of a stream and the lags at which it follows the arm.
+
+use crate::PoseStream;
+use crate::latency::correlation::{ArmSpeeds, LagPeak};
+use ground::geometry::{Pose, Rotation};
+use ground::robot::Chain;
+use ground::stats::{STD_DEV_PER_MEDIAN, median};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
+use std::ops::Range;
+
+/// For a stream that follows the arm.
+pub(crate) const MIN_SPEED_CORRELATION: f64 = 0.3;
+
+/// Per stream, in the search for causes.
+pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
+
+pub(crate) const ENCODING_SAMPLES: usize = 72;
+
+/// Row ranges of a series, thinned to about `most` rows in even stretches.
+pub fn row_blocks(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
+    const BLOCKS: usize = 24;
+    let (count, rows) = if len <= most { (1, len) } else { (BLOCKS, most / BLOCKS) };
+    (0..count).map(move |at| at * len / count..at * len / count + rows)
+}
+
+pub(crate) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
+    match orientation {
+        Orientations::Rotations(rotations) => Some(rotations),
+        Orientations::Numbers(_) | Orientations::Unset(_) => None,
+    }
+}
+
+/// Candidate lags, most likely first.
+pub(crate) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
+    let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
+    arm.lag_peaks(t_s, xyz, as_rotations(orientation), most_lag_s)
+}
+
+/// Lag of the highest correlation, s; 0 if none is high enough.
+pub(crate) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let peaks = stream_peaks(&arm, stream, most_lag_s);
+    let best = peaks.first().filter(|peak| peak.correlation > MIN_SPEED_CORRELATION);
+    best.map_or(0.0, |peak| peak.lag_s)
+}
+
+/// Slow samples over the run, with FK.
+pub(crate) fn slow_samples(
+    joints: &JointTrack,
+    chain: &Chain,
+    columns: &[usize],
+    t_s: &[f64],
+    lag_s: f64,
+) -> (Vec<usize>, Vec<Pose>) {
+    /// The slow half of these is used.
+    const MAX_SAMPLES: usize = 4000;
+    let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
+    let mut covered: Vec<(usize, f64)> = Vec::new();
+    let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
+    for (k, t) in t_s.iter().enumerate().step_by(stride) {
+        if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
+            covered.push((k, qd.iter().map(|v| v * v).sum()));
+        }
+    }
+    let mut slowest = covered;
+    let kept = slowest.len().div_ceil(2);
+    slowest.sort_by(|a, b| a.1.total_cmp(&b.1));
+    slowest.truncate(kept);
+    let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
+    rows.sort_unstable();
+    let step = rows.len().div_ceil(ENCODING_SAMPLES).max(1);
+    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
+    cursor = 0;
+    let fk = rows
+        .iter()
+        .map(|&k| {
+            joints.at(t_s[k] - lag_s, &mut cursor, &mut q, &mut qd);
+            let own: Vec<f64> = columns.iter().map(|&c| q[c]).collect();
+            chain.forward(&own)
+        })
+        .collect();
+    (rows, fk)
+}
+
+/// Of velocity noise, for a moving joint.
+pub(crate) const REST_SIGMAS: f64 = 5.0;
+
+/// Speed below which each joint rests: five times the velocity noise, at least 0.2 mrad/s. Median second
+/// differences remove smooth motion.
+pub(crate) fn rest_speeds(joints: &JointTrack) -> Vec<f64> {
+    const MAX_SAMPLES: usize = 20_000;
+    let stride = joints.len().div_ceil(MAX_SAMPLES).max(1);
+    let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
+    (0..joints.dof)
+        .map(|j| {
+            let middles = (1..joints.len().saturating_sub(1)).step_by(stride);
+            let mut bends: Vec<f64> = middles
+                .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
+                .collect();
+            let Some(median) = median(&mut bends) else { return f64::INFINITY };
+            (REST_SIGMAS * STD_DEV_PER_MEDIAN * median / 6f64.sqrt()).max(2e-4)
+        })
+        .collect()
+}

@@ -1,0 +1,528 @@
+//! Joint zeros of an arm whose links deviate from the nominal model.
+//!
+//! Links of a real arm deviate by hundredths of a millimetre and thousandths of a degree. A joint zero is
+//! reported only if it exceeds their effect. Link deviations are therefore random effects with a prior N(0,
+//! s²), where 1 mm corresponds to 0.1°, and zeros are fixed effects (Patterson and Thompson, *Recovery of
+//! inter-block information*, Biometrika 58, 1971). The interval of a zero then includes the inaccuracy of
+//! the nominal model.
+//!
+//! A link deviation about or along its joint's axis is that joint's zero. It is a random effect as well,
+//! because an offset that all joints share is no single joint's fault.
+//!
+//! Deviations differ between links: on a factory-new UR5, one link was rotated by 0.37°, the next worst by
+//! 0.1°, and no zero was off by 0.01°. So each link has its own s, and the zeros share one. These sizes
+//! scatter such that deviations follow Student's t with [`SIZE_PRIOR_DOF`] degrees of freedom. They
+//! maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition and Machine
+//! Learning*, 2006, ch. 10.1 and 10.3).
+
+use super::model_selection::{Cause, price};
+use super::nominal_model::{
+    FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, is_free_parameter, link_frames,
+};
+use crate::model::measurement::{PoseObservations, StreamState};
+use crate::solver::linear::{Linear, Normal};
+use crate::{Confounder, Measured};
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{JointKind, turn_z_to};
+use nalgebra::{DMatrix, DVector};
+
+/// Angular to linear link deviations: 0.1° per mm.
+pub(crate) const RAD_PER_M: f64 = 1.745;
+/// Minimum, maximum, ratio.
+pub(crate) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
+/// Standard deviation of a present joint zero, rad or m.
+pub(crate) const ZERO_PRIOR: f64 = 0.02;
+/// Standard deviations of a present and an absent radial scale error.
+const RADIAL_SCALE_PRIOR: f64 = 0.01;
+const ABSENT_RADIAL_SCALE_PRIOR: f64 = 1e-9;
+/// On twice the log-likelihood ratio of a zero (a ratio of about fifty).
+const MIN_LOG_RATIO: f64 = 8.0;
+/// Within this, another joint's zero is a confounder (a ratio of about twenty).
+const MAX_LOG_RATIO_CONFOUNDER: f64 = 6.0;
+/// Zeros with a larger standard error, relative to [`ZERO_PRIOR`], are not observable.
+const MAX_STD_ERROR_SHARE: f64 = 0.5;
+const MAX_ZEROS: usize = 4;
+pub(crate) const MAX_DEVIATION_SAMPLES: usize = 1000;
+/// Zeros of several degrees are nonlinear.
+const LINEARIZATION_ROUNDS: usize = 4;
+/// Of the Student's t prior: how similar the sizes are.
+const SIZE_PRIOR_DOF: f64 = 8.0;
+/// Rounds, and the change of twice the log-likelihood at convergence.
+const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
+
+/// Joint zeros estimated together with link deviations.
+#[derive(Clone, Debug)]
+pub(crate) struct LinkDeviations {
+    /// Columns of joints with a zero offset, each with the zeros that could replace it.
+    pub reported: Vec<(usize, Vec<Confounder>)>,
+    /// One per joint of the track, rad or m. `None` if not in the chain or not observable.
+    pub zeros: Vec<Option<Measured>>,
+    /// Standard deviation of the links, m.
+    pub link_m: f64,
+}
+
+impl LinkDeviations {
+    /// Joint offsets plus the reported zeros.
+    pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
+        let mut with = offsets.to_vec();
+        for &(column, _) in &self.reported {
+            with[column] = self.zeros[column].map_or(with[column], |zero| zero.value);
+        }
+        with
+    }
+
+    /// Confounders of a joint's zero. `None` if it is not reported.
+    pub fn confounders(&self, column: usize) -> Option<&[Confounder]> {
+        self.reported.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
+    }
+}
+
+/// Estimates the likeliest zeros and link deviations, linearised about `offsets`. `plain` excludes causes
+/// that link deviations imitate.
+pub(crate) fn estimate_link_deviations(
+    witness: &PoseObservations,
+    plain: &StreamState,
+    offsets: &[f64],
+) -> Option<LinkDeviations> {
+    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let mut offsets = offsets.to_vec();
+    let mut chosen: Option<DeviationFit> = None;
+    for round in 1.. {
+        let model = DeviationModel::linearize(witness, plain, &offsets, stride)?;
+        let fit = model.select_zeros(chosen)?;
+        let mut next = offsets.clone();
+        for &joint in &fit.zeros {
+            next[witness.columns[joint]] += model.measured_zero(&fit, joint)?.value;
+        }
+        let moved = next.iter().zip(&offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if moved < 1e-6 || round == LINEARIZATION_ROUNDS {
+            return Some(model.to_link_deviations(&fit, witness, &offsets));
+        }
+        (offsets, chosen) = (next, Some(fit));
+    }
+    None
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum DeviationParameter {
+    /// Not constrained by the nominal model.
+    Unconstrained,
+    /// `unit` is its standard deviation at group size 1 m.
+    Deviation { group: usize, unit: f64 },
+    /// No link deviation imitates it.
+    RadialScale,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+struct AdditionalCauses {
+    /// Joints of the chain with a zero offset.
+    zeros: Vec<usize>,
+    reference: bool,
+    tool: bool,
+    radial_scale: bool,
+}
+
+impl AdditionalCauses {
+    /// Causes that affect `stream`.
+    fn for_stream(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
+        let mut beside = Self::default();
+        for cause in causes {
+            match *cause {
+                Cause::Zero(column) => {
+                    let joint = witness.columns.iter().position(|own| *own == column);
+                    beside.zeros.extend(joint);
+                }
+                Cause::Reference(s) => beside.reference |= s == stream,
+                Cause::Tool(s) => beside.tool |= s == stream,
+                Cause::RadialScale(s) => beside.radial_scale |= s == stream,
+                Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
+            }
+        }
+        beside
+    }
+}
+
+/// Keeps the causes that exceed the effect of usual link deviations, which are preferred because no arm is
+/// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
+/// The likelihood is maximised over deviation sizes up to the usual one.
+///
+/// The stream is linearised about `plain` and `offsets`, which exclude the causes.
+pub(crate) fn causes_beyond_link_deviations(
+    (witness, stream): (&PoseObservations, usize),
+    plain: &StreamState,
+    offsets: &[f64],
+    causes: &[Cause],
+) -> Vec<Cause> {
+    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let Some(model) = DeviationModel::linearize(witness, plain, offsets, stride) else {
+        return causes.to_vec();
+    };
+    let evidence = |causes: &[Cause]| {
+        let beside = AdditionalCauses::for_stream(causes, witness, stream);
+        let fits = sizes_m(LINK_PRIOR_M).filter_map(|size_m| {
+            model.fit_with(&beside, &model.uniform_sizes(size_m)).map(|fit| fit.evidence)
+        });
+        fits.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let sure = price(model.dof);
+    let mut kept = causes.to_vec();
+    let mut present = evidence(&kept);
+    while !kept.is_empty() {
+        let without = (0..kept.len()).map(|at| {
+            let mut rest = kept.clone();
+            rest.remove(at);
+            (evidence(&rest), rest)
+        });
+        match without.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((likelihood, rest)) if likelihood + sure >= present => {
+                (present, kept) = (present.max(likelihood), rest);
+            }
+            _ => break,
+        }
+    }
+    kept
+}
+
+/// Ascending grid up to `most`.
+fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
+    let (least, _, times) = DEVIATION_GRID_M;
+    let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
+    tried.take_while(move |size_m| *size_m < most).chain([most])
+}
+
+/// Stream linearised in link frames, latency and zeros.
+struct DeviationModel {
+    normal: Normal,
+    /// Zeros precede the radial scale, which is last.
+    kinds: Vec<DeviationParameter>,
+    /// In the chain.
+    joints: usize,
+    /// Of the noise estimate.
+    dof: f64,
+}
+
+/// Posterior for one set of zeros.
+struct DeviationFit {
+    /// Joints whose zeros are fixed effects.
+    zeros: Vec<usize>,
+    /// Per group, m.
+    sizes_m: Vec<f64>,
+    /// Twice the log-likelihood, up to a common constant.
+    evidence: f64,
+    mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl DeviationFit {
+    fn zeros_except(&self, joint: usize) -> Vec<usize> {
+        self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
+    }
+}
+
+impl DeviationModel {
+    fn linearize(
+        witness: &PoseObservations,
+        plain: &StreamState,
+        offsets: &[f64],
+        stride: usize,
+    ) -> Option<Self> {
+        let rows = (0..witness.len()).step_by(stride);
+        let linear = link_frames(witness, plain, offsets, rows, FreeAlongside::ZerosAndRadialScale);
+        let joints = witness.columns.len();
+        let (columns, of) = parameters(witness, plain);
+        (linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
+    }
+
+    /// The weights come from the residual when all links may deviate by about 1 mm.
+    fn from_linear(
+        linear: &Linear,
+        joints: usize,
+        columns: &DMatrix<f64>,
+        of: Vec<DeviationParameter>,
+    ) -> Self {
+        let all: Vec<usize> = (0..linear.width).collect();
+        let every: Vec<usize> = (0..joints).collect();
+        let mut weights = linear.first_weights();
+        let mut model = Self { normal: Normal::zeros(of.len()), kinds: of, joints, dof: 3.0 };
+        for _ in 0..4 {
+            let mut normal = Normal::zeros(linear.width);
+            linear.accumulate(&weights, &all, &mut normal);
+            model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
+            model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
+            model.normal.right = columns.tr_mul(&normal.right);
+            let Some(fit) = model.fit(&every, &model.uniform_sizes(1e-3)) else { break };
+            weights = linear.weights_after((columns * &fit.mean).as_slice());
+        }
+        model
+    }
+
+    fn uniform_sizes(&self, size_m: f64) -> Vec<f64> {
+        vec![size_m; self.joints + 2]
+    }
+
+    fn zero_at(&self, joint: usize) -> usize {
+        self.kinds.len() - 1 - self.joints + joint
+    }
+
+    /// Links and zeros with deviations.
+    fn groups(&self) -> impl Iterator<Item = usize> {
+        let has = |group: usize| {
+            let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group: own, .. } if *own == group);
+            self.kinds.iter().any(is_its)
+        };
+        (0..self.joints + 2).filter(move |group| has(*group))
+    }
+
+    fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
+        let beside = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
+        self.fit_with(&beside, sizes_m)
+    }
+
+    fn fit_with(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
+        let is_of_frame = |group: usize| {
+            (beside.reference && group == 0) || (beside.tool && group == self.joints)
+        };
+        let mut variances: Vec<f64> = self
+            .kinds
+            .iter()
+            .map(|of| match of {
+                DeviationParameter::Unconstrained => FREE_PRIOR.powi(2),
+                DeviationParameter::Deviation { group, unit } => {
+                    let frame = if is_of_frame(*group) { FREE_PRIOR } else { 0.0 };
+                    (unit * sizes_m[*group]).powi(2) + frame.powi(2)
+                }
+                DeviationParameter::RadialScale => {
+                    if beside.radial_scale { RADIAL_SCALE_PRIOR } else { ABSENT_RADIAL_SCALE_PRIOR }
+                        .powi(2)
+                }
+            })
+            .collect();
+        for &joint in &beside.zeros {
+            variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
+        }
+        if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
+            // Equivalent to tool rotation about the last axis.
+            variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
+        }
+        let mut precision = self.normal.matrix.clone();
+        for (i, variance) in variances.iter().enumerate() {
+            precision[(i, i)] += variance.recip();
+        }
+        let cholesky = precision.cholesky()?;
+        let mean = cholesky.solve(&self.normal.right);
+        let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
+        let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
+        let usual_m = self.typical_size_m(sizes_m);
+        let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
+        Some(DeviationFit {
+            zeros: beside.zeros.clone(),
+            sizes_m: sizes_m.to_vec(),
+            evidence: self.normal.right.dot(&mean)
+                - log_det
+                - log_prior
+                - 2.0 * SIZE_PRIOR_DOF * unlike,
+            mean,
+            covariance: cholesky.inverse(),
+        })
+    }
+
+    /// The standard error includes the scatter of all zeros, estimated from the other joints.
+    fn measured_zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
+        let at = self.zero_at(joint);
+        let DeviationParameter::Deviation { group, unit } = self.kinds[at] else {
+            return None;
+        };
+        let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
+        let others = SIZE_PRIOR_DOF + (self.joints - fit.zeros.len()) as f64;
+        (variance > 0.0).then(|| Measured {
+            value: fit.mean[at],
+            std_error: variance.sqrt(),
+            dof: self.dof.min(others),
+        })
+    }
+
+    fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
+        let (least, most, _) = DEVIATION_GRID_M;
+        let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
+        (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
+    }
+
+    /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
+    /// slowly, so the step grows while the likelihood increases.
+    fn maximize_likelihood(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
+        let (most, little) = SIZE_ITERATION_LIMITS;
+        let mut fit = self.fit(zeros, sizes_m)?;
+        let mut stride = 1.0;
+        for _ in 0..most {
+            let likelier = self.updated_sizes(&fit);
+            let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
+            let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
+            // A large step may make the system singular.
+            match self.fit(zeros, &next).filter(|next| next.evidence > fit.evidence) {
+                Some(next) => {
+                    let gained = next.evidence - fit.evidence;
+                    (fit, stride) = (next, 2.0 * stride);
+                    if gained < little {
+                        break;
+                    }
+                }
+                None if stride > 1.0 => stride = 1.0,
+                None => break,
+            }
+        }
+        Some(fit)
+    }
+
+    /// Sizes that maximise the likelihood given this posterior.
+    fn updated_sizes(&self, fit: &DeviationFit) -> Vec<f64> {
+        let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
+        let usual_m = self.typical_size_m(&fit.sizes_m);
+        let mut sums = vec![(SIZE_PRIOR_DOF * usual_m.powi(2), SIZE_PRIOR_DOF); fit.sizes_m.len()];
+        for (i, of) in self.kinds.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
+            if let DeviationParameter::Deviation { group, unit } = of {
+                let square = fit.mean[i].powi(2) + fit.covariance[(i, i)];
+                sums[*group].0 += square / unit.powi(2);
+                sums[*group].1 += 1.0;
+            }
+        }
+        sums.into_iter().map(|(sum, count)| (sum / count).sqrt()).collect()
+    }
+
+    /// Started from the best common deviation size.
+    fn without_zeros(&self) -> Option<DeviationFit> {
+        let (_, most, _) = DEVIATION_GRID_M;
+        let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.uniform_sizes(link_m)));
+        let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
+        self.maximize_likelihood(&[], &best.sizes_m)
+    }
+
+    /// One fit per joint not in `zeros` or `but`.
+    fn with_one_more_zero(
+        &self,
+        zeros: &[usize],
+        sizes_m: &[f64],
+        but: &[usize],
+    ) -> Vec<(usize, DeviationFit)> {
+        let others =
+            (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
+        let with = |joint| {
+            let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
+            Some((joint, self.maximize_likelihood(&with, sizes_m)?))
+        };
+        others.filter_map(with).collect()
+    }
+
+    /// Selects zeros that exceed link deviations, starting from `before`.
+    fn select_zeros(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
+        let mut chosen = match before {
+            Some(before) => self.maximize_likelihood(&before.zeros, &before.sizes_m)?,
+            None => self.without_zeros()?,
+        };
+        while chosen.zeros.len() < MAX_ZEROS {
+            let with = self.with_one_more_zero(&chosen.zeros, &chosen.sizes_m, &[]);
+            let best = with.into_iter().max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
+            match best {
+                Some((_, best)) if best.evidence > chosen.evidence + MIN_LOG_RATIO => chosen = best,
+                _ => break,
+            }
+        }
+        Some(chosen)
+    }
+
+    /// Converts `fit` to columns of the joint track.
+    fn to_link_deviations(
+        &self,
+        fit: &DeviationFit,
+        witness: &PoseObservations,
+        offsets: &[f64],
+    ) -> LinkDeviations {
+        let absolute = |joint: usize, zero: Measured| {
+            let column = witness.columns[joint];
+            (column, Measured { value: offsets[column] + zero.value, ..zero })
+        };
+        let mut zeros = vec![None; witness.joints.dof];
+        let others = self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &[]);
+        let named =
+            fit.zeros.iter().filter_map(|&joint| Some((joint, self.measured_zero(fit, joint)?)));
+        let beside = others
+            .iter()
+            .filter_map(|(joint, with)| Some((*joint, self.measured_zero(with, *joint)?)));
+        let told = beside.filter(|(_, zero)| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
+        for (joint, zero) in named.chain(told) {
+            let (column, zero) = absolute(joint, zero);
+            zeros[column] = Some(zero);
+        }
+        let twins = |&joint: &usize| {
+            let instead =
+                self.with_one_more_zero(&fit.zeros_except(joint), &fit.sizes_m, &fit.zeros);
+            let as_likely = instead
+                .into_iter()
+                .filter(|(_, it)| it.evidence > fit.evidence - MAX_LOG_RATIO_CONFOUNDER);
+            let twin = |(other, it): (usize, DeviationFit)| {
+                let (column, zero) = absolute(other, self.measured_zero(&it, other)?);
+                Some(Confounder::JointZero(column, zero.value))
+            };
+            (witness.columns[joint], as_likely.filter_map(twin).collect())
+        };
+        let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
+        let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
+        LinkDeviations {
+            reported: fit.zeros.iter().map(twins).collect(),
+            zeros,
+            link_m: (squares / links.len().max(1) as f64).sqrt(),
+        }
+    }
+}
+
+/// Columns of [`link_frames`] and kinds of the parameters: deviations of each link frame, latency, zeros (a
+/// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
+/// zero.
+fn parameters(
+    witness: &PoseObservations,
+    plain: &StreamState,
+) -> (DMatrix<f64>, Vec<DeviationParameter>) {
+    let joints = witness.columns.len();
+    let latency = 6 * (joints + 1);
+    let unit = |turns: bool| if turns { RAD_PER_M } else { 1.0 };
+    let mut columns: Vec<DVector<f64>> = Vec::new();
+    let mut of = Vec::new();
+    let growth = latency + 1 + joints;
+    let axes = witness.chain.joint_axes();
+    let kinds = witness.chain.joint_kinds();
+    for link in 0..=joints {
+        let is_free = is_free_parameter(6 * link, witness, plain);
+        let joint = link.checked_sub(1).filter(|_| !is_free);
+        let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
+        for (axis, turns) in (0..6).map(|i| (i % 3, i >= 3)) {
+            let is_zero = |joint: usize| turns != (kinds[joint] == JointKind::Prismatic);
+            if axis == 2 && joint.is_some_and(is_zero) {
+                continue;
+            }
+            let first = 6 * link + if turns { 3 } else { 0 };
+            let mut column = DVector::zeros(growth + 1);
+            column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
+            columns.push(column);
+            of.push(match is_free {
+                true => DeviationParameter::Unconstrained,
+                false => DeviationParameter::Deviation { group: link, unit: unit(turns) },
+            });
+        }
+    }
+    for own in latency..=latency + joints {
+        let mut column = DVector::zeros(growth + 1);
+        column[own] = 1.0;
+        columns.push(column);
+        of.push(match own.checked_sub(latency + 1) {
+            None => DeviationParameter::Unconstrained,
+            Some(joint) => {
+                let turns = kinds[joint] != JointKind::Prismatic;
+                DeviationParameter::Deviation { group: joints + 1, unit: unit(turns) }
+            }
+        });
+    }
+    let mut column = DVector::zeros(growth + 1);
+    column[growth] = 1.0;
+    columns.push(column);
+    of.push(DeviationParameter::RadialScale);
+    (DMatrix::from_columns(&columns), of)
+}

@@ -1,0 +1,447 @@
+//! Finds the smallest set of causes that reduces the residual to the noise (see [`crate`]).
+//!
+//! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
+
+use crate::Measured;
+use crate::model::measurement::{
+    LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
+    STREAM_WIDTH, State, TOOL_COLUMNS_START,
+};
+use crate::solver::linear::{Linear, Normal, Weight};
+use crate::solver::noise::Noise;
+use crate::solver::robust::{influence, sandwich};
+use nalgebra::{DMatrix, DVector};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Minimum unexplained share of a cause's effect. Below it, causes are collinear and the set is rejected.
+pub(crate) const MIN_CAUSE_SEPARATION: f64 = 1e-4;
+
+const MAX_EXHAUSTIVE_CAUSES: usize = 4;
+
+/// Possible cause of a residual: parameters that are freed together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Cause {
+    /// Zero offset of a joint of the track.
+    Zero(usize),
+    /// Scale of a joint, by its index among the joint offsets.
+    JointScale(usize),
+    /// Latency of a stream.
+    Latency(usize),
+    /// Clock skew of a stream.
+    Skew(usize),
+    /// Radial scale of a stream's positions.
+    RadialScale(usize),
+    /// Reference frame of a stream.
+    Reference(usize),
+    /// Tool frame of a stream.
+    Tool(usize),
+}
+
+impl Cause {
+    /// Columns of this cause.
+    pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
+        let (stream, first, count) = match self {
+            Cause::Zero(joint) | Cause::JointScale(joint) => return joint..joint + 1,
+            Cause::Latency(stream) => (stream, LATENCY_COLUMN, 1),
+            Cause::Skew(stream) => (stream, SKEW_COLUMN, 1),
+            Cause::RadialScale(stream) => (stream, RADIAL_SCALE_COLUMN, 1),
+            Cause::Reference(stream) => (stream, REFERENCE_COLUMNS_START, 6),
+            Cause::Tool(stream) => {
+                let part = state.streams[stream].tool_part.range();
+                (stream, TOOL_COLUMNS_START + part.start, part.len())
+            }
+        };
+        let start = state.index(stream, first);
+        start..start + count
+    }
+}
+
+/// Ascending.
+fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
+    let mut parameters: Vec<usize> =
+        causes.iter().flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters
+}
+
+/// Model linearised about a state, with its noise.
+pub(crate) struct Linearized {
+    pub streams: Vec<Linear>,
+    weights: Vec<Vec<Weight>>,
+    pub normal: Normal,
+    values: DVector<f64>,
+    /// Cached for repeated queries.
+    free_fit: Mutex<Option<Arc<FreeFit>>>,
+}
+
+struct FreeFit {
+    parameters: Vec<usize>,
+    /// Of each score on each parameter.
+    influence: DMatrix<f64>,
+    /// Under correlated noise.
+    covariance: DMatrix<f64>,
+    step: DVector<f64>,
+}
+
+/// Columns of a stream in the whole model.
+fn columns_of(state: &State, stream: usize) -> Vec<usize> {
+    let joints = state.offsets.len();
+    let start = state.index(stream, 0);
+    (0..joints).chain(start..start + STREAM_WIDTH).collect()
+}
+
+impl Linearized {
+    /// Linearises about `state` with about `most` samples per stream. The weights are of the noise with all
+    /// causes in `all` free.
+    pub fn new(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
+        let streams: Vec<Linear> = witnesses
+            .iter()
+            .zip(&state.streams)
+            .map(|(witness, stream)| {
+                witness.linearize(stream, &state.offsets, witness.len().div_ceil(most))
+            })
+            .collect();
+        let values = state.values();
+        let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
+        let normal = normal_of(&streams, &weights, state);
+        let mut linearized = Self { streams, weights, normal, values, free_fit: Mutex::new(None) };
+        linearized.update_weights(state, all);
+        linearized.update_weights(state, all);
+        linearized
+    }
+
+    /// Sets the weights to the noise with `causes` free: in the search all of them, so no fault counts as
+    /// noise; for intervals the selected ones, because others would absorb coloured noise and hide its
+    /// autocorrelation.
+    fn update_weights(&mut self, state: &State, causes: &[Cause]) {
+        let step = self.normal.step(&self.values, &parameters_of(causes, state));
+        self.weights = (0..self.streams.len())
+            .map(|s| self.streams[s].weights_after(&own_part(&step, state, s)))
+            .collect();
+        self.normal = normal_of(&self.streams, &self.weights, state);
+        self.free_fit = Mutex::new(None);
+    }
+
+    /// Frees `parameters` and resets all others to zero.
+    pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
+        self.normal.step(&self.values, parameters)
+    }
+
+    /// Weighted cost after that step.
+    pub fn cost(&self, parameters: &[usize]) -> f64 {
+        self.normal.cost_after(&self.step(parameters))
+    }
+
+    /// Covariance with only `parameters` free, under correlated noise (`H⁻¹ S H⁻¹`, White 1980). Infinite
+    /// if not observable.
+    pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
+        self.fit_free(parameters, state).covariance.clone()
+    }
+
+    fn fit_free(&self, parameters: &[usize], state: &State) -> Arc<FreeFit> {
+        let mut known = self.free_fit.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
+            return Arc::clone(freed);
+        }
+        let n = parameters.len();
+        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+        for (s, linear) in self.streams.iter().enumerate() {
+            let columns = targets(parameters, state, s);
+            linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
+        }
+        let freed = Arc::new(FreeFit {
+            parameters: parameters.to_vec(),
+            influence: influence(&information),
+            covariance: sandwich(&information, &scores),
+            step: self.step(parameters),
+        });
+        *known = Some(Arc::clone(&freed));
+        freed
+    }
+
+    /// Information matrix of one stream, joints first.
+    pub fn information_of(&self, stream: usize) -> DMatrix<f64> {
+        self.streams[stream].information(&self.weights[stream])
+    }
+
+    /// Independent residual components minus parameters.
+    pub fn dof(&self, parameters: usize) -> f64 {
+        (self.normal.independent - parameters as f64).max(3.0)
+    }
+
+    /// Effective degrees of freedom along `influence`.
+    fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
+        let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
+        for (s, linear) in self.streams.iter().enumerate() {
+            let columns = targets(parameters, state, s);
+            let squares = linear.squares_along(&self.weights[s], &columns, influence);
+            sum += squares.0;
+            variance += squares.1;
+        }
+        (2.0 * sum * sum / variance).clamp(3.0, self.dof(parameters.len()))
+    }
+
+    /// Estimate of `parameters[which]` with `parameters` free. `None` if not observable.
+    pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
+        let freed = self.fit_free(parameters, state);
+        let variance = freed.covariance[(which, which)];
+        let along = freed.influence.column(which).into_owned();
+        let value = self.values[parameters[which]] + freed.step[parameters[which]];
+        variance.is_finite().then(|| Measured {
+            value,
+            std_error: variance.max(0.0).sqrt(),
+            dof: self.dof_along(parameters, &along, state),
+        })
+    }
+}
+
+/// Index among `parameters` of each stream parameter.
+fn targets(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
+    let columns = columns_of(state, stream).into_iter();
+    columns.map(|column| parameters.binary_search(&column).ok()).collect()
+}
+
+fn own_part(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
+    columns_of(state, stream).into_iter().map(|column| step[column]).collect()
+}
+
+fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Normal {
+    let mut normal = Normal::zeros(state.width());
+    for (s, linear) in streams.iter().enumerate() {
+        linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
+    }
+    for (parameter, scale) in state.scales().into_iter().enumerate() {
+        normal.matrix[(parameter, parameter)] += scale.powi(-2);
+    }
+    normal
+}
+
+#[derive(Clone)]
+pub(crate) struct CandidateCauses {
+    /// Always free.
+    pub always: Vec<Cause>,
+    /// Must justify their price.
+    pub optional: Vec<Cause>,
+}
+
+impl CandidateCauses {
+    /// All causes.
+    pub fn all(&self) -> Vec<Cause> {
+        self.always.iter().chain(&self.optional).copied().collect()
+    }
+}
+
+/// Smaller scores are better.
+#[derive(Clone, Debug)]
+pub(crate) struct CauseSet {
+    pub causes: Vec<Cause>,
+    /// Weighted cost plus price.
+    pub score: f64,
+}
+
+/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8, which lowers the
+/// probability of a false cause from about 1 % to about 0.01 %.
+pub(crate) fn price(independent: f64) -> f64 {
+    independent.max(2.0).ln() + 8.0
+}
+
+/// Optional causes with the lowest score.
+fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
+    let price = price(linear.normal.independent);
+    let score_of = |set: &[Cause]| -> f64 {
+        let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
+        let parameters = parameters_of(&causes, state);
+        if !set.is_empty() && is_collinear(linear, menu, &causes, state) {
+            return f64::INFINITY;
+        }
+        let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
+        linear.cost(&parameters) + price * optional as f64
+    };
+    let mut best = CauseSet { score: score_of(&[]), causes: Vec::new() };
+    // Lower bound on the cost of any set.
+    let least = linear.cost(&parameters_of(&menu.all(), state));
+    let mut set = Vec::new();
+    let depth =
+        if menu.optional.len() > 16 { MAX_EXHAUSTIVE_CAUSES - 1 } else { MAX_EXHAUSTIVE_CAUSES };
+    subsets(&menu.optional, depth, &mut set, &mut |set| {
+        let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
+        if least + price * parameters as f64 >= best.score {
+            return;
+        }
+        let score = score_of(set);
+        if score < best.score {
+            best = CauseSet { score, causes: set.to_vec() };
+        }
+    });
+    // Beyond that depth, add and remove causes while the score improves.
+    while best.causes.len() >= depth {
+        let grown = menu
+            .optional
+            .iter()
+            .filter(|cause| !best.causes.contains(cause))
+            .map(|&cause| {
+                let causes: Vec<Cause> = best.causes.iter().copied().chain([cause]).collect();
+                CauseSet { score: score_of(&causes), causes }
+            })
+            .min_by(|a, b| a.score.total_cmp(&b.score));
+        match grown {
+            Some(grown) if grown.score < best.score => best = prune(grown, &score_of),
+            _ => break,
+        }
+    }
+    best.causes.sort_unstable();
+    best
+}
+
+/// If world frame and marker are both free, weak motion leaves common directions of the two unobservable.
+/// Steps keep them fixed. Another cause with such a direction, such as a joint zero, has no unique value.
+fn is_collinear(
+    linear: &Linearized,
+    menu: &CandidateCauses,
+    causes: &[Cause],
+    state: &State,
+) -> bool {
+    let is_anywhere = |cause: &&Cause| match **cause {
+        Cause::Reference(s) | Cause::Tool(s) => menu.always.contains(&Cause::Reference(s)),
+        _ => false,
+    };
+    let (anywhere, others): (Vec<&Cause>, Vec<&Cause>) = causes.iter().partition(is_anywhere);
+    let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
+        causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
+    };
+    let (anywhere, others) = (parameters(anywhere), parameters(others));
+    linear.normal.separation_beside(&anywhere, &others) < MIN_CAUSE_SEPARATION
+}
+
+fn prune(mut choice: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
+    loop {
+        let shrunk = (0..choice.causes.len())
+            .map(|drop| {
+                let mut causes = choice.causes.clone();
+                causes.remove(drop);
+                CauseSet { score: score_of(&causes), causes }
+            })
+            .min_by(|a, b| a.score.total_cmp(&b.score));
+        match shrunk {
+            Some(shrunk) if shrunk.score < choice.score => choice = shrunk,
+            _ => return choice,
+        }
+    }
+}
+
+/// Visits every subset of 1 to `depth` elements.
+fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn FnMut(&[Cause])) {
+    if depth == 0 {
+        return;
+    }
+    for (i, &cause) in causes.iter().enumerate() {
+        set.push(cause);
+        visit(set);
+        subsets(&causes[i + 1..], depth - 1, set, visit);
+        set.pop();
+    }
+}
+
+/// Selected model with its final linearisation.
+pub(crate) struct SelectedModel {
+    pub state: State,
+    /// Optional causes, ascending.
+    pub causes: Vec<Cause>,
+    pub linear: Linearized,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Approach {
+    /// Start at the given state. Best near the solution or with little information.
+    Careful,
+    /// First take a few steps with all causes free. Best if several large causes add up.
+    Bold,
+}
+
+/// Selects from a starting state, with about `most` samples per stream.
+pub(crate) fn select_model(
+    witnesses: &[&PoseObservations],
+    start: State,
+    menu: &CandidateCauses,
+    approach: Approach,
+    most: usize,
+) -> SelectedModel {
+    let all = menu.all();
+    let mut state = start;
+    let mut causes: Vec<Cause> = all.clone();
+    let mut linear = Linearized::new(witnesses, &state, most, &all);
+    let bold_rounds = if approach == Approach::Bold { 3 } else { 0 };
+    for round in 0..12 {
+        let full = round < bold_rounds;
+        let next =
+            if full { menu.optional.clone() } else { select_causes(&linear, menu, &state).causes };
+        let free: Vec<Cause> = menu.always.iter().chain(&next).copied().collect();
+        let step = linear.step(&parameters_of(&free, &state));
+        let settled = !full && next == causes && is_negligible(&step);
+        state.step(&step);
+        causes = next;
+        linear = Linearized::new(witnesses, &state, most, &all);
+        if settled {
+            break;
+        }
+    }
+    let chosen: Vec<Cause> = menu.always.iter().chain(&causes).copied().collect();
+    linear.update_weights(&state, &chosen);
+    SelectedModel { state, causes, linear }
+}
+
+/// Below the resolution of any estimate.
+fn is_negligible(step: &DVector<f64>) -> bool {
+    step.amax() < 1e-7
+}
+
+/// Best of several models of the same streams, by `Σ n·ln σ²` of the residuals plus the price of parameters
+/// and round errors.
+///
+/// The autocorrelation, which reduces `n`, is that of the model with the smallest residual. Otherwise small
+/// differences of it would decide between equally good models.
+pub(crate) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
+    let noises: Vec<Vec<Noise>> = explanations.iter().map(SelectedModel::noise).collect();
+    let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
+    let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
+    // Capped, so a smooth residual keeps enough samples.
+    let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
+    let score = |(explanation, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
+        let kinds = noise.len() / explanation.linear.streams.len().max(1);
+        let samples = explanation
+            .linear
+            .streams
+            .iter()
+            .flat_map(|stream| std::iter::repeat_n(3.0 * stream.len() as f64, kinds));
+        let fit: f64 = samples
+            .zip(noise.iter().zip(&memory))
+            .map(|(n, (noise, memory))| 2.0 * n / memory * noise.sigma.ln())
+            .sum();
+        fit + explanation.price()
+    };
+    explanations
+        .into_iter()
+        .zip(noises)
+        .min_by(|a, b| score(a).total_cmp(&score(b)))
+        .map(|(explanation, _)| explanation)
+}
+
+impl SelectedModel {
+    /// By stream and residual kind (positions, rotations).
+    pub fn noise(&self) -> Vec<Noise> {
+        let streams = self.linear.streams.iter();
+        streams
+            .flat_map(|stream| stream.weights_after(&vec![0.0; stream.width]))
+            .map(|weight| weight.noise)
+            .collect()
+    }
+
+    fn price(&self) -> f64 {
+        let tuned: usize =
+            self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
+        let streams = self.state.streams.iter();
+        let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
+        // Prefer a round error (such as 90°) to a tuned value.
+        price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
+    }
+}

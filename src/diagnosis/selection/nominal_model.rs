@@ -1,0 +1,284 @@
+//! Tests whether the difference between the nominal model and a calibrated arm explains a residual.
+//!
+//! Lengths of real arms deviate by tenths of a millimetre, axes by hundredths of a degree, so nominal FK
+//! differs from the calibrated pose by millimetres. Small changes of all link frames explain this, one or
+//! two joint zeros do not (Mooring, Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch.
+//! 3).
+//!
+//! Forty parameters fit better than seven on any log, so the models are compared by evidence (MacKay 1992,
+//! *Bayesian Interpolation*). The calibration pays for each direction constrained beyond the prior, and for
+//! large changes. The selected causes are kept unless it has the higher evidence, which it cannot if a few
+//! causes reduce the residual to noise.
+
+use super::model_selection::price;
+use crate::model::measurement::{
+    FLOOR_M, FLOOR_RAD, PoseObservations, PredictionBuffers, State, StreamState,
+};
+use crate::solver::linear::{Linear, Normal, Weight};
+use crate::{LatencyProfile, LatencyRamp};
+use ground::geometry::{Pose, Vec3};
+use nalgebra::{DMatrix, DVector};
+
+/// Rms tip change by a calibration.
+pub(crate) const MAX_TIP_CHANGE_M: f64 = 10e-3;
+pub(crate) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Over the noise.
+const MIN_EXCESS_M: f64 = 0.3e-3;
+/// Same with joint zeros, whose intervals it widens.
+const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
+/// Prior on a link frame's calibration, per axis (as in UR's factory calibrations).
+pub(crate) const LINK_PRIOR_M: f64 = 0.5e-3;
+pub(crate) const LINK_PRIOR_RAD: f64 = 0.7e-3;
+/// Prior on free frames and times; m, rad or s.
+pub(crate) const FREE_PRIOR: f64 = 0.1;
+/// For link frame changes, m and rad.
+const DAMPING_SCALE: f64 = 0.01;
+const MAX_SAMPLES: usize = 1000;
+const FIT_ROUNDS: usize = 4;
+
+/// Whether small changes of the link frames explain `witness` better than the causes in `state`. `plain`
+/// has only latency and large frames, `offsets` the joint zeros too large for link deviations.
+pub(crate) fn is_nominal(
+    witness: &PoseObservations,
+    stream: usize,
+    state: &State,
+    plain: &StreamState,
+    offsets: &[f64],
+) -> bool {
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
+    let as_recorded = witness.linearize(plain, offsets, stride);
+    let rms_m = rms(&as_recorded.residual[0]);
+    if rms_m > MAX_TIP_CHANGE_M || rms(&as_recorded.residual[1]) > MAX_TIP_CHANGE_RAD {
+        return false;
+    }
+    let calibration = LinkFrameChanges::fit(witness, plain, offsets, stride);
+    let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
+    let is_named = offsets.iter().any(|offset| *offset != 0.0);
+    let least_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
+    if rms_m.powi(2) - noise_m.powi(2) < least_m.powi(2) {
+        return false;
+    }
+    let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);
+    let left = explained.weights_after(&vec![0.0; explained.width]);
+    calibration.gain_over(&left) > calibration.price
+}
+
+/// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
+/// latency `course`. Slow motion hides large latency changes, and link deviations resemble one there.
+///
+/// `fitted` is the state with all causes, `plain` without those of calibrations, both at stamps without
+/// `removed`.
+pub(crate) fn link_deviations_beat_profile(
+    witness: &PoseObservations,
+    [fitted, plain]: [&StreamState; 2],
+    offsets: &[f64],
+    course: &LatencyProfile,
+    removed: Option<&LatencyRamp>,
+) -> bool {
+    let at_stamps = |stamp: &dyn Fn(f64) -> f64| {
+        let t_s = witness.t_s.iter().map(|t_s| stamp(*t_s)).collect();
+        PoseObservations { t_s, ..witness.clone() }
+    };
+    let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
+    let logged = at_stamps(&logged_s);
+    let steady = at_stamps(&|t_s| logged_s(t_s) - course.relative_s(logged_s(t_s)));
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
+    let as_logged = logged.linearize(plain, offsets, stride);
+    if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
+        || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
+    {
+        return false;
+    }
+    let calibration = LinkFrameChanges::fit(&logged, plain, offsets, stride);
+    // The levels contain the skew; the constant latency absorbs its pivot.
+    let mut state = StreamState { skew: 0.0, ..fitted.clone() };
+    for _ in 0..2 {
+        state.latency_s += steady.residual_at_latency(&state, offsets, MAX_SAMPLES).1;
+    }
+    let left = steady.linearize(&state, offsets, stride);
+    let left = left.weights_after(&vec![0.0; left.width]);
+    let price = price(calibration.samples as f64) * course.parameters() as f64;
+    calibration.gain_over(&left) + price > calibration.price
+}
+
+/// Rms length.
+pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
+    let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
+    (squares / residual.len().max(1) as f64).sqrt()
+}
+
+/// Maximum a posteriori changes of link frames.
+struct LinkFrameChanges {
+    samples: usize,
+    /// After these changes.
+    weights: Vec<Weight>,
+    /// Complexity penalty, as a squared deviation.
+    price: f64,
+    /// As in [`link_frames`].
+    step: DVector<f64>,
+}
+
+/// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample.
+pub(crate) fn calibrated_residuals(
+    witness: &PoseObservations,
+    plain: &StreamState,
+    stride: usize,
+) -> Vec<Vec<[f64; 3]>> {
+    let few = witness.len().div_ceil(MAX_SAMPLES).max(1);
+    let none = vec![0.0; witness.joints.dof];
+    let calibration = LinkFrameChanges::fit(witness, plain, &none, few);
+    let rows = (0..witness.len()).step_by(stride.max(1));
+    link_frames(witness, plain, &none, rows, FreeAlongside::Nothing)
+        .residuals_after(calibration.step.as_slice())
+}
+
+impl LinkFrameChanges {
+    fn fit(
+        witness: &PoseObservations,
+        plain: &StreamState,
+        offsets: &[f64],
+        stride: usize,
+    ) -> Self {
+        let rows = (0..witness.len()).step_by(stride);
+        let frames = link_frames(witness, plain, offsets, rows, FreeAlongside::Nothing);
+        let all: Vec<usize> = (0..frames.width).collect();
+        let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
+        let none = DVector::zeros(frames.width);
+        let mut weights = frames.first_weights();
+        let (mut price, mut changes) = (0.0, none.clone());
+        for _ in 0..FIT_ROUNDS {
+            let mut normal = Normal::zeros(frames.width);
+            frames.accumulate(&weights, &all, &mut normal);
+            for (i, usual) in usual.iter().enumerate() {
+                normal.matrix[(i, i)] += usual.powi(-2);
+            }
+            let step = normal.step(&none, &all);
+            weights = frames.weights_after(step.as_slice());
+            price = price_of(&step, &normal, &usual);
+            changes = step;
+        }
+        Self { samples: frames.len(), weights, price, step: changes }
+    }
+
+    /// Twice the log likelihood ratio to a fit with weights `left`, both with this fit's noise correlation,
+    /// which is closer to the truth.
+    fn gain_over(&self, left: &[Weight]) -> f64 {
+        let gains = self.weights.iter().zip(left).map(|(own, other)| {
+            let independent = 3.0 * self.samples as f64 / own.noise.inflation();
+            2.0 * independent * (other.noise.sigma / own.noise.sigma).ln()
+        });
+        gains.sum()
+    }
+}
+
+/// Prior on parameter `i` of [`link_frames`]. Wide for those free without a calibration, such as an
+/// undeclared tool.
+fn usual_change(i: usize, witness: &PoseObservations, plain: &StreamState) -> f64 {
+    match i % 6 {
+        _ if is_free_parameter(i, witness, plain) => FREE_PRIOR,
+        0..3 => LINK_PRIOR_M,
+        _ => LINK_PRIOR_RAD,
+    }
+}
+
+/// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
+pub(crate) fn is_free_parameter(i: usize, witness: &PoseObservations, plain: &StreamState) -> bool {
+    let joints = witness.columns.len();
+    match i / 6 {
+        0 => !witness.reference_known || plain.reference != Pose::identity(),
+        link if link == joints => plain.tool != Pose::identity(),
+        link => link > joints,
+    }
+}
+
+/// Complexity penalty: squares in prior standard deviations, plus the log determinant of posterior over
+/// prior precision, minus that of parameters free without a calibration.
+fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
+    let all: Vec<usize> = (0..usual.len()).collect();
+    let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
+    let narrowing = |chosen: &[usize]| -> f64 {
+        let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
+        let n = chosen.len();
+        let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
+        // 1 is the prior; smaller values are rounding.
+        precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
+    };
+    let size: f64 = held.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
+    size + narrowing(&all) - narrowing(&free)
+}
+
+/// Parameters besides link frames and latency.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FreeAlongside {
+    Nothing,
+    /// Every joint zero of the chain.
+    Zeros,
+    ZerosAndRadialScale,
+}
+
+/// Linearises samples about `plain` and `offsets`. Columns: six changes each for the reference and every
+/// joint's child link frame, the latency, then the parameters in `with`.
+pub(crate) fn link_frames(
+    witness: &PoseObservations,
+    plain: &StreamState,
+    offsets: &[f64],
+    rows: impl Iterator<Item = usize>,
+    with: FreeAlongside,
+) -> Linear {
+    let (joints, blind) = (witness.columns.len(), witness.excluded);
+    let latency = 6 * (joints + 1);
+    let width = latency
+        + 1
+        + match with {
+            FreeAlongside::Nothing => 0,
+            FreeAlongside::Zeros => joints,
+            FreeAlongside::ZerosAndRadialScale => joints + 1,
+        };
+    let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
+    let mut sweep = PredictionBuffers::new(witness);
+    let mut links = Vec::new();
+    for k in rows {
+        let Some(predicted) = witness.pose_at(k, plain, offsets, &mut sweep) else { continue };
+        witness.chain.joint_frames(sweep.q(), &mut links);
+        let (velocity, rate) = sweep.twist();
+        let mut rows = linear.push(&witness.residual(k, &predicted));
+        let tip = predicted.translation.vector;
+        let base = [plain.reference];
+        let frames = links.iter().map(|link| plain.reference * link);
+        for (i, frame) in base.into_iter().chain(frames).enumerate() {
+            for axis in 0..3 {
+                let unit = frame.rotation * Vec3::ith(axis, 1.0);
+                let lever = unit.cross(&(tip - frame.translation.vector));
+                rows.set(0, 6 * i + axis, blind.mask_position(unit.into()));
+                rows.set(0, 6 * i + 3 + axis, blind.mask_position(lever.into()));
+                rows.set(1, 6 * i + 3 + axis, blind.mask_rotation(unit.into()));
+            }
+        }
+        let (velocity, rate) =
+            (plain.reference.rotation * velocity, plain.reference.rotation * rate);
+        rows.set(0, latency, blind.mask_position((-velocity).into()));
+        rows.set(1, latency, blind.mask_rotation((-rate).into()));
+        let reference = plain.reference.rotation;
+        let base_from_link =
+            reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
+        let lever = base_from_link * plain.tool.translation.vector;
+        for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
+            let (linear, angular) = sweep.column(joint, &lever);
+            let (linear, angular) = (reference * linear, reference * angular);
+            rows.set(0, latency + 1 + joint, blind.mask_position(linear.into()));
+            rows.set(1, latency + 1 + joint, blind.mask_rotation(angular.into()));
+        }
+        if with == FreeAlongside::ZerosAndRadialScale {
+            let from_base = tip - plain.reference.translation.vector;
+            rows.set(0, latency + 1 + joints, blind.mask_position(from_base.into()));
+        }
+    }
+    linear
+}
+
+pub(crate) fn damped(mut normal: Normal) -> Normal {
+    for i in 0..normal.right.len() {
+        normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);
+    }
+    normal
+}

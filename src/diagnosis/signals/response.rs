@@ -1,0 +1,474 @@
+//! Estimates how a response follows a reference: delay, low-pass time constant and gain.
+//!
+//! Compares changes over windows rather than derivatives, so noise enters once per window and offsets
+//! cancel. The response's change is the gain times the reference's over the same window, `delay` earlier
+//! (Ljung, *System Identification*, 2nd ed., §4.2, with at most two poles).
+
+use crate::NotObservable;
+use ground::stats::{Measured, median};
+use nalgebra::DMatrix;
+
+const MAX_COLUMNS: usize = 6;
+
+/// One column or groups of three. Times are in s from the run's origin, strictly increasing.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TimeSeries {
+    t_s: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    /// Time derivatives.
+    slopes: Vec<Vec<f64>>,
+    /// Longest interpolated interval, s.
+    longest_s: f64,
+}
+
+/// Changes over time windows.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ResponseChanges {
+    /// Start and end, s.
+    pub windows: Vec<(f64, f64)>,
+    /// One per window and column.
+    pub changes: Vec<[f64; MAX_COLUMNS]>,
+    /// Number of columns.
+    pub width: usize,
+}
+
+/// Response to a reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response {
+    /// Pure delay plus low-pass time constant, s.
+    pub delay_s: Measured,
+    /// Low-pass time constant, s. 0 if a pure delay fits as well.
+    pub low_pass_s: f64,
+    /// Response per reference change, column mean.
+    pub gain: f64,
+    /// Explained share of energy, at most 1.
+    pub explained: f64,
+    /// Share explained by pure delay.
+    pub by_delay_alone: f64,
+}
+
+impl Response {
+    /// Cut-off frequency, Hz. `None` without low-pass.
+    pub fn corner_hz(&self) -> Option<f64> {
+        (self.low_pass_s > 0.0).then(|| 1.0 / (std::f64::consts::TAU * self.low_pass_s))
+    }
+
+    /// Delay without the low-pass, s.
+    pub fn pure_delay_s(&self) -> f64 {
+        self.delay_s.value - self.low_pass_s
+    }
+}
+
+impl TimeSeries {
+    /// From columns with common times. Gaps are longer than 0.2 s and five median intervals.
+    pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
+        const MIN_GAP_S_PERIODS: (f64, f64) = (0.2, 5.0);
+        let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let period_s = median(&mut periods).unwrap_or(0.0);
+        let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
+        Self {
+            t_s,
+            columns,
+            slopes,
+            longest_s: MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s),
+        }
+    }
+
+    /// Cubic Hermite. `None` outside the series and in gaps.
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
+        let times = &self.t_s;
+        let is_left =
+            |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
+        let near = (*cursor..*cursor + 3).find(|&at| is_left(at));
+        let left = match near {
+            Some(left) => left,
+            None => times
+                .partition_point(|&t| t <= t_s)
+                .checked_sub(1)?
+                .min(times.len().checked_sub(2)?),
+        };
+        *cursor = left;
+        let (from_s, to_s) = (times[left], times[left + 1]);
+        let length_s = to_s - from_s;
+        if t_s > to_s || length_s > self.longest_s {
+            return None;
+        }
+        let part = (t_s - from_s) / length_s;
+        let mut values = [0.0; MAX_COLUMNS];
+        for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
+        {
+            let ends = [column[left], column[left + 1]];
+            *value = hermite(part, ends, [slope[left] * length_s, slope[left + 1] * length_s]);
+        }
+        Some(values)
+    }
+
+    fn change(
+        &self,
+        (from_s, to_s): (f64, f64),
+        cursors: &mut [usize; 2],
+    ) -> Option<[f64; MAX_COLUMNS]> {
+        let [first, last] = cursors;
+        let (before, after) = (self.at(from_s, first)?, self.at(to_s, last)?);
+        Some(std::array::from_fn(|column| after[column] - before[column]))
+    }
+
+    /// First-order low-pass, exact for linear interpolation. Restarts after a gap.
+    fn filtered(&self, constant_s: f64) -> Self {
+        let filter = |column: &Vec<f64>| {
+            let mut filtered = Vec::with_capacity(column.len());
+            let mut last = column.first().copied().unwrap_or(0.0);
+            filtered.extend(column.first());
+            for (times, ends) in self.t_s.windows(2).zip(column.windows(2)) {
+                let length_s = times[1] - times[0];
+                let behind = (ends[1] - ends[0]) / length_s * constant_s;
+                let decay = (-length_s / constant_s).exp();
+                last = match length_s > self.longest_s {
+                    true => ends[1],
+                    false => ends[1] - behind + (last - ends[0] + behind) * decay,
+                };
+                filtered.push(last);
+            }
+            filtered
+        };
+        let columns: Vec<Vec<f64>> = self.columns.iter().map(filter).collect();
+        let slopes = columns.iter().map(|column| slopes(&self.t_s, column)).collect();
+        Self { t_s: self.t_s.clone(), columns, slopes, longest_s: self.longest_s }
+    }
+}
+
+/// At the fraction `part` of the interval.
+fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
+    let (square, cube) = (part * part, part * part * part);
+    let rise = 3.0 * square - 2.0 * cube;
+    ends[0]
+        + rise * (ends[1] - ends[0])
+        + (cube - 2.0 * square + part) * slopes[0]
+        + (cube - square) * slopes[1]
+}
+
+/// Slopes of parabolas through each sample and its neighbours.
+pub(crate) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
+    let slope = |left: usize| (values[left + 1] - values[left]) / (t_s[left + 1] - t_s[left]);
+    let last = values.len().saturating_sub(1);
+    let at = |row: usize| match row {
+        _ if last == 0 => 0.0,
+        0 => slope(0),
+        row if row == last => slope(last - 1),
+        row => {
+            let (before_s, after_s) = (t_s[row] - t_s[row - 1], t_s[row + 1] - t_s[row]);
+            (slope(row - 1) * after_s + slope(row) * before_s) / (before_s + after_s)
+        }
+    };
+    (0..values.len()).map(at).collect()
+}
+
+/// Gains at one delay.
+struct DelayFit {
+    /// Per group of columns: response = gains · reference.
+    gains: Vec<DMatrix<f64>>,
+    /// Over the windows used.
+    residual_squares: f64,
+    total_squares: f64,
+    /// Windows covered by the reference.
+    used: usize,
+}
+
+impl DelayFit {
+    fn unexplained_share(&self) -> f64 {
+        if self.total_squares > 0.0 { self.residual_squares / self.total_squares } else { 1.0 }
+    }
+}
+
+impl ResponseChanges {
+    /// Windows of `window_s` within `span`, s, without gaps, overlapping by half or thinned in very long
+    /// series.
+    pub fn from_windows(
+        t_s: &[f64],
+        columns: &[Vec<f64>],
+        span: (f64, f64),
+        window_s: f64,
+    ) -> Self {
+        /// More do not improve the estimate.
+        const MAX_WINDOWS: f64 = 1500.0;
+        let stride_s = (0.5 * window_s).max((span.1 - span.0) / MAX_WINDOWS);
+        let mut changes = Self { width: columns.len(), ..Self::default() };
+        let mut first = t_s.partition_point(|&t| t < span.0);
+        while first < t_s.len() && t_s[first] <= span.1 {
+            let after = |length_s: f64| {
+                first + t_s[first..].partition_point(|&t| t < t_s[first] + length_s)
+            };
+            let (last, next) = (after(window_s), after(stride_s).max(first + 1));
+            let is_whole = t_s.get(last).is_some_and(|&to_s| to_s - t_s[first] < 1.5 * window_s);
+            if is_whole {
+                let mut by = [0.0; MAX_COLUMNS];
+                by.iter_mut().zip(columns).for_each(|(by, of)| *by = of[last] - of[first]);
+                changes.windows.push((t_s[first], t_s[last]));
+                changes.changes.push(by);
+            }
+            first = next;
+        }
+        changes
+    }
+
+    /// Three for vectors, otherwise one.
+    fn group(&self) -> usize {
+        if self.width.is_multiple_of(3) { 3 } else { 1 }
+    }
+
+    /// Reference changes over windows `delay_s` earlier.
+    pub fn references(
+        &self,
+        reference: &TimeSeries,
+        delay_s: f64,
+    ) -> Vec<Option<[f64; MAX_COLUMNS]>> {
+        let mut cursors = [0; 2];
+        let of = |&(from_s, to_s): &(f64, f64)| {
+            reference.change((from_s - delay_s, to_s - delay_s), &mut cursors)
+        };
+        self.windows.iter().map(of).collect()
+    }
+
+    fn fit(&self, references: &[Option<[f64; MAX_COLUMNS]>]) -> DelayFit {
+        let size = self.group();
+        let mut fit =
+            DelayFit { gains: Vec::new(), residual_squares: 0.0, total_squares: 0.0, used: 0 };
+        fit.used = references.iter().flatten().count();
+        for first in (0..self.width).step_by(size) {
+            let mut normal = DMatrix::<f64>::zeros(size, size);
+            let mut right = DMatrix::<f64>::zeros(size, size);
+            let mut total = 0.0;
+            for (by, reference) in self.changes.iter().zip(references) {
+                let Some(reference) = reference else { continue };
+                for a in 0..size {
+                    total += by[first + a] * by[first + a];
+                    for b in 0..size {
+                        normal[(a, b)] += reference[first + a] * reference[first + b];
+                        right[(a, b)] += reference[first + a] * by[first + b];
+                    }
+                }
+            }
+            // Columns without motion have no gain.
+            let ridge = 1e-9 * normal.trace() + f64::MIN_POSITIVE;
+            let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
+            let mut gains = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
+            if size == 1 {
+                // No negative gain: it fits a periodic signal half a period late.
+                gains[(0, 0)] = gains[(0, 0)].max(0.0);
+            }
+            fit.total_squares += total;
+            fit.residual_squares += (total - gains.component_mul(&right).sum()).max(0.0);
+            fit.gains.push(gains.transpose());
+        }
+        fit
+    }
+
+    fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
+        self.fit(&self.references(reference, delay_s))
+    }
+
+    /// 1 if the reference covers too few windows.
+    fn unexplained_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
+        let fit = self.fit_at(reference, delay_s);
+        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.unexplained_share() }
+    }
+
+    /// Best delay between `low` and `high`, s (golden section search).
+    fn refined(
+        &self,
+        reference: &TimeSeries,
+        (mut low, mut high): (f64, f64),
+        fine_s: f64,
+    ) -> (f64, f64) {
+        const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
+        let left = |delay_s: f64| self.unexplained_at(reference, delay_s);
+        let mut inner = [high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)];
+        let mut found = inner.map(left);
+        while high - low > fine_s {
+            if found[0] <= found[1] {
+                high = inner[1];
+                inner = [high - GOLDEN_RATIO * (high - low), inner[0]];
+                found = [left(inner[0]), found[0]];
+            } else {
+                low = inner[0];
+                inner = [inner[1], low + GOLDEN_RATIO * (high - low)];
+                found = [found[1], left(inner[1])];
+            }
+        }
+        let best = usize::from(found[1] < found[0]);
+        (inner[best], found[best])
+    }
+
+    /// Standard error of the delay and its degrees of freedom, for any correlation within time blocks
+    /// (Liang and Zeger 1986).
+    fn uncertainty(&self, reference: &TimeSeries, delay_s: f64) -> (f64, f64) {
+        const MAX_BLOCKS: f64 = 40.0;
+        const MIN_BLOCK_S: f64 = 0.5;
+        const STEP_S: f64 = 1e-3;
+        let references = self.references(reference, delay_s);
+        let fit = self.fit(&references);
+        let [before, after] =
+            [-STEP_S, STEP_S].map(|step_s| self.references(reference, delay_s + step_s));
+        let slope = |row: usize| -> Option<[f64; MAX_COLUMNS]> {
+            let (before, after) = (before[row]?, after[row]?);
+            Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
+        };
+        // Onto the complement of the gains.
+        let sloped = ResponseChanges {
+            changes: (0..self.changes.len())
+                .map(|row| {
+                    slope(row).map_or([0.0; MAX_COLUMNS], |slope| self.predicted(&fit, &slope))
+                })
+                .collect(),
+            ..self.clone()
+        };
+        let beside = sloped.fit(&references);
+        let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
+            return (f64::INFINITY, 1.0);
+        };
+        let block_s = ((last.1 - first.0) / MAX_BLOCKS).max(MIN_BLOCK_S);
+        let (mut information, mut blocks) = (0.0, std::collections::BTreeMap::new());
+        for (row, reference) in references.iter().enumerate() {
+            let (Some(reference), Some(_)) = (reference, slope(row)) else { continue };
+            let told = self.predicted(&fit, reference);
+            let taken = self.predicted(&beside, reference);
+            let block = ((self.windows[row].0 - first.0) / block_s) as u64;
+            for at in 0..self.width {
+                let own = sloped.changes[row][at] - taken[at];
+                information += own * own;
+                *blocks.entry(block).or_insert(0.0) += own * (self.changes[row][at] - told[at]);
+            }
+        }
+        let count = blocks.len() as f64;
+        if count < 4.0 || information <= 0.0 {
+            return (f64::INFINITY, 1.0);
+        }
+        let square: f64 = blocks.values().map(|sum: &f64| sum * sum).sum::<f64>();
+        ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
+    }
+
+    fn predicted(&self, fit: &DelayFit, reference: &[f64; MAX_COLUMNS]) -> [f64; MAX_COLUMNS] {
+        let size = self.group();
+        std::array::from_fn(|at| {
+            let Some(gains) = fit.gains.get(at / size) else { return 0.0 };
+            (0..size).map(|b| gains[(at % size, b)] * reference[at - at % size + b]).sum()
+        })
+    }
+
+    /// Gain at zero delay, and unexplained share.
+    pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
+        let fit = self.fit_at(reference, 0.0);
+        (mean_gain(&fit), fit.unexplained_share())
+    }
+
+    /// Response to `reference`, for delays within ±`most_s`.
+    ///
+    /// # Errors
+    /// If too little is explained, or several delays explain it equally.
+    pub fn estimate_response(
+        &self,
+        reference: &TimeSeries,
+        most_s: f64,
+    ) -> Result<Response, NotObservable> {
+        const MIN_EXPLAINED_SHARE: f64 = 0.8;
+        const DELAY_RESOLUTION_S: f64 = 2e-5;
+        /// Factor and offset to the best unexplained share for a competing delay.
+        const COMPETITOR_TOLERANCE: (f64, f64) = (2.0, 0.02);
+        let mut lengths: Vec<f64> =
+            self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
+        let step_s = (median(&mut lengths).unwrap_or(0.1) / 4.0).max(5e-3);
+        let steps = (most_s / step_s).ceil() as i64;
+        let tried = |step: i64| step as f64 * step_s;
+        let left: Vec<f64> =
+            (-steps..=steps).map(|step| self.unexplained_at(reference, tried(step))).collect();
+        let is_low = |at: usize| {
+            let beside = |at: Option<usize>| at.and_then(|at| left.get(at)).copied().unwrap_or(1.0);
+            left[at] <= beside(at.checked_sub(1)) && left[at] < beside(Some(at + 1))
+        };
+        let lows: Vec<(f64, f64)> = (0..left.len())
+            .filter(|&at| is_low(at))
+            .map(|at| {
+                let middle = tried(at as i64 - steps);
+                self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
+            })
+            .collect();
+        let Some(&(delay_s, least)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+            return Err(NotObservable::DoesNotFollow(0.0));
+        };
+        let (low_pass_s, delay_s, left) = self.fit_low_pass(reference, (delay_s, least), most_s);
+        if 1.0 - left < MIN_EXPLAINED_SHARE {
+            return Err(NotObservable::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
+        }
+        let is_rival =
+            |low: &&(f64, f64)| low.1 < COMPETITOR_TOLERANCE.0 * least + COMPETITOR_TOLERANCE.1;
+        let rivals: Vec<f64> = lows.iter().filter(is_rival).map(|low| low.0).collect();
+        if rivals.len() > 1 {
+            return Err(NotObservable::Periodic(rivals));
+        }
+        let filtered = (low_pass_s > 0.0).then(|| reference.filtered(low_pass_s));
+        let reference = filtered.as_ref().unwrap_or(reference);
+        let (std_error, dof) = self.uncertainty(reference, delay_s);
+        Ok(Response {
+            delay_s: Measured { value: delay_s + low_pass_s, std_error, dof },
+            low_pass_s,
+            gain: mean_gain(&self.fit_at(reference, delay_s)),
+            explained: 1.0 - left,
+            by_delay_alone: 1.0 - least,
+        })
+    }
+
+    /// Time constant, s, remaining delay, s, and unexplained share. The constant is 0 unless it clearly
+    /// improves on `pure`, the best pure delay.
+    fn fit_low_pass(
+        &self,
+        reference: &TimeSeries,
+        pure: (f64, f64),
+        most_s: f64,
+    ) -> (f64, f64, f64) {
+        /// Unexplained share relative to a pure delay.
+        const MAX_LOW_PASS_RATIO: f64 = 0.75;
+        /// Of the unexplained share.
+        const MIN_GAIN: f64 = 1e-6;
+        /// Of the whole delay.
+        const MIN_LOW_PASS_SHARE: f64 = 0.2;
+        const MIN_TIME_CONSTANT_S: f64 = 2e-3;
+        const TIME_CONSTANT_STEPS: usize = 24;
+        /// In s, and relative to the time constant.
+        const REMAINING_DELAY_RESOLUTION: (f64, f64) = (1e-4, 0.02);
+        let with = |constant_s: f64| {
+            let filtered = reference.filtered(constant_s);
+            let middle_s = pure.0 - constant_s;
+            let around_s = (0.5 * constant_s).max(5e-3);
+            let fine_s =
+                REMAINING_DELAY_RESOLUTION.0.max(REMAINING_DELAY_RESOLUTION.1 * constant_s);
+            let (delay_s, left) =
+                self.refined(&filtered, (middle_s - around_s, middle_s + around_s), fine_s);
+            (constant_s, delay_s, left)
+        };
+        if pure.1 < MIN_GAIN {
+            return (0.0, pure.0, pure.1);
+        }
+        let ratio = (most_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
+        let tried =
+            (0..=TIME_CONSTANT_STEPS).map(|at| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32)));
+        let by_left = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
+        let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
+        let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
+        let best = finer.min_by(by_left).unwrap_or(coarse);
+        let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1
+            && pure.1 - best.2 > MIN_GAIN
+            && best.0 > MIN_LOW_PASS_SHARE * (best.0 + best.1);
+        // A causal response precedes its reference by stamp errors only.
+        let is_causal = best.1 > -0.25 * best.0 - 2e-3;
+        if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
+    }
+}
+
+/// Diagonal gains, over all columns.
+fn mean_gain(fit: &DelayFit) -> f64 {
+    let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
+    fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,366 @@
+//! Checks whether velocities are the derivatives of the positions, and classifies the error. Integrated
+//! velocities are compared with position changes over windows, so encoder noise enters only twice per
+//! window and velocity noise averages out.
+
+use super::response::{ResponseChanges, TimeSeries, slopes};
+use crate::latency::correlation::median_period_s;
+use crate::samples::sampling::row_blocks;
+use crate::{NotObservable, Response};
+use ground::stats::Measured;
+use ground::stream::sample_noise;
+
+/// Samples of one joint.
+#[derive(Clone, Copy, Debug)]
+pub struct VelocitySamples<'a> {
+    /// s, strictly increasing.
+    pub t_s: &'a [f64],
+    /// rad or m.
+    pub position: &'a [f64],
+    /// rad/s or m/s; NaN if missing.
+    pub velocity: &'a [f64],
+    /// Known position jumps, s. Windows exclude them.
+    pub breaks: &'a [f64],
+}
+
+/// Comparison of velocities with position derivatives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VelocityDiagnosis {
+    /// Rms of velocity minus position rate, over rms rate, in the band of the motion. Without noise,
+    /// quantisation and stamp jitter.
+    pub error: Measured,
+    /// Error expected from those three.
+    pub noise: f64,
+    /// Rms position rate, rad/s or m/s.
+    pub rate: f64,
+    /// Window length, s.
+    pub window_s: f64,
+    /// Classification.
+    pub shape: VelocityShape,
+}
+
+/// Relation of velocities to positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum VelocityShape {
+    /// Derivatives, within the uncertainty.
+    Rates,
+    /// Zero or nearly zero.
+    Zero,
+    /// Derivatives times a factor.
+    Scaled(f64),
+    /// Derivatives of another joint, times a factor.
+    OfJoint(usize, f64),
+    /// Derivatives with delay, low-pass and gain.
+    Filtered(Response),
+    /// None of these.
+    Unrelated,
+}
+
+/// Smaller errors need no cause, or may be a finite difference.
+const MIN_RELATIVE_ERROR: f64 = 0.02;
+const MIN_GAP_INTERVALS: f64 = 5.0;
+/// Half-width of the interval.
+const INTERVAL_STD_ERRORS: f64 = 1.9;
+const MAX_LAG_S: f64 = 0.5;
+
+/// Compares velocities of joint `index` with its positions. `joints` are all joints, whose velocities may
+/// be permuted.
+///
+/// # Errors
+/// If the joint barely moves or has too few velocities.
+pub fn diagnose_velocity(
+    joints: &[VelocitySamples<'_>],
+    index: usize,
+) -> Result<VelocityDiagnosis, NotObservable> {
+    let own = joints.get(index).ok_or(NotObservable::AtRest)?;
+    let windows = VelocityWindows::from_samples(own)?;
+    let VelocityWindows { noise, ref changes, ref moved, .. } = windows;
+    let (compared, rate_square) = (moved.len() as f64, mean_square(moved) - 2.0 * noise.position);
+    let by_noise = noise.window_variance(windows.window_s, mean_square(moved)) / rate_square;
+    let error_of = |moved: &[f64]| {
+        let errors: Vec<f64> = changes.changes.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
+        mean_square(&errors) / rate_square
+    };
+    let as_recorded = error_of(moved);
+    let half_s = 0.5 * median_period_s(own.t_s);
+    let curve = TimeSeries::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
+    // A difference of samples is the rate midway.
+    let of_difference = [-half_s, half_s]
+        .map(|delay_s| changes.references(&curve, delay_s))
+        .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
+        .map(|shifted| error_of(&shifted));
+    let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
+        shifted if shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR => {
+            shifted.min(as_recorded)
+        }
+        _ => as_recorded,
+    };
+    let square = (square - by_noise).max(0.0);
+    let value = square.sqrt();
+    // Noise variance is known to ±50 %. Overlapping windows count once.
+    let count = (0.5 * compared).max(1.0);
+    let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
+    let [most, least] =
+        [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
+    // The root may be zero as well.
+    let std_error = (most - value).max(value - least) / INTERVAL_STD_ERRORS;
+    let shape = match value < MIN_RELATIVE_ERROR {
+        true => VelocityShape::Rates,
+        false => shape(joints, index, &windows, &curve, by_noise * rate_square),
+    };
+    Ok(VelocityDiagnosis {
+        error: Measured { value, std_error, dof: count },
+        noise: by_noise.sqrt(),
+        rate: rate_square.sqrt() / windows.window_s,
+        window_s: windows.window_s,
+        shape,
+    })
+}
+
+fn mean_square(values: &[f64]) -> f64 {
+    let finite = values.iter().filter(|value| value.is_finite());
+    let (sum, count) = finite.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Noise {
+    /// rad² or m².
+    position: f64,
+    /// Variance of the integral per second, rad²/s or m²/s.
+    velocity: f64,
+    /// s².
+    stamp: f64,
+    /// Interpolation, as a squared change.
+    between: f64,
+}
+
+impl Noise {
+    /// Of integral minus position change; `moved` is the mean squared change.
+    fn window_variance(&self, window_s: f64, moved: f64) -> f64 {
+        let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
+        2.0 * self.position + self.velocity * window_s + by_stamps + self.between
+    }
+}
+
+#[derive(Debug)]
+struct VelocityWindows {
+    window_s: f64,
+    /// Integrals of velocity.
+    changes: ResponseChanges,
+    /// Position changes, rad or m.
+    moved: Vec<f64>,
+    noise: Noise,
+}
+
+impl VelocityWindows {
+    fn from_samples(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
+        /// Of a moving joint, rad or m.
+        const MIN_TRAVEL: f64 = 5e-3;
+        const MIN_WINDOWS: usize = 20;
+        /// Windows grow until this noise-to-change ratio.
+        const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (0.1, 0.5);
+        const WINDOW_GROWTH: f64 = 1.5;
+        const MAX_NOISE_RATIO: f64 = 0.01;
+        let known: Vec<usize> = (0..joint.t_s.len().min(joint.velocity.len()))
+            .filter(|&row| joint.velocity[row].is_finite() && joint.position[row].is_finite())
+            .collect();
+        if known.len() < MIN_WINDOWS {
+            return Err(NotObservable::TooFewSamples { have: known.len(), need: MIN_WINDOWS });
+        }
+        let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
+        let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
+        let (least, most) =
+            q.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
+        let integral = Integral::new(&t_s, &v);
+        let mut noise = noise(&t_s, &q, &v);
+        if most - least < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
+            return Err(NotObservable::AtRest);
+        }
+        let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
+        loop {
+            let (changes, moved, between) = integral.windows(&t_s, &q, joint.breaks, window_s);
+            noise.between = between;
+            let square = mean_square(&moved);
+            let is_clear = noise.window_variance(window_s, square)
+                <= MAX_NOISE_RATIO * MAX_NOISE_RATIO * square;
+            if is_clear || window_s >= WINDOW_LENGTH_LIMITS_S.1 {
+                let is_enough = moved.len() >= MIN_WINDOWS && square > 4.0 * noise.position;
+                let found = Self { window_s, changes, moved, noise };
+                return if is_enough { Ok(found) } else { Err(NotObservable::AtRest) };
+            }
+            window_s = (WINDOW_GROWTH * window_s).min(WINDOW_LENGTH_LIMITS_S.1.max(window_s));
+        }
+    }
+}
+
+fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
+    let period_s = median_period_s(t_s);
+    let jitter: Vec<f64> = t_s
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0] - period_s).clamp(-period_s, period_s))
+        .collect();
+    let bends: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
+    let quantum = quantisation_step(q);
+    Noise {
+        position: sample_noise(q).powi(2).max(quantum * quantum / 12.0),
+        velocity: mean_square(&bends) / 6.0 * period_s,
+        stamp: 0.5 * mean_square(&jitter),
+        between: 0.0,
+    }
+}
+
+/// 2 % quantile of nonzero changes. Almost zero without quantisation.
+fn quantisation_step(q: &[f64]) -> f64 {
+    const QUANTILE_DIVISOR: usize = 50;
+    const ROUNDING_TOLERANCE: f64 = 1e-9;
+    let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+    let mut steps: Vec<f64> = steps.filter(|&step| step > ROUNDING_TOLERANCE).collect();
+    let at = steps.len() / QUANTILE_DIVISOR;
+    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
+}
+
+/// Encoder step if all positions are multiples of it; otherwise 0. Long series are sampled in stretches if
+/// most positions in them change.
+pub fn encoder_step(q: &[f64]) -> f64 {
+    const MAX_SAMPLES: usize = 24_000;
+    let some: Vec<f64> =
+        row_blocks(q.len(), MAX_SAMPLES).flat_map(|rows| q[rows].iter().copied()).collect();
+    let changes = some.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    if some.len() < q.len() && 2 * changes > some.len() { step_of(&some) } else { step_of(q) }
+}
+
+fn step_of(q: &[f64]) -> f64 {
+    /// For multiples, and share of changes that are.
+    const MULTIPLE_TOLERANCE: f64 = 0.02;
+    const MIN_MULTIPLE_SHARE: f64 = 0.95;
+    let step = quantisation_step(q);
+    let changes = q.windows(2).map(|pair| (pair[1] - pair[0]) / step).filter(|by| *by != 0.0);
+    let (mut whole, mut all) = (0_usize, 0_usize);
+    for by in changes {
+        all += 1;
+        whole += usize::from((by - by.round()).abs() < MULTIPLE_TOLERANCE);
+    }
+    if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
+}
+
+/// From the first sample.
+struct Integral {
+    /// By cubic and linear interpolation.
+    at: Vec<[f64; 2]>,
+}
+
+impl Integral {
+    fn new(t_s: &[f64], v: &[f64]) -> Self {
+        let slopes = slopes(t_s, v);
+        let mut at = vec![[0.0; 2]];
+        for row in 1..t_s.len() {
+            let length_s = t_s[row] - t_s[row - 1];
+            let straight = 0.5 * length_s * (v[row] + v[row - 1]);
+            let bend = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
+            let [cubic_before, straight_before] = at[row - 1];
+            at.push([cubic_before + straight - bend, straight_before + straight]);
+        }
+        Self { at }
+    }
+
+    /// Changes of integral and position, and the variance due to interpolation.
+    fn windows(
+        &self,
+        t_s: &[f64],
+        q: &[f64],
+        breaks: &[f64],
+        window_s: f64,
+    ) -> (ResponseChanges, Vec<f64>, f64) {
+        let [cubic, straight] =
+            [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
+        let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
+        let all =
+            ResponseChanges::from_windows(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+        let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
+        // Unknown velocity in a gap, unknown position across a break.
+        let is_gap = |pair: &&[f64]| {
+            pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
+        };
+        let gaps: Vec<f64> = t_s.windows(2).filter(is_gap).map(|pair| pair[0]).collect();
+        let is_whole = |window: &(f64, f64)| {
+            let next = gaps.partition_point(|gap_s| *gap_s < window.0);
+            gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
+        };
+        let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
+        let (mut moved, mut square) = (Vec::new(), 0.0);
+        for (&window, by) in
+            all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
+        {
+            changes.windows.push(window);
+            changes.changes.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
+            moved.push(by[2]);
+            square += (0.5 * (by[0] - by[1])).powi(2);
+        }
+        let between = square / moved.len().max(1) as f64;
+        (changes, moved, between)
+    }
+}
+
+fn shape(
+    joints: &[VelocitySamples<'_>],
+    index: usize,
+    windows: &VelocityWindows,
+    curve: &TimeSeries,
+    by_noise: f64,
+) -> VelocityShape {
+    /// Rms relative to the derivatives.
+    const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
+    /// Of the squared error after a cause.
+    const MAX_REMAINING_SHARE: f64 = 0.2;
+    let VelocityWindows { changes, moved, .. } = windows;
+    let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
+    let (own, rates) = (mean_square(&by), mean_square(moved));
+    if own <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
+        return VelocityShape::Zero;
+    }
+    let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
+    // As a share of the response's energy.
+    let allowed = (MAX_REMAINING_SHARE * mean_square(&errors) + by_noise).min(0.5 * own) / own;
+    let signed = |sign: f64| {
+        let by = changes.changes.iter().map(|by| by.map(|by| sign * by)).collect();
+        ResponseChanges { changes: by, ..changes.clone() }
+    };
+    let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
+    let sign = if along < 0.0 { -1.0 } else { 1.0 };
+    let gain_of = |curve: &TimeSeries| {
+        let fits = [1.0, -1.0].map(|sign| (sign, signed(sign).gain(curve)));
+        let [(sign, (gain, left)), _] = match fits[0].1.1 <= fits[1].1.1 {
+            true => fits,
+            false => [fits[1], fits[0]],
+        };
+        (sign * gain, left)
+    };
+    let (gain, left) = gain_of(curve);
+    if left <= allowed {
+        return VelocityShape::Scaled(gain);
+    }
+    let of_others = joints.iter().enumerate().filter(|(other, _)| *other != index);
+    let of_others = of_others.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
+        let (gain, left) =
+            gain_of(&TimeSeries::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
+        (left, other, gain)
+    });
+    let other = of_others.min_by(|a, b| a.0.total_cmp(&b.0));
+    let response = signed(sign)
+        .estimate_response(curve, MAX_LAG_S)
+        .ok()
+        .map(|response| Response { gain: sign * response.gain, ..response });
+    let left = response.map_or(1.0, |response| 1.0 - response.explained);
+    match other {
+        Some((left_by_other, other, gain)) if left_by_other <= allowed.min(0.2 * left) => {
+            VelocityShape::OfJoint(other, gain)
+        }
+        _ => match response.filter(|_| left <= allowed) {
+            Some(response) => VelocityShape::Filtered(response),
+            None => VelocityShape::Unrelated,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,468 @@
+//! Linear least squares under correlated noise.
+
+use super::noise::Noise;
+use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma};
+use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
+use std::sync::OnceLock;
+
+/// Residuals and design matrix of a stream, linearised about a state. Each sample has a three-component
+/// residual per kind: position and rotation of a pose, or the rotation of an IMU.
+pub(crate) struct Linear {
+    /// Number of parameters.
+    pub width: usize,
+    /// By kind and sample.
+    pub residual: Vec<Vec<[f64; 3]>>,
+    /// Minimum standard deviation of each kind, in its unit.
+    floor: Vec<f64>,
+    /// Derivatives: three rows of `width` per kind and sample.
+    design: Vec<f64>,
+    /// `AᵀA` of each kind, computed on first use.
+    squares: OnceLock<Vec<Triangle>>,
+}
+
+/// Lower triangle of a symmetric matrix, by rows.
+#[derive(Clone)]
+pub(crate) struct Triangle(Vec<f64>);
+
+impl Triangle {
+    pub fn zeros(width: usize) -> Self {
+        Self(vec![0.0; width * (width + 1) / 2])
+    }
+
+    fn from_matrix(matrix: &DMatrix<f64>) -> Self {
+        let row = |i: usize| (0..=i).map(move |j| matrix[(i, j)]);
+        Self((0..matrix.nrows()).flat_map(row).collect())
+    }
+
+    /// Adds `weight · Σ vᵀv`. Skips columns in which all rows are zero.
+    pub fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
+        let mut rest = self.0.as_mut_slice();
+        for i in 0..rows[0].len() {
+            let (target, below) = rest.split_at_mut(i + 1);
+            rest = below;
+            let scaled = rows.map(|row| weight * row[i]);
+            if scaled == [0.0; N] {
+                continue;
+            }
+            let rows = rows.map(|row| &row[..target.len()]);
+            for (j, value) in target.iter_mut().enumerate() {
+                *value += (0..N).map(|n| scaled[n] * rows[n][j]).sum::<f64>();
+            }
+        }
+    }
+
+    pub fn add_scaled(&mut self, other: &Triangle, scale: f64) {
+        self.0.iter_mut().zip(&other.0).for_each(|(value, other)| *value += scale * other);
+    }
+
+    pub fn at(&self, row: usize, column: usize) -> f64 {
+        let (low, high) = (row.min(column), row.max(column));
+        self.0[high * (high + 1) / 2 + low]
+    }
+}
+
+pub(crate) struct Rows<'a> {
+    values: &'a mut [f64],
+    width: usize,
+}
+
+impl Rows<'_> {
+    /// Sets the derivatives of `kind` by parameter `column`.
+    pub fn set(&mut self, kind: usize, column: usize, derivative: [f64; 3]) {
+        for (axis, value) in derivative.into_iter().enumerate() {
+            self.values[(kind * 3 + axis) * self.width + column] = value;
+        }
+    }
+}
+
+pub(crate) struct Weight {
+    pub noise: Noise,
+    /// Huber weights, 0 to 1.
+    robust: Vec<f64>,
+}
+
+impl Linear {
+    /// Empty system with one kind per entry of `floor`.
+    pub fn new(width: usize, floor: &[f64]) -> Self {
+        let residual = floor.iter().map(|_| Vec::new()).collect();
+        Self {
+            width,
+            residual,
+            floor: floor.to_vec(),
+            design: Vec::new(),
+            squares: OnceLock::new(),
+        }
+    }
+
+    /// Appends a sample. Returns its derivatives, initially zero.
+    pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
+        for (column, residual) in self.residual.iter_mut().zip(residuals) {
+            column.push(*residual);
+        }
+        let start = self.design.len();
+        self.design.resize(start + 3 * self.kinds() * self.width, 0.0);
+        Rows { values: &mut self.design[start..], width: self.width }
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.residual.first().map_or(0, Vec::len)
+    }
+
+    fn kinds(&self) -> usize {
+        self.floor.len()
+    }
+
+    /// Derivatives of one row of a sample.
+    pub fn row(&self, sample: usize, row: usize) -> &[f64] {
+        let start = (sample * 3 * self.kinds() + row) * self.width;
+        &self.design[start..start + self.width]
+    }
+
+    fn residual(&self, sample: usize, row: usize) -> f64 {
+        self.residual[row / 3][sample][row % 3]
+    }
+
+    /// Derivative by one parameter, and residual, of every row.
+    pub fn along(&self, parameter: usize) -> impl Iterator<Item = (f64, f64)> {
+        let rows = 3 * self.kinds();
+        (0..self.len() * rows).map(move |i| {
+            let (sample, r) = (i / rows, i % rows);
+            (self.row(sample, r)[parameter], self.residual(sample, r))
+        })
+    }
+
+    /// Residuals after a step, by kind.
+    pub fn residuals_after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
+        let remaining = |sample: usize, kind: usize| -> [f64; 3] {
+            std::array::from_fn(|axis| {
+                let row = self.row(sample, 3 * kind + axis);
+                let explained: f64 = row.iter().zip(step).map(|(a, d)| a * d).sum();
+                self.residual[kind][sample][axis] - explained
+            })
+        };
+        let of_kind = |kind: usize| (0..self.len()).map(|sample| remaining(sample, kind)).collect();
+        (0..self.kinds()).map(of_kind).collect()
+    }
+
+    /// Selects samples by index.
+    pub fn subset(&self, samples: &[usize]) -> Self {
+        let mut part = Self::new(self.width, &self.floor);
+        let each = 3 * self.kinds() * self.width;
+        for &sample in samples {
+            for (own, all) in part.residual.iter_mut().zip(&self.residual) {
+                own.push(all[sample]);
+            }
+            part.design.extend_from_slice(&self.design[sample * each..(sample + 1) * each]);
+        }
+        part
+    }
+
+    /// Weights from the spread of the residuals, assuming white noise.
+    pub fn first_weights(&self) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
+            noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
+            robust: vec![1.0; residual.len()],
+        };
+        self.residual.iter().zip(&self.floor).map(of_kind).collect()
+    }
+
+    /// Unit weights.
+    pub fn even_weights(&self) -> Vec<Weight> {
+        let noise = Noise { sigma: 1.0, share: 0.0, rho: 0.0 };
+        self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
+    }
+
+    /// Weights from the residuals after a step.
+    pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
+        let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
+            let robust = huber(&residual, floor);
+            Weight { noise: Noise::estimate(&residual, &robust, floor), robust }
+        };
+        self.residuals_after(step).into_iter().zip(&self.floor).map(of_kind).collect()
+    }
+
+    /// Row `row` of every sample, and its transpose.
+    fn design_of(&self, row: usize) -> [DMatrixView<'_, f64, Dyn, Dyn>; 2] {
+        let apart = 3 * self.kinds() * self.width;
+        let own = self.design.get(row * self.width..).unwrap_or_default();
+        let (samples, width) = (self.len(), self.width);
+        [
+            DMatrixView::from_slice_with_strides(own, samples, width, apart, 1),
+            DMatrixView::from_slice_with_strides(own, width, samples, 1, apart),
+        ]
+    }
+
+    fn rows_of(&self, sample: usize, kind: usize) -> [&[f64]; 3] {
+        std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
+    }
+
+    /// `Aᵀ W A`. Squares of the many samples with equal weight are summed once.
+    fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
+        let of_kind = |kind: usize| {
+            let mut squares = DMatrix::zeros(self.width, self.width);
+            for axis in (0..3).filter(|_| self.len() > 0) {
+                let [design, transposed] = self.design_of(3 * kind + axis);
+                squares.gemm(1.0, &transposed, &design, 1.0);
+            }
+            Triangle::from_matrix(&squares)
+        };
+        let squares = self.squares.get_or_init(|| (0..self.kinds()).map(of_kind).collect());
+        let mut sum = Triangle::zeros(self.width);
+        for (kind, (squares, weight)) in squares.iter().zip(weights).enumerate() {
+            let level = weight.base_weight();
+            sum.add_scaled(squares, level);
+            for (sample, robust) in weight.robust.iter().enumerate().filter(|(_, w)| **w != 1.0) {
+                sum.add_squares(self.rows_of(sample, kind), level * (robust - 1.0));
+            }
+        }
+        sum
+    }
+
+    /// Adds this stream to `normal`, with its parameters at `columns`.
+    pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
+        let mut right = vec![0.0; self.width];
+        for sample in 0..self.len() {
+            for r in 0..3 * self.kinds() {
+                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
+                let weighted = weights[r / 3].component(sample) * residual;
+                normal.cost += weighted * residual;
+                right.iter_mut().zip(row).for_each(|(right, value)| *right += weighted * value);
+            }
+        }
+        let squares = self.weighted_squares(weights);
+        for (i, &row) in columns.iter().enumerate() {
+            normal.right[row] += right[i];
+            for (j, &column) in columns[..=i].iter().enumerate() {
+                add_both(&mut normal.matrix, row, column, squares.at(i, j));
+            }
+        }
+        let samples = self.len() as f64;
+        let independent = weights.iter().map(|weight| 3.0 * samples / weight.noise.inflation());
+        normal.independent += independent.sum::<f64>();
+    }
+
+    /// `Aᵀ W A` over all parameters.
+    pub fn information(&self, weights: &[Weight]) -> DMatrix<f64> {
+        let squares = self.weighted_squares(weights);
+        DMatrix::from_fn(self.width, self.width, |i, j| squares.at(i, j))
+    }
+
+    /// Adds the two parts of a sandwich covariance (White 1980): `Aᵀ W A` to `information`, and the
+    /// covariance of the score under the noise to `scores`. `columns` maps each parameter to its target, if
+    /// any.
+    ///
+    /// Noise of one joint affects all six components of a sample, depending on the configuration. As in
+    /// White's estimator, the sample's whole residual `u = W r` therefore represents its noise. The
+    /// autocovariance is from [`Noise`], which is more accurate than a truncated empirical one. Its
+    /// autoregressive part is a sum of innovations that affect later samples by powers of ρ, so the
+    /// covariance is
+    ///
+    /// `Σ_j (1−share)·(A_jᵀu_j)² + share·(1−ρ²)·(P_jᵀu_j)²` with `P_j = Σ_{l≤j} ρ^(j−l) A_l`.
+    pub fn accumulate_covariance(
+        &self,
+        weights: &[Weight],
+        columns: &[Option<usize>],
+        information: &mut DMatrix<f64>,
+        scores: &mut DMatrix<f64>,
+    ) {
+        let chosen = chosen(columns);
+        let rows = 3 * self.kinds();
+        let mut squares = Triangle::zeros(chosen.len());
+        let reaching = self.each_score(weights, &chosen, |_, score| {
+            squares.add_squares([&score.white, &score.lasting], 1.0);
+        });
+        // Innovations after the last sample have no residual.
+        for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
+            let Noise { sigma, share, rho } = weights[r / 3].noise;
+            let lasting = share * (rho * sigma * weights[r / 3].base_weight()).powi(2);
+            squares.add_squares([reaching], lasting);
+        }
+        let seen = self.weighted_squares(weights);
+        for (a, &(own_a, target_a)) in chosen.iter().enumerate() {
+            for (b, &(own_b, target_b)) in chosen[..=a].iter().enumerate() {
+                add_both(information, target_a, target_b, seen.at(own_a, own_b));
+                add_both(scores, target_a, target_b, squares.at(a, b));
+            }
+        }
+    }
+
+    /// Variance along `influence` (one number per target) as a sum of squares, and the variance of that
+    /// sum, including autocorrelation. Together they give the effective degrees of freedom (Satterthwaite
+    /// 1946).
+    pub fn squares_along(
+        &self,
+        weights: &[Weight],
+        columns: &[Option<usize>],
+        influence: &DVector<f64>,
+    ) -> (f64, f64) {
+        let chosen = chosen(columns);
+        let (mut sum, mut fourth) = (0.0, 0.0);
+        self.each_score(weights, &chosen, |_, score| {
+            let along = |part: &[f64]| -> f64 {
+                part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
+            };
+            let square = along(&score.white).powi(2) + along(&score.lasting).powi(2);
+            sum += square;
+            fourth += square * square;
+        });
+        let lasts = weights.iter().map(|weight| weight.noise.inflation_of_squares());
+        // For a normal variable, the fourth moment is 3σ⁴ and the variance of the square 2σ⁴.
+        (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
+    }
+
+    /// Visits the score of every sample. Returns the weights with which each row continues beyond the last
+    /// sample.
+    fn each_score(
+        &self,
+        weights: &[Weight],
+        chosen: &[(usize, usize)],
+        mut visit: impl FnMut(usize, &Score),
+    ) -> Vec<f64> {
+        let (rows, width) = (3 * self.kinds(), chosen.len());
+        let mut reaching = vec![0.0; width * rows];
+        let mut own = vec![0.0; width];
+        let mut score = Score { white: vec![0.0; width], lasting: vec![0.0; width] };
+        for sample in 0..self.len() {
+            score.white.fill(0.0);
+            score.lasting.fill(0.0);
+            for (r, reaching) in reaching.chunks_exact_mut(width.max(1)).enumerate() {
+                let weight = &weights[r / 3];
+                let Noise { share, rho, .. } = weight.noise;
+                let (row, left) = (self.row(sample, r), self.residual(sample, r));
+                own.iter_mut().zip(chosen).for_each(|(own, &(column, _))| *own = row[column]);
+                let weighted = weight.component(sample) * left;
+                let at_once = (1.0 - share).sqrt() * weighted;
+                let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
+                let parts = score.white.iter_mut().zip(&mut score.lasting);
+                for (((white, lasting), reaching), own) in parts.zip(reaching).zip(&own) {
+                    *reaching = rho * *reaching + own;
+                    *white += at_once * own;
+                    *lasting += later * *reaching;
+                }
+            }
+            visit(sample, &score);
+        }
+        reaching
+    }
+}
+
+fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
+    let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
+    columns.iter().enumerate().filter_map(with_target).collect()
+}
+
+/// Contribution of one sample to the score of each parameter, through white and autocorrelated noise.
+struct Score {
+    white: Vec<f64>,
+    lasting: Vec<f64>,
+}
+
+/// Symmetric.
+fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
+    matrix[(row, column)] += value;
+    if row != column {
+        matrix[(column, row)] += value;
+    }
+}
+
+impl Weight {
+    /// Selects samples by index.
+    pub fn subset(&self, samples: &[usize]) -> Self {
+        Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
+    }
+
+    fn component(&self, sample: usize) -> f64 {
+        self.robust[sample] * self.base_weight()
+    }
+
+    /// Weight without the robust factor. A component counts as `1 / inflation` independent ones, so a
+    /// strongly autocorrelated kind does not outvote the other.
+    pub fn base_weight(&self) -> f64 {
+        1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
+    }
+}
+
+/// Normal equations of a model.
+pub(crate) struct Normal {
+    /// `Aᵀ W A`.
+    pub matrix: DMatrix<f64>,
+    /// `Aᵀ W r`.
+    pub right: DVector<f64>,
+    /// `rᵀ W r`.
+    pub cost: f64,
+    /// Effective number of independent residual components.
+    pub independent: f64,
+}
+
+impl Normal {
+    /// Without samples.
+    pub fn zeros(width: usize) -> Self {
+        Self {
+            matrix: DMatrix::zeros(width, width),
+            right: DVector::zeros(width),
+            cost: 0.0,
+            independent: 0.0,
+        }
+    }
+
+    /// Step that minimises the cost over `free` and returns the other parameters to zero.
+    pub fn step(&self, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
+        let mut step = -values;
+        for &parameter in free {
+            step[parameter] = 0.0;
+        }
+        if free.is_empty() {
+            return step;
+        }
+        let right = &self.right - &self.matrix * &step;
+        let n = free.len();
+        let right = DVector::from_fn(n, |i, _| right[free[i]]);
+        let (matrix, scale) = self.scaled(free);
+        let solution = match matrix.cholesky() {
+            Some(cholesky)
+                if cholesky.l_dirty().diagonal().min() > MIN_OBSERVABLE_EIGENVALUE.sqrt() =>
+            {
+                cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
+            }
+            _ => {
+                let matrix = DMatrix::from_fn(n, n, |i, j| self.matrix[(free[i], free[j])]);
+                pseudo_inverse(&matrix).0 * right
+            }
+        };
+        for (i, &parameter) in free.iter().enumerate() {
+            step[parameter] = solution[i];
+        }
+        step
+    }
+
+    /// Cost after a step.
+    pub fn cost_after(&self, step: &DVector<f64>) -> f64 {
+        self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
+    }
+
+    /// Minimum share of a parameter's effect that the preceding ones do not explain.
+    pub fn separation(&self, parameters: &[usize]) -> f64 {
+        let cholesky = self.scaled(parameters).0.cholesky();
+        cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
+    }
+
+    /// Same, where `beside` also precede.
+    pub fn separation_beside(&self, beside: &[usize], parameters: &[usize]) -> f64 {
+        let all = [beside, parameters].concat();
+        let cholesky = self.scaled(&all).0.cholesky();
+        let share = |cholesky: nalgebra::Cholesky<f64, Dyn>| {
+            let own = cholesky.l_dirty().diagonal().rows(beside.len(), parameters.len()).min();
+            own.powi(2)
+        };
+        if parameters.is_empty() { 1.0 } else { cholesky.map_or(0.0, share) }
+    }
+
+    /// Submatrix scaled to a unit diagonal, and the scale.
+    fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
+        let n = parameters.len();
+        let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];
+        let scale = DVector::from_fn(n, |i, _| at(i, i).max(f64::MIN_POSITIVE).sqrt().recip());
+        (DMatrix::from_fn(n, n, |i, j| at(i, j) * scale[i] * scale[j]), scale)
+    }
+}
