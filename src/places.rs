@@ -30,7 +30,7 @@ struct Tree {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Content {
-    /// Files added to it would become part of it.
+    /// Files in this folder become part of the log.
     Log,
     /// Only existing files are read.
     Meshes,
@@ -194,7 +194,7 @@ impl Tree {
         let folder = self.folder.given.display();
         match self.content {
             _ if exists && *kind == Kind::File && self.loses(place).is_some() => self.loses(place),
-            // A config beside the log is not part of it.
+            // A config next to the log is no part of the log.
             Content::Log if place.path.ends_with(FILE_NAME) && *kind == Kind::File => None,
             Content::Log if is_inside => {
                 Some(format!("it is inside the log {folder}, and would become part of it"))

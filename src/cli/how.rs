@@ -83,7 +83,7 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl How {
-    /// Finds the config for `--config auto`. Fails if there is none or the logs have different ones.
+    /// Finds the config for `--config auto`. Fails if no log has one or the logs have different ones.
     pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
         if self.config.as_deref() != Some(Path::new(AUTO)) {
             return Ok(());

@@ -136,7 +136,7 @@ pub struct Args {
     check: Option<PathBuf>,
 }
 
-/// What a motion must show, as given on the command line.
+/// Purpose of the motion, from the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum For {
     /// The zero offset of each joint

@@ -1,4 +1,4 @@
-//! Report formats and where they are written.
+//! Report formats and their output files.
 
 use std::path::{Path, PathBuf};
 
@@ -74,7 +74,7 @@ impl Reports {
         <[_; 1]>::try_from(self.each()).ok().map(|[format]| (format, self.output.as_deref()))
     }
 
-    /// Whether the report must contain a trouble. Text leaves it to stderr.
+    /// Whether the report must contain a trouble. For text, stderr does.
     pub fn tell_trouble(&self) -> bool {
         self.formats.iter().any(|format| !format.is_text())
     }

@@ -65,17 +65,17 @@ pub(super) const LATENCIES: &str = "latency.yaml";
 pub(super) const CONVENTIONS: &str = "conventions.md";
 pub(super) const TRANSFORMS: &str = "static_transforms.sh";
 pub(super) const JOINTS: &str = "fixed_joints.xml";
-/// Stands for the patched model, which is named after the original.
+/// Placeholder for the patched model, which is named after the original.
 pub(super) const MODEL: &str = "the patched model";
 
 /// For corrections in the publisher of /tf.
 const WHERE_PUBLISHED: &str = " (in the publisher of the transforms)";
 
-/// Correction and its files, or why there is none.
+/// Correction and its files, or why it is missing.
 type CorrectionResult = Result<(String, Vec<&'static str>), String>;
 
 impl CorrectionPlan {
-    /// `report` covers `run` or has it as segment `main`.
+    /// `report` covers `run`, alone or as segment `main`.
     pub fn from_findings(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
         let mut plan = Self {
             corrections: Corrections::default(),
@@ -493,7 +493,7 @@ impl CorrectionPlan {
         }
     }
 
-    /// That of its source, if any.
+    /// Name of its source, if any.
     fn model_name(&self, arm: &Arm, text: &str) -> String {
         let extension = if text.trim_start_matches('\u{feff}').trim_start().starts_with('<') {
             "urdf"

@@ -146,10 +146,10 @@ pub struct JointOrder {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxesCorrection {
-    /// Of positions.
+    /// Axes of positions.
     #[serde(with = "axes_name")]
     pub positions: Axes,
-    /// Of rotations.
+    /// Axes of rotations.
     #[serde(with = "axes_name")]
     pub rotations: Axes,
 }

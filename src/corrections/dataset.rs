@@ -15,7 +15,7 @@ const WHOLE_COLUMNS: [&str; 6] = ["npy", "npz", "parquet", "hdf5", "zarr", "tfre
 struct ColumnCorrections {
     /// Factor and offset per number, in the logged unit.
     numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
-    /// By column, s.
+    /// Latency per column, s.
     latency_s: BTreeMap<String, f64>,
 }
 

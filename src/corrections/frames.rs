@@ -68,7 +68,7 @@ pub(super) fn slug(text: &str) -> String {
     plain.collect::<String>().trim_matches('_').to_owned()
 }
 
-/// That of its source, if any.
+/// Name of its source, if any.
 pub(super) fn model_stem(source: &Path) -> String {
     let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
     if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }

@@ -183,7 +183,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
     ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
-/// Corrected joint states. `None` if no interpretation of them fits the poses.
+/// Corrected joint states. `None` if no encoding of the joints fits the poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
     let is_unread = matches!(found.joints.encoding, Err(NotObservable::NotExcited));
     (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))

@@ -107,13 +107,11 @@ pub(super) fn joint_evidence(
     JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
 }
 
-/// Full turns by which positions, rad, are beyond `limits` throughout, if subtracting them brings all
-/// within.
+/// Whole turns beyond `limits` of all positions (rad), if subtracting them brings every position within.
 fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     /// Turns an encoder counts.
     const MAX_TURNS: f64 = 4.0;
-    /// Excess, as a share of the range, at which the model's limit is as likely to be wrong (MOT003's
-    /// `info`).
+    /// Excess as a share of the range. At or below it the model's limit may be wrong (MOT003's `info`).
     const MAX_SLIGHT_EXCESS: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
     let finite = position.iter().copied().filter(|position| position.is_finite());

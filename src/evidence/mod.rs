@@ -45,19 +45,19 @@ pub struct RunEvidence {
     pub unmodelled_commands: Vec<StreamEvidence<UnmodelledCommands>>,
     /// Targets seen by cameras.
     pub hand_eyes: Vec<HandEyeEvidence>,
-    /// Of every stream with a role.
+    /// Stream stamps.
     pub stamps: Vec<StreamEvidence<StampEvidence>>,
-    /// Of every audited stream.
+    /// Unusable samples.
     pub unusable: Vec<StreamEvidence<UnusableSampleEvidence>>,
-    /// Of every stream with a role.
+    /// Message rhythms.
     pub rhythms: Vec<StreamEvidence<RhythmEvidence>>,
     /// TF topics and their problems.
     pub tf: TfEvidence,
     /// Deviation from rotations, if those have more than three numbers.
     pub norms: Vec<StreamEvidence<Vec<Norms>>>,
-    /// Of joint states, tool poses and transforms.
+    /// Outliers of joint states, tool poses and transforms.
     pub outliers: Vec<StreamEvidence<OutlierEvidence>>,
-    /// Of every stream compared with the arm.
+    /// Frozen intervals of streams compared with the arm.
     pub frozen_intervals: Vec<StreamEvidence<Vec<Frozen>>>,
     /// Streams that repeat values with new stamps.
     pub repeated_values: Vec<StreamEvidence<RepeatedValueEvidence>>,
@@ -67,7 +67,7 @@ pub struct RunEvidence {
     pub leading_streams: Vec<StreamEvidence<f64>>,
     /// Relevant topics without finite numbers.
     pub empty_streams: Vec<EmptyStreamEvidence>,
-    /// Missing topics, and where they are declared.
+    /// Missing topics with the place of declaration.
     pub missing_topics: Vec<(Subject, String)>,
     /// First stamp.
     pub start: Option<Stamp>,

@@ -142,7 +142,7 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
     streams.map(strays).collect()
 }
 
-/// Of streams compared with an arm.
+/// Frozen intervals of streams compared with an arm.
 pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;

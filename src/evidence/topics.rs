@@ -112,7 +112,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     let tied: Vec<usize> =
         sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
     let is_tied: HashSet<usize> = tied.iter().copied().collect();
-    // By topic and child frame, in any reference frame.
+    // Key: topic and child frame; any reference frame.
     let mut groups: HashMap<(&str, &str), Vec<usize>> = HashMap::new();
     for (index, stream) in run.streams.iter().enumerate() {
         if matches!(stream.columns, Some(Columns::Poses(_))) {
@@ -196,7 +196,7 @@ pub(super) fn repeated_columns(
     found.map(|found| found.iter().filter_map(of).collect())
 }
 
-/// Joint states and transforms are listed only if no other topic has them.
+/// Lists joint states and transforms only if no other topic provides them.
 pub(super) fn empty_streams(run: &Run) -> Vec<EmptyStreamEvidence> {
     let holds =
         |role: Role| run.streams.iter().any(|stream| stream.role == role && !stream.is_empty);
@@ -218,7 +218,7 @@ pub(super) fn empty_streams(run: &Run) -> Vec<EmptyStreamEvidence> {
     missed.chain(joints).collect()
 }
 
-/// Joints listed without positions, if no other topic has them.
+/// Joints without positions, if no other topic provides them.
 fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
     let Some(Columns::Joints(columns)) = &stream.columns else { return Vec::new() };
     if stream.role != Role::Joints {

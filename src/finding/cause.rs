@@ -52,11 +52,11 @@ pub enum Cause {
     Rotation(RotationError),
     /// Inferred encoding of bare numbers.
     InferredEncoding {
-        /// Of the rotations.
+        /// Rotation encoding.
         coding: RotationEncoding,
-        /// Of the positions.
+        /// Length unit of positions.
         length: LengthScale,
-        /// Of the angles.
+        /// Angle unit.
         angle: AngleUnit,
     },
     /// Wrong angle unit.
@@ -65,9 +65,9 @@ pub enum Cause {
     LengthUnit(Misread<LengthScale>),
     /// Axes other than x forward, y left, z up.
     Axes {
-        /// Of the positions.
+        /// Axes of positions.
         positions: Axes,
-        /// Of the rotations.
+        /// Axes of rotations.
         rotations: Axes,
     },
     /// Other reference frame: `reference_from_stream`.

@@ -62,7 +62,7 @@ pub enum Estimate {
         name: Word,
         /// Convention of the numbers.
         is: String,
-        /// Convention in which they were interpreted.
+        /// Assumed convention.
         read_as: String,
         /// Interpretations that are indistinguishable in any log or in this one.
         equivalent: Vec<Interpretation>,
@@ -213,7 +213,7 @@ pub struct JointRelation {
     /// Motion of this joint per unit of `with`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factor: Option<f64>,
-    /// Turns by which the positions are off: 1, 0.5 or 0.25, unsigned.
+    /// Error of the positions in turns: 1, 0.5 or 0.25, unsigned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turns: Option<f64>,
 }

@@ -182,7 +182,7 @@ fn significant_decimals(size: f64, digits: i32) -> usize {
     (digits - 1 - leading).clamp(0, 12) as usize
 }
 
-/// Of a number rounded to zero.
+/// Removes the minus sign of a number rounded to zero.
 fn unsigned_zero(text: String) -> String {
     let digits = |c: &char| c.is_ascii_digit() || *c == '.';
     match text.strip_prefix('-') {

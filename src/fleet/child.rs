@@ -114,7 +114,7 @@ impl Worker {
     /// Audits the first logs of `jobs`, at least one.
     ///
     /// # Errors
-    /// If the process ends without an answer: how, and at which log. No rows are stored.
+    /// If the process ends without an answer: its exit and the current log. No rows are stored.
     pub fn audited(&mut self, jobs: Vec<Job>) -> Result<Vec<Ended>, (usize, Death)> {
         match self.told(&Order::Audit(jobs))? {
             Told::Answers(answers) => Ok(answers),
@@ -129,7 +129,7 @@ impl Worker {
         }
     }
 
-    /// Returns the final message, or the log at which the process failed.
+    /// Returns the final message, or the log that ended the process.
     fn told(&mut self, order: &Order) -> Result<Told, (usize, Death)> {
         let said_before = self.errors.metadata().map_or(0, |metadata| metadata.len());
         let mut at = 0;

@@ -108,7 +108,7 @@ fn part_of(hasher: &mut Hasher, part: &[u8]) {
     hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
 }
 
-/// Of a file's bytes, or of the names and contents of a folder's files.
+/// Hash of a file, or of the names and contents of a folder's files.
 fn hash(path: &Path) -> io::Result<String> {
     let mut hasher = Hasher::new();
     if !path.is_dir() {

@@ -1,4 +1,4 @@
-//! Properties that the logs of one dataset share, determined from a few of them.
+//! Properties shared by the logs of a dataset, determined from a few logs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

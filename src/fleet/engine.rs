@@ -58,11 +58,11 @@ pub struct Call<'a> {
 /// Progress of a call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Course {
-    /// Logs processed, …
+    /// Logs processed.
     pub done: usize,
-    /// … of which this call audited, …
+    /// Logs audited by this call.
     pub audited: usize,
-    /// … out of this total.
+    /// Logs in total.
     pub total: usize,
 }
 
@@ -108,9 +108,9 @@ fn object(url: &Path) -> io::Result<Content> {
 
 struct Engine<'a> {
     call: &'a Call<'a>,
-    /// By key.
+    /// Stored answers per row key.
     done: HashMap<String, Answer>,
-    /// By file state (path, size, modification time).
+    /// Keyed by file state (path, size, modification time).
     contents: HashMap<String, String>,
     /// Datasets of the logs, and their shared properties.
     groups: Groups,

@@ -16,9 +16,9 @@ pub struct Outcomes {
     pub done_before: usize,
     /// Done by this call.
     pub done_now: usize,
-    /// By status, each content once.
+    /// Counts per status, each content once.
     pub statuses: Statuses,
-    /// By verdict; warnings count as failures.
+    /// Counts per verdict; warnings count as failures.
     pub verdicts: Verdicts,
     /// Logs not audited by this call, by path.
     pub errors: Vec<Failure>,

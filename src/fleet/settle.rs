@@ -109,7 +109,7 @@ pub fn crashed(task: &Task, what: String) -> Trouble {
 
 /// Whether a message indicates a failed memory allocation.
 pub(super) fn is_of_memory(words: &str) -> bool {
-    // Of the allocator, the operating system, and SQLite.
+    // Messages of the allocator, the operating system, and SQLite.
     ["memory allocation of", "Cannot allocate memory", "out of memory"]
         .iter()
         .any(|part| words.contains(part))

@@ -43,7 +43,7 @@ const ENDINGS: &[&str] = &[
     ".db3.zstd",
 ];
 
-/// Of a rosbag2 folder.
+/// Metadata file of a rosbag2 folder.
 const METADATA: &str = "metadata.yaml";
 
 /// Logs given by `wanted`, each once, sorted by path. Entries are files, folders (searched recursively),

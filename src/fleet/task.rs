@@ -6,7 +6,7 @@ use crate::report::Verdict;
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
-    /// Of its rows.
+    /// Key of its rows.
     pub key: String,
     /// As stored in the tables.
     pub path: String,

@@ -43,7 +43,7 @@ pub(super) struct Intake {
     channels: Vec<ChannelLocation>,
     by_format: HashMap<FormatKey, ChannelId>,
     is_full: bool,
-    /// Of used channels, in bytes.
+    /// Total schema size of used channels, bytes.
     schema_bytes: usize,
     messages: u64,
     descriptions: Vec<Description>,

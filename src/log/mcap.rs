@@ -94,7 +94,7 @@ struct Reader<'a, 'r, 'scope> {
 #[derive(Clone, Default)]
 struct Definitions {
     schemas: HashMap<u16, Arc<Schema>>,
-    /// By channel id.
+    /// Indexed by channel id.
     channels: Vec<Option<Arc<Channel>>>,
     changes: u64,
 }
@@ -153,7 +153,7 @@ enum Summary {
 /// Usable content of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum ChunkUse {
-    /// Most of it, or unknown: it is decompressed and verified.
+    /// Most of the chunk, or unknown: it is decompressed and verified.
     All,
     /// Some messages of an uncompressed chunk, between larger ones.
     Some,
@@ -262,7 +262,7 @@ impl<'a> Reader<'a, '_, '_> {
     fn walk(&mut self) -> DataEnd<'a> {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to search for the next chunk: the previous record may have a wrong length.
+        // Start of the search for the next chunk: the previous record may have a wrong length.
         let mut sound = offset;
         while offset < self.bytes.len() {
             self.options.set_position(offset);
@@ -297,7 +297,7 @@ impl<'a> Reader<'a, '_, '_> {
         DataEnd::Open
     }
 
-    /// Offset at which to continue after damage. Chunks contain bytes that look like messages, so messages
+    /// Offset to continue from after damage. Chunks contain bytes that look like messages, so messages
     /// are searched only in files without chunks.
     fn next_record(&self, from: usize) -> Option<usize> {
         let channels = &self.definitions.channels;

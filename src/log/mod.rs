@@ -3,7 +3,7 @@
 //! columns.
 //!
 //! Intact parts of a damaged file are read. Damage becomes a [`Loss`], an undecodable topic
-//! [`Undecodable`], and a file from which nothing can be read a [`LogError`].
+//! [`Undecodable`], and a fully unreadable file a [`LogError`].
 #![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "used by the database reader"))]
 
@@ -71,7 +71,7 @@ pub fn local(path: &Path) -> Option<PathBuf> {
 /// Leading bytes that [`looks_like_log`] needs.
 pub const HEAD_BYTES: u64 = 4096;
 
-/// Whether the first bytes are those of a table.
+/// Whether the file starts like a table.
 pub fn is_table(path: &Path) -> bool {
     is_store(path) || matches!(detect_file_format(path), Some(file_format::FileFormat::Table(_)))
 }

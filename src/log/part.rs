@@ -1,5 +1,5 @@
 //! Parts of a file, each read by one thread into separate columns and joined in file order. Content that
-//! depends on earlier parts is left to the main reader.
+//! depends on earlier parts is processed by the main reader.
 
 use super::intake::{ChannelId, ChannelLocation};
 use super::topic::{Message, TopicContent, TopicTemplate};

@@ -113,7 +113,7 @@ fn inputs(
     Ok(inputs)
 }
 
-/// Files in `folder`; links out of it are recorded as losses.
+/// Files in `folder`; links that leave the folder are recorded as losses.
 fn contained(
     folder: &Path,
     inputs: Vec<LogInput>,

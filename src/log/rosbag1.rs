@@ -59,7 +59,7 @@ struct Reader<'a, 'r, 'scope> {
     ahead: &'r mut ChunkPool<'scope, 'a>,
     /// Offset up to which chunks are queued. `None` if no record follows.
     scanned: Option<usize>,
-    /// By number; the first record of a number counts.
+    /// Keyed by connection number; the first record of a number counts.
     connections: HashMap<u32, Sender>,
     index: Index,
     /// Chunk infos read, and the messages they count.
@@ -119,7 +119,7 @@ impl<'a> Reader<'a, '_, '_> {
     fn walk(&mut self) {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to search for the next record: the previous one may have a wrong length.
+        // Start of the search for the next record: the previous one may have a wrong length.
         let mut sound = offset;
         // Chunk lengths are written when a chunk is full; after a crash the last one is zero.
         let mut open: Option<Chunk<'a>> = None;

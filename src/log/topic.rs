@@ -73,7 +73,7 @@ pub(super) struct TopicIntake {
     pub(super) waiting: Vec<(usize, usize)>,
 }
 
-/// Of all files or one chunk.
+/// Content of all files or of one chunk.
 #[derive(Default)]
 pub(super) struct TopicContent {
     pub(super) channels: Vec<ChannelDecoder>,

@@ -63,7 +63,7 @@ pub(super) struct Packed<'a> {
     pub(super) data: &'a [u8],
     /// Decompressed size according to its header.
     pub(super) size: u64,
-    /// Of the decompressed bytes; 0 if absent.
+    /// Checksum of the decompressed bytes; 0 if absent.
     pub(super) crc: u32,
 }
 

@@ -7,7 +7,7 @@ use crate::time::Stamp;
 /// All plots of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
-    /// Of the run, s.
+    /// Run duration, s.
     pub duration_s: f64,
     /// Only the longest segment: the clock was reset.
     pub of_longest_segment: bool,
@@ -21,7 +21,7 @@ pub struct Figures {
     pub start: Option<Stamp>,
     /// One row per stream.
     pub timeline: Vec<TimelineRow>,
-    /// Of the log, and fixed joints of the models.
+    /// Frames of the log, and fixed joints of the models.
     pub frames: Vec<FrameEdge>,
 }
 
@@ -39,14 +39,14 @@ pub enum Own {
     HandEye {
         /// Time and closure error of each view, m and rad.
         each: Vec<[f64; 3]>,
-        /// Of the target, rad about two axes normal to the mean direction.
+        /// Directions of the target, rad about two axes normal to the mean direction.
         views: Vec<[f64; 2]>,
         /// Target in the camera frame, m.
         seen: Vec<[f64; 3]>,
     },
     /// Commanded line: position along it in m, deviation in m and rad.
     Line {
-        /// By FK, relative to the line between its end points.
+        /// FK relative to the line between its end points.
         tip: Vec<[f64; 3]>,
         /// Command.
         command: Vec<[f64; 3]>,
@@ -127,7 +127,7 @@ pub struct PoseFigure {
     pub left_by_latency: Vec<[f64; 3]>,
     /// Latency profile.
     pub latency_course: Vec<CoursePoint>,
-    /// By rotation encoding.
+    /// One score per rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
@@ -146,7 +146,7 @@ pub struct ImuFigure {
     pub correlation_by_latency: Vec<[f64; 2]>,
     /// Latency profile.
     pub latency_course: Vec<CoursePoint>,
-    /// By rotation encoding.
+    /// One score per rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
@@ -157,7 +157,7 @@ pub struct CoursePoint {
     pub t_s: f64,
     /// Relative to the whole run's, s.
     pub beyond_s: f64,
-    /// Of the 95 % interval, s.
+    /// Half-width of the 95 % interval, s.
     pub half_width_s: f64,
 }
 

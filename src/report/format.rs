@@ -62,7 +62,7 @@ impl Format {
         &FORMATS[0]
     }
 
-    /// By name.
+    /// Format with this name.
     pub fn named(name: &str) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.name == name)
     }

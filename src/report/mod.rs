@@ -293,7 +293,7 @@ impl Report {
         undecided(&self.checks).map(|rule| rule.code).collect()
     }
 
-    /// The log's first file, else the one that could not be read.
+    /// The log's first file, else the unreadable one.
     fn file_in_trouble(&self) -> Option<&Path> {
         let first = self.log.files.first().map(|file| file.path.as_path());
         let of_log = self.error.as_ref().filter(|trouble| trouble.kind == TroubleKind::Log);
@@ -381,7 +381,7 @@ impl Verdict {
         }
     }
 
-    /// By name.
+    /// Verdict with this name.
     pub fn named(name: &str) -> Option<Self> {
         let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
         all.into_iter().find(|verdict| verdict.name() == name)

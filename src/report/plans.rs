@@ -125,7 +125,7 @@ pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
     Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(model)))
 }
 
-/// By name or file, if the log does not contain the model.
+/// Model by name or file, if the log does not contain it.
 fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     let given = options.robots.iter().find(|source| {
         let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
@@ -161,7 +161,7 @@ fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<
 
 fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     use std::f64::consts::TAU;
-    /// Of the displayed values.
+    /// Rounding of displayed values.
     const ROUNDING: f64 = 1e-3;
     for ((q, kind), limits) in q.iter_mut().zip(chain.joint_kinds()).zip(chain.limits()) {
         let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING;

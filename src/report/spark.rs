@@ -76,7 +76,7 @@ fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) 
     (most > floor).then(|| largest.iter().map(bar).collect())
 }
 
-/// Of the finite values; NaN if there are none.
+/// Rms of the finite values, or NaN.
 fn rms(errors: &[f64]) -> f64 {
     let finite = errors.iter().filter(|error| error.is_finite());
     let (sum, count) = finite.fold((0.0, 0.0), |(sum, n), error| (sum + error * error, n + 1.0));

@@ -29,8 +29,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, None).write(out)
 }
 
-/// Writes the report for a terminal with so many columns. Lines wrap between words and are indented to the
-/// labels.
+/// Writes the report for a terminal of this width. Lines wrap between words and are indented to the labels.
 pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, Some(columns.clamp(NARROWEST, WIDEST))).write(out)
 }

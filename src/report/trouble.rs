@@ -14,7 +14,7 @@ pub struct Trouble {
     /// Origin of the error.
     #[serde(skip)]
     pub kind: TroubleKind,
-    /// What is wrong.
+    /// The problem.
     pub what: String,
     /// Location: a file, a topic or an option.
     #[serde(rename = "where")]

@@ -116,7 +116,7 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
     })
 }
 
-/// All recorded samples if the joints share their messages, else those of the resampled track.
+/// All recorded samples if the joints share their messages, else the resampled track.
 struct Rows<'a> {
     arm: &'a Arm,
     samples: Vec<JointSamples<'a>>,

@@ -44,7 +44,7 @@ impl CdrWriter {
         self.0.push(0);
     }
 
-    /// Of a sequence.
+    /// Element count of a sequence.
     pub(super) fn count(&mut self, count: usize) {
         self.u32(u32::try_from(count).expect("a message has fewer than 2^32 elements"));
     }

@@ -123,7 +123,7 @@ pub(super) struct LoggedPose {
     pub(super) xyzw: [f64; 4],
 }
 
-/// Of a `tf2_msgs/TFMessage`.
+/// Element of a `tf2_msgs/TFMessage`.
 pub(super) struct LoggedTransform<'a> {
     pub(super) parent: &'a str,
     pub(super) child: &'a str,

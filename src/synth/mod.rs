@@ -128,7 +128,7 @@ pub struct Scenario {
     pub reference: ReferenceStream,
     /// Leading hand; off at rate 0.
     pub leader: LeaderStream,
-    /// Of all topics except transforms, such as `/left`.
+    /// Namespace of all topics except transforms, such as `/left`.
     pub namespace: String,
     /// First link of joint states and transforms, if above `base`: a rail, lift or waist then moves the
     /// base. `home`, offsets and orders count from it. Not in the IMU's motion.
@@ -150,7 +150,7 @@ pub struct Scenario {
 pub struct Stop {
     /// When a joint is fastest within 3 s after this time, s after the start.
     pub after_s: f64,
-    /// Of that joint, rad/s² or m/s².
+    /// Deceleration of that joint, rad/s² or m/s².
     pub deceleration: f64,
 }
 

@@ -40,7 +40,7 @@ pub enum Motion {
     AtRest,
 }
 
-/// Of a joint's range and speed limit.
+/// Share of a joint's range and speed limit.
 const COMFORT: f64 = 0.9;
 /// Prismatic travel equivalent to a radian, m.
 const METRES_PER_RADIAN: f64 = 0.25;
@@ -147,7 +147,7 @@ impl Trajectory {
         rooms: &[Room],
         mut next: impl FnMut(&mut Pcg64, &[Room], usize) -> Vec<f64>,
     ) -> Self {
-        /// Of a blend: peak over mean speed.
+        /// Ratio of peak to mean speed in a blend.
         const PEAK: f64 = 1.875;
         /// Peak acceleration of a blend over distance per time squared, and the maximum for normal motion,
         /// rad/s².

@@ -24,7 +24,7 @@ pub struct Lines {
 
 /// Between stops, s.
 const LEAST_S: f64 = 0.5;
-/// Of the joints, s.
+/// Sample interval of the joints, s.
 const STEP_S: f64 = 0.004;
 
 /// Lines with a rest at each end.
@@ -139,7 +139,7 @@ impl Path {
 
     /// Slow-down factor for joint speeds and moderate accelerations.
     fn haste(&self, scenario: &Scenario, chain: &Chain) -> f64 {
-        /// Of the speed limits, and maximum acceleration, rad/s² or m/s².
+        /// Share of the speed limits, and maximum acceleration, rad/s² or m/s².
         const COMFORT: f64 = 0.9;
         const GENTLE: f64 = 12.0;
         let mut haste = 0.0_f64;

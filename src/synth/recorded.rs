@@ -48,8 +48,7 @@ pub struct JointStream {
     pub scales: Vec<f64>,
     /// Whether values are degrees; /tf reads them as radians.
     pub in_degrees: bool,
-    /// Joint indices from the base in the order of the values, if not that of the names. /tf uses the
-    /// names.
+    /// Joint indices from the base in the order of the values, if it differs from the names' (used by /tf).
     pub number_order: Option<Vec<usize>>,
     /// Wrapping of continuous joints into one turn.
     pub fold: Option<Fold>,
@@ -107,13 +106,13 @@ pub struct PoseStream {
 /// The arm's transforms from the joint states, and static transforms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TfStream {
-    /// Stamps are copies with the joint states' rate (or a fraction of it) and phase.
+    /// Stamps are copies with the joint states' phase, and their rate or a fraction.
     pub timing: Timing,
     /// Encoding of the logged transforms.
     pub coding: Coding,
     /// Logs /tf_static.
     pub with_static: bool,
-    /// Of the same transforms.
+    /// Second publisher of these transforms.
     pub second: Option<SecondPublisher>,
     /// More in /tf_static.
     pub others: Vec<OtherTransform>,
@@ -160,9 +159,9 @@ pub struct ImuStream {
     /// Yaw error by heading of the IMU's x axis (hard and soft iron): amplitude and phase, rad, of two
     /// harmonics.
     pub yaw_by_heading: [(f64, f64); 2],
-    /// Of the rates: 180/π for °/s.
+    /// Factor of the rates: 180/π for °/s.
     pub gyro_times: f64,
-    /// Of the specific force: 1/9.80665 for g.
+    /// Factor of the specific force: 1/9.80665 for g.
     pub force_times: f64,
     /// Encoding of the logged orientation.
     pub coding: Coding,

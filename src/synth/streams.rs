@@ -17,7 +17,7 @@ use crate::time::Stamp;
 
 pub(super) struct Message {
     pub(super) topic: Topic,
-    /// By the recorder.
+    /// Receive time.
     pub(super) received: Stamp,
     pub(super) cdr: Vec<u8>,
 }
@@ -277,7 +277,7 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
 }
 
 pub(super) struct Tick {
-    /// Of its content, s after the start.
+    /// Time of the content, s after the start.
     pub(super) time_s: f64,
     pub(super) is_new: bool,
     pub(super) stamp: Stamp,
@@ -413,7 +413,7 @@ impl PoseStream {
 }
 
 impl ImuStream {
-    /// Of the base in the IMU's world, without the random walk.
+    /// Yaw of the base in the IMU's world, without the random walk.
     fn yaw_rad(&self, time_s: f64) -> f64 {
         let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
         self.world_yaw_rad

@@ -119,7 +119,7 @@ impl Truth {
         self.whole.forward(&self.joints(time_s).0)
     }
 
-    /// Of the tip in the base, rad/s.
+    /// Angular velocity of the tip in the base, rad/s.
     pub(super) fn angular_velocity(&self, time_s: f64) -> Vec3 {
         let (q, q_dot) = self.joints(time_s);
         let mut jacobian = vec![[0.0; 6]; self.chain.dof()];

@@ -92,7 +92,7 @@ impl Listed {
 
 /// Whether speeds match finite differences, within discretisation error.
 fn is_near(given: &[f64], by_positions: &[f64]) -> bool {
-    /// Of the highest speed.
+    /// Tolerance as a share of the highest speed.
     const NEAR: f64 = 0.1;
     let highest = by_positions.iter().fold(1e-3_f64, |highest, speed| highest.max(speed.abs()));
     let off = given.iter().zip(by_positions).map(|(a, b)| (a - b).powi(2)).sum::<f64>();

@@ -18,9 +18,9 @@ use super::arm::Planning;
 const SLIDE_M_PER_RAD: f64 = 0.2;
 /// Without a limit in the model.
 const USUAL_SPEED: f64 = 1.0;
-/// Of the reach, without collision shapes in the model; typical of arms.
+/// Share of the reach, for models without collision shapes; typical of arms.
 const RADIUS: f64 = 0.06;
-/// Of written motions.
+/// Sample interval of written motions.
 const ROW_S: f64 = 0.02;
 
 pub struct Asked {

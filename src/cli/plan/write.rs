@@ -14,7 +14,7 @@ use super::arm::Planning;
 use super::labels::{self, Label};
 use super::setup::{Asked, Checked};
 
-/// Of a JointTrajectory; controllers interpolate.
+/// Point rate of a JointTrajectory; controllers interpolate.
 const POINTS_HZ: f64 = 20.0;
 
 /// Time, positions and speeds of each sample.

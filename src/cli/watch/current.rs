@@ -52,9 +52,9 @@ enum Reading {
 /// Last printed state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Said {
-    /// Verdict, or why there is none.
+    /// Verdict, or why it is missing.
     verdict: String,
-    /// By rule and subject.
+    /// Keyed by rule and subject.
     findings: BTreeMap<String, Severity>,
 }
 
@@ -203,7 +203,7 @@ impl Current {
         self.tell(audited, screen)
     }
 
-    /// A missing end is no damage while it is written.
+    /// A missing end does not count as damage while the log is written.
     fn so_far(&mut self) -> Result<Log, Trouble> {
         self.again += self.size();
         let mut log = log::open(&self.options.logs, &self.options.read)?;

@@ -7,7 +7,7 @@ use super::gather::{Cause, Found};
 use super::trends::{Point, Series};
 use super::{FindingRow, Worst};
 
-/// Of each rule and subject, largest value first.
+/// Paths per rule and subject, largest value first.
 pub(super) fn worst_logs(
     series: &BTreeMap<(Cause, String, bool), Series>,
 ) -> BTreeMap<Cause, Vec<String>> {
@@ -22,7 +22,7 @@ pub(super) fn worst_logs(
     points.into_iter().map(sorted).collect()
 }
 
-/// By severity and frequency.
+/// Sorted by severity and frequency.
 pub(super) fn finding_rows(
     found: BTreeMap<Cause, Found>,
     asked: &BTreeMap<Cause, usize>,

@@ -221,7 +221,7 @@ fn wanted(
     Some((version.to_owned(), settings.to_owned()))
 }
 
-/// Keys of a part without those of earlier parts. The rows of a log are contiguous.
+/// Keys of a part that earlier parts lack. The rows of a log are contiguous.
 fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Option<String>>> {
     let mut keys = Vec::with_capacity(part.0.height());
     for row in 0..part.0.height() {
@@ -247,7 +247,7 @@ struct Gathering<'a> {
     question: &'a Question,
     /// For logs with a single robot.
     sole_robots: HashMap<&'a str, &'a str>,
-    /// Logs in which a rule passed on a subject.
+    /// Number of logs that passed, per rule and subject.
     asked: BTreeMap<Cause, usize>,
     found: BTreeMap<Cause, Found>,
     /// Logs without calendar time are separate.
@@ -378,7 +378,7 @@ fn log_rows(
     counted.iter().map(row).collect()
 }
 
-/// By site and name.
+/// One row per site, arm and robot.
 fn arms(
     logs: &BTreeMap<String, Log>,
     question: &Question,

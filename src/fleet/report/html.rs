@@ -15,7 +15,7 @@ use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 
 const MOST_PLOTS: usize = 100;
 
-/// Of one kind; JSON contains all.
+/// Limit per table; JSON contains all.
 const MOST_ROWS: usize = 500;
 
 /// Logs per plot.

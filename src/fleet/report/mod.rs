@@ -63,7 +63,7 @@ pub struct FleetReport {
     /// Logs, latest first.
     #[serde(rename = "runs")]
     pub rows: Vec<LogRow>,
-    /// By severity and frequency, one row per rule and subject.
+    /// Sorted by severity and frequency, one row per rule and subject.
     pub findings: Vec<FindingRow>,
     /// Found trends first.
     pub trends: Vec<TrendRow>,
@@ -82,15 +82,15 @@ struct Tool {
 pub struct LogCounts {
     /// Each content once.
     pub total: usize,
-    /// By audit status.
+    /// Counts per audit status.
     pub statuses: Statuses,
-    /// By verdict; warnings count as failures.
+    /// Counts per verdict; warnings count as failures.
     pub verdicts: Verdicts,
     /// Further paths of the same content.
     pub copies: usize,
     /// Without calendar time: not in trends.
     pub undated: usize,
-    /// Before the time from which findings count.
+    /// Logs before the start of the reported period.
     pub before: usize,
     /// Earliest start stamp, decimal.
     pub start_ns: Option<String>,
@@ -236,7 +236,7 @@ pub struct FindingRow {
     pub whose: Whose,
     /// Logs with the finding.
     pub logs: usize,
-    /// Logs in which the rule passed.
+    /// Logs that passed the rule.
     pub sound: usize,
     /// Message in the latest log.
     pub message: String,

@@ -8,10 +8,10 @@ use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::finding::Severity;
 use crate::report::tame;
 
-/// Of the label column.
+/// Width of the label column.
 const LABEL: usize = 16;
 
-/// Of one kind; JSON and HTML contain more.
+/// Limit per table; JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();

@@ -77,7 +77,7 @@ impl Tables {
     }
 }
 
-/// By key. Unknown statuses are not final.
+/// Answers with their keys. Unknown statuses are not final.
 pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     let text = |name: &str| Ok::<_, PolarsError>(frame.column(name)?.str()?.iter());
     let count = |name: &str| -> PolarsResult<Vec<u32>> {

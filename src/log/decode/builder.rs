@@ -55,17 +55,17 @@ impl Part {
         Self::Joints(joints)
     }
 
-    /// By frames.
+    /// Poses identified by frames.
     pub(super) fn poses() -> Self {
         Self::Poses(Poses::default())
     }
 
-    /// By index in the message.
+    /// Poses identified by index in the message.
     pub(super) fn numbered_poses() -> Self {
         Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
     }
 
-    /// By the name at their index in the message.
+    /// Poses identified by the name at their index in the message.
     pub(super) fn named_poses() -> Self {
         Self::Crowd(PoseSet { poses: Poses::default(), naming: Naming::Names, most: 0 })
     }

@@ -171,7 +171,7 @@ impl<'a> Cursor<'a> {
         self.take(size, count).map(|_| ())
     }
 
-    /// Of a sequence whose elements take at least one byte each.
+    /// Length of a sequence whose elements take at least one byte each.
     #[inline]
     pub(super) fn length(&mut self) -> Result<u32, Short> {
         let length = u32::from_le_bytes(self.value()?);

@@ -20,7 +20,7 @@ pub(crate) enum DecodeError<'p> {
     /// Invalid, or without the type's fields.
     #[error(transparent)]
     Protobuf(#[from] WireError),
-    /// By the columns.
+    /// Refused by the columns.
     #[error(transparent)]
     Refused(#[from] TooManyJoints),
 }

@@ -23,7 +23,7 @@ pub(super) fn parse(type_name: &str, schema: &[u8]) -> Result<Schema, SchemaErro
     Schema::new(type_name, parser.resolve()?)
 }
 
-/// Of a member.
+/// Type of a member.
 #[derive(Clone, Debug)]
 struct Type {
     base: Base,
@@ -56,7 +56,7 @@ struct Parser<'a> {
 struct Annotations {
     extensibility: Extensibility,
     is_optional: bool,
-    /// Of an enumeration.
+    /// Size of an enumeration, bits.
     bit_bound: u64,
 }
 
@@ -317,7 +317,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Of an array or sequence of `of`. A nested array becomes a structure with one unnamed field.
+    /// Element of an array or sequence `of`. A nested array becomes a structure with one unnamed field.
     fn element(&mut self, of: Type) -> Base {
         let Type { base, arity: arity @ (Arity::Array(_) | Arity::Sequence) } = of else {
             return of.base;

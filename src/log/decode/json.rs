@@ -34,7 +34,7 @@ type Marks = u64;
 
 #[derive(Debug)]
 struct Branch {
-    /// From the message's root, where it is empty.
+    /// Path from the root; empty for the root.
     path: String,
     /// Unique bit.
     mark: Marks,

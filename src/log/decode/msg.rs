@@ -136,7 +136,7 @@ fn type_of(
     Ok((base_of(owner, base, dialect), arity))
 }
 
-/// Of one value.
+/// Type of one value.
 fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
     if let Some(primitive) = primitive(name, dialect) {
         return Base::Number(primitive);

@@ -12,9 +12,9 @@ pub(super) const BODY: usize = 0;
 
 /// Indices into [`Row::numbers`]: quaternion x, y, z, w.
 pub(super) const QUATERNION: usize = 0;
-/// Of a pose.
+/// Position of a pose.
 pub(super) const POSITION: usize = 4;
-/// Of an IMU, like [`ACCEL`] (specific force).
+/// Gyro and [`ACCEL`] (specific force) of an IMU.
 pub(super) const GYRO: usize = 4;
 pub(super) const ACCEL: usize = 7;
 
@@ -24,7 +24,7 @@ pub(super) const VELOCITIES: usize = 1;
 /// Commanded joint positions and velocities.
 pub(super) const REFERENCE: usize = 2;
 pub(super) const REFERENCE_VELOCITIES: usize = 3;
-/// Of a pose.
+/// Matrix of a pose.
 pub(super) const MATRIX: usize = 2;
 
 /// Longer lists are cleared or truncated; an arm does not have them.

@@ -8,13 +8,13 @@ pub(super) const MAX_FIELDS: usize = 10_000;
 
 pub(super) const MAX_TYPES: usize = 5_000;
 
-/// Of messages. Limits types that contain themselves.
+/// Nesting depth. Limits types that contain themselves.
 pub(super) const MAX_DEPTH: usize = 32;
 
 /// Whole message packages need less than a tenth.
 const MAX_BYTES: usize = 4 << 20;
 
-/// Of a field or type, in bytes.
+/// Name length of a field or type, bytes.
 pub(super) const MAX_NAME: usize = 256;
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -126,7 +126,7 @@ impl Primitive {
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Base {
     Number(Primitive),
-    /// CDR version 2 has a length prefix before collections of it.
+    /// In CDR version 2, its collections have a length prefix.
     Enumeration(Primitive),
     Text,
     /// By [`canonical`] name.

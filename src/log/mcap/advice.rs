@@ -48,7 +48,7 @@ impl<'a> Reader<'a, '_, '_> {
         let first = messages.first().map_or(0, |(at, _)| *at);
         let mut runs: Vec<_> = std::iter::once(0..first).collect();
         for ((at, is_ignored), end) in parts {
-            // Of unused messages only the heads are read.
+            // Only the heads of unused messages are read.
             let end = if is_ignored { end.min(at + record::MESSAGE_HEAD) } else { end };
             match runs.last_mut().filter(|run| run.end == at) {
                 Some(run) => run.end = end,

@@ -42,7 +42,7 @@ impl MinimumRate {
     /// Runs `work`, which counts received bytes in `came`.
     ///
     /// # Errors
-    /// That of `work`, or if the rate is too low.
+    /// If `work` fails, or the rate is too low.
     pub async fn watch<T>(
         self,
         came: &Cell<usize>,

@@ -100,7 +100,7 @@ pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>
         scope.spawn(move || {
             for mut batch in waiting {
                 batch.decode(intake);
-                // After the last row, nobody needs empty batches.
+                // After the last row, empty batches are not needed.
                 let _at_the_end = done.try_send(batch);
             }
         });

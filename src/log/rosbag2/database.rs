@@ -203,15 +203,15 @@ struct Reader<'a> {
     database: &'a Connection,
     options: &'a ReadOptions,
     losses: &'a mut Losses,
-    /// By topic number; `None` if there are too many channels.
+    /// Keyed by topic number; `None` if there are too many channels.
     topics: HashMap<i64, Option<ChannelId>>,
     bytes: usize,
     orphans: u64,
     before_1970: u64,
     strays: usize,
-    /// Of these, since the last row in order.
+    /// Rows out of order since the last row in order.
     strays_here: u64,
-    /// The first of them, and the row before it.
+    /// The first row out of order, and the row before it.
     first_stray: (i64, i64),
     /// Lost rows at the end are already reported.
     is_cut: bool,

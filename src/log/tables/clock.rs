@@ -41,7 +41,7 @@ const EXCLUDED_WORDS: &[&str] = &[
     "sleep",
 ];
 
-/// Of the steps.
+/// Share of the steps.
 const MAX_BACKWARD_PERCENT: usize = 2;
 
 const MAX_NANOS: f64 = 9e18;
@@ -98,7 +98,7 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
     }
 }
 
-/// By the path of the column group.
+/// Best clock per column group, keyed by the group's path.
 pub(super) fn detect_in_groups(table: &Table) -> BTreeMap<String, Clock> {
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
     for clock in clocks_by_name(table) {
@@ -213,7 +213,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
 /// Takes the only column whose numbers increase evenly. Copies in another unit or with another zero count
 /// as the same column.
 fn clock_by_values(table: &Table) -> Result<Clock, String> {
-    /// More of them, copies included, are ramps rather than clocks.
+    /// More increasing columns, copies included, are ramps rather than clocks.
     const MAX_INCREASING_COLUMNS: usize = 2;
     let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
@@ -403,7 +403,7 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
     })
 }
 
-/// Of a step, in the column's unit.
+/// Rounding error of a step, in the column's unit.
 fn rounding_error(column: &Column) -> f64 {
     let largest = column.values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     let bits = if column.kind.contains("32") || column.kind.contains("f4") {

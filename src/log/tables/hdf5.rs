@@ -23,7 +23,7 @@ const MAX_DEPTH: usize = 8;
 const MAX_GROUPS: usize = 10_000;
 /// For unchunked data sets that cannot be read whole.
 const FALLBACK_PARTS: usize = 64;
-/// Of a group or data set.
+/// Limit per group or data set.
 const MAX_HEADER_BYTES: usize = 4 << 20;
 const EPISODE_PREFIXES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 

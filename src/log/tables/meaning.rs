@@ -1,4 +1,4 @@
-//! Identifies what the columns of a table hold: as configured, otherwise by name. Unidentified columns are
+//! Identifies the contents of table columns: as configured, otherwise by name. Unidentified columns are
 //! passed on as bare numbers.
 
 mod configured;
@@ -19,7 +19,7 @@ use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is
 const JOINT_COUNTS: std::ops::RangeInclusive<usize> = 4..=8;
 /// For joint positions, a pose or its parts.
 const MIN_CELLS: usize = 3;
-/// Of LeRobot; no measurements.
+/// LeRobot's counters; no measurements.
 const COUNTER_COLUMNS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
@@ -423,7 +423,7 @@ fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> O
 }
 
 fn are_unit(table: &Table, cells: &[Cell]) -> bool {
-    /// Of the rows; and rounding to two digits.
+    /// Share of the rows, and tolerance for rounding to two digits.
     const MIN_UNIT_PERCENT: usize = 95;
     const MAX_NORM_DEVIATION: f64 = 0.03;
     let value = |row: usize, cell: &Cell| {
@@ -718,7 +718,7 @@ impl ColumnGroup {
     }
 
     /// `most` is the largest joint position of the table. Beyond two turns all joint positions are taken
-    /// for degrees, states and commands alike.
+    /// for degrees, in states and in commands.
     fn into_topic(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> TableTopic {
         let Self { topic, cells, meaning, mut why, .. } = self;
         let mut contradiction = None;
@@ -772,7 +772,7 @@ impl ColumnGroup {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
                     joint.velocity.iter_mut().for_each(|v| *v *= factor);
                 }
-                // By default, velocities have the unit of the positions.
+                // Velocities have the unit of the positions by default.
                 let in_words = |known: &[&str]| {
                     let mut words =
                         velocities.iter().flat_map(|&cell| names::words(name(table, cell)));

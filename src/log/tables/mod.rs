@@ -76,7 +76,7 @@ pub(super) struct Table {
     pub unread: Vec<(String, String)>,
     /// First cell of each text column.
     pub texts: BTreeMap<String, String>,
-    /// By column index; their numbers are NaN.
+    /// Keyed by column index; the lost values are NaN.
     pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
     /// Rows and columns missing from the table.
     pub losses: Vec<RowLoss>,
@@ -532,7 +532,7 @@ fn rate_in(value: &Value) -> Option<f64> {
 
 /// Number of rows that most arrays share. A `k` by `N` array is transposed if `N` is that number.
 fn common_rows(shapes: &[Vec<usize>]) -> usize {
-    /// Of a transposed array.
+    /// Minimum ratio of rows to columns in a transposed array.
     const MIN_ASPECT: usize = 4;
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
     for shape in shapes {

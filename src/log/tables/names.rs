@@ -3,7 +3,7 @@
 use crate::RotationLabels;
 
 /// Whether a name belongs to a transition (action, reward, episode end), as Gymnasium's `step` returns it.
-/// A run has one fewer of them than states.
+/// A run has one transition fewer than states.
 pub(super) fn is_transition(name: &str) -> bool {
     const TRANSITION_WORDS: &[&str] = &[
         "action",
@@ -174,10 +174,10 @@ const GENERIC_WORDS: &[&str] = &[
     "d",
     "aipos",
 ];
-/// Of a tool.
+/// Words for a tool position.
 const POSITION_WORDS: &[&str] =
     &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
-/// Of a tool.
+/// Words for a tool rotation.
 const ROTATION_WORDS: &[&str] = &[
     "quat",
     "quats",
@@ -410,11 +410,11 @@ pub(super) fn is_generic(stem: &[String]) -> bool {
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum PoseComponent {
-    /// Of a position or of a rotation.
+    /// Component of a position or of a rotation.
     Xyz(usize),
-    /// Of a position.
+    /// Component of a position.
     Position(usize),
-    /// Of a rotation; of a quaternion if there is also a w.
+    /// Component of a rotation, or of a quaternion if there is also a w.
     Rotation(usize),
     /// x, y, z, w.
     Quaternion(usize),

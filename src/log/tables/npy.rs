@@ -1,4 +1,4 @@
-//! NumPy's `.npy` arrays and `.npz` archives of them.
+//! NumPy's `.npy` arrays and `.npz` archives.
 //!
 //! Format: NumPy Enhancement Proposal 1 (`numpy.lib.format`), versions 1 to 3.
 
@@ -166,7 +166,7 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// Of scalar arrays.
+/// Names of scalar arrays with the rate.
 const RATE_NAMES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
@@ -183,7 +183,7 @@ fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u
 }
 
 impl Header {
-    /// Of all elements.
+    /// Size of all elements.
     fn bytes(&self) -> Option<usize> {
         let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.row_bytes)

@@ -4,7 +4,7 @@
 
 use parquet::column::page::PageMetadata;
 
-/// Of skipped structures.
+/// Nesting depth of skipped structures.
 const MAX_DEPTH: usize = 16;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Parquet: columns of numbers, and lists with the same length in every row.
 //!
-//! Reads values leaf by leaf with their levels, where the fixed-size lists of pyarrow and the sequences of
-//! Hugging Face are identical.
+//! Reads values leaf by leaf with their levels, because pyarrow's fixed-size lists and Hugging Face's
+//! sequences have identical leaves.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -90,7 +90,7 @@ impl ParquetFile {
     }
 }
 
-/// Of a column in a row group.
+/// Pages of a column in a row group.
 #[derive(Debug, Default)]
 struct PageCounts {
     /// In all pages so far.
@@ -105,7 +105,7 @@ type SharedPageCounts = Arc<Mutex<PageCounts>>;
 /// Skips and records damaged pages.
 struct IntactPages {
     pages: SerializedPageReader<Bytes>,
-    /// Of the pages not yet read.
+    /// Headers of the pages not yet read.
     headers: VecDeque<PageHeader>,
     found: SharedPageCounts,
     /// Whether the dictionary page was read.
@@ -190,7 +190,7 @@ fn footer(bytes: &[u8]) -> Option<&[u8]> {
     rest.get(rest.len().checked_sub(length)?..)
 }
 
-/// Splits by `episode_index` if the file has it. Decodes only the rows of the `wanted` episode.
+/// Splits by `episode_index`, if present. Decodes only the rows of the `wanted` episode.
 pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
@@ -376,10 +376,10 @@ fn split_episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, TableE
 /// NaN if missing.
 struct LeafValues {
     is_list: bool,
-    /// Of a number and of an element of a list.
+    /// Definition levels of a number and of a list element.
     defined: i16,
     element: i16,
-    /// Of the file.
+    /// Row range within the file.
     rows: Range<usize>,
     values: Vec<f64>,
     /// For lists: values per row.

@@ -6,7 +6,7 @@ use super::{TableTopic, names};
 use crate::Repeat;
 use ground::stream::{Columns, JointColumns};
 
-/// Rows of an episode, and rows in which a repeated column must change.
+/// Minimum rows of an episode, and minimum rows with a change in a repeated column.
 const MIN_ROWS: usize = 20;
 const MIN_CHANGES: usize = 10;
 /// Compared with each other.

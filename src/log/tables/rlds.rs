@@ -36,7 +36,7 @@ pub(super) fn declared_dataset(path: &Path) -> Option<Result<Dataset, String>> {
     }))
 }
 
-/// Of a description such as `[7x joint angles, 2x gripper position]`.
+/// Element counts in a description such as `[7x joint angles, 2x gripper position]`.
 fn counts(description: &str) -> Vec<usize> {
     let inside = description.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
     let parts = inside.map_or("", |(inside, _)| inside).split(',');

@@ -9,7 +9,7 @@ use super::{Column, Extent, Losses, Table, most_frequent, names};
 use crate::memory_budget::{MemoryBudget, OutOfMemory};
 use ground::stream::is_usable;
 
-/// Of a table file or part of it.
+/// Error in a table file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum TableError {
     /// Damaged or unsupported.
@@ -245,7 +245,7 @@ pub(super) fn remove_damaged_rows<T: Copy>(
     width: usize,
     values: &dyn Fn(usize) -> Vec<f64>,
 ) -> Option<(u64, String)> {
-    /// Of a column without gaps.
+    /// Share of usable rows in a column without gaps.
     const MIN_USABLE_PERCENT: usize = 90;
     let unusable_in = |(row, _): &(usize, T)| -> Vec<usize> {
         let own = values(*row);

@@ -21,7 +21,7 @@ const ELEMENTS: &[(&str, &[&str])] = &[
 const CLOCK: &str = "IPOC";
 const PACKET_START: &[u8] = b"<Rob";
 const PACKET_END: &[u8] = b"</Rob>";
-/// That of a datagram.
+/// Maximum size of a datagram.
 const MAX_PACKET_BYTES: usize = 1 << 16;
 
 pub(crate) fn has_packet(bytes: &[u8]) -> bool {

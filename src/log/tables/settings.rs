@@ -19,7 +19,7 @@ pub struct ColumnSettings {
     pub pose: Vec<ColumnSelector>,
     /// Commanded tool pose.
     pub pose_commands: Vec<ColumnSelector>,
-    /// By name, if there are several. Time and rate apply to the whole table.
+    /// Names and settings, if there are several arms. Time and rate apply to the whole table.
     pub arms: Vec<(String, ColumnSettings)>,
 }
 

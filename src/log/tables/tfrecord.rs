@@ -14,7 +14,7 @@ use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
 use crate::memory_budget::MemoryBudget;
 
-/// Of step features.
+/// Prefix of step features.
 pub(super) const STEP_PREFIX: &str = "steps/";
 /// One number per step.
 const SCALAR_FEATURES: &[&str] = &["is_first", "is_last", "is_terminal", "reward", "discount"];
@@ -120,7 +120,7 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// By feature; sequences row by row.
+/// Values per feature; sequences row by row.
 #[derive(Default)]
 struct Example {
     features: BTreeMap<String, Vec<f64>>,

@@ -161,7 +161,7 @@ impl Change {
     }
 }
 
-/// The message if there is no amount.
+/// Amount of the finding, or else its message.
 fn short(finding: &Finding) -> String {
     let is_known = |estimate: &&Estimate| estimate.value().is_none_or(f64::is_finite);
     let amount = finding.estimate.as_ref().filter(is_known);

@@ -118,7 +118,7 @@ impl<'a> Found<'a> {
     }
 
     fn line(&self) -> Option<Own> {
-        /// Of the tip at the end of a line, s.
+        /// Time appended for the tip at the end of a line, s.
         const LATER_S: f64 = 0.5;
         let (arm, _) = self.arm()?;
         let (content, found) = self.commands()?;
@@ -205,7 +205,7 @@ impl<'a> Found<'a> {
         Some(Own::Tilt(rows.iter().step_by(step).filter_map(up).collect()))
     }
 
-    /// By default, the first joint of the arm.
+    /// Joint of the subject, or the arm's first joint.
     fn joint(&self) -> Option<JointFigure> {
         /// For differentiating positions, s.
         const WINDOW_S: f64 = 0.05;

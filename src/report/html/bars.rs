@@ -107,7 +107,7 @@ impl Whiskers {
     /// Half the axis. Contains every amount, and the intervals unless they would make the amounts too
     /// small.
     fn full(&self, unit: Unit) -> f64 {
-        /// Of the axis to the largest amount.
+        /// Maximum ratio of the half axis to the largest amount.
         const LONGER: f64 = 3.0;
         let alike = self.rows.iter().filter_map(|row| row.amount).filter(|(.., own)| *own == unit);
         let most = alike.clone().map(|(value, ..)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);

@@ -34,7 +34,7 @@ pub struct Limit {
     /// In the unit of its axis.
     pub at: f64,
     pub is_along: bool,
-    /// Empty if another limit has it.
+    /// Empty if another limit is labelled.
     pub label: String,
 }
 
@@ -44,7 +44,7 @@ pub struct Series {
     pub label: String,
     pub role: Role,
     pub values: Vec<f64>,
-    /// Of each value's interval; may be empty.
+    /// Half-width of each value's interval; may be empty.
     pub half_widths: Vec<f64>,
 }
 
@@ -187,7 +187,7 @@ impl Plot {
     }
 
     fn longest_step(&self) -> f64 {
-        /// Of the whole axis.
+        /// Share of the whole axis.
         const SHARE: f64 = 0.02;
         /// Median steps: a larger fraction for a short stream.
         const STEPS: f64 = 5.0;

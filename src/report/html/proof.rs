@@ -176,7 +176,7 @@ impl Case<'_> {
         })
     }
 
-    /// Of the topic, else of the robot.
+    /// Poses of the topic, else of the robot.
     fn poses(&self) -> impl Iterator<Item = &PoseFigure> {
         let subject = &self.finding.subject;
         let is_its = |pose: &&PoseFigure| self.is_on(&pose.robot, &pose.topic);

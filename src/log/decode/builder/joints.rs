@@ -36,7 +36,7 @@ pub(in crate::decode) struct Joints {
     pub(super) stem: &'static str,
     pub(super) columns: JointColumns,
     pub(super) by_name: HashMap<String, usize>,
-    /// Of the previous message; the next one usually repeats them.
+    /// Names of the previous message; the next one usually repeats them.
     pub(super) names: Names,
     /// Column of each name.
     pub(super) order: Vec<usize>,

@@ -7,7 +7,7 @@ use super::super::schema::bounded;
 use super::values::{all_usable, push_times, quaternion};
 use ground::stream::PoseColumns;
 
-/// Child frames for poses identified by index; the first is that of a single pose. Particle clouds and
+/// Child frames of poses identified by index; the first one names a single pose. Particle clouds and
 /// paths have more poses.
 const INDEX_NAMES: [&str; 16] = [
     "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
@@ -26,7 +26,7 @@ pub(in crate::decode) struct Poses {
     pub(super) by_frames: HashMap<String, usize>,
     /// Buffer for a key of `by_frames`.
     pub(super) key: String,
-    /// Of the previous row.
+    /// Group of the previous row.
     pub(super) last: usize,
     /// Group that followed each group last time: trees are published in a constant order.
     pub(super) next: Vec<usize>,
@@ -116,7 +116,7 @@ impl Poses {
 }
 
 impl Poses {
-    /// By group.
+    /// Key of each group.
     fn keys(&self) -> Vec<&str> {
         let mut keys = vec![""; self.groups.len()];
         self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
@@ -160,9 +160,9 @@ pub(in crate::decode) struct PoseSet {
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Naming {
-    /// By index; see [`INDEX_NAMES`].
+    /// Index; see [`INDEX_NAMES`].
     Numbers,
-    /// By the name at their index, in the frame of the simulated world.
+    /// Name at their index, in the frame of the simulated world.
     Names,
 }
 

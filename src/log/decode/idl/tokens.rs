@@ -12,7 +12,7 @@ pub(super) enum Token<'a> {
     Mark(char),
 }
 
-/// Of consecutive files.
+/// Token stream of consecutive files.
 #[derive(Default)]
 pub(super) struct Tokens<'a> {
     text: &'a str,

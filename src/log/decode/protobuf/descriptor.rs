@@ -22,7 +22,7 @@ pub(super) enum Scalar {
     SignedFixed64,
 }
 
-/// By full name, without a leading dot.
+/// Messages per full name, without a leading dot.
 #[derive(Debug, Default)]
 pub(in super::super) struct Types {
     messages: HashMap<String, Message>,
@@ -43,7 +43,7 @@ pub(super) struct Field {
     pub(super) kind: Kind,
 }
 
-/// Of one value.
+/// Type of one value.
 #[derive(Debug)]
 pub(super) enum Kind {
     Number(Scalar),
@@ -86,12 +86,11 @@ impl Types {
         Ok(types)
     }
 
-    /// By full name.
     pub(super) fn message(&self, name: &str) -> Option<&Message> {
         self.messages.get(name)
     }
 
-    /// Of a `FileDescriptorProto`.
+    /// Reads a `FileDescriptorProto`.
     fn file(&mut self, file: &[u8]) -> Result<(), SchemaError> {
         let mut package = String::new();
         let mut reader = Reader::new(file);
@@ -164,7 +163,7 @@ fn field(field: &[u8]) -> Result<Field, SchemaError> {
     Ok(Field { name, number, is_repeated: label == REPEATED, kind: kind(code, type_name) })
 }
 
-/// By code in `FieldDescriptorProto.Type`.
+/// Kind with this code in `FieldDescriptorProto.Type`.
 fn kind(code: u64, type_name: String) -> Kind {
     Kind::Number(match code {
         1 => Scalar::F64,
@@ -188,7 +187,7 @@ fn bytes(value: Value<'_>) -> Result<&[u8], SchemaError> {
     value.bytes().map_err(|fault| broken(Reader::new(&[]).error(fault)))
 }
 
-/// Limits names: nested types repeat those of their parents.
+/// Limits names, because nested types repeat their parents' names.
 fn text(value: Value<'_>) -> Result<String, SchemaError> {
     let name = bytes(value)?;
     if name.len() > MAX_NAME {

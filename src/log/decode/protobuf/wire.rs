@@ -3,9 +3,9 @@
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{fault} (byte {offset} of the enclosing message)", said(path))]
 pub(crate) struct WireError {
-    /// Of the field, if known.
+    /// Path of the field, if known.
     path: String,
-    /// From the start of the message that contains the field.
+    /// Offset in the message that contains the field.
     offset: usize,
     fault: Fault,
 }
@@ -38,7 +38,7 @@ pub(crate) enum Fault {
     Empty,
 }
 
-/// By wire type.
+/// One variant per wire type.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Value<'a> {
     Varint(u64),
@@ -48,7 +48,7 @@ pub(crate) enum Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// Of a string, bytes field or message.
+    /// Content of a string, bytes field or message.
     pub(super) fn bytes(self) -> Result<&'a [u8], Fault> {
         match self {
             Value::Bytes(bytes) => Ok(bytes),

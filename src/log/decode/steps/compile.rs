@@ -36,7 +36,7 @@ impl<'a> Compiler<'a> {
         Self { schema, wanted, each, wire, fields: 0, found: vec![false; wanted.len()] }
     }
 
-    /// Of a whole message.
+    /// Steps for a whole message.
     pub(super) fn compile(mut self) -> Result<Vec<Step>, SchemaError> {
         let mut steps = Vec::new();
         self.message(self.schema.root(), "", 0, &mut steps)?;

@@ -47,7 +47,7 @@ pub(super) enum Op {
     Unreadable(Box<SchemaError>),
 }
 
-/// Of values.
+/// Number of values.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Count {
     /// Given by the schema.

@@ -1,6 +1,6 @@
 //! Cached positions of a message's values, for the next message of the same shape.
 //!
-//! Lengths and texts determine where the following values are. They rarely change within a channel: if the
+//! Lengths and texts determine the positions of later values. They rarely change within a channel: if the
 //! next message has the same ones at the same positions, its values are read from the cached positions.
 
 use std::ops::Range;
@@ -36,9 +36,9 @@ pub(in crate::decode) struct Shape {
     least: usize,
     /// Consecutive messages of other shapes.
     strange: u32,
-    /// Of each row, if a message has several.
+    /// Groups of the rows, if a message has several.
     groups: Vec<Group>,
-    /// If so, the rows' texts are not needed.
+    /// Whether the texts of the rows can be skipped.
     is_told: bool,
 }
 

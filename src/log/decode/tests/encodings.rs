@@ -87,7 +87,7 @@ impl Writer {
         self.delimited(matches!(self.style, Style::Cdr2 { delimited: true, .. }), content);
     }
 
-    /// Of anything but numbers.
+    /// Sequence of anything except numbers.
     fn sequence<T>(&mut self, items: &[T], write: impl Fn(&mut Self, &T)) {
         self.delimited(matches!(self.style, Style::Cdr2 { .. }), |writer| {
             writer.u32(items.len() as u32);

@@ -23,7 +23,7 @@ pub(super) struct ZarrArray {
     grid: ChunkGrid,
     /// In encoding order.
     codecs: Vec<Codec>,
-    /// Of the indices in a chunk's name.
+    /// Prefix and separator of the indices in a chunk's name.
     prefix: &'static str,
     separator: &'static str,
 }

@@ -12,14 +12,14 @@ const MAX_VERSION: u8 = 2;
 const MAX_SPLIT_BYTES: usize = 16;
 const MIN_PART_BYTES: usize = 128;
 
-/// By code.
+/// Indexed by code.
 const COMPRESSORS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
 
 struct Header {
     flags: u8,
-    /// Of an element.
+    /// Element size, bytes.
     size: usize,
-    /// Of the whole, and of each block.
+    /// Size of the whole, and of each block.
     bytes: usize,
     block: usize,
 }

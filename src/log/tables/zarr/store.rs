@@ -12,7 +12,7 @@ use zip::result::ZipError;
 use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
 use crate::tables::{MAX_COLUMNS, MAX_METADATA_BYTES, TableError};
 
-/// Of arrays and groups in Zarr 2 and 3.
+/// Metadata files of arrays and groups in Zarr 2 and 3.
 const METADATA_FILES: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
 const ATTRIBUTES_FILE: &str = ".zattrs";
 const MAX_DEPTH: usize = 8;
@@ -35,9 +35,9 @@ pub fn is_store(folder: &Path) -> bool {
         && METADATA_FILES.iter().any(is_metadata)
 }
 
-/// By the names at its start and end.
+/// Looks for the metadata names near the start and the end.
 pub(crate) fn is_zip_store(bytes: &[u8]) -> bool {
-    /// At each end.
+    /// Bytes searched at each end.
     const SEARCHED_BYTES: usize = 1 << 16;
     let (head, tail) = (
         &bytes[..bytes.len().min(SEARCHED_BYTES)],

@@ -164,7 +164,7 @@ fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
 
 /// Top and side view.
 pub(super) fn over_workspace(pose: &PoseFigure) -> Vec<Plane> {
-    /// Of points.
+    /// Maximum number of points.
     const MOST: usize = 300;
     let errors = if pose.before_m.is_empty() { &pose.after_m } else { &pose.before_m };
     let what = if pose.before_m.is_empty() { "after correction" } else { "as logged" };

@@ -283,7 +283,7 @@ impl Case<'_> {
         ]
     }
 
-    /// Of the finding.
+    /// Estimate of the finding.
     fn amount(&self) -> String {
         match &self.finding.estimate {
             Some(Estimate::Scalar { name, value, unit, .. }) => {
@@ -294,7 +294,7 @@ impl Case<'_> {
     }
 }
 
-/// A tenth of it.
+/// Whether the values reach a tenth of the limit.
 fn is_near_its_limit(plot: &Plot) -> bool {
     let values = plot.series.iter().flat_map(|series| &series.values);
     let most = values.map(|value| value.abs()).fold(0.0, f64::max);
