@@ -12,7 +12,7 @@ use poseaudit::{Options, audit};
 use crate::checks::recording::{self, Message};
 
 /// Cached result of an audit.
-type Audited = Arc<OnceLock<Result<Report, Trouble>>>;
+type CachedReport = Arc<OnceLock<Result<Report, Trouble>>>;
 
 /// The log of a case, before it is written.
 pub struct Log {
@@ -39,27 +39,27 @@ pub struct Case {
 /// Expected result for the rule of the case.
 pub enum Expected {
     /// Planted fault: exactly one finding, of this rule.
-    Found(Severity, On, What),
+    Finding(Severity, ExpectedSubject, ExpectedEstimate),
     /// Sound log: the rule passes for all subjects, and there are no findings.
-    Sound,
+    NoFindings,
     /// Fault of another kind: only the rule named here finds it. The rule of the case passes, or explains
     /// that no log could show it.
-    BlamedOn(&'static str),
+    OnlyOtherFinding(&'static str),
     /// Fault of another kind: only the rule named here finds it. It leaves the rule of the case
     /// undetermined for some subjects, with this reason.
-    LeftOpenBy(&'static str, &'static str),
+    OtherFindingAndInconclusive(&'static str, &'static str),
     /// Missing input: the rule is skipped with this reason.
     Skipped(&'static str),
     /// Missing input: the rule is undetermined for every subject, with this reason, and there are no
     /// findings.
-    Undecided(&'static str),
+    Inconclusive(&'static str),
     /// Missing input: the log is refused, and there is no report.
     Refused(&'static str),
 }
 
 /// Subject of a finding.
 #[derive(Clone, Copy)]
-pub enum On {
+pub enum ExpectedSubject {
     Topic(&'static str),
     Joint(&'static str),
     /// Topic and joint.
@@ -76,21 +76,21 @@ pub enum On {
 
 /// Estimate of a finding.
 #[derive(Clone, Copy)]
-pub enum What {
+pub enum ExpectedEstimate {
     /// Value and tolerance, SI, with an interval.
     Amount(f64, f64),
     /// Value and tolerance, SI, without an interval.
-    About(f64, f64),
+    AmountWithoutInterval(f64, f64),
     /// `Amount` in degrees.
     Degrees(f64, f64),
     /// `Amount` in degrees per minute.
-    DegreesAMinute(f64, f64),
+    DegreesPerMinute(f64, f64),
     /// Length and its tolerance, m; angle and its tolerance, degrees.
     Frame([f64; 2], [f64; 2]),
     /// Bounds of the residual's length, m.
     ResidualBetween(f64, f64),
     /// Actual encoding, and the misinterpretation.
-    ReadAs(&'static str, &'static str),
+    IsReadAs(&'static str, &'static str),
     /// The joints in the order of the logged numbers.
     Order(&'static [&'static str]),
     /// No estimate.
@@ -118,21 +118,21 @@ macro_rules! cases {
 }
 pub(crate) use cases;
 
-pub const fn error(on: On, what: What) -> Expected {
-    Expected::Found(Severity::Error, on, what)
+pub const fn error(on: ExpectedSubject, what: ExpectedEstimate) -> Expected {
+    Expected::Finding(Severity::Error, on, what)
 }
 
-pub const fn warning(on: On, what: What) -> Expected {
-    Expected::Found(Severity::Warning, on, what)
+pub const fn warning(on: ExpectedSubject, what: ExpectedEstimate) -> Expected {
+    Expected::Finding(Severity::Warning, on, what)
 }
 
-pub const fn info(on: On, what: What) -> Expected {
-    Expected::Found(Severity::Info, on, what)
+pub const fn info(on: ExpectedSubject, what: ExpectedEstimate) -> Expected {
+    Expected::Finding(Severity::Info, on, what)
 }
 
 impl Log {
     /// 8 s of a UR5e, at low rates for a fast audit. Streams share no stamps.
-    pub fn sound() -> Self {
+    pub fn fault_free() -> Self {
         let mut run = Scenario { duration_s: 8.0, ..Scenario::ur5e() };
         (run.amplitude, run.speed) = (1.0, 2.0);
         run.joints.timing.rate_hz = 50.0;
@@ -143,30 +143,31 @@ impl Log {
     }
 
     /// A modified sound log.
-    pub fn with(change: impl FnOnce(&mut Self)) -> Self {
-        let mut log = Self::sound();
+    pub fn modified(change: impl FnOnce(&mut Self)) -> Self {
+        let mut log = Self::fault_free();
         change(&mut log);
         log
     }
 
     #[track_caller]
-    pub fn audited(&self) -> Report {
-        self.audit().expect("the log is audited")
+    pub fn report(&self) -> Report {
+        self.try_report().expect("the log is audited")
     }
 
     /// The report, or the error.
-    pub fn audit(&self) -> Result<Report, Trouble> {
+    pub fn try_report(&self) -> Result<Report, Trouble> {
         if self.edit.is_some() || self.damage.is_some() || self.fix.is_some() {
-            return self.audit_anew();
+            return self.run_audit();
         }
         // Cases share logs, so each log is audited once.
-        static AUDITED: LazyLock<Mutex<HashMap<String, Audited>>> = LazyLock::new(Mutex::default);
+        static CACHE: LazyLock<Mutex<HashMap<String, CachedReport>>> =
+            LazyLock::new(Mutex::default);
         let key = format!("{:?} {:?}", self.run, self.options);
-        let audited = Arc::clone(AUDITED.lock().expect("no panic within").entry(key).or_default());
-        audited.get_or_init(|| self.audit_anew()).clone()
+        let audited = Arc::clone(CACHE.lock().expect("no panic within").entry(key).or_default());
+        audited.get_or_init(|| self.run_audit()).clone()
     }
 
-    fn audit_anew(&self) -> Result<Report, Trouble> {
+    fn run_audit(&self) -> Result<Report, Trouble> {
         let mut bytes = recording::write(&self.run, self.edit);
         if let Some(damage) = self.damage {
             damage(&mut bytes);
@@ -183,36 +184,36 @@ impl Log {
 impl Case {
     #[track_caller]
     pub fn check(&self) {
-        let log = Log::with(self.log);
+        let log = Log::modified(self.log);
         if let Expected::Refused(part) = self.expected {
-            let trouble = log.audit().expect_err("there is no log");
+            let trouble = log.try_report().expect_err("there is no log");
             assert!(trouble.to_string().contains(part), "{trouble}");
             return;
         }
-        let report = log.audited();
+        let report = log.report();
         let rows: Vec<&CheckRow> =
             report.checks.iter().filter(|row| row.code == self.code).collect();
         assert!(!rows.is_empty(), "{} was not asked", self.code);
         let found = summary(&report.findings);
         match &self.expected {
-            Expected::Found(severity, on, what) => {
+            Expected::Finding(severity, on, what) => {
                 let [finding] = report.findings.as_slice() else {
                     panic!("{} alone was expected, found:\n{found}", self.code)
                 };
                 assert_eq!(finding.code, self.code, "found:\n{found}");
-                on.assert_is(&finding.subject);
-                what.assert_is(finding.estimate.as_ref());
+                on.assert_matches(&finding.subject);
+                what.assert_matches(finding.estimate.as_ref());
                 assert_eq!(finding.severity, *severity, "{found}");
                 let failed = rows.iter().filter(|row| row.status == Status::Fail);
                 assert_eq!(failed.count(), 1, "{rows:#?}");
             }
-            Expected::Sound => {
+            Expected::NoFindings => {
                 assert!(report.findings.is_empty(), "found:\n{found}");
                 for row in rows {
                     assert_eq!(row.status, Status::Pass, "{row:#?}");
                 }
             }
-            Expected::BlamedOn(code) => {
+            Expected::OnlyOtherFinding(code) => {
                 assert!(!report.findings.is_empty(), "the neighbour's fault was not found");
                 let others = report.findings.iter().any(|finding| finding.code != *code);
                 assert!(!others, "{code} alone was expected, found:\n{found}");
@@ -221,20 +222,20 @@ impl Case {
                     assert!(is_fine, "{row:#?}");
                 }
             }
-            Expected::LeftOpenBy(code, part) => {
+            Expected::OtherFindingAndInconclusive(code, part) => {
                 let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
                 assert_eq!(found_by, [*code], "found:\n{found}");
                 let open = rows.iter().copied().filter(|row| row.status != Status::Pass);
                 let open: Vec<&CheckRow> = open.collect();
                 assert!(!open.is_empty(), "nothing is undetermined");
-                assert_all_say(&open, Status::Inconclusive, part);
+                assert_reasons(&open, Status::Inconclusive, part);
             }
             Expected::Skipped(part) => {
-                assert_all_say(&rows, Status::Skipped, part);
+                assert_reasons(&rows, Status::Skipped, part);
                 assert!(report.findings.is_empty(), "found:\n{found}");
             }
-            Expected::Undecided(part) => {
-                assert_all_say(&rows, Status::Inconclusive, part);
+            Expected::Inconclusive(part) => {
+                assert_reasons(&rows, Status::Inconclusive, part);
                 assert!(report.findings.is_empty(), "found:\n{found}");
             }
             Expected::Refused(_) => unreachable!("answered above"),
@@ -243,7 +244,7 @@ impl Case {
 }
 
 #[track_caller]
-fn assert_all_say(rows: &[&CheckRow], status: Status, part: &str) {
+fn assert_reasons(rows: &[&CheckRow], status: Status, part: &str) {
     for row in rows {
         assert_eq!(row.status, status, "{row:#?}");
         let reason = row.reason.as_deref().unwrap_or_default();
@@ -262,7 +263,7 @@ pub fn summary(findings: &[Finding]) -> String {
 
 /// The only finding of `code` on `label`.
 #[track_caller]
-pub fn the<'a>(report: &'a Report, code: &str, label: &str) -> &'a Finding {
+pub fn single_finding<'a>(report: &'a Report, code: &str, label: &str) -> &'a Finding {
     let is_meant = |finding: &&Finding| finding.code == code && finding.subject.label() == label;
     let meant: Vec<&Finding> = report.findings.iter().filter(is_meant).collect();
     let [finding] = meant.as_slice() else {
@@ -278,17 +279,17 @@ impl Expected {
     pub fn kind(&self) -> &'static str {
         let [planted, clean, neighbour, missing] = Self::KINDS;
         match self {
-            Self::Found(..) => planted,
-            Self::Sound => clean,
-            Self::BlamedOn(_) | Self::LeftOpenBy(..) => neighbour,
-            Self::Skipped(_) | Self::Undecided(_) | Self::Refused(_) => missing,
+            Self::Finding(..) => planted,
+            Self::NoFindings => clean,
+            Self::OnlyOtherFinding(_) | Self::OtherFindingAndInconclusive(..) => neighbour,
+            Self::Skipped(_) | Self::Inconclusive(_) | Self::Refused(_) => missing,
         }
     }
 }
 
-impl On {
+impl ExpectedSubject {
     #[track_caller]
-    pub fn assert_is(self, subject: &Subject) {
+    pub fn assert_matches(self, subject: &Subject) {
         let Subject { topic, joint, frame, .. } = subject;
         let found = [topic, joint, frame].map(|name| name.as_deref().unwrap_or_default());
         match self {
@@ -306,23 +307,26 @@ impl On {
     }
 }
 
-impl What {
+impl ExpectedEstimate {
     #[track_caller]
-    pub fn assert_is(self, estimate: Option<&Estimate>) {
+    pub fn assert_matches(self, estimate: Option<&Estimate>) {
         const MINUTE_S: f64 = 60.0;
         match (self, estimate) {
             (Self::None, None) => {}
             (Self::Amount(value, tolerance), Some(found)) => {
                 assert_near(found, value, tolerance);
             }
-            (Self::About(value, tolerance), Some(Estimate::Scalar { value: found, ci95, .. })) => {
+            (
+                Self::AmountWithoutInterval(value, tolerance),
+                Some(Estimate::Scalar { value: found, ci95, .. }),
+            ) => {
                 assert!((found - value).abs() <= tolerance, "{found} is not {value} ± {tolerance}");
                 assert_eq!(*ci95, None);
             }
             (Self::Degrees(value, tolerance), Some(found)) => {
                 assert_near(found, value.to_radians(), tolerance.to_radians());
             }
-            (Self::DegreesAMinute(value, tolerance), Some(found)) => {
+            (Self::DegreesPerMinute(value, tolerance), Some(found)) => {
                 let rate = |degrees: f64| degrees.to_radians() / MINUTE_S;
                 assert_near(found, rate(value), rate(tolerance));
             }
@@ -338,7 +342,7 @@ impl What {
             (Self::ResidualBetween(low, high), Some(Estimate::Frame { value, .. })) => {
                 assert!((low..high).contains(value), "{value} is not within {low} to {high}");
             }
-            (Self::ReadAs(is, read_as), Some(found)) => assert_read_as(found, is, read_as),
+            (Self::IsReadAs(is, read_as), Some(found)) => assert_read_as(found, is, read_as),
             (Self::Order(expected), Some(Estimate::Order { permutation, .. })) => {
                 assert_eq!(permutation, expected);
             }

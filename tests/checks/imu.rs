@@ -8,80 +8,82 @@ use poseaudit::geometry::{
 use poseaudit::report::Report;
 use poseaudit::synth::IMU;
 
-use crate::checks::case::On::Topic;
-use crate::checks::case::What::{About, Amount, Degrees, DegreesAMinute, ReadAs};
-use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
+use crate::checks::case::ExpectedEstimate::{
+    Amount, AmountWithoutInterval, Degrees, DegreesPerMinute, IsReadAs,
+};
+use crate::checks::case::ExpectedSubject::Topic;
+use crate::checks::case::{Expected, Log, cases, error, single_finding, summary, warning};
 use crate::checks::recording::{Field, Message};
-use Expected::{BlamedOn, Sound};
+use Expected::{NoFindings, OnlyOtherFinding};
 
 cases! {
-    ORD004 a_gyro_in_degrees: |log| log.edit = Some(|messages| change(messages, in_degrees))
-        => error(Topic(IMU), ReadAs("deg", "rad"));
+    ORD004 a_gyro_in_degrees: |log| log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees))
+        => error(Topic(IMU), IsReadAs("deg", "rad"));
     ORD004 a_gyro_in_degrees_without_orientation_or_frame: |log| {
         log.run.imu.with_orientation = false;
         log.run.tf.with_static = false;
-        log.edit = Some(|messages| change(messages, in_degrees));
-    } => error(Topic(IMU), ReadAs("deg", "rad"));
-    YAW004 a_gyro_in_degrees_has_no_bias: |log| {
-        log.edit = Some(|messages| change(messages, in_degrees));
-    } => BlamedOn("ORD004");
-    LAT001 a_gyro_in_degrees_is_not_late: |log| {
+        log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
+    } => error(Topic(IMU), IsReadAs("deg", "rad"));
+    YAW004 a_gyro_in_degrees_is_not_reported_as_bias: |log| {
+        log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
+    } => OnlyOtherFinding("ORD004");
+    LAT001 a_gyro_in_degrees_is_not_reported_as_latency: |log| {
         log.run.imu.with_orientation = false;
-        log.edit = Some(|messages| change(messages, in_degrees));
-    } => BlamedOn("ORD004");
+        log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
+    } => OnlyOtherFinding("ORD004");
 
-    ORD008 an_accelerometer_in_g: |log| log.edit = Some(|messages| change(messages, in_g))
-        => error(Topic(IMU), ReadAs("g", "m/s²"));
-    ORD008 an_accelerometer_in_thousandths_of_g: |log| {
-        log.edit = Some(|messages| change(messages, in_milli_g));
-    } => error(Topic(IMU), ReadAs("mg", "m/s²"));
-    YAW002 an_accelerometer_in_g_does_not_lean: |log| {
-        log.edit = Some(|messages| change(messages, in_g));
-    } => BlamedOn("ORD008");
+    ORD008 an_accelerometer_in_g: |log| log.edit = Some(|messages| edit_imu(messages, accel_to_g))
+        => error(Topic(IMU), IsReadAs("g", "m/s²"));
+    ORD008 an_accelerometer_in_milli_g: |log| {
+        log.edit = Some(|messages| edit_imu(messages, accel_to_milli_g));
+    } => error(Topic(IMU), IsReadAs("mg", "m/s²"));
+    YAW002 an_accelerometer_in_g_is_not_reported_as_tilt: |log| {
+        log.edit = Some(|messages| edit_imu(messages, accel_to_g));
+    } => OnlyOtherFinding("ORD008");
 
-    MDL001 a_gyro_that_reads_too_much: |log| {
-        log.edit = Some(|messages| change(messages, |sample| sample.gyro *= 1.06));
+    MDL001 a_gyro_gain_error: |log| {
+        log.edit = Some(|messages| edit_imu(messages, |sample| sample.gyro *= 1.06));
     } => warning(Topic(IMU), Amount(0.06, 5e-3));
-    MDL001 a_gyro_with_a_gain_of_two_percent_is_sound: |log| {
-        log.edit = Some(|messages| change(messages, |sample| sample.gyro *= 1.02));
-    } => Sound;
-    MDL001 a_gyro_that_saturates: |log| log.edit = Some(|messages| change(messages, saturate))
-        => error(Topic(IMU), About(0.5, 1e-9));
-    YAW004 a_gyro_that_saturates_has_no_bias: |log| {
-        log.edit = Some(|messages| change(messages, saturate));
-    } => BlamedOn("MDL001");
+    MDL001 a_gyro_with_a_gain_of_two_percent_passes: |log| {
+        log.edit = Some(|messages| edit_imu(messages, |sample| sample.gyro *= 1.02));
+    } => NoFindings;
+    MDL001 a_saturated_gyro: |log| log.edit = Some(|messages| edit_imu(messages, saturate_gyro))
+        => error(Topic(IMU), AmountWithoutInterval(0.5, 1e-9));
+    YAW004 a_saturated_gyro_is_not_reported_as_bias: |log| {
+        log.edit = Some(|messages| edit_imu(messages, saturate_gyro));
+    } => OnlyOtherFinding("MDL001");
 
-    YAW002 a_world_whose_z_is_down: |log| log.edit = Some(|messages| change(messages, into_ned))
+    YAW002 a_world_frame_with_z_down: |log| log.edit = Some(|messages| edit_imu(messages, world_to_ned))
         => error(Topic(IMU), Degrees(180.0, 0.5));
-    YAW001 a_world_whose_z_is_down_does_not_drift: |log| {
-        log.edit = Some(|messages| change(messages, into_ned));
-    } => BlamedOn("YAW002");
+    YAW001 a_world_frame_with_z_down_is_not_reported_as_yaw_drift: |log| {
+        log.edit = Some(|messages| edit_imu(messages, world_to_ned));
+    } => OnlyOtherFinding("YAW002");
 
-    YAW001 a_compass_in_steel: |log| {
+    YAW001 a_heading_error_from_soft_iron: |log| {
         log.run.duration_s = 20.0;
-        log.edit = Some(|messages| change(messages, soft_iron));
+        log.edit = Some(|messages| edit_imu(messages, add_soft_iron_error));
     } => warning(Topic(IMU), Degrees(1.4, 0.05));
-    LAT003 a_compass_in_steel_is_as_late_as_ever: |log| {
+    LAT003 a_heading_error_is_not_reported_as_latency_step: |log| {
         log.run.duration_s = 20.0;
-        log.edit = Some(|messages| change(messages, soft_iron));
-    } => BlamedOn("YAW001");
+        log.edit = Some(|messages| edit_imu(messages, add_soft_iron_error));
+    } => OnlyOtherFinding("YAW001");
 
     YAW004 a_bias_that_steps: |log| {
         log.run.duration_s = 16.0;
-        log.edit = Some(|messages| change(messages, bias_steps));
+        log.edit = Some(|messages| edit_imu(messages, add_bias_step));
     } => error(Topic(IMU), Amount(0.025, 2e-3));
     YAW004 a_bias_that_settles: |log| {
         log.run.duration_s = 20.0;
-        log.edit = Some(|messages| change(messages, bias_settles));
+        log.edit = Some(|messages| edit_imu(messages, add_decaying_bias));
     } => error(Topic(IMU), Amount(0.03, 6e-3));
     YAW003 an_imu_that_slips: |log| {
         log.run.duration_s = 16.0;
-        log.edit = Some(|messages| change(messages, slip));
+        log.edit = Some(|messages| edit_imu(messages, slip_mount));
     } => error(Topic(IMU), Degrees(8.0, 0.2));
-    YAW001 an_imu_that_slips_does_not_drift: |log| {
+    YAW001 an_imu_that_slips_is_not_reported_as_yaw_drift: |log| {
         log.run.duration_s = 16.0;
-        log.edit = Some(|messages| change(messages, slip));
-    } => BlamedOn("YAW003");
+        log.edit = Some(|messages| edit_imu(messages, slip_mount));
+    } => OnlyOtherFinding("YAW003");
 }
 
 /// Time of changes within a run, s from the first sample.
@@ -97,28 +99,28 @@ struct Sample {
 }
 
 /// Edits the content of each IMU message.
-fn change(messages: &mut [Message], of: fn(&mut Sample)) {
+fn edit_imu(messages: &mut [Message], edit: fn(&mut Sample)) {
     const GYRO: usize = 8 * (4 + 9);
     const ACCEL: usize = GYRO + 8 * (3 + 9);
     let of_imu = messages.iter_mut().filter(|message| message.topic == IMU);
     let mut first_ns = None;
     for message in of_imu {
         let first_ns = *first_ns.get_or_insert(message.log_ns);
-        let found = message.fields().into_iter().find_map(|field| match field {
+        let orientation_at = message.fields().into_iter().find_map(|field| match field {
             Field::Xyzw(at) => Some(at),
             _ => None,
         });
-        let at = found.expect("an orientation");
+        let at = orientation_at.expect("an orientation");
         let orientation = message.floats::<4>(at);
-        let is_there = orientation.iter().any(|one| *one != 0.0);
+        let is_set = orientation.iter().any(|one| *one != 0.0);
         let mut sample = Sample {
             since_s: (message.log_ns as f64 - first_ns as f64) * 1e-9,
             world_from_imu: rotation_from_xyzw(orientation).unwrap_or_default(),
             gyro: message.floats::<3>(at + GYRO).into(),
             accel: message.floats::<3>(at + ACCEL).into(),
         };
-        of(&mut sample);
-        if is_there {
+        edit(&mut sample);
+        if is_set {
             message.set_floats(at, &xyzw_from_rotation(&sample.world_from_imu));
         }
         message.set_floats(at + GYRO, sample.gyro.as_slice());
@@ -126,29 +128,29 @@ fn change(messages: &mut [Message], of: fn(&mut Sample)) {
     }
 }
 
-fn in_degrees(sample: &mut Sample) {
+fn gyro_to_degrees(sample: &mut Sample) {
     sample.gyro *= 1_f64.to_degrees();
 }
 
-fn in_g(sample: &mut Sample) {
+fn accel_to_g(sample: &mut Sample) {
     sample.accel /= 9.80665;
 }
 
-fn in_milli_g(sample: &mut Sample) {
+fn accel_to_milli_g(sample: &mut Sample) {
     sample.accel /= 9.80665e-3;
 }
 
-fn saturate(sample: &mut Sample) {
+fn saturate_gyro(sample: &mut Sample) {
     sample.gyro = sample.gyro.map(|rate| rate.clamp(-0.5, 0.5));
 }
 
-fn into_ned(sample: &mut Sample) {
+fn world_to_ned(sample: &mut Sample) {
     let half = rotation_from_rotvec(Vec3::new(1.0, 1.0, 0.0).normalize() * std::f64::consts::PI);
     sample.world_from_imu = half * sample.world_from_imu;
 }
 
 /// A heading error of 2.8° peak to peak over this motion.
-fn soft_iron(sample: &mut Sample) {
+fn add_soft_iron_error(sample: &mut Sample) {
     let points = sample.world_from_imu * Vec3::x();
     let heading = points.y.atan2(points.x);
     let error = 5.0 * heading.sin() + 2.0 * (2.0 * heading).cos();
@@ -156,17 +158,17 @@ fn soft_iron(sample: &mut Sample) {
     sample.world_from_imu = turned * sample.world_from_imu;
 }
 
-fn bias_steps(sample: &mut Sample) {
+fn add_bias_step(sample: &mut Sample) {
     if sample.since_s > CHANGE_S {
         sample.gyro += Vec3::new(0.015, 0.0, 0.02);
     }
 }
 
-fn bias_settles(sample: &mut Sample) {
+fn add_decaying_bias(sample: &mut Sample) {
     sample.gyro.y += 0.03 * (-sample.since_s / 4.0).exp();
 }
 
-fn slip(sample: &mut Sample) {
+fn slip_mount(sample: &mut Sample) {
     if sample.since_s > CHANGE_S {
         let slip = rotation_from_rotvec(Vec3::new(0.6, 0.8, 0.0) * 8_f64.to_radians());
         sample.world_from_imu *= slip;
@@ -175,12 +177,12 @@ fn slip(sample: &mut Sample) {
     }
 }
 
-fn changed(of: fn(&mut Log)) -> Report {
-    Log::with(|log| {
+fn report_of_16_s(change: fn(&mut Log)) -> Report {
+    Log::modified(|log| {
         log.run.duration_s = 16.0;
-        of(log);
+        change(log);
     })
-    .audited()
+    .report()
 }
 
 /// Asserts that a finding changes between two values at [`CHANGE_S`].
@@ -198,66 +200,68 @@ fn assert_changes(found: &Finding, from: f64, to: f64, tolerance: f64) {
 }
 
 #[test]
-fn a_bias_that_steps_says_from_what_to_what_and_when() {
-    let report = changed(|log| log.edit = Some(|messages| change(messages, bias_steps)));
-    assert_changes(the(&report, "YAW004", IMU), 0.0, 0.025, 2e-3);
+fn a_bias_step_is_reported_with_both_values_and_its_time() {
+    let report =
+        report_of_16_s(|log| log.edit = Some(|messages| edit_imu(messages, add_bias_step)));
+    assert_changes(single_finding(&report, "YAW004", IMU), 0.0, 0.025, 2e-3);
 }
 
 #[test]
-fn an_imu_that_slips_says_from_what_to_what_and_when() {
+fn an_imu_slip_is_reported_with_both_values_and_its_time() {
     let to = 8_f64.to_radians();
-    let report = changed(|log| log.edit = Some(|messages| change(messages, slip)));
-    assert_changes(the(&report, "YAW003", IMU), 0.0, to, 4e-3);
-    let gyro_alone = changed(|log| {
+    let report = report_of_16_s(|log| log.edit = Some(|messages| edit_imu(messages, slip_mount)));
+    assert_changes(single_finding(&report, "YAW003", IMU), 0.0, to, 4e-3);
+    let gyro_alone = report_of_16_s(|log| {
         log.run.imu.with_orientation = false;
-        log.edit = Some(|messages| change(messages, slip));
+        log.edit = Some(|messages| edit_imu(messages, slip_mount));
     });
-    assert_changes(the(&gyro_alone, "YAW003", IMU), 0.0, to, 1e-2);
+    assert_changes(single_finding(&gyro_alone, "YAW003", IMU), 0.0, to, 1e-2);
 }
 
 #[test]
-fn a_drift_beside_what_depends_on_the_heading_is_found_with_it() {
-    let report = Log::with(|log| {
+fn a_yaw_drift_is_found_together_with_a_heading_error() {
+    let report = Log::modified(|log| {
         log.run.duration_s = 20.0;
         log.run.imu.yaw_drift_rad_s = 5_f64.to_radians() / 60.0;
-        log.edit = Some(|messages| change(messages, soft_iron));
+        log.edit = Some(|messages| edit_imu(messages, add_soft_iron_error));
     })
-    .audited();
+    .report();
     let [drift, heading] = report.findings.as_slice() else {
         panic!("a drift and a heading were expected:\n{}", summary(&report.findings))
     };
-    DegreesAMinute(5.0, 0.3).assert_is(drift.estimate.as_ref());
+    DegreesPerMinute(5.0, 0.3).assert_matches(drift.estimate.as_ref());
     assert_eq!(heading.evidence.more["kind"], "heading");
 }
 
 #[test]
-fn axes_of_ned_are_said_as_such() {
-    let report = Log::with(|log| {
+fn ned_axes_are_named_in_the_message() {
+    let report = Log::modified(|log| {
         log.edit = Some(|messages| {
-            change(messages, |sample| {
+            edit_imu(messages, |sample| {
                 let half = rotation_from_rotvec(Vec3::x() * std::f64::consts::PI);
-                into_ned(sample);
+                world_to_ned(sample);
                 sample.world_from_imu *= half;
                 (sample.gyro, sample.accel) = (half * sample.gyro, half * sample.accel);
             });
         });
     })
-    .audited();
-    let world = the(&report, "YAW002", IMU);
+    .report();
+    let world = single_finding(&report, "YAW002", IMU);
     assert!(world.message.contains("world frame has z down (NED)"), "{}", world.message);
-    let axes = the(&report, "YAW003", IMU);
+    let axes = single_finding(&report, "YAW003", IMU);
     assert!(axes.message.contains("(FRD, as with NED: z points down)"), "{}", axes.message);
     assert_eq!(report.findings.len(), 2, "{}", summary(&report.findings));
 }
 
 #[test]
-fn what_was_converted_is_judged_as_if_it_had_been_right() {
-    let sound = Log::sound().audited();
-    let converted = Log::with(|log| log.edit = Some(|messages| change(messages, in_degrees)));
-    let converted = converted.audited();
+fn other_rules_judge_the_gyro_after_conversion() {
+    let sound = Log::fault_free().report();
+    let converted =
+        Log::modified(|log| log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees)));
+    let converted = converted.report();
     let passed = |report: &Report, code: &str| {
-        let mut of = report.checks.iter().filter(|row| row.code == code);
-        let row = of.find(|row| row.subject.label() == IMU).expect("a row").clone();
+        let mut rows = report.checks.iter().filter(|row| row.code == code);
+        let row = rows.find(|row| row.subject.label() == IMU).expect("a row").clone();
         assert_eq!(row.status, Status::Pass, "{row:?}");
         row.estimate.as_ref().and_then(Estimate::value).expect("an amount")
     };

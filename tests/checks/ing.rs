@@ -2,56 +2,56 @@
 
 use poseaudit::synth::{IMU, JOINT_STATES, POSE};
 
-use crate::checks::case::On::{File, JointOf, Topic};
-use crate::checks::case::{Expected, What, cases, error, info, warning};
-use crate::checks::recording::{Message, throw};
-use crate::checks::tim::without_streams;
-use Expected::{BlamedOn, Refused, Skipped, Sound};
+use crate::checks::case::ExpectedSubject::{File, JointOf, Topic};
+use crate::checks::case::{Expected, ExpectedEstimate, cases, error, info, warning};
+use crate::checks::recording::{Message, displace};
+use crate::checks::tim::remove_streams;
+use Expected::{NoFindings, OnlyOtherFinding, Refused, Skipped};
 
 cases! {
     ING001 a_chunk_with_flipped_bits: |log| {
         log.edit = Some(|_| ());
         log.damage = Some(flip_bits);
-    } => error(File, What::None);
-    ING001 a_log_that_is_cut_off: |log| {
+    } => error(File, ExpectedEstimate::None);
+    ING001 a_truncated_log: |log| {
         log.edit = Some(|_| ());
         log.damage = Some(|bytes| bytes.truncate(bytes.len() * 9 / 10));
-    } => warning(File, What::None);
+    } => warning(File, ExpectedEstimate::None);
     ING001 a_log_without_its_summary: |log| log.damage = Some(cut_summary)
-        => warning(File, What::None);
-    ING001 a_compressed_log_is_sound: |log| log.edit = Some(|_| ()) => Sound;
-    ING001 a_schema_that_makes_no_sense_is_no_damage: |log| {
+        => warning(File, ExpectedEstimate::None);
+    ING001 a_compressed_log_passes: |log| log.edit = Some(|_| ()) => NoFindings;
+    ING001 an_unusable_schema_is_not_reported_as_damage: |log| {
         log.edit = Some(|messages| {
             for message in messages.iter_mut().filter(|message| message.topic == POSE) {
                 message.definition = "three numbers, and four\n".to_owned();
             }
         });
-    } => BlamedOn("ING002");
+    } => OnlyOtherFinding("ING002");
     ING001 an_empty_file: |log| log.damage = Some(Vec::clear) => Refused("empty");
 
-    ING002 a_pose_whose_schema_makes_no_sense: |log| {
+    ING002 a_pose_with_an_unusable_schema: |log| {
         log.edit = Some(|messages| {
             for message in messages.iter_mut().filter(|message| message.topic == POSE) {
                 message.definition = "three numbers, and four\n".to_owned();
             }
         });
-    } => warning(Topic(POSE), What::None);
-    ING002 an_imu_whose_messages_are_cut: |log| {
+    } => warning(Topic(POSE), ExpectedEstimate::None);
+    ING002 an_imu_with_truncated_messages: |log| {
         log.edit = Some(|messages| {
             for message in messages.iter_mut().filter(|message| message.topic == IMU) {
                 message.cdr.truncate(100);
             }
         });
-    } => warning(Topic(IMU), What::None);
-    ING002 a_description_that_is_cut: |log| {
+    } => warning(Topic(IMU), ExpectedEstimate::None);
+    ING002 a_truncated_robot_description: |log| {
         log.edit = Some(|messages| {
             for message in messages.iter_mut().filter(|it| it.topic == "/robot_description") {
                 let kept = message.cdr.len() / 2;
                 message.cdr[kept..].fill(b' ');
             }
         });
-    } => warning(Topic("/robot_description"), What::None);
-    ING002 a_type_that_no_audit_wants_is_sound: |log| {
+    } => warning(Topic("/robot_description"), ExpectedEstimate::None);
+    ING002 an_unusable_schema_of_an_unused_type_passes: |log| {
         log.edit = Some(|messages| {
             let mut foreign = messages[0].clone();
             foreign.topic = "/diagnostics".to_owned();
@@ -59,20 +59,20 @@ cases! {
             foreign.definition = "Gear[] gears\n".to_owned();
             messages.push(foreign);
         });
-    } => Sound;
-    ING002 a_log_that_is_cut_off_can_be_decoded: |log| {
+    } => NoFindings;
+    ING002 a_truncated_log_can_be_decoded: |log| {
         log.edit = Some(|_| ());
         log.damage = Some(|bytes| bytes.truncate(bytes.len() * 9 / 10));
-    } => BlamedOn("ING001");
+    } => OnlyOtherFinding("ING001");
     ING003 poses_of_which_half_are_infinite: |log| {
-        log.edit = Some(|messages| throw(messages, POSE, &every_second(), [f64::INFINITY; 3]));
-    } => warning(Topic(POSE), What::About(0.5, 0.01));
-    ING003 poses_that_are_no_numbers_for_a_second: |log| {
+        log.edit = Some(|messages| displace(messages, POSE, &every_second_row(), [f64::INFINITY; 3]));
+    } => warning(Topic(POSE), ExpectedEstimate::AmountWithoutInterval(0.5, 0.01));
+    ING003 nan_poses_for_one_second: |log| {
         log.edit = Some(|messages| {
-            throw(messages, POSE, &(60..85).collect::<Vec<_>>(), [f64::NAN; 3]);
+            displace(messages, POSE, &(60..85).collect::<Vec<_>>(), [f64::NAN; 3]);
         });
-    } => warning(Topic(POSE), What::About(0.125, 0.001));
-    ING003 orientations_that_some_senders_leave_unset: |log| {
+    } => warning(Topic(POSE), ExpectedEstimate::AmountWithoutInterval(0.125, 0.001));
+    ING003 unset_orientations: |log| {
         log.edit = Some(|messages| {
             let poses = messages.iter_mut().filter(|message| message.topic == POSE);
             for pose in poses.step_by(3) {
@@ -80,18 +80,18 @@ cases! {
                 pose.cdr[end - 32..].fill(0);
             }
         });
-    } => warning(Topic(POSE), What::About(1.0 / 3.0, 0.01));
-    ING003 a_joint_sample_that_no_joint_has: |log| {
-        log.edit = Some(|messages| turn(messages, 1e308));
-    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::About(1.0 / 400.0, 1e-4));
-    ING003 a_joint_sample_whose_square_is_no_number: |log| {
-        log.edit = Some(|messages| turn(messages, 1e155));
-    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::About(1.0 / 400.0, 1e-4));
-    ING003 a_sound_log: |_| {} => Sound;
-    ING003 no_stream_to_hold_any: |log| without_streams(&mut log.run) => Skipped("no joint states");
-    ING003 a_sample_that_jumps_is_usable: |log| {
-        log.edit = Some(|messages| throw(messages, POSE, &[100], [0.5, 0.0, 0.0]));
-    } => BlamedOn("MOT005");
+    } => warning(Topic(POSE), ExpectedEstimate::AmountWithoutInterval(1.0 / 3.0, 0.01));
+    ING003 an_impossible_joint_position: |log| {
+        log.edit = Some(|messages| turn_one_sample(messages, 1e308));
+    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), ExpectedEstimate::AmountWithoutInterval(1.0 / 400.0, 1e-4));
+    ING003 a_joint_position_whose_square_overflows: |log| {
+        log.edit = Some(|messages| turn_one_sample(messages, 1e155));
+    } => info(JointOf(JOINT_STATES, "shoulder_lift_joint"), ExpectedEstimate::AmountWithoutInterval(1.0 / 400.0, 1e-4));
+    ING003 a_fault_free_log: |_| {} => NoFindings;
+    ING003 no_stream_with_samples: |log| remove_streams(&mut log.run) => Skipped("no joint states");
+    ING003 an_outlier_is_usable: |log| {
+        log.edit = Some(|messages| displace(messages, POSE, &[100], [0.5, 0.0, 0.0]));
+    } => OnlyOtherFinding("MOT005");
     ING002 a_text_file: |log| log.damage = Some(|bytes| *bytes = b"to,do\nor,not\n".to_vec())
         => Refused("text");
 }
@@ -126,12 +126,12 @@ fn flip_bits(bytes: &mut Vec<u8>) {
     bytes[end - 64..end].iter_mut().for_each(|byte| *byte ^= 0x55);
 }
 
-fn every_second() -> Vec<usize> {
+fn every_second_row() -> Vec<usize> {
     (0..1000).step_by(2).collect()
 }
 
 /// Rotates the second joint of one joint state.
-fn turn(messages: &mut [Message], by_rad: f64) {
+fn turn_one_sample(messages: &mut [Message], by_rad: f64) {
     let mut states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
     states.nth(200).expect("a joint state").turn_joint(1, by_rad);
 }

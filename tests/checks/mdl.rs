@@ -11,76 +11,76 @@ use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
 use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
 
-use crate::checks::case::On::Topic;
-use crate::checks::case::What::{Frame, ResidualBetween};
-use crate::checks::case::{Expected, Log, cases, error, info, summary, the};
-use Expected::{BlamedOn, Sound, Undecided};
+use crate::checks::case::ExpectedEstimate::{Frame, ResidualBetween};
+use crate::checks::case::ExpectedSubject::Topic;
+use crate::checks::case::{Expected, Log, cases, error, info, single_finding, summary};
+use Expected::{Inconclusive, NoFindings, OnlyOtherFinding};
 
 cases! {
-    MDL001 nominal_kinematics: |log| calibrate(&mut log.run)
+    MDL001 nominal_kinematics: |log| add_link_deviations(&mut log.run)
         => info(Topic(POSE), ResidualBetween(0.5e-3, 6e-3));
     MDL001 a_forearm_of_another_length: |log| lengthen_forearm(&mut log.run)
         => error(Topic(POSE), ResidualBetween(0.01, 0.1));
 
-    MDL001 the_arms_own_calibration_leaves_nothing: |log| {
-        calibrate(&mut log.run);
+    MDL001 the_calibration_of_the_arm_leaves_no_residual: |log| {
+        add_link_deviations(&mut log.run);
         log.options.run.calibrations = vec![calibration_file(&log.run.robot)];
-    } => Sound;
-    MDL001 a_tenth_of_a_millimetre_of_link_is_sound: |log| {
-        alter(&mut log.run, "wrist_1_joint", [1e-4, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    } => Sound;
+    } => NoFindings;
+    MDL001 a_tenth_of_a_millimetre_of_link_passes: |log| {
+        move_joint_origin(&mut log.run, "wrist_1_joint", [1e-4, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    } => NoFindings;
 
-    MDL001 a_joint_zero_leaves_nothing: |log| {
-        log.run.joints.zero_offsets = crate::checks::zer::zero(1, 0.8);
-    } => BlamedOn("ZER001");
-    MDL001 a_misread_rotation_leaves_nothing: |log| {
+    MDL001 a_zero_offset_leaves_no_residual: |log| {
+        log.run.joints.zero_offsets = crate::checks::zer::zero_offset(1, 0.8);
+    } => OnlyOtherFinding("ZER001");
+    MDL001 a_misread_rotation_leaves_no_residual: |log| {
         log.run.pose.coding = crate::checks::ord::misread_as_rpy();
-    } => BlamedOn("ORD001");
-    MDL001 a_late_pose_leaves_nothing: |log| log.run.pose.timing.latency_s = 0.05
-        => BlamedOn("LAT001");
-    MDL001 a_frame_leaves_nothing: |log| {
-        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
-    } => BlamedOn("FRM002");
+    } => OnlyOtherFinding("ORD001");
+    MDL001 a_late_pose_leaves_no_residual: |log| log.run.pose.timing.latency_s = 0.05
+        => OnlyOtherFinding("LAT001");
+    MDL001 a_frame_offset_leaves_no_residual: |log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
+    } => OnlyOtherFinding("FRM002");
 
-    MDL001 growth_with_reach_leaves_nothing: |log| log.run.pose.growth = 0.01
-        => BlamedOn("ZER002");
+    MDL001 radial_scale_leaves_no_residual: |log| log.run.pose.growth = 0.01
+        => OnlyOtherFinding("ZER002");
 
-    MDL001 nothing_but_joint_states: |log| joint_states_alone(&mut log.run)
-        => Undecided("nothing in this log can be compared with /joint_states");
-    MDL001 a_handful_of_samples: |log| {
-        joint_states_alone(&mut log.run);
+    MDL001 only_joint_states: |log| remove_other_streams(&mut log.run)
+        => Inconclusive("nothing in this log can be compared with /joint_states");
+    MDL001 too_few_pose_samples: |log| {
+        remove_other_streams(&mut log.run);
         log.run.pose.timing.rate_hz = 0.3;
-    } => Undecided("samples");
+    } => Inconclusive("samples");
 }
 
 /// Removes every stream that could be compared with the joint states.
-fn joint_states_alone(run: &mut Scenario) {
+fn remove_other_streams(run: &mut Scenario) {
     for timing in [&mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing] {
         timing.rate_hz = 0.0;
     }
 }
 
 #[test]
-fn joint_states_alone_are_no_pass() {
-    let report = Log::with(|log| joint_states_alone(&mut log.run)).audited();
+fn a_log_of_only_joint_states_is_inconclusive() {
+    let report = Log::modified(|log| remove_other_streams(&mut log.run)).report();
     assert_eq!(report.verdict, Verdict::Inconclusive);
 }
 
 /// Makes the forearm 60 mm longer and the upper arm 60 mm shorter, which no zero offset or frame can
 /// explain.
 pub fn lengthen_forearm(run: &mut Scenario) {
-    alter(run, "wrist_1_joint", [-0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    alter(run, "elbow_joint", [0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    move_joint_origin(run, "wrist_1_joint", [-0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    move_joint_origin(run, "elbow_joint", [0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
 }
 
 /// Makes the arm a real one: all links deviate slightly from the catalogue model of the audit.
-pub fn calibrate(run: &mut Scenario) {
-    alter(run, "shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]);
-    alter(run, "shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]);
-    alter(run, "elbow_joint", [1.1e-3, 0.4e-3, 0.5e-3, 0.9e-3, -0.6e-3, 0.0]);
-    alter(run, "wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]);
-    alter(run, "wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]);
-    alter(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
+pub fn add_link_deviations(run: &mut Scenario) {
+    move_joint_origin(run, "shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]);
+    move_joint_origin(run, "shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]);
+    move_joint_origin(run, "elbow_joint", [1.1e-3, 0.4e-3, 0.5e-3, 0.9e-3, -0.6e-3, 0.0]);
+    move_joint_origin(run, "wrist_1_joint", [-0.9e-3, 0.3e-3, -0.6e-3, -0.7e-3, 0.9e-3, 0.0]);
+    move_joint_origin(run, "wrist_2_joint", [0.2e-3, 0.5e-3, -0.3e-3, 1.0e-3, 0.0, 0.4e-3]);
+    move_joint_origin(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
 }
 
 /// Writes the calibration of a UR like `ur_calibration`.
@@ -111,12 +111,12 @@ fn calibration_file(robot: &Robot) -> CalibrationSource {
 }
 
 #[test]
-fn a_calibration_is_said_in_the_robots_source() {
-    let report = Log::with(|log| {
-        calibrate(&mut log.run);
+fn a_calibration_is_named_in_the_robot_source() {
+    let report = Log::modified(|log| {
+        add_link_deviations(&mut log.run);
         log.options.run.calibrations = vec![calibration_file(&log.run.robot)];
     })
-    .audited();
+    .report();
     let source = &report.robots[0].source;
     assert!(source.ends_with("calibration.yaml (calib_1234567890)"), "{source}");
     assert_eq!(
@@ -126,35 +126,35 @@ fn a_calibration_is_said_in_the_robots_source() {
 }
 
 #[test]
-fn nominal_kinematics_beside_a_late_inverted_pose_are_still_nominal() {
-    let report = Log::with(|log| {
-        calibrate(&mut log.run);
+fn a_nominal_model_is_found_with_a_late_inverted_pose() {
+    let report = Log::modified(|log| {
+        add_link_deviations(&mut log.run);
         log.run.pose.timing.latency_s = 0.02;
         log.run.pose.coding = Coding::Inverted;
     })
-    .audited();
+    .report();
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, ["LAT001", "MDL001", "ORD003"].into(), "{}", summary(&report.findings));
 }
 
 #[test]
-fn a_tool_and_growth_are_no_calibration_however_noisy_the_tracker() {
-    let report = Log::with(|log| {
+fn with_a_noisy_tracker_tool_offset_and_radial_scale_are_not_reported_as_nominal_model() {
+    let report = Log::modified(|log| {
         log.run.noise = Noise { pose_m: 2e-4, pose_rad: 4e-4, ..log.run.noise };
         log.run.pose.tip_from_stream = Pose::translation(0.0, 0.003, -0.002);
         log.run.pose.growth = 0.004;
         log.run.pose.coding = Coding::Inverted;
         log.run.pose.timing.rate_hz = 50.0;
     })
-    .audited();
+    .report();
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, ["FRM003", "ORD003", "ZER002"].into(), "{}", summary(&report.findings));
 }
 
 #[test]
-fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
-    let report = Log::with(|log| log.options.run.robots = vec!["ur10e".into()]).audited();
-    let message = &the(&report, "MDL001", POSE).message;
+fn a_wrong_model_is_reported_with_the_catalogue_arm_that_fits() {
+    let report = Log::modified(|log| log.options.run.robots = vec!["ur10e".into()]).report();
+    let message = &single_finding(&report, "MDL001", POSE).message;
     assert!(message.contains("wrong robot model: a ur5e fits the poses to "), "{message}");
     assert_eq!(report.robots[0].name, "ur10e");
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
@@ -162,25 +162,27 @@ fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
 }
 
 #[test]
-fn the_catalogue_does_not_displace_a_model_that_a_frame_makes_fit_as_well() {
-    let report = turned_in_its_cell([0.0; 3]).audited();
+fn a_model_that_fits_with_a_frame_offset_is_not_reported_as_wrong() {
+    let report = log_of_arm_in_cell([0.0; 3]).report();
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
-    Frame([0.0, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
+    Frame([0.0, 1e-3], [180.0, 0.1])
+        .assert_matches(single_finding(&report, "FRM002", POSE).estimate.as_ref());
 }
 
 #[test]
-fn a_base_turned_by_half_in_a_cell_is_no_joint_turned_by_half() {
-    let report = turned_in_its_cell([0.3, 0.0, 0.8]).audited();
+fn a_base_rotated_in_a_cell_is_not_reported_as_a_zero_offset() {
+    let report = log_of_arm_in_cell([0.3, 0.0, 0.8]).report();
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, ["FRM002"].into(), "{}", summary(&report.findings));
-    Frame([0.6, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
+    Frame([0.6, 1e-3], [180.0, 0.1])
+        .assert_matches(single_finding(&report, "FRM002", POSE).estimate.as_ref());
 }
 
 /// An arm at `xyz` (m) in its cell, with poses relative to the cell that are rotated by 180° about the
 /// base's z axis.
-fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
-    Log::with(|log| {
+fn log_of_arm_in_cell(xyz: [f64; 3]) -> Log {
+    Log::modified(|log| {
         let Log { run, .. } = log;
         let root = run.robot.link_name(run.robot.root());
         let [x, y, z] = xyz;
@@ -200,7 +202,7 @@ fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log contains neither the
 /// altered model nor its transforms.
-pub fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
+pub fn move_joint_origin(run: &mut Scenario, joint: &str, by: [f64; 6]) {
     let text = urdf_text(&run.robot);
     let (before, from_joint) = text.split_once(&format!("<joint name=\"{joint}\"")).expect(joint);
     let (head, rest) = from_joint.split_once("<origin xyz=\"").expect("an origin");
@@ -212,10 +214,10 @@ pub fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
         (number + by).to_string()
     });
     let [x, y, z, roll, pitch, yaw] = numbers.collect::<Vec<_>>().try_into().expect("six");
-    let altered = format!(
+    let changed_urdf = format!(
         "{before}<joint name=\"{joint}\"{head}<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"{rest}"
     );
-    run.robot = Robot::from_urdf(&altered, "an altered arm").expect("a robot");
+    run.robot = Robot::from_urdf(&changed_urdf, "an altered arm").expect("a robot");
     run.description = false;
     run.tf.timing.rate_hz = 0.0;
 }

@@ -5,17 +5,17 @@
 //! fails here.
 
 mod case;
-mod changes;
-mod combined;
-mod fix;
+mod combined_faults;
+mod corrections;
 mod frm;
 mod hec;
 mod imu;
 mod ing;
 mod invariance;
 mod lat;
-mod long;
+mod long_runs;
 mod mdl;
+mod mid_run_changes;
 mod mot;
 mod ord;
 mod recording;
@@ -77,8 +77,8 @@ const WITHOUT_INPUT: &[&str] =
 const OF_DATASETS: &[&str] = &["META001", "META002"];
 
 #[test]
-fn a_sound_log_passes_every_rule_on_every_subject() {
-    let report = Log::with(hec::add_camera).audited();
+fn a_fault_free_log_passes_every_rule_on_every_subject() {
+    let report = Log::modified(hec::add_camera).report();
     assert_eq!(report.verdict, Verdict::Pass);
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
     let asked: BTreeSet<&str> = report.checks.iter().map(|row| row.code).collect();

@@ -12,49 +12,49 @@ use poseaudit::geometry::{
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
 
-use crate::checks::case::On::{self, JointOf, Topic};
-use crate::checks::case::What::{self, Degrees, Order, ReadAs};
-use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
-use crate::checks::recording::{Field, Message, cut_out, stick};
-use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
+use crate::checks::case::ExpectedEstimate::{self, Degrees, IsReadAs, Order};
+use crate::checks::case::ExpectedSubject::{self, JointOf, Topic};
+use crate::checks::case::{Expected, Log, cases, error, single_finding, summary, warning};
+use crate::checks::recording::{Field, Message, drop_messages, freeze_samples};
+use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, OtherFindingAndInconclusive, Skipped};
 
 /// Topic of the poses as unnamed numbers.
 const NUMBERS: &str = "/arm/tool_vector";
 
 cases! {
     ORD001 a_rotation_vector_read_as_rpy: |log| log.run.pose.coding = misread_as_rpy()
-        => error(Topic(POSE), ReadAs("rotvec", "euler:xyz"));
-    ORD001 moving_axes_for_fixed: |log| log.run.pose.coding = misread("euler:xyz", "euler:XYZ")
-        => error(Topic(POSE), ReadAs("euler:xyz", "euler:XYZ"));
+        => error(Topic(POSE), IsReadAs("rotvec", "euler:xyz"));
+    ORD001 intrinsic_angles_read_as_extrinsic: |log| log.run.pose.coding = misread("euler:xyz", "euler:XYZ")
+        => error(Topic(POSE), IsReadAs("euler:xyz", "euler:XYZ"));
     ORD001 zyz_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYZ", "euler:xyz")
-        => error(Topic(POSE), ReadAs("euler:ZYZ", "euler:xyz"));
+        => error(Topic(POSE), IsReadAs("euler:ZYZ", "euler:xyz"));
     ORD001 zyx_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYX", "euler:xyz")
-        => error(Topic(POSE), ReadAs("euler:ZYX", "euler:xyz"));
+        => error(Topic(POSE), IsReadAs("euler:ZYX", "euler:xyz"));
     ORD001 rpy_read_as_a_rotation_vector: |log| {
         log.run.pose.coding = misread("euler:xyz", "rotvec");
-    } => error(Topic(POSE), ReadAs("euler:xyz", "rotvec"));
-    ORD001 axes_turned_in_another_order: |log| {
+    } => error(Topic(POSE), IsReadAs("euler:xyz", "rotvec"));
+    ORD001 euler_angles_in_another_axis_order: |log| {
         log.run.pose.coding = misread("euler:xzy@axes", "euler:xyz");
-    } => error(Topic(POSE), ReadAs("euler:xzy@axes", "euler:xyz"));
-    ORD001 an_imu_that_is_misread: |log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz")
-        => error(Topic(IMU), ReadAs("euler:ZYX", "euler:xyz"));
+    } => error(Topic(POSE), IsReadAs("euler:xzy@axes", "euler:xyz"));
+    ORD001 a_misread_imu: |log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz")
+        => error(Topic(IMU), IsReadAs("euler:ZYX", "euler:xyz"));
 
-    ORD001 rotations_through_a_half_turn_are_sound: |log| {
+    ORD001 rotations_beyond_180_degrees_pass: |log| {
         // The tool's orientation passes 180°, where quaternions change sign.
         log.run.home = vec![0.4, -1.2, 1.2, -1.6, -1.57, 3.0];
         log.run.motion = Motion::Continuous;
-    } => Sound;
+    } => NoFindings;
 
-    ORD001 a_quaternion_slip_is_no_convention: |log| {
+    ORD001 a_wrong_quaternion_order_is_not_reported_as_rotation_encoding: |log| {
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
-    } => BlamedOn("ORD002");
-    ORD001 a_transpose_is_no_convention: |log| log.run.pose.coding = Coding::Transposed
-        => BlamedOn("ORD003");
-    ORD001 a_turned_base_is_no_convention: |log| {
-        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
-    } => BlamedOn("FRM002");
-    ORD001 a_late_pose_is_no_convention: |log| log.run.pose.timing.latency_s = 0.1
-        => BlamedOn("LAT001");
+    } => OnlyOtherFinding("ORD002");
+    ORD001 a_transpose_is_not_reported_as_rotation_encoding: |log| log.run.pose.coding = Coding::Transposed
+        => OnlyOtherFinding("ORD003");
+    ORD001 a_rotated_base_is_not_reported_as_rotation_encoding: |log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
+    } => OnlyOtherFinding("FRM002");
+    ORD001 a_late_pose_is_not_reported_as_rotation_encoding: |log| log.run.pose.timing.latency_s = 0.1
+        => OnlyOtherFinding("LAT001");
 
     ORD001 no_orientations: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -64,18 +64,18 @@ cases! {
 
     ORD002 w_first_read_as_w_last: |log| {
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
-    } => error(Topic(POSE), ReadAs("quat:wxyz", "quat:xyzw"));
+    } => error(Topic(POSE), IsReadAs("quat:wxyz", "quat:xyzw"));
     ORD002 w_last_read_as_w_first: |log| {
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
-    } => error(Topic(POSE), ReadAs("quat:xyzw", "quat:wxyz"));
+    } => error(Topic(POSE), IsReadAs("quat:xyzw", "quat:wxyz"));
     ORD002 an_imu_with_w_first: |log| {
         log.run.imu.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
-    } => error(Topic(IMU), ReadAs("quat:wxyz", "quat:xyzw"));
-    ORD002 quaternions_of_either_sign_are_sound: |log| log.edit = Some(|messages| turn_signs(messages)) => Sound;
-    ORD002 a_misread_rotation_is_no_slip: |log| log.run.pose.coding = misread_as_rpy()
-        => BlamedOn("ORD001");
-    ORD002 an_inverse_is_no_slip: |log| log.run.pose.coding = Coding::Inverted
-        => BlamedOn("ORD003");
+    } => error(Topic(IMU), IsReadAs("quat:wxyz", "quat:xyzw"));
+    ORD002 quaternions_of_either_sign_pass: |log| log.edit = Some(|messages| flip_quaternion_signs(messages)) => NoFindings;
+    ORD002 a_misread_rotation_is_not_reported_as_quaternion_order: |log| log.run.pose.coding = misread_as_rpy()
+        => OnlyOtherFinding("ORD001");
+    ORD002 an_inverse_is_not_reported_as_quaternion_order: |log| log.run.pose.coding = Coding::Inverted
+        => OnlyOtherFinding("ORD003");
     ORD002 no_quaternions: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
@@ -83,20 +83,20 @@ cases! {
     } => Skipped("no stream with orientations");
 
     ORD003 an_inverted_pose: |log| log.run.pose.coding = Coding::Inverted
-        => error(Topic(POSE), ReadAs("pose-inverse", "pose"));
+        => error(Topic(POSE), IsReadAs("pose-inverse", "pose"));
     ORD003 a_transposed_rotation: |log| log.run.pose.coding = Coding::Transposed
-        => error(Topic(POSE), ReadAs("transpose", "pose"));
+        => error(Topic(POSE), IsReadAs("transpose", "pose"));
     ORD003 an_inverted_imu: |log| log.run.imu.coding = Coding::Transposed
-        => error(Topic(IMU), ReadAs("transpose", "pose"));
-    ORD003 a_base_out_of_line_is_sound: |log| log.run.imu.world_yaw_rad = 2.9 => Sound;
-    ORD003 a_misread_rotation_is_no_inverse: |log| {
+        => error(Topic(IMU), IsReadAs("transpose", "pose"));
+    ORD003 a_shifted_base_passes: |log| log.run.imu.world_yaw_rad = 2.9 => NoFindings;
+    ORD003 a_misread_rotation_is_not_reported_as_inverse: |log| {
         log.run.pose.coding = misread("euler:ZYX", "euler:xyz");
-    } => BlamedOn("ORD001");
-    ORD003 a_quaternion_slip_is_no_inverse: |log| {
+    } => OnlyOtherFinding("ORD001");
+    ORD003 a_wrong_quaternion_order_is_not_reported_as_inverse: |log| {
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
-    } => BlamedOn("ORD002");
-    ORD003 a_tool_is_no_inverse: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool()
-        => BlamedOn("FRM003");
+    } => OnlyOtherFinding("ORD002");
+    ORD003 a_tool_offset_is_not_reported_as_inverse: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool_offset()
+        => OnlyOtherFinding("FRM003");
     ORD003 no_poses: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
@@ -104,193 +104,193 @@ cases! {
     } => Skipped("no stream with orientations");
 
     ORD004 joints_in_degrees: |log| log.run.joints.in_degrees = true
-        => error(Topic(JOINT_STATES), ReadAs("deg", "rad"));
-    ORD004 an_arm_that_hardly_leaves_zero_is_sound: |log| {
+        => error(Topic(JOINT_STATES), IsReadAs("deg", "rad"));
+    ORD004 joints_near_zero_pass: |log| {
         log.run.home = vec![0.0; 6];
         log.run.amplitude = 0.1;
-    } => Sound;
-    ORD004 joints_in_another_order_are_no_degrees: |log| {
+    } => NoFindings;
+    ORD004 joints_in_another_order_are_not_reported_as_degrees: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
-    } => BlamedOn("ORD005");
-    ORD004 millimetres_are_no_degrees: |log| log.run.pose.in_millimetres = true
-        => BlamedOn("ORD008");
+    } => OnlyOtherFinding("ORD005");
+    ORD004 millimetres_are_not_reported_as_degrees: |log| log.run.pose.in_millimetres = true
+        => OnlyOtherFinding("ORD008");
     ORD004 joints_in_degrees_at_rest: |log| {
         (log.run.joints.in_degrees, log.run.motion) = (true, Motion::AtRest);
-    } => error(Topic(JOINT_STATES), ReadAs("deg", "rad"));
-    ORD004 an_arm_that_rests_where_its_joints_say_is_sound: |log| log.run.motion = Motion::AtRest => Sound;
+    } => error(Topic(JOINT_STATES), IsReadAs("deg", "rad"));
+    ORD004 correct_joints_at_rest_pass: |log| log.run.motion = Motion::AtRest => NoFindings;
     ORD004 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
-    ORD004 nothing_to_hold_the_joints_against: |log| {
+    ORD004 no_stream_to_compare_joints_with: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
         log.run.imu.timing.rate_hz = 0.0;
-    } => Undecided("log a pose");
+    } => Inconclusive("log a pose");
 
-    ORD005 numbers_in_the_order_of_the_alphabet: |log| {
+    ORD005 positions_in_alphabetical_order: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
     } => error(Topic(JOINT_STATES), Order(&[
         "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint",
         "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
     ]));
-    ORD005 numbers_in_a_ring: |log| {
+    ORD005 positions_rotated_by_one_joint: |log| {
         log.run.joints.number_order = Some(vec![5, 0, 1, 2, 3, 4]);
     } => error(Topic(JOINT_STATES), Order(&[
         "wrist_3_joint", "shoulder_pan_joint", "shoulder_lift_joint",
         "elbow_joint", "wrist_1_joint", "wrist_2_joint",
     ]));
-    ORD005 names_and_numbers_in_the_same_order_are_sound: |log| {
-        log.edit = Some(|messages| reorder(messages, [2, 1, 0, 3, 4, 5]));
-    } => Sound;
-    ORD005 degrees_are_no_order: |log| log.run.joints.in_degrees = true => BlamedOn("ORD004");
-    ORD005 joint_zeros_are_no_order: |log| {
+    ORD005 names_and_positions_in_the_same_order_pass: |log| {
+        log.edit = Some(|messages| reorder_joints(messages, [2, 1, 0, 3, 4, 5]));
+    } => NoFindings;
+    ORD005 joints_in_degrees_are_not_reported_as_joint_order: |log| log.run.joints.in_degrees = true => OnlyOtherFinding("ORD004");
+    ORD005 zero_offsets_are_not_reported_as_joint_order: |log| {
         log.run.joints.zero_offsets = vec![0.0, 0.0, 0.0, 0.05];
-    } => BlamedOn("ZER001");
+    } => OnlyOtherFinding("ZER001");
     ORD005 no_names: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
-    ORD005 only_what_believes_the_names: |log| {
+    ORD005 only_streams_derived_from_the_names: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
         log.run.pose.timing.rate_hz = 0.0;
         log.run.imu.timing.rate_hz = 0.0;
-    } => Undecided("log a pose that does not come from /tf");
+    } => Inconclusive("log a pose that does not come from /tf");
 
-    ORD006 rpy_that_stands_upright: |log| {
-        turn_the_base_alone(log);
-        declare(log, |messages| as_euler(messages, Convention::RPY), "euler:xyz");
-    } => warning(Topic(NUMBERS), What::About(1.0, 1e-9));
-    ORD006 rpy_far_from_upright_is_sound: |log| {
+    ORD006 rpy_at_gimbal_lock: |log| {
+        move_first_joint_only(log);
+        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY), "euler:xyz");
+    } => warning(Topic(NUMBERS), ExpectedEstimate::AmountWithoutInterval(1.0, 1e-9));
+    ORD006 rpy_far_from_gimbal_lock_passes: |log| {
         (log.run.amplitude, log.run.speed) = (0.3, 1.0);
-        declare(log, |messages| as_euler(messages, Convention::RPY), "euler:xyz");
-    } => Sound;
-    ORD006 a_rotation_vector_has_no_lock: |log| {
-        turn_the_base_alone(log);
-        declare(log, |messages| as_numbers(messages, 1.0), "rotvec");
-    } => Sound;
-    ORD006 degrees_are_no_lock: |log| {
-        declare(log, |messages| as_numbers(messages, 1_f64.to_degrees()), "rotvec");
-    } => BlamedOn("ORD004");
-    ORD006 what_nobody_declared_is_no_lock: |log| {
-        turn_the_base_alone(log);
+        declare_encoding(log, |messages| poses_to_euler_numbers(messages, Convention::RPY), "euler:xyz");
+    } => NoFindings;
+    ORD006 a_rotation_vector_is_not_reported_as_gimbal_lock: |log| {
+        move_first_joint_only(log);
+        declare_encoding(log, |messages| poses_to_numbers(messages, 1.0), "rotvec");
+    } => NoFindings;
+    ORD006 angles_in_degrees_are_not_reported_as_gimbal_lock: |log| {
+        declare_encoding(log, |messages| poses_to_numbers(messages, 1_f64.to_degrees()), "rotvec");
+    } => OnlyOtherFinding("ORD004");
+    ORD006 undeclared_angles_are_not_reported_as_gimbal_lock: |log| {
+        move_first_joint_only(log);
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
-        log.edit = Some(|messages| as_euler(messages, Convention::RPY));
-    } => Sound;
-    ORD006 no_bare_numbers: |_| {} => Skipped("no stream uses Euler angles");
+        log.edit = Some(|messages| poses_to_euler_numbers(messages, Convention::RPY));
+    } => NoFindings;
+    ORD006 no_unnamed_numbers: |_| {} => Skipped("no stream uses Euler angles");
 
-    ORD007 a_standard_table_that_says_modified: |log| by_table(log, "modified", [""; 2])
-        => error(On::Robot, ReadAs("standard", "modified"));
-    ORD007 a_table_that_says_what_it_is: |log| by_table(log, "standard", [""; 2]) => Sound;
-    ORD007 a_joint_zero_is_no_convention: |log| {
-        by_table(log, "standard", [""; 2]);
-        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
-    } => BlamedOn("ZER001");
-    ORD007 a_misread_rotation_is_no_dh_convention: |log| {
-        by_table(log, "standard", [""; 2]);
+    ORD007 a_standard_dh_table_declared_as_modified: |log| use_dh_table(log, "modified", [""; 2])
+        => error(ExpectedSubject::Robot, IsReadAs("standard", "modified"));
+    ORD007 a_dh_table_declared_correctly: |log| use_dh_table(log, "standard", [""; 2]) => NoFindings;
+    ORD007 a_zero_offset_is_not_reported_as_dh_convention: |log| {
+        use_dh_table(log, "standard", [""; 2]);
+        log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6);
+    } => OnlyOtherFinding("ZER001");
+    ORD007 a_misread_rotation_is_not_reported_as_dh_convention: |log| {
+        use_dh_table(log, "standard", [""; 2]);
         log.run.pose.coding = misread_as_rpy();
-    } => BlamedOn("ORD001");
-    ORD007 a_shifted_base_is_no_convention: |log| {
-        by_table(log, "standard", [""; 2]);
-        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
-    } => BlamedOn("FRM002");
-    ORD007 another_arms_table_is_no_convention: |log| {
-        by_table(log, "standard", ["-0.425", "-0.365"]);
-    } => LeftOpenBy("MDL001", "wrong robot model");
+    } => OnlyOtherFinding("ORD001");
+    ORD007 a_shifted_base_is_not_reported_as_dh_convention: |log| {
+        use_dh_table(log, "standard", [""; 2]);
+        log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
+    } => OnlyOtherFinding("FRM002");
+    ORD007 a_dh_table_of_another_arm_is_not_reported_as_dh_convention: |log| {
+        use_dh_table(log, "standard", ["-0.425", "-0.365"]);
+    } => OtherFindingAndInconclusive("MDL001", "wrong robot model");
     ORD007 a_urdf: |_| {} => Skipped("DH convention");
-    ORD007 nothing_to_hold_the_table_against: |log| {
-        by_table(log, "modified", [""; 2]);
+    ORD007 no_stream_to_compare_the_dh_table_with: |log| {
+        use_dh_table(log, "modified", [""; 2]);
         log.run.pose.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
 
     ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
-        => error(Topic(POSE), ReadAs("mm", "m"));
-    ORD008 positions_in_centimetres: |log| log.edit = Some(|messages| in_unit(messages, 1e-2))
-        => error(Topic(POSE), ReadAs("cm", "m"));
-    ORD008 positions_in_inches: |log| log.edit = Some(|messages| in_unit(messages, 0.0254))
-        => error(Topic(POSE), ReadAs("in", "m"));
+        => error(Topic(POSE), IsReadAs("mm", "m"));
+    ORD008 positions_in_centimetres: |log| log.edit = Some(|messages| convert_unit(messages, 1e-2))
+        => error(Topic(POSE), IsReadAs("cm", "m"));
+    ORD008 positions_in_inches: |log| log.edit = Some(|messages| convert_unit(messages, 0.0254))
+        => error(Topic(POSE), IsReadAs("in", "m"));
     ORD008 positions_in_tenths_of_a_millimetre: |log| {
-        log.edit = Some(|messages| in_unit(messages, 1e-4));
-    } => error(Topic(POSE), ReadAs("0.1 mm", "m"));
-    ORD008 positions_in_kilometres: |log| log.edit = Some(|messages| in_unit(messages, 1e3))
-        => error(Topic(POSE), ReadAs("km", "m"));
-    ORD008 positions_in_a_unit_of_their_own: |log| {
-        log.edit = Some(|messages| in_unit(messages, 0.0043));
-    } => error(Topic(POSE), ReadAs("0.004300 m", "m"));
-    ORD008 mirrored_axes_are_no_unit: |log| log.edit = Some(|messages| in_axes(messages, UNITY, UNITY))
-        => BlamedOn("ORD010");
-    ORD008 a_percent_is_no_unit: |log| log.run.pose.growth = 0.3e-3 => Sound;
-    ORD008 degrees_are_no_millimetres: |log| log.run.joints.in_degrees = true
-        => BlamedOn("ORD004");
-    ORD008 a_frame_far_off_is_no_unit: |log| {
-        log.run.pose.reference_from_stream = crate::checks::frm::far_off();
-    } => BlamedOn("FRM002");
+        log.edit = Some(|messages| convert_unit(messages, 1e-4));
+    } => error(Topic(POSE), IsReadAs("0.1 mm", "m"));
+    ORD008 positions_in_kilometres: |log| log.edit = Some(|messages| convert_unit(messages, 1e3))
+        => error(Topic(POSE), IsReadAs("km", "m"));
+    ORD008 positions_in_an_unknown_unit: |log| {
+        log.edit = Some(|messages| convert_unit(messages, 0.0043));
+    } => error(Topic(POSE), IsReadAs("0.004300 m", "m"));
+    ORD008 mirrored_axes_are_not_reported_as_unit: |log| log.edit = Some(|messages| convert_axes(messages, UNITY, UNITY))
+        => OnlyOtherFinding("ORD010");
+    ORD008 a_scale_of_one_percent_is_not_reported_as_unit: |log| log.run.pose.growth = 0.3e-3 => NoFindings;
+    ORD008 joints_in_degrees_are_not_reported_as_millimetres: |log| log.run.joints.in_degrees = true
+        => OnlyOtherFinding("ORD004");
+    ORD008 a_distant_frame_is_not_reported_as_unit: |log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::distant_world();
+    } => OnlyOtherFinding("FRM002");
     ORD008 no_positions: |log| {
         log.run.imu.timing.rate_hz = 0.0;
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
 
-    ORD009 a_joint_that_is_reversed: |log| log.run.joints.scales = vec![1.0, 1.0, -1.0]
-        => error(JointOf(JOINT_STATES, "elbow_joint"), What::Amount(-1.0, 1e-3));
-    ORD009 a_wrist_that_is_reversed: |log| {
+    ORD009 a_reversed_joint: |log| log.run.joints.scales = vec![1.0, 1.0, -1.0]
+        => error(JointOf(JOINT_STATES, "elbow_joint"), ExpectedEstimate::Amount(-1.0, 1e-3));
+    ORD009 a_reversed_wrist: |log| {
         log.run.joints.scales = vec![1.0, 1.0, 1.0, 1.0, 1.0, -1.0];
-    } => error(JointOf(JOINT_STATES, "wrist_3_joint"), What::Amount(-1.0, 1e-3));
-    ORD009 a_gear_that_is_counted_twice: |log| log.run.joints.scales = vec![1.0, 0.5]
-        => error(JointOf(JOINT_STATES, "shoulder_lift_joint"), What::Amount(2.0, 2e-3));
-    ORD009 ticks_of_all_encoders: |log| log.run.joints.scales = vec![4096.0 / TAU; 6]
-        => error(Topic(JOINT_STATES), What::Amount(TAU / 4096.0, 1e-6));
-    ORD009 joints_in_degrees_have_no_gear: |log| log.run.joints.in_degrees = true
-        => BlamedOn("ORD004");
-    ORD009 joints_in_another_order_are_not_reversed: |log| {
+    } => error(JointOf(JOINT_STATES, "wrist_3_joint"), ExpectedEstimate::Amount(-1.0, 1e-3));
+    ORD009 a_gear_ratio_applied_twice: |log| log.run.joints.scales = vec![1.0, 0.5]
+        => error(JointOf(JOINT_STATES, "shoulder_lift_joint"), ExpectedEstimate::Amount(2.0, 2e-3));
+    ORD009 positions_in_encoder_ticks: |log| log.run.joints.scales = vec![4096.0 / TAU; 6]
+        => error(Topic(JOINT_STATES), ExpectedEstimate::Amount(TAU / 4096.0, 1e-6));
+    ORD009 joints_in_degrees_are_not_reported_as_joint_scale: |log| log.run.joints.in_degrees = true
+        => OnlyOtherFinding("ORD004");
+    ORD009 joints_in_another_order_are_not_reported_as_joint_scale: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
-    } => BlamedOn("ORD005");
-    ORD009 a_joint_homed_elsewhere_has_no_gear: |log| {
-        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 120.0);
-    } => BlamedOn("ZER001");
-    ORD009 a_turned_base_is_no_gear: |log| {
-        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
-    } => BlamedOn("FRM002");
-    ORD009 joints_that_count_rightly_are_sound: |_| {} => Sound;
+    } => OnlyOtherFinding("ORD005");
+    ORD009 a_large_zero_offset_is_not_reported_as_joint_scale: |log| {
+        log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 120.0);
+    } => OnlyOtherFinding("ZER001");
+    ORD009 a_rotated_base_is_not_reported_as_joint_scale: |log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
+    } => OnlyOtherFinding("FRM002");
+    ORD009 correct_joint_scales_pass: |_| {} => NoFindings;
     ORD009 no_joint_states_to_scale: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
-    ORD009 only_what_believes_the_joints: |log| {
+    ORD009 only_streams_derived_from_the_joints: |log| {
         log.run.joints.scales = vec![1.0, 1.0, -1.0];
         log.run.pose.timing.rate_hz = 0.0;
         log.run.imu.timing.rate_hz = 0.0;
-    } => Undecided("log a pose that does not come from /tf");
+    } => Inconclusive("log a pose that does not come from /tf");
 
-    ORD010 y_up_and_left_handed: |log| log.edit = Some(|messages| in_axes(messages, UNITY, UNITY))
-        => error(Topic(POSE), ReadAs("x right, y up, z forward (left-handed)", STANDARD));
-    ORD010 y_and_z_exchanged: |log| log.edit = Some(|messages| in_axes(messages, EXCHANGED, EXCHANGED))
-        => error(Topic(POSE), ReadAs("x forward, y up, z left (left-handed)", STANDARD));
-    ORD010 positions_alone: |log| log.edit = Some(|messages| in_axes(messages, OPTICAL, STANDARD))
-        => error(Topic(POSE), ReadAs("positions x right, y down, z forward", STANDARD));
-    ORD010 rotations_alone: |log| log.edit = Some(|messages| in_axes(messages, STANDARD, HALF))
-        => error(Topic(POSE), ReadAs("rotations x forward, y right, z down", STANDARD));
-    ORD010 axes_that_both_ends_exchange: |log| log.edit = Some(|messages| in_axes(messages, OPTICAL, OPTICAL))
-        => error(Topic(POSE), ReadAs("x right, y down, z forward", STANDARD));
-    ORD010 axes_as_they_should_be: |_| {} => Sound;
-    ORD010 a_turned_base_is_no_exchange: |log| {
-        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
-    } => BlamedOn("FRM002");
-    ORD010 an_inverse_is_no_exchange: |log| log.run.pose.coding = Coding::Inverted
-        => BlamedOn("ORD003");
+    ORD010 y_up_and_left_handed: |log| log.edit = Some(|messages| convert_axes(messages, UNITY, UNITY))
+        => error(Topic(POSE), IsReadAs("x right, y up, z forward (left-handed)", STANDARD));
+    ORD010 y_and_z_exchanged: |log| log.edit = Some(|messages| convert_axes(messages, EXCHANGED, EXCHANGED))
+        => error(Topic(POSE), IsReadAs("x forward, y up, z left (left-handed)", STANDARD));
+    ORD010 wrong_axes_of_positions_only: |log| log.edit = Some(|messages| convert_axes(messages, OPTICAL, STANDARD))
+        => error(Topic(POSE), IsReadAs("positions x right, y down, z forward", STANDARD));
+    ORD010 wrong_axes_of_rotations_only: |log| log.edit = Some(|messages| convert_axes(messages, STANDARD, HALF))
+        => error(Topic(POSE), IsReadAs("rotations x forward, y right, z down", STANDARD));
+    ORD010 wrong_axes_of_base_and_tool: |log| log.edit = Some(|messages| convert_axes(messages, OPTICAL, OPTICAL))
+        => error(Topic(POSE), IsReadAs("x right, y down, z forward", STANDARD));
+    ORD010 correct_axes: |_| {} => NoFindings;
+    ORD010 a_rotated_base_is_not_reported_as_axis_convention: |log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
+    } => OnlyOtherFinding("FRM002");
+    ORD010 an_inverse_is_not_reported_as_axis_convention: |log| log.run.pose.coding = Coding::Inverted
+        => OnlyOtherFinding("ORD003");
     ORD010 no_poses_with_axes: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
 
-    ORD011 z_that_is_always_zero: |log| log.edit = Some(|messages| constant(messages, 2))
-        => error(Topic(POSE), What::About(0.5, 0.45));
-    ORD011 x_that_is_always_zero: |log| log.edit = Some(|messages| constant(messages, 0))
-        => error(Topic(POSE), What::About(0.5, 0.45));
-    ORD011 an_arm_at_rest_is_sound: |log| log.run.motion = Motion::AtRest => Sound;
-    ORD011 a_base_alone_that_turns_is_sound: |log| {
+    ORD011 z_that_is_always_zero: |log| log.edit = Some(|messages| zero_coordinate(messages, 2))
+        => error(Topic(POSE), ExpectedEstimate::AmountWithoutInterval(0.5, 0.45));
+    ORD011 x_that_is_always_zero: |log| log.edit = Some(|messages| zero_coordinate(messages, 0))
+        => error(Topic(POSE), ExpectedEstimate::AmountWithoutInterval(0.5, 0.45));
+    ORD011 an_arm_at_rest_passes: |log| log.run.motion = Motion::AtRest => NoFindings;
+    ORD011 a_motion_of_only_the_first_joint_passes: |log| {
         log.run.motion = Motion::OneJoint(0);
         log.run.speed *= 0.5;
-    } => Sound;
-    ORD011 a_pose_that_never_moves_has_no_constant_coordinate: |log| {
+    } => NoFindings;
+    ORD011 a_constant_pose_is_not_reported_as_constant_coordinate: |log| {
         log.edit = Some(|messages| {
-            stick(messages, POSE, -1.0, 9.0);
-            cut_out(messages, POSE, 1.0, 9.0);
+            freeze_samples(messages, POSE, -1.0, 9.0);
+            drop_messages(messages, POSE, 1.0, 9.0);
         });
-    } => BlamedOn("FRM007");
-    ORD011 millimetres_are_not_constant: |log| log.run.pose.in_millimetres = true
-        => BlamedOn("ORD008");
+    } => OnlyOtherFinding("FRM007");
+    ORD011 millimetres_are_not_reported_as_constant_coordinate: |log| log.run.pose.in_millimetres = true
+        => OnlyOtherFinding("ORD008");
     ORD011 no_poses_with_coordinates: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
@@ -298,37 +298,37 @@ cases! {
 }
 
 #[test]
-fn an_inverse_pose_is_found_together_with_a_reading() {
+fn an_inverted_pose_is_found_together_with_a_misread_rotation() {
     for (coding, code, is, read_as) in [
         (Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw), "ORD002", "quat:wxyz", "quat:xyzw"),
         (misread_as_rpy(), "ORD001", "rotvec", "euler:xyz"),
     ] {
-        let report = Log::with(|log| {
+        let report = Log::modified(|log| {
             log.run.pose.coding = coding;
             log.run.pose.inverted = true;
         });
-        let report = report.audited();
-        ReadAs(is, read_as).assert_is(the(&report, code, POSE).estimate.as_ref());
-        let inverse = the(&report, "ORD003", POSE);
-        ReadAs("pose-inverse", "pose").assert_is(inverse.estimate.as_ref());
+        let report = report.report();
+        IsReadAs(is, read_as).assert_matches(single_finding(&report, code, POSE).estimate.as_ref());
+        let inverse = single_finding(&report, "ORD003", POSE);
+        IsReadAs("pose-inverse", "pose").assert_matches(inverse.estimate.as_ref());
         assert_eq!(report.findings.len(), 2, "{}", summary(&report.findings));
     }
 }
 
 #[test]
-fn positions_are_audited_where_the_orientation_was_never_set() {
+fn positions_are_audited_without_orientations() {
     for unset in [[0.0; 4], [0.0, 0.0, 0.0, 1.0], [f64::NAN; 4]] {
-        let report = Log::with(|log| {
+        let report = Log::modified(|log| {
             log.run.pose.timing.latency_s = 0.025;
             log.edit = Some(match unset {
-                [_, _, _, 1.0] => |messages| orient(messages, [0.0, 0.0, 0.0, 1.0]),
-                [part, ..] if part.is_nan() => |messages| orient(messages, [f64::NAN; 4]),
-                _ => |messages| orient(messages, [0.0; 4]),
+                [_, _, _, 1.0] => |messages| set_orientation(messages, [0.0, 0.0, 0.0, 1.0]),
+                [part, ..] if part.is_nan() => |messages| set_orientation(messages, [f64::NAN; 4]),
+                _ => |messages| set_orientation(messages, [0.0; 4]),
             });
         });
-        let report = report.audited();
-        let late = the(&report, "LAT001", POSE);
-        What::Amount(0.025, 1e-3).assert_is(late.estimate.as_ref());
+        let report = report.report();
+        let late = single_finding(&report, "LAT001", POSE);
+        ExpectedEstimate::Amount(0.025, 1e-3).assert_matches(late.estimate.as_ref());
         let row =
             report.checks.iter().find(|row| row.code == "ORD001" && row.subject.label() == POSE);
         let why = row.and_then(|row| row.reason.as_deref()).unwrap_or_default();
@@ -337,37 +337,38 @@ fn positions_are_audited_where_the_orientation_was_never_set() {
 }
 
 /// The report on a log with poses as unnamed numbers, without the finding about missing stamps.
-fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
-    let mut report = Log::with(|log| log.edit = Some(edit)).audited();
-    let stamps = the(&report, "TIM005", NUMBERS);
+fn report_of_numbers(edit: fn(&mut Vec<Message>)) -> Report {
+    let mut report = Log::modified(|log| log.edit = Some(edit)).report();
+    let stamps = single_finding(&report, "TIM005", NUMBERS);
     assert_eq!(stamps.severity, Severity::Info);
     report.findings.retain(|finding| finding.code != "TIM005");
-    let reading = the(&report, "ORD001", NUMBERS);
+    let reading = single_finding(&report, "ORD001", NUMBERS);
     assert_eq!(reading.severity, Severity::Info);
     assert_eq!(report.findings.len(), 1, "{}", summary(&report.findings));
     report
 }
 
 #[test]
-fn beside_a_wrong_dh_convention_other_faults_are_found_as_if_it_were_right() {
-    let report = Log::with(|log| {
-        by_table(log, "modified", [""; 2]);
-        log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
+fn other_faults_are_found_despite_a_wrong_dh_convention() {
+    let report = Log::modified(|log| {
+        use_dh_table(log, "modified", [""; 2]);
+        log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6);
         log.run.pose.timing.latency_s = 0.015;
     });
-    let report = report.audited();
+    let report = report.report();
     let mut codes: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
     codes.sort_unstable();
     assert_eq!(codes, ["LAT001", "ORD007", "ZER001"], "{}", summary(&report.findings));
-    Degrees(0.6, 0.02).assert_is(the(&report, "ZER001", "elbow_joint").estimate.as_ref());
+    Degrees(0.6, 0.02)
+        .assert_matches(single_finding(&report, "ZER001", "elbow_joint").estimate.as_ref());
     let source = &report.robots[0].source;
     assert!(source.ends_with("DH table interpreted as standard"), "{source}");
 }
 
 #[test]
-fn bare_numbers_are_read_as_what_follows_the_arm() {
-    let report = audited_as_numbers(|messages| as_numbers(messages, 1.0));
-    let message = &the(&report, "ORD001", NUMBERS).message;
+fn unnamed_numbers_get_the_encoding_that_fits_the_arm() {
+    let report = report_of_numbers(|messages| poses_to_numbers(messages, 1.0));
+    let message = &single_finding(&report, "ORD001", NUMBERS).message;
     assert!(
         message.starts_with("assumed m, rotvec in rad (as Universal Robots does)"),
         "{message}"
@@ -375,9 +376,9 @@ fn bare_numbers_are_read_as_what_follows_the_arm() {
 }
 
 #[test]
-fn bare_numbers_may_be_degrees() {
-    let report = audited_as_numbers(|messages| as_numbers(messages, 1_f64.to_degrees()));
-    let message = &the(&report, "ORD001", NUMBERS).message;
+fn unnamed_numbers_may_be_degrees() {
+    let report = report_of_numbers(|messages| poses_to_numbers(messages, 1_f64.to_degrees()));
+    let message = &single_finding(&report, "ORD001", NUMBERS).message;
     assert!(message.starts_with("assumed m, rotvec in deg"), "{message}");
     for code in ["ORD004", "ORD006", "ORD008"] {
         let rows =
@@ -390,13 +391,13 @@ fn bare_numbers_may_be_degrees() {
 }
 
 #[test]
-fn units_declared_wrongly_are_one_slip_of_units() {
-    let in_radians = |messages: &mut Vec<Message>| as_numbers(messages, 1.0);
-    let in_degrees = |messages: &mut Vec<Message>| as_numbers(messages, 1_f64.to_degrees());
-    let metres_as_millimetres = ("ORD008", ReadAs("m", "mm"));
-    let radians_as_degrees = ("ORD004", ReadAs("rad", "deg"));
-    let degrees_as_radians = ("ORD004", ReadAs("deg", "rad"));
-    type Declared<'a> = (&'a str, fn(&mut Vec<Message>), &'a [(&'a str, What)]);
+fn wrongly_declared_units_are_reported_as_units() {
+    let in_radians = |messages: &mut Vec<Message>| poses_to_numbers(messages, 1.0);
+    let in_degrees = |messages: &mut Vec<Message>| poses_to_numbers(messages, 1_f64.to_degrees());
+    let metres_as_millimetres = ("ORD008", IsReadAs("m", "mm"));
+    let radians_as_degrees = ("ORD004", IsReadAs("rad", "deg"));
+    let degrees_as_radians = ("ORD004", IsReadAs("deg", "rad"));
+    type Declared<'a> = (&'a str, fn(&mut Vec<Message>), &'a [(&'a str, ExpectedEstimate)]);
     let logs: [Declared<'_>; 6] = [
         ("rotvec", in_radians, &[]),
         ("rotvec,deg", in_degrees, &[]),
@@ -406,36 +407,36 @@ fn units_declared_wrongly_are_one_slip_of_units() {
         ("rotvec,deg,mm", in_radians, &[radians_as_degrees, metres_as_millimetres]),
     ];
     for (declared, edit, expected) in logs {
-        let report = Log::with(|log| {
+        let report = Log::modified(|log| {
             log.edit = Some(edit);
             let declaration = format!("{NUMBERS}={declared}");
             log.options.run.declared = vec![declaration.parse().expect("a declaration")];
         });
-        let mut report = report.audited();
+        let mut report = report.report();
         report.findings.retain(|finding| finding.code != "TIM005");
         let found = summary(&report.findings);
         assert_eq!(report.findings.len(), expected.len(), "{declared}:\n{found}");
         for (code, what) in expected {
-            let finding = the(&report, code, NUMBERS);
-            what.assert_is(finding.estimate.as_ref());
+            let finding = single_finding(&report, code, NUMBERS);
+            what.assert_matches(finding.estimate.as_ref());
             assert!(finding.message.contains("declared as"), "{found}");
         }
     }
 }
 
 #[test]
-fn at_rest_a_reading_passes_only_where_no_frame_can_make_up_for_it() {
-    let report = Log::with(|log| log.run.motion = Motion::AtRest).audited();
+fn at_rest_an_encoding_passes_only_if_no_frame_is_a_confounder() {
+    let report = Log::modified(|log| log.run.motion = Motion::AtRest).report();
     assert!(report.findings.is_empty(), "{}", summary(&report.findings));
     for code in ["ORD001", "ORD002", "ORD003"] {
-        let on = |topic: &str| {
+        let row_of = |topic: &str| {
             let is_meant = |row: &&CheckRow| row.code == code && row.subject.label() == topic;
             report.checks.iter().find(is_meant).expect("it is asked")
         };
         // The pose's frames are links of the arm; the IMU's world frame may have any rotation.
-        assert_eq!(on(POSE).status, Status::Pass, "{:#?}", on(POSE));
-        assert_eq!(on(IMU).status, Status::Inconclusive, "{:#?}", on(IMU));
-        assert!(on(IMU).reason.as_deref().is_some_and(|why| why.contains("turn the wrist")));
+        assert_eq!(row_of(POSE).status, Status::Pass, "{:#?}", row_of(POSE));
+        assert_eq!(row_of(IMU).status, Status::Inconclusive, "{:#?}", row_of(IMU));
+        assert!(row_of(IMU).reason.as_deref().is_some_and(|why| why.contains("turn the wrist")));
     }
 }
 
@@ -456,7 +457,7 @@ const OPTICAL: &str = "x right, y down, z forward";
 const HALF: &str = "x forward, y right, z down";
 
 /// Writes positions and rotations of the poses in these axes.
-pub fn in_axes(messages: &mut [Message], positions: &str, rotations: &str) {
+pub fn convert_axes(messages: &mut [Message], positions: &str, rotations: &str) {
     let axes = |name: &str| -> Axes { name.parse().expect("axes") };
     let (positions, turn) = (axes(positions), axes(rotations).conjugator());
     edit_poses(messages, |xyz, xyzw| {
@@ -467,12 +468,12 @@ pub fn in_axes(messages: &mut [Message], positions: &str, rotations: &str) {
 }
 
 /// Writes the positions of the poses in a unit of this many metres.
-pub fn in_unit(messages: &mut [Message], metres: f64) {
+pub fn convert_unit(messages: &mut [Message], metres: f64) {
     edit_poses(messages, |xyz, xyzw| (xyz.map(|part| part / metres), xyzw));
 }
 
 /// Sets one coordinate of the poses to zero.
-fn constant(messages: &mut [Message], axis: usize) {
+fn zero_coordinate(messages: &mut [Message], axis: usize) {
     edit_poses(messages, |mut xyz, xyzw| {
         xyz[axis] = 0.0;
         (xyz, xyzw)
@@ -480,7 +481,7 @@ fn constant(messages: &mut [Message], axis: usize) {
 }
 
 /// Sets all poses to one orientation.
-fn orient(messages: &mut [Message], xyzw: [f64; 4]) {
+fn set_orientation(messages: &mut [Message], xyzw: [f64; 4]) {
     edit_poses(messages, |xyz, _| (xyz, xyzw));
 }
 
@@ -511,7 +512,7 @@ rows = [
 
 /// Audits with a DH table that declares this convention, with one text replaced. The frames of the log's
 /// /tf are not links of a table.
-pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
+pub fn use_dh_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     let rows = if from.is_empty() { ROWS.to_owned() } else { ROWS.replacen(from, to, 1) };
     let names = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
     let names = names.map(|name| format!("\"{name}_joint\"")).join(", ");
@@ -530,9 +531,9 @@ pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     log.run.tf.timing.rate_hz = 0.0;
 }
 
-/// Turns the poses into six unnamed numbers: position, and rotation vector in units of 1 / `to_the_radian`
+/// Turns the poses into six unnamed numbers: position, and rotation vector in units of 1 / `per_radian`
 /// rad.
-pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
+pub fn poses_to_numbers(messages: &mut [Message], per_radian: f64) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let mut numbers = Vec::new();
         for field in message.fields() {
@@ -542,7 +543,7 @@ pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
                 Field::Xyzw(at) => {
                     let rotation = rotation_from_xyzw(message.floats(at)).expect("a rotation");
                     let rotvec = Convention::RotVec.numbers(&rotation);
-                    numbers.extend(rotvec.map(|radians| radians * to_the_radian));
+                    numbers.extend(rotvec.map(|radians| radians * per_radian));
                 }
             }
         }
@@ -551,7 +552,7 @@ pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
 }
 
 /// The same with three Euler angles.
-fn as_euler(messages: &mut [Message], convention: Convention) {
+fn poses_to_euler_numbers(messages: &mut [Message], convention: Convention) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let mut numbers = Vec::new();
         for field in message.fields() {
@@ -569,7 +570,7 @@ fn as_euler(messages: &mut [Message], convention: Convention) {
 }
 
 /// Declares the encoding of the unnamed numbers, and ignores their missing stamps.
-fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
+fn declare_encoding(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
     let declaration = format!("{NUMBERS}={convention}");
     log.options.run.declared = vec![declaration.parse().expect("a declaration")];
     log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
@@ -578,7 +579,7 @@ fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
 
 /// Rotates only the first joint, so that roll and pitch of the tool stay constant; with a straight second
 /// wrist, the tool's x axis points up.
-fn turn_the_base_alone(log: &mut Log) {
+fn move_first_joint_only(log: &mut Log) {
     log.run.motion = Motion::OneJoint(0);
     // One axis does not determine the encoding of rotations, so other rules are disabled.
     log.options.policy.rules.select = vec!["ORD006".parse().expect("a rule")];
@@ -586,7 +587,7 @@ fn turn_the_base_alone(log: &mut Log) {
 }
 
 /// Changes the sign of every other quaternion.
-pub fn turn_signs(messages: &mut [Message]) {
+pub fn flip_quaternion_signs(messages: &mut [Message]) {
     for message in messages.iter_mut().step_by(2) {
         for field in message.fields() {
             if let Field::Xyzw(at) = field {
@@ -597,7 +598,7 @@ pub fn turn_signs(messages: &mut [Message]) {
 }
 
 /// Reorders the joints of all joint states, names and numbers alike.
-pub fn reorder(messages: &mut [Message], order: [usize; 6]) {
+pub fn reorder_joints(messages: &mut [Message], order: [usize; 6]) {
     for message in messages.iter_mut().filter(|message| message.topic == JOINT_STATES) {
         message.reorder_joints(&order);
     }

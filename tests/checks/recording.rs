@@ -135,11 +135,11 @@ impl Message {
     /// Shifts its stamps and its receive time by `by_ns`.
     pub fn shift(&mut self, by_ns: i64) {
         self.log_ns += by_ns;
-        self.restamp(by_ns);
+        self.shift_stamps(by_ns);
     }
 
     /// Shifts its stamps by `by_ns`, but not its receive time.
-    pub fn restamp(&mut self, by_ns: i64) {
+    pub fn shift_stamps(&mut self, by_ns: i64) {
         const SECOND_NS: i64 = 1_000_000_000;
         for field in self.fields() {
             let Field::Stamp(at) = field else { continue };
@@ -248,20 +248,20 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// Offset of the next value of `size` bytes; skips `count` of them.
-    fn pass(&mut self, size: usize, count: usize) -> usize {
+    fn skip(&mut self, size: usize, count: usize) -> usize {
         let at = (self.at - 4).next_multiple_of(size) + 4;
         self.at = at + size * count;
         at
     }
 
     fn u32(&mut self) -> u32 {
-        let at = self.pass(4, 1);
+        let at = self.skip(4, 1);
         u32::from_le_bytes(self.bytes[at..at + 4].try_into().unwrap())
     }
 
     fn string(&mut self) -> String {
         let length = self.u32() as usize;
-        let at = self.pass(1, length);
+        let at = self.skip(1, length);
         String::from_utf8(self.bytes[at..at + length - 1].to_vec()).expect("a text")
     }
 
@@ -270,42 +270,42 @@ impl Reader<'_> {
         if count == 0 {
             return Vec::new();
         }
-        let at = self.pass(8, count);
+        let at = self.skip(8, count);
         let numbers = self.bytes[at..at + 8 * count].chunks_exact(8);
         numbers.map(|number| f64::from_le_bytes(number.try_into().unwrap())).collect()
     }
 
     /// The stamp; skips the frame.
     fn header(&mut self) -> Field {
-        let at = self.pass(4, 2);
+        let at = self.skip(4, 2);
         self.string();
         Field::Stamp(at)
     }
 
     fn xyz(&mut self, child: String) -> Field {
-        Field::Xyz(self.pass(8, 3), child)
+        Field::Xyz(self.skip(8, 3), child)
     }
 
     fn xyzw(&mut self) -> Field {
-        Field::Xyzw(self.pass(8, 4))
+        Field::Xyzw(self.skip(8, 4))
     }
 }
 
 /// Shifts the stamps of `topic` (all topics if empty) by `by_s`, for messages received from `from_s` to
 /// `to_s` after the first. Receive times stay.
-pub fn restamp(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64, by_s: f64) {
+pub fn shift_stamps(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64, by_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
     let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
     for message in messages.iter_mut().filter(|message| within.contains(&message.log_ns)) {
         if topic.is_empty() || message.topic == topic {
-            message.restamp(nanos(by_s));
+            message.shift_stamps(nanos(by_s));
         }
     }
 }
 
 /// Drops the messages of `topic` received from `from_s` to `to_s` after the first message.
-pub fn cut_out(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64) {
+pub fn drop_messages(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
     let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
@@ -313,7 +313,7 @@ pub fn cut_out(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64)
 }
 
 /// Moves the positions of samples `rows` of `topic` by `by_m`.
-pub fn throw(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 3]) {
+pub fn displace(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 3]) {
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
     for (_, message) in of_topic.enumerate().filter(|(row, _)| rows.contains(row)) {
         for field in message.fields() {
@@ -345,7 +345,7 @@ pub fn rename_frame(messages: &mut [Message], topic: &str, step: usize) {
 }
 
 /// Freezes the samples of `topic` received from `from_s` to `to_s` at the first of them.
-pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
+pub fn freeze_samples(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
     let within = start_ns + nanos(from_s)..start_ns.saturating_add(nanos(to_s));
@@ -362,7 +362,7 @@ pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
 }
 
 /// Sets all stamps of `topic` to the first.
-pub fn freeze(messages: &mut [Message], topic: &str) {
+pub fn freeze_stamps(messages: &mut [Message], topic: &str) {
     let mut first: Option<[u8; 8]> = None;
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
         for field in message.fields() {
@@ -376,7 +376,7 @@ pub fn freeze(messages: &mut [Message], topic: &str) {
 }
 
 /// Repeats every `every`th sample of `topic` until the next.
-pub fn repeat(messages: &mut [Message], topic: &str, every: usize) {
+pub fn repeat_samples(messages: &mut [Message], topic: &str, every: usize) {
     let mut new: Vec<[f64; 7]> = Vec::new();
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
     for (row, message) in of_topic.enumerate() {
@@ -395,7 +395,7 @@ pub fn repeat(messages: &mut [Message], topic: &str, every: usize) {
 }
 
 /// Freezes the joint states received from `from_s` to `to_s` at the first of them.
-pub fn stick_joints(messages: &mut [Message], from_s: f64, to_s: f64) {
+pub fn freeze_joints(messages: &mut [Message], from_s: f64, to_s: f64) {
     /// End offset of a message's stamp.
     const STAMP_END: usize = 12;
     let nanos = |seconds: f64| (seconds * 1e9) as i64;

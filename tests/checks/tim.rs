@@ -4,32 +4,35 @@ use poseaudit::finding::{Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{IMU, JOINT_STATES, Motion, POSE, Scenario, TF};
 
-use crate::checks::case::What::{self, About, Amount};
-use crate::checks::case::{Expected, Log, On, cases, error, info, summary, the, warning};
-use crate::checks::recording::{
-    Message, cut_out, repeat, restamp, set_stamp, stick, stick_joints, throw,
+use crate::checks::case::ExpectedEstimate::{self, Amount, AmountWithoutInterval};
+use crate::checks::case::{
+    Expected, ExpectedSubject, Log, cases, error, info, single_finding, summary, warning,
 };
-use Expected::{BlamedOn, Skipped, Sound};
-use On::{Run, Topic};
+use crate::checks::recording::{
+    Message, displace, drop_messages, freeze_joints, freeze_samples, repeat_samples, set_stamp,
+    shift_stamps,
+};
+use Expected::{NoFindings, OnlyOtherFinding, Skipped};
+use ExpectedSubject::{Run, Topic};
 
 cases! {
     TIM001 a_clock_that_is_set_back: |log| {
-        log.edit = Some(|messages| restamp(messages, IMU, 4.0, 4.02, -0.4037));
-    } => warning(Topic(IMU), About(0.39, 0.03));
+        log.edit = Some(|messages| shift_stamps(messages, IMU, 4.0, 4.02, -0.4037));
+    } => warning(Topic(IMU), AmountWithoutInterval(0.39, 0.03));
     TIM001 a_clock_that_is_set_back_in_a_log_without_joints: |log| {
         log.run.joints.timing.rate_hz = 0.0;
-        log.edit = Some(|messages| restamp(messages, IMU, 4.0, 4.02, -0.4037));
-    } => warning(Topic(IMU), About(0.39, 0.03));
-    TIM001 messages_in_turn_are_sound: |log| log.run.imu.timing.phase_s = 0.0 => Sound;
-    TIM001 a_late_pose_runs_forward: |log| log.run.pose.timing.latency_s = 0.022
-        => BlamedOn("LAT001");
-    TIM001 no_stream_that_could_run_back: |log| without_streams(&mut log.run)
+        log.edit = Some(|messages| shift_stamps(messages, IMU, 4.0, 4.02, -0.4037));
+    } => warning(Topic(IMU), AmountWithoutInterval(0.39, 0.03));
+    TIM001 increasing_stamps_pass: |log| log.run.imu.timing.phase_s = 0.0 => NoFindings;
+    TIM001 a_late_pose_is_not_reported_as_clock_reset: |log| log.run.pose.timing.latency_s = 0.022
+        => OnlyOtherFinding("LAT001");
+    TIM001 no_stream_for_clock_resets: |log| remove_streams(&mut log.run)
         => Skipped("no stamped stream");
 
-    TIM002 a_pose_that_stops_for_a_while: |log| {
-        log.edit = Some(|messages| cut_out(messages, POSE, 3.0, 3.7));
-    } => warning(Topic(POSE), About(0.72, 0.05));
-    TIM002 an_imu_that_loses_one_in_twenty: |log| {
+    TIM002 a_pose_with_a_gap: |log| {
+        log.edit = Some(|messages| drop_messages(messages, POSE, 3.0, 3.7));
+    } => warning(Topic(POSE), AmountWithoutInterval(0.72, 0.05));
+    TIM002 an_imu_that_loses_5_percent: |log| {
         log.edit = Some(|messages| {
             let mut count = 0;
             messages.retain(|message| {
@@ -37,42 +40,42 @@ cases! {
                 message.topic != IMU || count % 20 != 7
             });
         });
-    } => warning(Topic(IMU), About(0.05, 0.005));
-    TIM002 a_tracker_that_loses_one_in_twenty_in_a_log_without_joints: |log| {
+    } => warning(Topic(IMU), AmountWithoutInterval(0.05, 0.005));
+    TIM002 a_tracker_that_loses_5_percent_in_a_log_without_joints: |log| {
         log.run.joints.timing.rate_hz = 0.0;
         log.edit = Some(|messages| {
-            rename(messages, POSE, TRACKER);
+            rename_topic(messages, POSE, TRACKER);
             let mut count = 0;
             messages.retain(|message| {
                 count += usize::from(message.topic == TRACKER);
                 message.topic != TRACKER || count % 20 != 7
             });
         });
-    } => warning(Topic(TRACKER), About(0.05, 0.005));
-    TIM002 commands_come_when_they_come: |log| {
+    } => warning(Topic(TRACKER), AmountWithoutInterval(0.05, 0.005));
+    TIM002 irregular_commands_pass: |log| {
         log.edit = Some(|messages| {
-            cut_out(messages, POSE, 3.0, 5.0);
-            rename(messages, POSE, "/goal_pose");
+            drop_messages(messages, POSE, 3.0, 5.0);
+            rename_topic(messages, POSE, "/goal_pose");
         });
-    } => Sound;
-    TIM002 steady_streams_are_sound: |log| log.run.pose.timing.rate_hz = 20.0 => Sound;
-    TIM002 a_pose_that_ends_early_has_no_gap: |log| {
-        log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
-    } => BlamedOn("TIM006");
-    TIM002 no_stream_to_interrupt: |log| without_streams(&mut log.run) => Skipped("no periodic stream");
+    } => NoFindings;
+    TIM002 regular_streams_pass: |log| log.run.pose.timing.rate_hz = 20.0 => NoFindings;
+    TIM002 an_early_end_is_not_reported_as_gap: |log| {
+        log.edit = Some(|messages| drop_messages(messages, POSE, 6.0, 9.0));
+    } => OnlyOtherFinding("TIM006");
+    TIM002 no_stream_for_gaps: |log| remove_streams(&mut log.run) => Skipped("no periodic stream");
 
-    TIM004 a_pose_that_is_stamped_in_pairs: |log| {
+    TIM004 a_pose_with_stamps_in_equal_pairs: |log| {
         log.edit = Some(|messages| {
             let mut pose = 0;
             for message in messages.iter_mut().filter(|message| message.topic == POSE) {
                 pose += 1;
                 if pose % 20 == 0 {
-                    message.restamp(-40_000_000);
+                    message.shift_stamps(-40_000_000);
                 }
             }
         });
-    } => warning(Topic(POSE), About(0.05, 0.005));
-    TIM004 equal_messages_sent_twice_are_sound: |log| {
+    } => warning(Topic(POSE), AmountWithoutInterval(0.05, 0.005));
+    TIM004 repeated_equal_messages_pass: |log| {
         log.edit = Some(|messages| {
             let mut twice = Vec::new();
             for message in messages.drain(..) {
@@ -82,18 +85,18 @@ cases! {
             }
             *messages = twice;
         });
-    } => Sound;
-    TIM004 a_late_pose_is_stamped_once: |log| log.run.pose.timing.latency_s = 0.022
-        => BlamedOn("LAT001");
-    TIM004 no_stream_to_repeat: |log| without_streams(&mut log.run)
+    } => NoFindings;
+    TIM004 a_late_pose_is_not_reported_as_equal_stamps: |log| log.run.pose.timing.latency_s = 0.022
+        => OnlyOtherFinding("LAT001");
+    TIM004 no_stream_for_equal_stamps: |log| remove_streams(&mut log.run)
         => Skipped("no stamped stream");
 
     TIM006 a_pose_that_ends_early: |log| {
-        log.edit = Some(|messages| cut_out(messages, POSE, 6.0, 9.0));
-    } => warning(Topic(POSE), About(2.0, 0.1));
+        log.edit = Some(|messages| drop_messages(messages, POSE, 6.0, 9.0));
+    } => warning(Topic(POSE), AmountWithoutInterval(2.0, 0.1));
     TIM006 an_imu_that_begins_late: |log| {
-        log.edit = Some(|messages| cut_out(messages, IMU, -1.0, 2.5));
-    } => warning(Topic(IMU), About(2.5, 0.1));
+        log.edit = Some(|messages| drop_messages(messages, IMU, -1.0, 2.5));
+    } => warning(Topic(IMU), AmountWithoutInterval(2.5, 0.1));
     TIM006 an_imu_that_slows_down: |log| {
         log.edit = Some(|messages| {
             let start_ns = messages[0].log_ns;
@@ -103,98 +106,98 @@ cases! {
                 message.log_ns - start_ns < 5_000_000_000 || message.topic != IMU || count % 3 == 0
             });
         });
-    } => warning(Topic(IMU), About(33.3, 1.0));
-    TIM006 half_a_second_is_sound: |log| {
-        log.edit = Some(|messages| cut_out(messages, POSE, 7.5, 9.0));
-    } => Sound;
-    TIM006 a_gap_is_no_early_end: |log| {
-        log.edit = Some(|messages| cut_out(messages, POSE, 3.0, 3.7));
-    } => BlamedOn("TIM002");
-    TIM006 a_late_pose_does_not_begin_late: |log| log.run.pose.timing.latency_s = 1.5
-        => BlamedOn("LAT001");
-    TIM006 no_stream_to_end: |log| without_streams(&mut log.run) => Skipped("no stream");
+    } => warning(Topic(IMU), AmountWithoutInterval(33.3, 1.0));
+    TIM006 half_a_second_without_samples_at_the_end_passes: |log| {
+        log.edit = Some(|messages| drop_messages(messages, POSE, 7.5, 9.0));
+    } => NoFindings;
+    TIM006 a_gap_is_not_reported_as_early_end: |log| {
+        log.edit = Some(|messages| drop_messages(messages, POSE, 3.0, 3.7));
+    } => OnlyOtherFinding("TIM002");
+    TIM006 a_late_pose_is_not_reported_as_late_start: |log| log.run.pose.timing.latency_s = 1.5
+        => OnlyOtherFinding("LAT001");
+    TIM006 no_stream_that_can_end_early: |log| remove_streams(&mut log.run) => Skipped("no stream");
 
-    TIM006 a_pose_that_is_nowhere: |log| {
-        log.edit = Some(|messages| throw(messages, POSE, &every(), [f64::NAN; 3]));
-    } => warning(Topic(POSE), What::None);
+    TIM006 a_pose_stream_with_too_few_samples: |log| {
+        log.edit = Some(|messages| displace(messages, POSE, &all_rows(), [f64::NAN; 3]));
+    } => warning(Topic(POSE), ExpectedEstimate::None);
 
-    TIM007 a_pose_that_stands_still_for_two_seconds: |log| {
-        log.edit = Some(|messages| stick(messages, POSE, 3.0, 5.0));
-    } => error(Topic(POSE), About(1.96, 0.05));
-    TIM007 a_pose_that_dies_and_is_repeated: |log| {
-        log.edit = Some(|messages| stick(messages, POSE, 4.0, 9.0));
-    } => error(Topic(POSE), About(3.96, 0.05));
-    TIM007 a_pose_that_never_was: |log| {
-        log.edit = Some(|messages| stick(messages, POSE, -1.0, 9.0));
-    } => error(Topic(POSE), About(7.96, 0.05));
-    TIM007 a_pose_that_moves_is_sound: |log| log.run.pose.timing.rate_hz = 50.0 => Sound;
-    TIM007 an_arm_that_rests_stands_still: |log| {
+    TIM007 a_pose_frozen_for_two_seconds: |log| {
+        log.edit = Some(|messages| freeze_samples(messages, POSE, 3.0, 5.0));
+    } => error(Topic(POSE), AmountWithoutInterval(1.96, 0.05));
+    TIM007 a_pose_frozen_until_the_end: |log| {
+        log.edit = Some(|messages| freeze_samples(messages, POSE, 4.0, 9.0));
+    } => error(Topic(POSE), AmountWithoutInterval(3.96, 0.05));
+    TIM007 a_pose_that_is_always_zero: |log| {
+        log.edit = Some(|messages| freeze_samples(messages, POSE, -1.0, 9.0));
+    } => error(Topic(POSE), AmountWithoutInterval(7.96, 0.05));
+    TIM007 a_moving_pose_passes: |log| log.run.pose.timing.rate_hz = 50.0 => NoFindings;
+    TIM007 a_resting_arm_is_not_reported_as_frozen: |log| {
         log.run.motion = Motion::AtRest;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
-    } => Sound;
-    TIM007 a_pose_that_stands_still_beside_a_rest: |log| {
+    } => NoFindings;
+    TIM007 a_pose_frozen_next_to_a_rest: |log| {
         log.run.motion = Motion::PickAndPlace;
-        log.edit = Some(|messages| stick(messages, POSE, 4.0, 5.0));
-    } => error(Topic(POSE), About(0.96, 0.1));
-    TIM007 rests_of_a_late_pose_without_noise_are_sound: |log| {
+        log.edit = Some(|messages| freeze_samples(messages, POSE, 4.0, 5.0));
+    } => error(Topic(POSE), AmountWithoutInterval(0.96, 0.1));
+    TIM007 rests_of_a_late_noise_free_pose_pass: |log| {
         log.run.motion = Motion::PickAndPlace;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
         log.run.pose.timing.latency_s = 0.3;
-    } => BlamedOn("LAT001");
-    TIM007 rests_of_a_pose_without_noise_beside_joints_in_degrees_are_sound: |log| {
+    } => OnlyOtherFinding("LAT001");
+    TIM007 rests_of_a_noise_free_pose_with_joints_in_degrees_pass: |log| {
         log.run.motion = Motion::PickAndPlace;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
         log.run.noise.joints = 2e-4;
         log.run.joints.in_degrees = true;
-    } => BlamedOn("ORD004");
-    TIM007 a_late_pose_does_not_stand_still: |log| log.run.pose.timing.latency_s = 1.5
-        => BlamedOn("LAT001");
-    TIM007 joint_states_that_stand_still_amid_a_motion: |log| {
+    } => OnlyOtherFinding("ORD004");
+    TIM007 a_late_pose_is_not_reported_as_frozen: |log| log.run.pose.timing.latency_s = 1.5
+        => OnlyOtherFinding("LAT001");
+    TIM007 joint_states_frozen_during_a_motion: |log| {
         log.run.motion = Motion::Continuous;
-        log.edit = Some(|messages| stick_joints(messages, 3.0, 4.5));
-    } => error(Topic(JOINT_STATES), About(1.46, 0.1));
-    TIM007 no_stream_that_could_stand_still: |log| without_streams(&mut log.run) => Skipped("no");
+        log.edit = Some(|messages| freeze_joints(messages, 3.0, 4.5));
+    } => error(Topic(JOINT_STATES), AmountWithoutInterval(1.46, 0.1));
+    TIM007 no_stream_that_can_freeze: |log| remove_streams(&mut log.run) => Skipped("no");
 
-    TIM008 transforms_that_are_sent_three_times: |log| {
+    TIM008 transforms_repeated_three_times: |log| {
         log.run.tf.timing.rate_hz = 50.0;
-        log.edit = Some(|messages| repeat(messages, TF, 3));
-    } => error(Topic(TF), About(0.667, 0.05));
-    TIM008 fresh_transforms_are_sound: |log| log.run.tf.timing.rate_hz = 50.0 => Sound;
-    TIM008 a_pose_that_stands_still_is_no_poller: |log| {
-        log.edit = Some(|messages| stick(messages, POSE, 3.0, 5.0));
-    } => BlamedOn("TIM007");
-    TIM008 no_stream_that_repeats: |log| without_streams(&mut log.run) => Skipped("no stream");
+        log.edit = Some(|messages| repeat_samples(messages, TF, 3));
+    } => error(Topic(TF), AmountWithoutInterval(0.667, 0.05));
+    TIM008 transforms_without_repetitions_pass: |log| log.run.tf.timing.rate_hz = 50.0 => NoFindings;
+    TIM008 a_frozen_pose_is_not_reported_as_repeated_samples: |log| {
+        log.edit = Some(|messages| freeze_samples(messages, POSE, 3.0, 5.0));
+    } => OnlyOtherFinding("TIM007");
+    TIM008 no_stream_for_repeated_samples: |log| remove_streams(&mut log.run) => Skipped("no stream");
 
-    TIM003 an_imu_that_counts_from_its_start: |log| log.run.imu.timing.clock_offset_s = -1.78e9
+    TIM003 an_imu_clock_that_starts_at_zero: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => warning(Topic(IMU), Amount(-1.78e9, 0.005));
-    TIM003 a_pose_that_is_an_hour_ahead: |log| log.run.pose.timing.clock_offset_s = 3600.0
+    TIM003 a_pose_clock_one_hour_ahead: |log| log.run.pose.timing.clock_offset_s = 3600.0
         => warning(Topic(POSE), Amount(3600.0, 0.005));
-    TIM003 all_on_one_foreign_clock: |log| on_clock(&mut log.run, -1.7e9)
-        => info(Run, About(-1.7e9, 0.005));
-    TIM003 a_second_is_no_other_clock: |log| on_clock(&mut log.run, 1.0) => Sound;
+    TIM003 all_streams_on_another_clock_than_the_recorder: |log| set_clock_offset(&mut log.run, -1.7e9)
+        => info(Run, AmountWithoutInterval(-1.7e9, 0.005));
+    TIM003 one_second_is_not_reported_as_another_clock: |log| set_clock_offset(&mut log.run, 1.0) => NoFindings;
     TIM003 a_late_pose_is_on_the_same_clock: |log| log.run.pose.timing.latency_s = 1.5
-        => BlamedOn("LAT001");
-    TIM003 zero_stamps_are_no_clock: |log| log.run.pose.timing.stamped = false
-        => BlamedOn("TIM005");
-    TIM003 no_stream: |log| without_streams(&mut log.run) => Skipped("no stamped stream");
+        => OnlyOtherFinding("LAT001");
+    TIM003 zero_stamps_are_not_reported_as_another_clock: |log| log.run.pose.timing.stamped = false
+        => OnlyOtherFinding("TIM005");
+    TIM003 no_stream_with_a_clock: |log| remove_streams(&mut log.run) => Skipped("no stamped stream");
 
     TIM005 a_pose_without_stamps: |log| log.run.pose.timing.stamped = false
-        => warning(Topic(POSE), What::None);
+        => warning(Topic(POSE), ExpectedEstimate::None);
     TIM005 an_imu_without_stamps: |log| log.run.imu.timing.stamped = false
-        => warning(Topic(IMU), What::None);
+        => warning(Topic(IMU), ExpectedEstimate::None);
     TIM005 a_tracker_without_stamps_in_a_log_without_joints: |log| {
         log.run.joints.timing.rate_hz = 0.0;
         log.run.pose.timing.stamped = false;
-        log.edit = Some(|messages| rename(messages, POSE, TRACKER));
-    } => warning(Topic(TRACKER), What::None);
-    TIM005 commands_that_are_to_be_followed_at_once: |log| {
+        log.edit = Some(|messages| rename_topic(messages, POSE, TRACKER));
+    } => warning(Topic(TRACKER), ExpectedEstimate::None);
+    TIM005 commands_stamped_zero_pass: |log| {
         log.run.pose.timing.stamped = false;
-        log.edit = Some(|messages| rename(messages, POSE, "/goal_pose"));
-    } => info(Topic("/goal_pose"), What::None);
-    TIM005 stamps_that_stand_still: |log| {
-        log.edit = Some(|messages| crate::checks::recording::freeze(messages, POSE));
-    } => warning(Topic(POSE), What::None);
-    TIM005 stamps_of_four_thousand_million_nanoseconds: |log| {
+        log.edit = Some(|messages| rename_topic(messages, POSE, "/goal_pose"));
+    } => info(Topic("/goal_pose"), ExpectedEstimate::None);
+    TIM005 constant_stamps: |log| {
+        log.edit = Some(|messages| crate::checks::recording::freeze_stamps(messages, POSE));
+    } => warning(Topic(POSE), ExpectedEstimate::None);
+    TIM005 stamps_with_impossible_nanoseconds: |log| {
         log.edit = Some(|messages| {
             let of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
             for message in of_pose.step_by(20) {
@@ -203,8 +206,8 @@ cases! {
                 set_stamp(message, stamp.try_into().expect("eight bytes"));
             }
         });
-    } => warning(Topic(POSE), What::None);
-    TIM005 stamps_that_run_backward: |log| {
+    } => warning(Topic(POSE), ExpectedEstimate::None);
+    TIM005 decreasing_stamps: |log| {
         log.edit = Some(|messages| {
             for message in messages.iter_mut().filter(|message| message.topic == POSE) {
                 let second = (4_000_000_000 - message.log_ns / 10_000_000 % 1_000_000_000) as u32;
@@ -212,42 +215,42 @@ cases! {
                 set_stamp(message, stamp.try_into().expect("eight bytes"));
             }
         });
-    } => warning(Topic(POSE), What::None);
-    TIM005 one_stamp_that_is_zero: |log| {
+    } => warning(Topic(POSE), ExpectedEstimate::None);
+    TIM005 one_zero_stamp: |log| {
         log.edit = Some(|messages| {
             let mut of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
             set_stamp(of_pose.nth(100).expect("a pose"), [0; 8]);
         });
-    } => info(Topic(POSE), What::None);
+    } => info(Topic(POSE), ExpectedEstimate::None);
     TIM005 the_first_stamp_of_a_simulation: |log| {
         log.edit = Some(|messages| {
             let mut of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
             set_stamp(of_pose.next().expect("a pose"), [0; 8]);
         });
-    } => Sound;
-    TIM005 two_stamps_that_are_zero: |log| {
+    } => NoFindings;
+    TIM005 two_zero_stamps: |log| {
         log.edit = Some(|messages| {
             let of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
             of_pose.skip(100).take(2).for_each(|message| set_stamp(message, [0; 8]));
         });
-    } => warning(Topic(POSE), What::None);
-    TIM005 stamps_that_advance_are_sound: |log| log.run.pose.timing.phase_s = 0.0 => Sound;
-    TIM005 another_clock_is_no_missing_stamp: |log| log.run.imu.timing.clock_offset_s = -1.78e9
-        => BlamedOn("TIM003");
-    TIM005 no_stream_to_stamp: |log| without_streams(&mut log.run) => Skipped("no");
+    } => warning(Topic(POSE), ExpectedEstimate::None);
+    TIM005 advancing_stamps_pass: |log| log.run.pose.timing.phase_s = 0.0 => NoFindings;
+    TIM005 another_clock_is_not_reported_as_missing_stamps: |log| log.run.imu.timing.clock_offset_s = -1.78e9
+        => OnlyOtherFinding("TIM003");
+    TIM005 no_stream_with_stamps: |log| remove_streams(&mut log.run) => Skipped("no");
 }
 
 /// A topic whose name does not indicate its role.
 const TRACKER: &str = "/tracker/rigid_body";
 
-fn rename(messages: &mut [Message], from: &str, to: &str) {
+fn rename_topic(messages: &mut [Message], from: &str, to: &str) {
     for message in messages.iter_mut().filter(|message| message.topic == from) {
         message.topic = to.to_owned();
     }
 }
 
 /// Moves all stamps to a clock that is ahead of the recorder's by `offset_s`.
-fn on_clock(run: &mut Scenario, offset_s: f64) {
+fn set_clock_offset(run: &mut Scenario, offset_s: f64) {
     let Scenario { joints, pose, tf, imu, .. } = run;
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
         timing.clock_offset_s = offset_s;
@@ -255,11 +258,11 @@ fn on_clock(run: &mut Scenario, offset_s: f64) {
 }
 
 /// All sample indices.
-fn every() -> Vec<usize> {
+fn all_rows() -> Vec<usize> {
     (0..10_000).collect()
 }
 
-pub(crate) fn without_streams(run: &mut Scenario) {
+pub(crate) fn remove_streams(run: &mut Scenario) {
     let Scenario { joints, pose, tf, imu, .. } = run;
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
         timing.rate_hz = 0.0;
@@ -267,26 +270,29 @@ pub(crate) fn without_streams(run: &mut Scenario) {
 }
 
 #[test]
-fn an_arm_at_rest_may_be_silent_about_it() {
-    let report = Log::with(|log| {
+fn gaps_of_poses_at_rest_pass() {
+    let report = Log::modified(|log| {
         log.run.motion = Motion::AtRest;
         log.edit = Some(|messages| {
-            cut_out(messages, POSE, 3.0, 4.7);
-            cut_out(messages, POSE, 5.5, 9.0);
+            drop_messages(messages, POSE, 3.0, 4.7);
+            drop_messages(messages, POSE, 5.5, 9.0);
         });
     })
-    .audited();
+    .report();
     assert!(report.findings.is_empty(), "{}", summary(&report.findings));
-    let is_poses = |code: &str| {
+    let statuses_of_pose = |code: &str| {
         let rows = report.checks.iter().filter(move |row| row.code == code);
         rows.filter(|row| row.subject.label() == POSE).map(|row| row.status).collect::<Vec<_>>()
     };
-    assert_eq!([is_poses("TIM002"), is_poses("TIM006")], [[Status::Pass], [Status::Pass]]);
+    assert_eq!(
+        [statuses_of_pose("TIM002"), statuses_of_pose("TIM006")],
+        [[Status::Pass], [Status::Pass]]
+    );
 }
 
 /// Resets the clock of all streams to the start after `after_s`, like a simulator reset.
-fn reset(messages: &mut [Message], after_s: f64) {
-    restamp(messages, "", after_s, f64::MAX, -after_s);
+fn restart_clock(messages: &mut [Message], after_s: f64) {
+    shift_stamps(messages, "", after_s, f64::MAX, -after_s);
 }
 
 /// Findings other than the remark that the restarted clock is not the recorder's.
@@ -296,18 +302,18 @@ fn faults(report: &Report) -> Vec<&Finding> {
 }
 
 #[test]
-fn a_clock_that_begins_anew_splits_the_run() {
-    let split = Log::with(|log| {
+fn a_clock_restart_splits_the_run() {
+    let split = Log::modified(|log| {
         log.run.duration_s = 20.0;
-        log.edit = Some(|messages| reset(messages, 12.0));
+        log.edit = Some(|messages| restart_clock(messages, 12.0));
     })
-    .audited();
+    .report();
     assert!(faults(&split).is_empty(), "{}", summary(&split.findings));
     assert_eq!(split.verdict, Verdict::Pass);
     assert!(split.log.notes[0].note.contains("2 segments"), "{:?}", split.log.notes);
-    let remark = the(&split, "TIM003", "");
+    let remark = single_finding(&split, "TIM003", "");
     assert_eq!(remark.evidence.more["segment"]["number"], 2);
-    let whole = Log::with(|log| log.run.duration_s = 20.0).audited();
+    let whole = Log::modified(|log| log.run.duration_s = 20.0).report();
     let counts = |report: &Report| -> Vec<u64> {
         report.streams.iter().map(|stream| stream.count).collect()
     };
@@ -318,15 +324,15 @@ fn a_clock_that_begins_anew_splits_the_run() {
 }
 
 #[test]
-fn a_fault_of_one_segment_is_found_in_it() {
-    let report = Log::with(|log| {
+fn a_fault_of_one_segment_is_found_in_that_segment() {
+    let report = Log::modified(|log| {
         log.run.duration_s = 24.0;
         log.edit = Some(|messages| {
-            restamp(messages, POSE, 12.0, f64::MAX, 0.020);
-            reset(messages, 12.0);
+            shift_stamps(messages, POSE, 12.0, f64::MAX, 0.020);
+            restart_clock(messages, 12.0);
         });
     })
-    .audited();
+    .report();
     let [finding] = faults(&report)[..] else { panic!("{}", summary(&report.findings)) };
     assert_eq!((finding.code, finding.subject.label()), ("LAT001", POSE));
     assert_eq!(finding.evidence.more["segment"]["number"], 2);
@@ -335,12 +341,12 @@ fn a_fault_of_one_segment_is_found_in_it() {
 }
 
 #[test]
-fn a_tail_too_short_to_judge_leaves_nothing_open() {
-    let report = Log::with(|log| {
+fn a_last_segment_too_short_to_judge_leaves_nothing_inconclusive() {
+    let report = Log::modified(|log| {
         log.run.duration_s = 13.0;
-        log.edit = Some(|messages| reset(messages, 12.0));
+        log.edit = Some(|messages| restart_clock(messages, 12.0));
     })
-    .audited();
+    .report();
     assert!(faults(&report).is_empty(), "{}", summary(&report.findings));
     assert_eq!(report.verdict, Verdict::Pass);
     // The poses are too slow to show vibration, and there is no camera.

@@ -8,21 +8,21 @@ use poseaudit::geometry::Vec3;
 use poseaudit::report::Report;
 use poseaudit::synth::{Giving, IMU, JOINT_STATES, POSE, Scenario};
 
-use crate::checks::case::{Log, summary, the};
+use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::recording::{Field, Message, read, write};
 
 const SECOND_NS: f64 = 1e9;
 
 /// The report on 20 s of joint states at 125 Hz and poses at 50 Hz, with edited messages.
-fn edited(edit: fn(&mut Vec<Message>)) -> Report {
-    Log::with(|log| {
-        rich(&mut log.run);
+fn report_with(edit: fn(&mut Vec<Message>)) -> Report {
+    Log::modified(|log| {
+        use_high_rates(&mut log.run);
         log.edit = Some(edit);
     })
-    .audited()
+    .report()
 }
 
-fn rich(run: &mut Scenario) {
+fn use_high_rates(run: &mut Scenario) {
     run.tf.timing.rate_hz = 0.0;
     run.imu.timing.rate_hz = 0.0;
     run.duration_s = 20.0;
@@ -34,8 +34,8 @@ fn codes(report: &Report) -> BTreeSet<&str> {
     report.findings.iter().map(|finding| finding.code).collect()
 }
 
-fn amount(report: &Report, code: &str) -> (f64, f64) {
-    let estimate = the(report, code, POSE).estimate.as_ref().expect("an estimate");
+fn value_and_half_width(report: &Report, code: &str) -> (f64, f64) {
+    let estimate = single_finding(report, code, POSE).estimate.as_ref().expect("an estimate");
     (estimate.value().expect("an amount"), half_width(estimate))
 }
 
@@ -53,11 +53,11 @@ fn stamp_ns(message: &Message) -> i64 {
     i64::from(word(at)) * 1_000_000_000 + i64::from(word(at + 4))
 }
 
-fn poses(messages: &mut [Message]) -> impl Iterator<Item = &mut Message> {
-    of_topic(messages, POSE)
+fn pose_messages(messages: &mut [Message]) -> impl Iterator<Item = &mut Message> {
+    messages_of(messages, POSE)
 }
 
-fn of_topic<'a>(
+fn messages_of<'a>(
     messages: &'a mut [Message],
     topic: &'static str,
 ) -> impl Iterator<Item = &'a mut Message> {
@@ -65,13 +65,13 @@ fn of_topic<'a>(
 }
 
 /// Delays the poses' stamps by `late_s` of the sample's index and its time since the first, s.
-fn delay(messages: &mut [Message], late_s: impl Fn(usize, f64) -> f64) {
+fn delay_poses(messages: &mut [Message], late_s: impl Fn(usize, f64) -> f64) {
     delay_topic(messages, POSE, late_s);
 }
 
 fn delay_topic(messages: &mut [Message], topic: &'static str, late_s: impl Fn(usize, f64) -> f64) {
-    let first_ns = of_topic(messages, topic).map(|message| stamp_ns(message)).min().unwrap_or(0);
-    for (row, message) in of_topic(messages, topic).enumerate() {
+    let first_ns = messages_of(messages, topic).map(|message| stamp_ns(message)).min().unwrap_or(0);
+    for (row, message) in messages_of(messages, topic).enumerate() {
         let since_s = (stamp_ns(message) - first_ns) as f64 / SECOND_NS;
         message.shift((late_s(row, since_s) * SECOND_NS) as i64);
     }
@@ -79,27 +79,27 @@ fn delay_topic(messages: &mut [Message], topic: &'static str, late_s: impl Fn(us
 }
 
 /// Rounds the stamps of a topic to ticks; receive times stay.
-fn tick(messages: &mut [Message], topic: &str, tick_ns: i64) {
+fn round_stamps(messages: &mut [Message], topic: &str, tick_ns: i64) {
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
         let stamp_ns = stamp_ns(message);
-        message.restamp((stamp_ns + tick_ns / 2).div_euclid(tick_ns) * tick_ns - stamp_ns);
+        message.shift_stamps((stamp_ns + tick_ns / 2).div_euclid(tick_ns) * tick_ns - stamp_ns);
     }
 }
 
 /// Pseudo-random numbers from 0 to 1.
 fn random(row: usize) -> f64 {
-    let mixed = (row as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    ((mixed ^ (mixed >> 27)) >> 11) as f64 / (1_u64 << 53) as f64
+    let hash = (row as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let hash = (hash ^ (hash >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    ((hash ^ (hash >> 27)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 const TICK_NS: i64 = 15_625_000;
 
 #[test]
-fn stamps_of_a_coarse_clock_are_no_lost_samples() {
+fn stamps_of_a_coarse_clock_are_not_reported_as_lost_samples() {
     for report in [
-        edited(|messages| tick(messages, POSE, TICK_NS)),
-        edited(|messages| tick(messages, JOINT_STATES, 6_000_000)),
+        report_with(|messages| round_stamps(messages, POSE, TICK_NS)),
+        report_with(|messages| round_stamps(messages, JOINT_STATES, 6_000_000)),
     ] {
         assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
         let rows = report.checks.iter().filter(|row| row.code == "TIM002");
@@ -108,9 +108,9 @@ fn stamps_of_a_coarse_clock_are_no_lost_samples() {
 }
 
 #[test]
-fn samples_that_are_lost_are_counted_beside_a_coarse_clock() {
-    let report = edited(|messages| {
-        tick(messages, POSE, TICK_NS);
+fn lost_samples_are_counted_despite_a_coarse_clock() {
+    let report = report_with(|messages| {
+        round_stamps(messages, POSE, TICK_NS);
         let mut row = 0;
         messages.retain(|message| {
             row += 1;
@@ -118,47 +118,48 @@ fn samples_that_are_lost_are_counted_beside_a_coarse_clock() {
         });
     });
     assert_eq!(codes(&report), ["TIM002"].into(), "{}", summary(&report.findings));
-    let estimate = the(&report, "TIM002", POSE).estimate.as_ref().and_then(Estimate::value);
+    let estimate =
+        single_finding(&report, "TIM002", POSE).estimate.as_ref().and_then(Estimate::value);
     assert!(estimate.is_some_and(|share| (share - 0.08).abs() < 0.03), "{estimate:?}");
 }
 
 #[test]
-fn stamps_that_are_cut_to_a_tick_are_early_by_half_of_it() {
-    let report = edited(|messages| {
-        tick(messages, POSE, TICK_NS);
-        poses(messages).for_each(|message| message.restamp(-TICK_NS / 2));
+fn stamps_truncated_to_clock_ticks_are_early_by_half_a_tick() {
+    let report = report_with(|messages| {
+        round_stamps(messages, POSE, TICK_NS);
+        pose_messages(messages).for_each(|message| message.shift_stamps(-TICK_NS / 2));
     });
-    let (value, half) = amount(&report, "LAT001");
+    let (value, half) = value_and_half_width(&report, "LAT001");
     assert!((value + 0.5 * TICK_NS as f64 / SECOND_NS).abs() < 2.0 * half, "{value} ± {half}");
-    let message = &the(&report, "LAT001", POSE).message;
+    let message = &single_finding(&report, "LAT001", POSE).message;
     assert!(message.contains("half a clock tick of 15.6 ms"), "{message}");
 }
 
 #[test]
-fn a_latency_that_ramps_is_told_with_both_levels() {
-    let report = edited(|messages| {
-        delay(messages, |_, since_s| 0.004 + 0.02 * ((since_s - 6.0) / 6.0).clamp(0.0, 1.0));
+fn a_latency_ramp_is_reported_with_both_levels() {
+    let report = report_with(|messages| {
+        delay_poses(messages, |_, since_s| 0.004 + 0.02 * ((since_s - 6.0) / 6.0).clamp(0.0, 1.0));
     });
-    let finding = the(&report, "LAT003", POSE);
+    let finding = single_finding(&report, "LAT003", POSE);
     assert_eq!(finding.evidence.more["kind"], "ramp", "{}", summary(&report.findings));
-    let (value, half) = amount(&report, "LAT003");
+    let (value, half) = value_and_half_width(&report, "LAT003");
     assert!((value - 0.02).abs() < 2.0 * half.max(1e-4), "{value} ± {half}");
     let change = finding.estimate.as_ref().and_then(Estimate::change).expect("a change");
     assert!((change.from - 0.004).abs() < 5e-4 && (change.to - 0.024).abs() < 5e-4, "{change:?}");
 }
 
 #[test]
-fn a_latency_that_ramps_by_much_is_no_steps_and_no_other_model() {
-    let late = edited(|messages| {
-        delay(messages, |_, since_s| 0.09 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
+fn a_large_latency_ramp_is_not_reported_as_steps_or_wrong_model() {
+    let late = report_with(|messages| {
+        delay_poses(messages, |_, since_s| 0.09 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
     });
-    let early = edited(|messages| {
-        delay(messages, |_, since_s| -0.06 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
+    let early = report_with(|messages| {
+        delay_poses(messages, |_, since_s| -0.06 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
     });
     for (size_s, report) in [(0.09, late), (-0.06, early)] {
-        let finding = the(&report, "LAT003", POSE);
+        let finding = single_finding(&report, "LAT003", POSE);
         assert_eq!(finding.evidence.more["kind"], "ramp", "{}", summary(&report.findings));
-        let (value, half) = amount(&report, "LAT003");
+        let (value, half) = value_and_half_width(&report, "LAT003");
         assert!((value - size_s).abs() < 2.0 * half.max(1e-4), "{value} ± {half}");
         assert!(half < 1e-3, "{half}");
         let is_other = |code: &str| !["LAT001", "LAT003"].contains(&code);
@@ -168,17 +169,17 @@ fn a_latency_that_ramps_by_much_is_no_steps_and_no_other_model() {
 }
 
 #[test]
-fn a_latency_of_an_imu_that_ramps_is_told_and_is_no_drift_of_its_yaw() {
-    let report = Log::with(|log| {
-        rich(&mut log.run);
+fn a_latency_ramp_of_an_imu_is_reported_and_no_yaw_drift() {
+    let report = Log::modified(|log| {
+        use_high_rates(&mut log.run);
         log.run.imu.timing.rate_hz = 100.0;
         log.edit = Some(|messages: &mut Vec<Message>| {
             let late_s = |_, since_s: f64| 0.08 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0);
             delay_topic(messages, IMU, late_s);
         });
     })
-    .audited();
-    let finding = the(&report, "LAT003", IMU);
+    .report();
+    let finding = single_finding(&report, "LAT003", IMU);
     let estimate = finding.estimate.as_ref().expect("an estimate");
     let (value, half) = (estimate.value().expect("an amount"), half_width(estimate));
     assert!((value - 0.08).abs() < 2.0 * half.max(1e-4) && half < 2e-3, "{value} ± {half}");
@@ -187,8 +188,8 @@ fn a_latency_of_an_imu_that_ramps_is_told_and_is_no_drift_of_its_yaw() {
 }
 
 #[test]
-fn a_latency_that_goes_with_the_load_is_its_swing_and_nothing_else() {
-    let report = edited(|messages| {
+fn a_load_dependent_latency_is_reported_with_its_range_only() {
+    let report = report_with(|messages| {
         let at = |message: &Message| {
             let fields = message.fields().into_iter();
             let xyz = fields.into_iter().find_map(|field| match field {
@@ -197,18 +198,19 @@ fn a_latency_that_goes_with_the_load_is_its_swing_and_nothing_else() {
             });
             (stamp_ns(message) as f64 / SECOND_NS, Vec3::from(xyz.expect("a position")))
         };
-        let all: Vec<(f64, Vec3)> = poses(messages).map(|message| at(message)).collect();
+        let all: Vec<(f64, Vec3)> = pose_messages(messages).map(|message| at(message)).collect();
         let speed = |row: usize| {
             let (before, after) = (all[row.saturating_sub(1)], all[(row + 1).min(all.len() - 1)]);
             (after.1 - before.1).norm() / (after.0 - before.0)
         };
-        let most = (0..all.len()).map(speed).fold(0.0, f64::max);
-        let late: Vec<f64> = (0..all.len()).map(|row| 0.003 + 0.02 * speed(row) / most).collect();
-        delay(messages, |row, _| late[row]);
+        let max_speed = (0..all.len()).map(speed).fold(0.0, f64::max);
+        let late: Vec<f64> =
+            (0..all.len()).map(|row| 0.003 + 0.02 * speed(row) / max_speed).collect();
+        delay_poses(messages, |row, _| late[row]);
     });
-    let finding = the(&report, "LAT003", POSE);
+    let finding = single_finding(&report, "LAT003", POSE);
     assert_eq!(finding.evidence.more["kind"], "load", "{}", summary(&report.findings));
-    let (value, half) = amount(&report, "LAT003");
+    let (value, half) = value_and_half_width(&report, "LAT003");
     assert!((value - 0.02).abs() < 1e-3 && half < 1e-3, "{value} ± {half}");
     assert!(
         codes(&report).is_subset(&["LAT001", "LAT003"].into()),
@@ -218,36 +220,37 @@ fn a_latency_that_goes_with_the_load_is_its_swing_and_nothing_else() {
 }
 
 #[test]
-fn of_delays_that_scatter_to_one_side_the_median_is_told_and_the_mean() {
-    let report = edited(|messages| delay(messages, |row, _| 0.010 - 4e-3 * random(row).ln()));
-    let (value, half) = amount(&report, "LAT001");
+fn delay_jitter_is_reported_with_median_and_mean() {
+    let report =
+        report_with(|messages| delay_poses(messages, |row, _| 0.010 - 4e-3 * random(row).ln()));
+    let (value, half) = value_and_half_width(&report, "LAT001");
     let median_s = 0.010 + 4e-3 * 2.0_f64.ln();
     assert!((value - median_s).abs() < 2.0 * half, "{value} ± {half} is not {median_s}");
-    let finding = the(&report, "LAT001", POSE);
+    let finding = single_finding(&report, "LAT001", POSE);
     assert!(finding.message.contains("(median;"), "{}", finding.message);
     let mean_s = finding.evidence.more["delays"]["mean_s"].as_f64();
     assert!(mean_s.is_some_and(|mean_s| (mean_s - 0.014).abs() < 6e-4), "{mean_s:?}");
 }
 
 #[test]
-fn a_frame_id_that_changes_in_mid_run_is_no_stream_that_ends() {
-    let report = edited(|messages| {
-        let count = poses(messages).count();
-        for message in poses(messages).skip(count / 2) {
+fn a_frame_id_change_mid_run_is_not_reported_as_early_end() {
+    let report = report_with(|messages| {
+        let count = pose_messages(messages).count();
+        for message in pose_messages(messages).skip(count / 2) {
             for field in message.fields() {
                 let Field::Stamp(at) = field else { continue };
                 message.cdr[at + 12] = b'x';
             }
         }
     });
-    let said = codes(&report);
-    assert!(said.is_subset(&["FRM007"].into()), "{}", summary(&report.findings));
+    let found = codes(&report);
+    assert!(found.is_subset(&["FRM007"].into()), "{}", summary(&report.findings));
 }
 
 #[test]
-fn what_a_topic_is_called_does_not_make_a_target_of_a_tool() {
-    let report = edited(|messages| {
-        for message in poses(messages) {
+fn a_tool_pose_on_a_topic_named_marker_is_not_a_camera_target() {
+    let report = report_with(|messages| {
+        for message in pose_messages(messages) {
             message.topic = "/vicon/tool_marker".to_owned();
         }
     });
@@ -260,19 +263,19 @@ fn what_a_topic_is_called_does_not_make_a_target_of_a_tool() {
 const SAGS: [f64; 2] = [0.15, 0.6];
 const LOADED_S: f64 = 9.0;
 
-fn sagging(run: &mut Scenario, degrees: f64) {
-    rich(run);
+fn set_sag(run: &mut Scenario, degrees: f64) {
+    use_high_rates(run);
     let by_rad = degrees.to_radians();
     run.gives = vec![poseaudit::synth::Gives { joint: 1, how: Giving::Sag, by_rad }];
 }
 
 #[test]
-fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
-    let report = Log::with(|log| {
-        sagging(&mut log.run, SAGS[0]);
+fn sag_that_changes_with_the_load_is_reported_with_both_values() {
+    let report = Log::modified(|log| {
+        set_sag(&mut log.run, SAGS[0]);
         log.edit = Some(|messages| {
-            let mut loaded = Log::sound().run;
-            sagging(&mut loaded, SAGS[1]);
+            let mut loaded = Log::fault_free().run;
+            set_sag(&mut loaded, SAGS[1]);
             let mut bytes = Vec::new();
             loaded.write_mcap(std::io::Cursor::new(&mut bytes), None).expect("it is written");
             let mut loaded = read(&bytes);
@@ -284,43 +287,45 @@ fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
             messages.sort_by_key(|message| message.log_ns);
         });
     })
-    .audited();
+    .report();
     assert_eq!(codes(&report), ["ZER003"].into(), "{}", summary(&report.findings));
-    let finding = the(&report, "ZER003", "shoulder_lift_joint");
+    let finding = single_finding(&report, "ZER003", "shoulder_lift_joint");
     let change = finding.estimate.as_ref().and_then(Estimate::change).expect("a change");
-    for (told, truth) in [(change.from, SAGS[0]), (change.to, SAGS[1])] {
-        assert!((told.to_degrees() - truth).abs() < 0.1, "{change:?}");
+    for (found, truth) in [(change.from, SAGS[0]), (change.to, SAGS[1])] {
+        assert!((found.to_degrees() - truth).abs() < 0.1, "{change:?}");
     }
     let start = report.log.start_ns.expect("a start");
     let at_s = change.change_ns.seconds_since(start);
     assert!((at_s - LOADED_S).abs() < 1.5, "{at_s} s");
 }
 
-/// Joint states at 500 Hz with uniform stamp jitter of up to `most_s`.
-fn jitter_500_hz(messages: &mut [Message], most_s: f64) {
-    let joints = of_topic(messages, JOINT_STATES).enumerate();
+/// Joint states at 500 Hz with uniform stamp jitter of up to `max_jitter_s`.
+fn add_stamp_jitter(messages: &mut [Message], max_jitter_s: f64) {
+    let joints = messages_of(messages, JOINT_STATES).enumerate();
     for (row, message) in joints {
-        message.restamp((most_s * (2.0 * random(row) - 1.0) * SECOND_NS) as i64);
+        message.shift_stamps((max_jitter_s * (2.0 * random(row) - 1.0) * SECOND_NS) as i64);
     }
 }
 
 #[test]
-fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
+fn gaps_and_lost_samples_agree_with_the_stamps() {
     type Edit = fn(&mut Vec<Message>);
     let edits: [(Edit, &[&str]); 5] = [
-        (|messages| jitter_500_hz(messages, 3e-4), &[]),
-        (|messages| jitter_500_hz(messages, 6e-4), &[]),
+        (|messages| add_stamp_jitter(messages, 3e-4), &[]),
+        (|messages| add_stamp_jitter(messages, 6e-4), &[]),
         // Pairs, as from a bus that sends two at once.
         (
             |messages| {
-                let joints = of_topic(messages, JOINT_STATES).enumerate();
-                joints.filter(|(row, _)| row % 2 == 1).for_each(|(_, own)| own.restamp(-1_900_000));
+                let joints = messages_of(messages, JOINT_STATES).enumerate();
+                joints
+                    .filter(|(row, _)| row % 2 == 1)
+                    .for_each(|(_, own)| own.shift_stamps(-1_900_000));
             },
             &[],
         ),
         (
             |messages| {
-                jitter_500_hz(messages, 3e-4);
+                add_stamp_jitter(messages, 3e-4);
                 let mut row = 0;
                 messages.retain(|message| {
                     row += usize::from(message.topic == JOINT_STATES);
@@ -331,7 +336,7 @@ fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
         ),
         (
             |messages| {
-                jitter_500_hz(messages, 3e-4);
+                add_stamp_jitter(messages, 3e-4);
                 let mut row = 0;
                 messages.retain(|message| {
                     row += 1;
@@ -342,25 +347,25 @@ fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
         ),
     ];
     for (case, (edit, expected)) in edits.into_iter().enumerate() {
-        let log = Log::with(|log| {
-            rich(&mut log.run);
+        let log = Log::modified(|log| {
+            use_high_rates(&mut log.run);
             log.run.duration_s = 12.0;
             log.run.joints.timing.rate_hz = 500.0;
             log.edit = Some(edit);
         });
         let [before, mut messages] = [None, Some(edit)].map(|edit| read(&write(&log.run, edit)));
         let removed = before.len() - messages.len();
-        let report = log.audited();
-        let named = codes(&report);
+        let report = log.report();
+        let found = codes(&report);
         assert_eq!(
-            named,
+            found,
             expected.iter().copied().collect(),
             "{case}: {}",
             summary(&report.findings)
         );
         for finding in report.findings.iter().filter(|finding| finding.code.starts_with("TIM")) {
             let mut stamps: Vec<i64> =
-                of_topic(&mut messages, JOINT_STATES).map(|own| stamp_ns(own)).collect();
+                messages_of(&mut messages, JOINT_STATES).map(|own| stamp_ns(own)).collect();
             stamps.sort_unstable();
             let more = &finding.evidence.more;
             let gaps = more["gaps"].as_array().expect("gaps");

@@ -7,194 +7,194 @@ use poseaudit::geometry::{
 };
 use poseaudit::synth::{IMU, JOINT_STATES, Motion};
 
-use crate::checks::case::On::Topic;
-use crate::checks::case::What::{Amount, Degrees, DegreesAMinute};
-use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
+use crate::checks::case::ExpectedEstimate::{Amount, Degrees, DegreesPerMinute};
+use crate::checks::case::ExpectedSubject::Topic;
+use crate::checks::case::{Expected, Log, cases, error, single_finding, summary, warning};
 use crate::checks::recording::{Field, Message};
-use Expected::{BlamedOn, Skipped, Sound, Undecided};
+use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, Skipped};
 
 cases! {
-    YAW001 a_drift_of_three: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0)
-        => error(Topic(IMU), DegreesAMinute(3.0, 0.1));
-    YAW001 a_drift_the_other_way: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(-1.0)
-        => warning(Topic(IMU), DegreesAMinute(-1.0, 0.1));
+    YAW001 a_drift_of_3_degrees_per_minute: |log| log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(3.0)
+        => error(Topic(IMU), DegreesPerMinute(3.0, 0.1));
+    YAW001 a_negative_drift: |log| log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(-1.0)
+        => warning(Topic(IMU), DegreesPerMinute(-1.0, 0.1));
     YAW001 a_drift_of_an_imu_on_its_side: |log| {
         log.run.imu.tip_from_imu =
             pose([0.0, 0.05, 0.0], rotation_from_rotvec(Vec3::new(1.2, 0.3, -0.8)));
-        log.run.imu.yaw_drift_rad_s = degrees_a_minute(2.5);
-    } => error(Topic(IMU), DegreesAMinute(2.5, 0.1));
+        log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(2.5);
+    } => error(Topic(IMU), DegreesPerMinute(2.5, 0.1));
 
-    YAW001 a_magnet_that_passes: |log| log.run.imu.yaw_jumps = vec![(3.3, -2.5_f64.to_radians())]
+    YAW001 a_yaw_jump_near_a_magnet: |log| log.run.imu.yaw_jumps = vec![(3.3, -2.5_f64.to_radians())]
         => error(Topic(IMU), Degrees(-2.5, 0.1));
     YAW001 a_jump_of_ten_degrees: |log| log.run.imu.yaw_jumps = vec![(6.2, 10_f64.to_radians())]
         => error(Topic(IMU), Degrees(10.0, 0.1));
     YAW001 a_small_jump: |log| log.run.imu.yaw_jumps = vec![(5.1, 0.8_f64.to_radians())]
         => warning(Topic(IMU), Degrees(0.8, 0.1));
-    YAW001 a_jump_of_a_tenth_of_a_degree_is_sound: |log| {
+    YAW001 a_jump_of_a_tenth_of_a_degree_passes: |log| {
         log.run.imu.yaw_jumps = vec![(4.0, 0.1_f64.to_radians())];
-    } => Sound;
-    YAW001 a_yaw_that_wanders: |log| {
+    } => NoFindings;
+    YAW001 a_yaw_with_a_random_walk: |log| {
         log.run.duration_s = 20.0;
         log.run.imu.yaw_walk_rad_rt_s = 0.2_f64.to_radians();
-    } => Undecided("the yaw wanders by 0.");
+    } => Inconclusive("the yaw wanders by 0.");
 
-    YAW001 a_yaw_that_is_constant_is_sound: |log| log.run.imu.world_yaw_rad = -2.2 => Sound;
-    YAW001 a_twentieth_of_a_degree_a_minute_is_sound: |log| {
-        log.run.imu.yaw_drift_rad_s = degrees_a_minute(0.05);
-    } => Sound;
+    YAW001 a_yaw_that_is_constant_passes: |log| log.run.imu.world_yaw_rad = -2.2 => NoFindings;
+    YAW001 a_twentieth_of_a_degree_a_minute_passes: |log| {
+        log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(0.05);
+    } => NoFindings;
 
-    YAW001 a_wrists_zero_is_no_drift: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(3, 1.0)
-        => BlamedOn("ZER001");
-    YAW001 a_late_imu_is_no_drift: |log| log.run.imu.timing.latency_s = 0.02
-        => BlamedOn("LAT001");
-    YAW001 a_gyros_bias_is_no_drift_of_the_orientation: |log| {
-        log.run.imu.gyro_bias_rad_s = bias();
-    } => BlamedOn("YAW004");
-    YAW001 a_turned_mount_is_no_drift: |log| log.run.imu.mount_error = turned(20.0)
-        => BlamedOn("YAW003");
-    YAW001 a_misread_imu_is_no_drift: |log| {
+    YAW001 a_wrist_zero_offset_is_not_reported_as_yaw_drift: |log| log.run.joints.zero_offsets = crate::checks::zer::zero_offset(3, 1.0)
+        => OnlyOtherFinding("ZER001");
+    YAW001 a_late_imu_is_not_reported_as_yaw_drift: |log| log.run.imu.timing.latency_s = 0.02
+        => OnlyOtherFinding("LAT001");
+    YAW001 a_gyros_bias_is_not_reported_as_yaw_drift_of_the_orientation: |log| {
+        log.run.imu.gyro_bias_rad_s = gyro_bias();
+    } => OnlyOtherFinding("YAW004");
+    YAW001 a_rotated_mount_is_not_reported_as_yaw_drift: |log| log.run.imu.mount_error = rotated_mount(20.0)
+        => OnlyOtherFinding("YAW003");
+    YAW001 a_misread_imu_is_not_reported_as_yaw_drift: |log| {
         log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
-    } => BlamedOn("ORD001");
+    } => OnlyOtherFinding("ORD001");
 
     YAW001 no_imu: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
     YAW001 no_orientation: |log| log.run.imu.with_orientation = false
         => Skipped("no orientation");
-    YAW001 a_second_of_yaw: |log| log.run.duration_s = 1.2 => Undecided("exceeds the limit of ±0.2 °/min");
+    YAW001 one_second_of_yaw: |log| log.run.duration_s = 1.2 => Inconclusive("exceeds the limit of ±0.2 °/min");
 
-    YAW002 an_accelerometer_that_leans: |log| log.edit = Some(|messages| lean(messages))
+    YAW002 a_tilted_accelerometer: |log| log.edit = Some(|messages| tilt_accelerations(messages))
         => warning(Topic(IMU), Degrees(1.5, 0.05));
-    YAW002 a_world_that_is_not_level: |log| log.edit = Some(|messages| tilt_world(messages))
+    YAW002 a_tilted_world_frame: |log| log.edit = Some(|messages| tilt_world_frame(messages))
         => error(Topic(IMU), Degrees(3.0, 0.05));
-    YAW002 an_imu_upside_down_is_sound: |log| {
+    YAW002 an_imu_upside_down_passes: |log| {
         log.run.imu.tip_from_imu =
             pose([0.0, 0.05, 0.0], rotation_from_rotvec(Vec3::new(3.0, 0.3, 0.0)));
-    } => Sound;
-    YAW002 a_drift_of_yaw_is_no_tilt: |log| log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0)
-        => BlamedOn("YAW001");
-    YAW002 a_jump_of_yaw_is_no_tilt: |log| {
+    } => NoFindings;
+    YAW002 a_drift_of_yaw_is_not_reported_as_tilt: |log| log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(3.0)
+        => OnlyOtherFinding("YAW001");
+    YAW002 a_jump_of_yaw_is_not_reported_as_tilt: |log| {
         log.run.imu.yaw_jumps = vec![(3.3, 10_f64.to_radians())];
-    } => BlamedOn("YAW001");
-    YAW002 a_turned_mount_is_no_tilt: |log| log.run.imu.mount_error = turned(3.0)
-        => BlamedOn("YAW003");
-    YAW002 a_late_imu_is_no_tilt: |log| log.run.imu.timing.latency_s = 0.02
-        => BlamedOn("LAT001");
-    YAW002 no_imu_to_lean: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+    } => OnlyOtherFinding("YAW001");
+    YAW002 a_rotated_mount_is_not_reported_as_tilt: |log| log.run.imu.mount_error = rotated_mount(3.0)
+        => OnlyOtherFinding("YAW003");
+    YAW002 a_late_imu_is_not_reported_as_tilt: |log| log.run.imu.timing.latency_s = 0.02
+        => OnlyOtherFinding("LAT001");
+    YAW002 no_imu_for_tilt: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
     YAW002 no_roll_and_pitch: |log| log.run.imu.with_orientation = false
         => Skipped("no orientation");
 
-    YAW003 a_quarter_turn: |log| log.run.imu.mount_error = turned(90.0)
+    YAW003 a_mount_off_by_90_degrees: |log| log.run.imu.mount_error = rotated_mount(90.0)
         => error(Topic(IMU), Degrees(90.0, 0.1));
-    YAW003 three_degrees: |log| log.run.imu.mount_error = turned(3.0)
+    YAW003 a_mount_off_by_3_degrees: |log| log.run.imu.mount_error = rotated_mount(3.0)
         => warning(Topic(IMU), Degrees(3.0, 0.1));
-    YAW003 a_quarter_turn_without_orientation: |log| {
-        log.run.imu.mount_error = turned(90.0);
+    YAW003 a_mount_off_by_90_degrees_without_orientation: |log| {
+        log.run.imu.mount_error = rotated_mount(90.0);
         log.run.imu.with_orientation = false;
     } => error(Topic(IMU), Degrees(90.0, 0.5));
-    YAW003 a_twentieth_of_a_degree_is_sound: |log| log.run.imu.mount_error = turned(0.05)
-        => Sound;
-    YAW003 a_wrists_zero_is_no_mount: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(4, 2.0)
-        => BlamedOn("ZER001");
-    YAW003 a_misread_imu_is_no_mount: |log| {
+    YAW003 a_mount_off_by_a_twentieth_of_a_degree_passes: |log| log.run.imu.mount_error = rotated_mount(0.05)
+        => NoFindings;
+    YAW003 a_wrist_zero_offset_is_not_reported_as_mount_error: |log| log.run.joints.zero_offsets = crate::checks::zer::zero_offset(4, 2.0)
+        => OnlyOtherFinding("ZER001");
+    YAW003 a_misread_imu_is_not_reported_as_mount_error: |log| {
         log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
-    } => BlamedOn("ORD001");
-    YAW003 a_jump_of_yaw_is_no_mount: |log| {
+    } => OnlyOtherFinding("ORD001");
+    YAW003 a_jump_of_yaw_is_not_reported_as_mount_error: |log| {
         log.run.imu.yaw_jumps = vec![(5.1, -10_f64.to_radians())];
-    } => BlamedOn("YAW001");
-    YAW003 a_misread_imu_is_no_turned_and_leaning_one: |log| {
+    } => OnlyOtherFinding("YAW001");
+    YAW003 a_misread_imu_is_not_reported_as_mount_error_and_tilt: |log| {
         log.run.imu.coding = crate::checks::ord::misread("euler:zyz", "euler:yzy");
-    } => BlamedOn("ORD001");
-    YAW003 a_gyros_scale_is_no_mount: |log| {
-        log.run.imu.gyro_from_rate = askew();
+    } => OnlyOtherFinding("ORD001");
+    YAW003 a_gyros_scale_is_not_reported_as_mount_error: |log| {
+        log.run.imu.gyro_from_rate = misaligned_gyro();
         log.run.imu.with_orientation = false;
-    } => Sound;
-    YAW003 two_percent_of_scale_is_no_mount: |log| {
+    } => NoFindings;
+    YAW003 two_percent_of_scale_is_not_reported_as_mount_error: |log| {
         log.run.imu.gyro_from_rate = Matrix3::from_diagonal_element(1.02);
         log.run.imu.with_orientation = false;
-    } => Sound;
-    YAW003 an_imu_of_another_motion: |log| log.edit = Some(|messages| reverse(messages, IMU))
-        => Undecided("does not follow the arm");
-    YAW003 a_growing_latency_is_no_mount: |log| log.run.imu.timing.skew = 2e-3
-        => BlamedOn("LAT002");
-    YAW003 a_gyros_bias_is_no_mount: |log| log.run.imu.gyro_bias_rad_s = bias()
-        => BlamedOn("YAW004");
-    YAW003 no_imu_to_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
+    } => NoFindings;
+    YAW003 an_imu_with_unrelated_motion: |log| log.edit = Some(|messages| reverse_contents(messages, IMU))
+        => Inconclusive("does not follow the arm");
+    YAW003 a_growing_latency_is_not_reported_as_mount_error: |log| log.run.imu.timing.skew = 2e-3
+        => OnlyOtherFinding("LAT002");
+    YAW003 a_gyros_bias_is_not_reported_as_mount_error: |log| log.run.imu.gyro_bias_rad_s = gyro_bias()
+        => OnlyOtherFinding("YAW004");
+    YAW003 no_imu_for_a_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
     YAW003 no_frame_of_the_imu: |log| log.run.tf.with_static = false => Skipped("no transform from the arm to the IMU");
 
-    YAW004 a_gyro_that_turns_at_rest: |log| log.run.imu.gyro_bias_rad_s = bias()
+    YAW004 a_gyro_bias: |log| log.run.imu.gyro_bias_rad_s = gyro_bias()
         => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
-    YAW004 a_gyro_that_turns_a_little: |log| log.run.imu.gyro_bias_rad_s = bias() * 0.2
+    YAW004 a_small_gyro_bias: |log| log.run.imu.gyro_bias_rad_s = gyro_bias() * 0.2
         => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 0.5e-3));
-    YAW004 a_gyro_alone: |log| {
-        log.run.imu.gyro_bias_rad_s = bias();
+    YAW004 a_gyro_bias_without_orientation: |log| {
+        log.run.imu.gyro_bias_rad_s = gyro_bias();
         log.run.imu.with_orientation = false;
     } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
-    YAW004 a_hundredth_of_a_degree_a_second_is_sound: |log| {
+    YAW004 a_bias_of_a_hundredth_of_a_degree_per_second_passes: |log| {
         log.run.imu.gyro_bias_rad_s = Vec3::new(0.0, 0.0, 2e-4);
-    } => Sound;
-    YAW004 a_drift_of_the_orientation_is_no_bias: |log| {
-        log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
-    } => BlamedOn("YAW001");
-    YAW004 a_gyros_scale_is_no_bias: |log| log.run.imu.gyro_from_rate = askew() => Sound;
-    YAW004 two_percent_of_scale_is_no_bias: |log| {
+    } => NoFindings;
+    YAW004 a_drift_of_the_orientation_is_not_reported_as_gyro_bias: |log| {
+        log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(3.0);
+    } => OnlyOtherFinding("YAW001");
+    YAW004 a_gyros_scale_is_not_reported_as_gyro_bias: |log| log.run.imu.gyro_from_rate = misaligned_gyro() => NoFindings;
+    YAW004 two_percent_of_scale_is_not_reported_as_gyro_bias: |log| {
         log.run.imu.gyro_from_rate = Matrix3::from_diagonal_element(1.02);
-        log.run.imu.gyro_bias_rad_s = bias();
+        log.run.imu.gyro_bias_rad_s = gyro_bias();
     } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
-    YAW004 a_growing_latency_is_no_bias: |log| {
+    YAW004 a_growing_latency_is_not_reported_as_gyro_bias: |log| {
         log.run.imu.timing.skew = 2e-3;
         log.run.imu.with_orientation = false;
-    } => BlamedOn("LAT002");
-    YAW004 a_gyro_beside_noisy_joints: |log| {
+    } => OnlyOtherFinding("LAT002");
+    YAW004 a_gyro_with_noisy_joints: |log| {
         log.run.duration_s = 20.0;
         (log.run.noise.joints, log.run.joints.with_velocity) = (5e-4, false);
-        log.run.imu.gyro_bias_rad_s = bias() * 0.2;
+        log.run.imu.gyro_bias_rad_s = gyro_bias() * 0.2;
     } => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 1e-3));
-    YAW004 a_late_imu_is_no_bias: |log| log.run.imu.timing.latency_s = 0.02
-        => BlamedOn("LAT001");
-    YAW004 a_turned_mount_is_no_bias: |log| log.run.imu.mount_error = turned(20.0)
-        => BlamedOn("YAW003");
+    YAW004 a_late_imu_is_not_reported_as_gyro_bias: |log| log.run.imu.timing.latency_s = 0.02
+        => OnlyOtherFinding("LAT001");
+    YAW004 a_rotated_mount_is_not_reported_as_gyro_bias: |log| log.run.imu.mount_error = rotated_mount(20.0)
+        => OnlyOtherFinding("YAW003");
     YAW004 no_imu_with_a_gyro: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
 }
 
 /// Norm of [`bias`].
 const BIAS_RAD_S: f64 = 0.03;
 
-pub fn bias() -> Vec3 {
+pub fn gyro_bias() -> Vec3 {
     Vec3::new(0.01, -0.02, 0.02)
 }
 
 /// A gyro with scale errors of +3 % about x and −2 % about z, whose x and y axes lean towards each other by
 /// 0.01 rad each.
-fn askew() -> Matrix3<f64> {
+fn misaligned_gyro() -> Matrix3<f64> {
     Matrix3::new(1.03, 0.01, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0, 0.98)
 }
 
 /// A mount rotated about an oblique axis.
-pub fn turned(degrees: f64) -> Pose {
+pub fn rotated_mount(degrees: f64) -> Pose {
     pose([0.0; 3], rotation_from_rotvec(Vec3::new(0.6, 0.0, 0.8) * degrees.to_radians()))
 }
 
 /// Rotates the measured acceleration by 1.5° about the world's x axis.
-fn lean(messages: &mut [Message]) {
+fn tilt_accelerations(messages: &mut [Message]) {
     const AFTER_QUATERNION: usize = 8 * (4 + 9 + 3 + 9);
-    let lean = rotation_from_rotvec(Vec3::x() * 1.5_f64.to_radians());
-    for_orientations(messages, |message, at, world_from_imu| {
+    let tilt = rotation_from_rotvec(Vec3::x() * 1.5_f64.to_radians());
+    edit_orientations(messages, |message, at, world_from_imu| {
         let at = at + AFTER_QUATERNION;
-        let felt = Vec3::from(message.floats::<3>(at));
-        let felt = world_from_imu.inverse() * (lean * (world_from_imu * felt));
-        message.set_floats(at, felt.as_slice());
+        let acceleration = Vec3::from(message.floats::<3>(at));
+        let acceleration = world_from_imu.inverse() * (tilt * (world_from_imu * acceleration));
+        message.set_floats(at, acceleration.as_slice());
     });
 }
 
 /// Rotates the world frame of the orientations by 3° about its y axis.
-fn tilt_world(messages: &mut [Message]) {
+fn tilt_world_frame(messages: &mut [Message]) {
     let tilt = rotation_from_rotvec(Vec3::y() * 3_f64.to_radians());
-    for_orientations(messages, |message, at, world_from_imu| {
+    edit_orientations(messages, |message, at, world_from_imu| {
         message.set_floats(at, &xyzw_from_rotation(&(tilt * world_from_imu)));
     });
 }
 
 /// Calls `change` with each IMU message, the offset of its orientation, and the orientation.
-fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usize, Rotation)) {
+fn edit_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usize, Rotation)) {
     for message in messages.iter_mut().filter(|message| message.topic == IMU) {
         for field in message.fields() {
             if let Field::Xyzw(at) = field {
@@ -206,7 +206,7 @@ fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usiz
 }
 
 /// Reverses the contents of the messages of `topic`, but not their stamps.
-pub fn reverse(messages: &mut [Message], topic: &str) {
+pub fn reverse_contents(messages: &mut [Message], topic: &str) {
     const STAMP: std::ops::Range<usize> = 4..12;
     let mut all: Vec<&mut Message> =
         messages.iter_mut().filter(|message| message.topic == topic).collect();
@@ -218,13 +218,14 @@ pub fn reverse(messages: &mut [Message], topic: &str) {
 }
 
 #[test]
-fn joint_states_that_nothing_follows_leave_the_imu_open() {
+fn joint_states_unrelated_to_all_streams_leave_the_imu_inconclusive() {
     let report =
-        Log::with(|log| log.edit = Some(|messages| reverse(messages, JOINT_STATES))).audited();
+        Log::modified(|log| log.edit = Some(|messages| reverse_contents(messages, JOINT_STATES)))
+            .report();
     // Only checks of its own data apply: an IMU that does not move with the arm is not compared with it.
-    let is_own =
+    let needs_no_arm =
         |code: &str| code.starts_with("TIM") || ["FRM005", "ING003", "MDL001"].contains(&code);
-    let of_imu = |row: &&CheckRow| row.subject.label() == IMU && !is_own(row.code);
+    let of_imu = |row: &&CheckRow| row.subject.label() == IMU && !needs_no_arm(row.code);
     let judged: Vec<&CheckRow> = report.checks.iter().filter(of_imu).collect();
     assert!(judged.len() > 6, "{judged:?}");
     for row in judged {
@@ -232,49 +233,49 @@ fn joint_states_that_nothing_follows_leave_the_imu_open() {
     }
 }
 
-fn degrees_a_minute(rate: f64) -> f64 {
+fn deg_per_min_to_rad_per_s(rate: f64) -> f64 {
     rate.to_radians() / 60.0
 }
 
 #[test]
-fn a_drift_shows_while_the_arm_rests() {
-    let report = Log::with(|log| {
+fn a_yaw_drift_is_found_at_rest() {
+    let report = Log::modified(|log| {
         log.run.motion = Motion::AtRest;
-        log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
+        log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(3.0);
     })
-    .audited();
+    .report();
     // At rest the IMU's latency is not observable, but a rotating yaw does not need it.
     let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(found, ["YAW001"]);
-    DegreesAMinute(3.0, 0.1).assert_is(report.findings[0].estimate.as_ref());
+    DegreesPerMinute(3.0, 0.1).assert_matches(report.findings[0].estimate.as_ref());
 }
 
 #[test]
-fn a_jump_says_when_and_leaves_the_drift_beside_it() {
-    let report = Log::with(|log| {
+fn a_yaw_jump_is_reported_with_its_time_and_the_drift_separately() {
+    let report = Log::modified(|log| {
         log.run.imu.yaw_jumps = vec![(3.3, 3_f64.to_radians())];
-        log.run.imu.yaw_drift_rad_s = degrees_a_minute(6.0);
+        log.run.imu.yaw_drift_rad_s = deg_per_min_to_rad_per_s(6.0);
     })
-    .audited();
+    .report();
     let [drift, jump] = report.findings.as_slice() else {
         panic!("a drift and a jump were expected:\n{}", summary(&report.findings))
     };
-    DegreesAMinute(6.0, 0.3).assert_is(drift.estimate.as_ref());
-    Degrees(3.0, 0.1).assert_is(jump.estimate.as_ref());
+    DegreesPerMinute(6.0, 0.3).assert_matches(drift.estimate.as_ref());
+    Degrees(3.0, 0.1).assert_matches(jump.estimate.as_ref());
     assert_eq!([&drift.evidence.more["kind"], &jump.evidence.more["kind"]], ["drift", "jump"]);
     let at_s = jump.evidence.more["jumps"][0]["at_s"].as_f64().expect("a time");
     assert!((at_s - 3.3).abs() < 0.1, "{at_s}");
 }
 
 #[test]
-fn a_mount_is_said_by_its_axes() {
-    let report = Log::with(|log| {
+fn a_mount_is_described_by_its_axes() {
+    let report = Log::modified(|log| {
         log.run.imu.tip_from_imu = Pose::translation(0.02, 0.0, 0.03);
         let quarter = Vec3::new(0.0, 0.0, -90_f64.to_radians());
         log.run.imu.mount_error = pose([0.0; 3], rotation_from_rotvec(quarter));
     })
-    .audited();
-    let found = the(&report, "YAW003", IMU);
+    .report();
+    let found = single_finding(&report, "YAW003", IMU);
     let axes = "imu x points along tool0 -y; y along tool0 x; z along tool0 z";
     assert!(found.message.ends_with(axes), "{}", found.message);
     let more = &found.evidence.more;
@@ -286,13 +287,13 @@ fn a_mount_is_said_by_its_axes() {
 }
 
 #[test]
-fn a_walk_says_its_density() {
+fn a_yaw_random_walk_is_reported_with_its_density() {
     let density = 0.3_f64.to_radians();
-    let report = Log::with(|log| {
+    let report = Log::modified(|log| {
         log.run.duration_s = 30.0;
         log.run.imu.yaw_walk_rad_rt_s = density;
     })
-    .audited();
+    .report();
     assert!(report.findings.is_empty(), "{}", summary(&report.findings));
     let row = report.checks.iter().find(|row| row.code == "YAW001").expect("a row");
     assert_eq!(row.evidence["kind"], "random-walk");
@@ -301,22 +302,22 @@ fn a_walk_says_its_density() {
 }
 
 #[test]
-fn a_gyros_scale_and_misalignment_are_said() {
-    let report = Log::with(|log| {
-        log.run.imu.gyro_from_rate = askew();
-        log.run.imu.gyro_bias_rad_s = bias();
+fn gyro_scale_and_misalignment_are_reported() {
+    let report = Log::modified(|log| {
+        log.run.imu.gyro_from_rate = misaligned_gyro();
+        log.run.imu.gyro_bias_rad_s = gyro_bias();
     })
-    .audited();
-    let found = the(&report, "YAW004", IMU);
-    Amount(BIAS_RAD_S, 0.5e-3).assert_is(found.estimate.as_ref());
+    .report();
+    let found = single_finding(&report, "YAW004", IMU);
+    Amount(BIAS_RAD_S, 0.5e-3).assert_matches(found.estimate.as_ref());
     let shape = |key: &str| -> Vec<f64> {
         let entries = found.evidence.more[key].as_array().expect("three numbers");
         entries.iter().map(|entry| entry["value"].as_f64().expect("a number")).collect()
     };
-    let near = |found: Vec<f64>, planted: [f64; 3]| {
+    let assert_near = |found: Vec<f64>, planted: [f64; 3]| {
         let off = found.iter().zip(planted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off < 1e-3, "{found:?} is not {planted:?}");
     };
-    near(shape("scale"), [0.03, 0.0, -0.02]);
-    near(shape("misalignment_rad"), [0.0, 0.0, 0.01]);
+    assert_near(shape("scale"), [0.03, 0.0, -0.02]);
+    assert_near(shape("misalignment_rad"), [0.0, 0.0, 0.01]);
 }

@@ -11,22 +11,22 @@ use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{Coding, JOINT_STATES, POSE, ToolSlip};
 use serde_json::Value;
 
-use crate::checks::case::{Log, summary, the};
+use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::recording::{Field, Message};
 
 /// Time of every change, s from the start.
-const FROM_S: f64 = 4.5;
+const CHANGE_S: f64 = 4.5;
 
 #[test]
-fn a_tool_that_slips_is_named_with_both_offsets_and_the_moment() {
-    let report = Log::with(|log| {
+fn a_tool_slip_is_reported_with_both_offsets_and_its_time() {
+    let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         let tool_from_slipped = Pose::translation(0.0, 0.03, 0.04);
-        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 60.0, tool_from_slipped });
+        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 60.0, tool_from_slipped });
     })
-    .audited();
+    .report();
     assert_change(&report, "FRM003", POSE, 0.05, 1e-4);
-    let finding = the(&report, "FRM003", POSE);
+    let finding = single_finding(&report, "FRM003", POSE);
     assert_eq!(finding.title, "tool frame changes mid-run");
     let to = &finding.evidence.more["changes"][0]["to"]["xyz"];
     let to = [0, 1, 2].map(|axis| to[axis].as_f64().expect("a number"));
@@ -34,45 +34,50 @@ fn a_tool_that_slips_is_named_with_both_offsets_and_the_moment() {
 }
 
 #[test]
-fn a_tool_that_slips_and_is_put_back_is_the_tools_alone() {
-    let report = Log::with(|log| {
+fn a_temporary_tool_slip_is_only_a_tool_finding() {
+    let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
-        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 6.0, tool_from_slipped });
+        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
     })
-    .audited();
+    .report();
     assert_eq!(codes(&report), ["FRM003"].into(), "{}", summary(&report.findings));
-    let apart_m = the(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
-    assert!(apart_m.is_some_and(|apart_m| (apart_m - 0.02).abs() < 1e-3), "{apart_m:?}");
+    let slip_m =
+        single_finding(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
+    assert!(slip_m.is_some_and(|slip_m| (slip_m - 0.02).abs() < 1e-3), "{slip_m:?}");
 }
 
 #[test]
-fn a_tool_that_slips_and_is_put_back_is_as_far_off_in_millimetres() {
-    let report = Log::with(|log| {
+fn a_temporary_tool_slip_has_the_same_size_with_poses_in_millimetres() {
+    let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.pose.in_millimetres = true;
         let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
-        log.run.pose.slip = Some(ToolSlip { from_s: FROM_S, to_s: 6.0, tool_from_slipped });
+        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
     })
-    .audited();
+    .report();
     assert_eq!(codes(&report), ["FRM003", "ORD008"].into(), "{}", summary(&report.findings));
-    let apart_m = the(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
-    assert!(apart_m.is_some_and(|apart_m| (apart_m - 0.02).abs() < 1e-3), "{apart_m:?}");
+    let slip_m =
+        single_finding(&report, "FRM003", POSE).estimate.as_ref().and_then(Estimate::value);
+    assert!(slip_m.is_some_and(|slip_m| (slip_m - 0.02).abs() < 1e-3), "{slip_m:?}");
 }
 
 #[test]
-fn a_base_that_is_moved_is_named() {
-    let report = edited(|messages| {
+fn a_base_moved_mid_run_is_reported() {
+    let report = report_with(|messages| {
         let moved = pose([0.0, 0.012, 0.005], rotation_from_rotvec(Vec3::z() * 0.02));
-        each_pose(later(messages), |logged| moved * logged);
+        edit_poses(messages_after_change(messages), |logged| moved * logged);
     });
     assert_change(&report, "FRM002", POSE, 0.013, 1e-4);
 }
 
 #[test]
-fn a_joint_that_loses_its_zero_is_named_and_does_not_stop_there() {
-    let report = edited(|messages| {
-        for message in later(messages).iter_mut().filter(|message| message.topic == JOINT_STATES) {
+fn a_zero_offset_that_changes_mid_run_is_reported_and_no_abrupt_stop() {
+    let report = report_with(|messages| {
+        for message in messages_after_change(messages)
+            .iter_mut()
+            .filter(|message| message.topic == JOINT_STATES)
+        {
             message.turn_joint(2, -0.8_f64.to_radians());
         }
     });
@@ -80,9 +85,9 @@ fn a_joint_that_loses_its_zero_is_named_and_does_not_stop_there() {
 }
 
 #[test]
-fn positions_that_grow_from_then_on_are_named_with_their_growth() {
-    let report = edited(|messages| {
-        each_pose(later(messages), |logged| {
+fn a_radial_scale_that_changes_mid_run_is_reported() {
+    let report = report_with(|messages| {
+        edit_poses(messages_after_change(messages), |logged| {
             pose((1.01 * logged.translation.vector).into(), logged.rotation)
         });
     });
@@ -90,71 +95,72 @@ fn positions_that_grow_from_then_on_are_named_with_their_growth() {
 }
 
 #[test]
-fn a_short_part_that_does_not_tell_how_it_is_coded_names_no_frame() {
-    let report = edited(|messages| {
+fn a_short_segment_of_unknown_encoding_gives_no_frame_finding() {
+    let report = report_with(|messages| {
         let last_ns = messages.iter().map(|message| message.log_ns).max().unwrap_or(0);
         let first = messages.partition_point(|message| message.log_ns < last_ns - 1_200_000_000);
-        each_pose_field(&mut messages[first..], |message, field| {
+        edit_pose_fields(&mut messages[first..], |message, field| {
             if let Field::Xyzw(at) = field {
                 let [x, y, z, w] = message.floats(at);
                 message.set_floats(at, &[w, x, y, z]);
             }
         });
     });
-    let said = codes(&report);
-    assert!(said.is_subset(&["MDL001", "ORD002"].into()), "{said:?}");
-    assert_ne!(report.verdict, Verdict::Pass, "{said:?}");
+    let found = codes(&report);
+    assert!(found.is_subset(&["MDL001", "ORD002"].into()), "{found:?}");
+    assert_ne!(report.verdict, Verdict::Pass, "{found:?}");
 }
 
 #[test]
-fn numbers_that_are_coded_otherwise_from_then_on_are_named_for_that_part() {
-    let wxyz = edited(|messages| {
-        each_pose_field(later(messages), |message, field| {
+fn an_encoding_that_changes_mid_run_is_reported_with_its_time() {
+    let wxyz = report_with(|messages| {
+        edit_pose_fields(messages_after_change(messages), |message, field| {
             if let Field::Xyzw(at) = field {
                 let [x, y, z, w] = message.floats(at);
                 message.set_floats(at, &[w, x, y, z]);
             }
         });
     });
-    let millimetres = edited(|messages| in_millimetres_later(messages));
+    let millimetres = report_with(|messages| millimetres_after_change(messages));
     for (code, report) in [("ORD002", wxyz), ("ORD008", millimetres)] {
         assert_eq!(codes(&report), [code].into(), "{}", summary(&report.findings));
-        let finding = the(&report, code, POSE);
+        let finding = single_finding(&report, code, POSE);
         let changes = &finding.evidence.more["change_ns"];
         assert_eq!(changes.as_array().map(Vec::len), Some(1), "{changes}");
-        assert_near_s(seconds(&report, &changes[0]), FROM_S);
+        assert_near_s(seconds_after_start(&report, &changes[0]), CHANGE_S);
     }
 }
 
 #[test]
-fn a_clock_that_runs_fast_does_so_beside_a_unit_that_changes() {
-    let report = Log::with(|log| {
+fn clock_skew_is_found_with_a_unit_that_changes_mid_run() {
+    let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.pose.timing.skew = 1e-3;
-        log.edit = Some(|messages| in_millimetres_later(messages));
+        log.edit = Some(|messages| millimetres_after_change(messages));
     })
-    .audited();
+    .report();
     assert_eq!(codes(&report), ["LAT002", "ORD008"].into(), "{}", summary(&report.findings));
-    let skew = the(&report, "LAT002", POSE).estimate.as_ref().and_then(Estimate::value);
+    let skew = single_finding(&report, "LAT002", POSE).estimate.as_ref().and_then(Estimate::value);
     assert!(skew.is_some_and(|skew| (skew - 1e-3).abs() < 2e-5), "{skew:?}");
 }
 
 #[test]
-fn a_unit_that_changes_does_so_beside_components_that_are_in_the_wrong_order() {
-    let report = Log::with(|log| {
+fn a_unit_change_is_found_with_a_wrong_quaternion_order() {
+    let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
-        log.edit = Some(|messages| in_millimetres_later(messages));
+        log.edit = Some(|messages| millimetres_after_change(messages));
     })
-    .audited();
+    .report();
     assert_eq!(codes(&report), ["ORD002", "ORD008"].into(), "{}", summary(&report.findings));
-    let changes = |code| the(&report, code, POSE).evidence.more.get("change_ns").cloned();
+    let changes =
+        |code| single_finding(&report, code, POSE).evidence.more.get("change_ns").cloned();
     assert_eq!(changes("ORD002"), None);
     assert!(changes("ORD008").is_some());
 }
 
-fn in_millimetres_later(messages: &mut [Message]) {
-    each_pose_field(later(messages), |message, field| {
+fn millimetres_after_change(messages: &mut [Message]) {
+    edit_pose_fields(messages_after_change(messages), |message, field| {
         if let Field::Xyz(at, _) = field {
             let xyz: [f64; 3] = message.floats(at);
             message.set_floats(at, &xyz.map(|metres| 1e3 * metres));
@@ -163,29 +169,29 @@ fn in_millimetres_later(messages: &mut [Message]) {
 }
 
 #[test]
-fn what_stays_as_it_is_has_not_changed() {
-    let report = edited(|_| {});
+fn a_log_without_changes_has_no_findings() {
+    let report = report_with(|_| {});
     assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
 }
 
 /// The report on a log without /tf, with edited messages.
-fn edited(edit: fn(&mut Vec<Message>)) -> Report {
-    Log::with(|log| {
+fn report_with(edit: fn(&mut Vec<Message>)) -> Report {
+    Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         log.edit = Some(edit);
     })
-    .audited()
+    .report()
 }
 
-/// The messages from [`FROM_S`] on.
-fn later(messages: &mut [Message]) -> &mut [Message] {
+/// The messages from [`CHANGE_S`] on.
+fn messages_after_change(messages: &mut [Message]) -> &mut [Message] {
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
-    let from_ns = start_ns + (FROM_S * 1e9) as i64;
+    let from_ns = start_ns + (CHANGE_S * 1e9) as i64;
     let first = messages.partition_point(|message| message.log_ns < from_ns);
     &mut messages[first..]
 }
 
-fn each_pose_field(messages: &mut [Message], change: impl Fn(&mut Message, Field)) {
+fn edit_pose_fields(messages: &mut [Message], change: impl Fn(&mut Message, Field)) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         for field in message.fields() {
             change(message, field);
@@ -193,7 +199,7 @@ fn each_pose_field(messages: &mut [Message], change: impl Fn(&mut Message, Field
     }
 }
 
-fn each_pose(messages: &mut [Message], change: impl Fn(Pose) -> Pose) {
+fn edit_poses(messages: &mut [Message], change: impl Fn(Pose) -> Pose) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let (mut at_xyz, mut at_xyzw) = (0, 0);
         for field in message.fields() {
@@ -214,21 +220,24 @@ fn codes(report: &Report) -> BTreeSet<&str> {
     report.findings.iter().map(|finding| finding.code).collect()
 }
 
-/// Asserts a single finding, `code` on `label`, with a change by `size` at [`FROM_S`].
+/// Asserts a single finding, `code` on `label`, with a change by `size` at [`CHANGE_S`].
 #[track_caller]
 fn assert_change(report: &Report, code: &str, label: &str, size: f64, tolerance: f64) {
     assert_eq!(codes(report), [code].into(), "{}", summary(&report.findings));
-    let finding: &Finding = the(report, code, label);
+    let finding: &Finding = single_finding(report, code, label);
     let estimate: &Estimate = finding.estimate.as_ref().expect("an estimate");
     let value = estimate.value().expect("an amount");
     assert!((value - size).abs() < tolerance, "{value} is not {size}");
     let change = estimate.change().expect("a change");
     assert!((change.to - change.from - size).abs() < tolerance, "{change:?}");
-    assert_near_s(seconds(report, &Value::String(change.change_ns.to_string())), FROM_S);
+    assert_near_s(
+        seconds_after_start(report, &Value::String(change.change_ns.to_string())),
+        CHANGE_S,
+    );
 }
 
 /// Time of a stamp after the start of the log, s.
-fn seconds(report: &Report, stamp: &Value) -> f64 {
+fn seconds_after_start(report: &Report, stamp: &Value) -> f64 {
     let ns = |text: &str| text.parse::<i64>().expect("nanoseconds");
     let stamp = stamp.as_str().map(ns).expect("a stamp");
     let start = report.log.start_ns.expect("a start");

@@ -3,13 +3,13 @@
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{IMU, JOINT_STATES, POSE, TF};
 
-use crate::checks::case::What::{Amount, Degrees, DegreesAMinute};
-use crate::checks::case::{Log, the};
-use crate::checks::zer::zero;
+use crate::checks::case::ExpectedEstimate::{Amount, Degrees, DegreesPerMinute};
+use crate::checks::case::{Log, single_finding};
+use crate::checks::zer::zero_offset;
 
 /// Twelve minutes, at rates that keep the log small.
-fn long(change: impl FnOnce(&mut Log)) -> Log {
-    Log::with(|log| {
+fn long_log(change: impl FnOnce(&mut Log)) -> Log {
+    Log::modified(|log| {
         log.run.duration_s = 720.0;
         for timing in [
             &mut log.run.joints.timing,
@@ -24,41 +24,41 @@ fn long(change: impl FnOnce(&mut Log)) -> Log {
 }
 
 #[test]
-fn faults_of_a_long_run_are_found_with_their_amounts() {
-    let report = long(|log| {
+fn faults_of_a_long_run_are_found_with_their_values() {
+    let report = long_log(|log| {
         log.run.pose.timing.latency_s = 0.015;
-        log.run.joints.zero_offsets = zero(2, 0.4);
+        log.run.joints.zero_offsets = zero_offset(2, 0.4);
         log.run.imu.yaw_drift_rad_s = 2.5_f64.to_radians() / 60.0;
     })
-    .audited();
+    .report();
     assert_eq!(report.findings.len(), 3, "{:#?}", report.findings);
     for (code, label, what) in [
         ("LAT001", POSE, Amount(0.015, 0.2e-3)),
         ("ZER001", "elbow_joint", Degrees(0.4, 0.02)),
-        ("YAW001", IMU, DegreesAMinute(2.5, 0.05)),
+        ("YAW001", IMU, DegreesPerMinute(2.5, 0.05)),
     ] {
-        what.assert_is(the(&report, code, label).estimate.as_ref());
+        what.assert_matches(single_finding(&report, code, label).estimate.as_ref());
     }
     let notes = &report.log.notes;
     assert!(notes.iter().any(|note| note.note.contains("24 excerpts of 12 s")), "{notes:?}");
 }
 
 #[test]
-fn a_skew_shows_over_the_whole_of_a_long_run() {
-    let report = long(|log| log.run.pose.timing.skew = 100e-6).audited();
-    Amount(100e-6, 2e-6).assert_is(the(&report, "LAT002", POSE).estimate.as_ref());
+fn clock_skew_is_estimated_over_the_whole_of_a_long_run() {
+    let report = long_log(|log| log.run.pose.timing.skew = 100e-6).report();
+    Amount(100e-6, 2e-6).assert_matches(single_finding(&report, "LAT002", POSE).estimate.as_ref());
 }
 
 #[test]
-fn a_sound_long_run_passes_and_is_counted_whole() {
-    let report = long(|_| {}).audited();
+fn a_long_run_passes_and_all_its_samples_are_counted() {
+    let report = long_log(|_| {}).report();
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
     // At this rate the motion rules cannot detect stops and vibration; there is no camera.
-    let is_asked = |row: &&CheckRow| {
+    let has_input = |row: &&CheckRow| {
         !["MOT", "HEC"].contains(&&row.code[..3])
             && !crate::checks::WITHOUT_INPUT.contains(&row.code)
     };
-    for row in report.checks.iter().filter(is_asked) {
+    for row in report.checks.iter().filter(has_input) {
         assert_eq!(row.status, Status::Pass, "{row:#?}");
     }
     for topic in [JOINT_STATES, POSE, TF, IMU] {

@@ -11,31 +11,31 @@ use poseaudit::robot::Robot;
 use poseaudit::synth::{self, Camera, Coding, IMU, JOINT_STATES, POSE, TF, urdf_text};
 use tempfile::TempDir;
 
-use crate::checks::case::{Log, summary, the};
+use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::ord::misread;
-use crate::checks::zer::zero;
+use crate::checks::zer::zero_offset;
 
 /// An audited log, its corrections, and its audit with them.
-struct Loop {
+struct CorrectedLog {
     before: Report,
     folder: TempDir,
     after: Report,
 }
 
-impl Loop {
-    fn of(change: impl Fn(&mut Log)) -> Self {
+impl CorrectedLog {
+    fn audit(change: impl Fn(&mut Log)) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let dir = folder.path().join("made/for/it");
-        let before = Log::with(|log| {
+        let before = Log::modified(|log| {
             change(log);
             log.fix = Some(dir.clone());
         });
-        let before = before.audited();
-        let after = Log::with(|log| {
+        let before = before.report();
+        let after = Log::modified(|log| {
             change(log);
             log.options.corrections = Some(dir.join("corrections.toml"));
         });
-        Self { before, after: after.audited(), folder }
+        Self { before, after: after.report(), folder }
     }
 
     fn text(&self, name: &str) -> String {
@@ -43,37 +43,37 @@ impl Loop {
         fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
     }
 
-    /// Asserts that the corrections remove the findings `codes`, and that only `left` remain.
+    /// Asserts that the corrections remove the findings `codes`, and that only `remaining` remain.
     #[track_caller]
-    fn assert_mends(&self, codes: &[&str], left: &[&str]) {
+    fn assert_corrects(&self, codes: &[&str], remaining: &[&str]) {
         let names = |findings: &[Finding]| -> Vec<&str> {
             let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();
             codes.sort_unstable();
             codes
         };
-        let mut all = [codes, left].concat();
+        let mut all = [codes, remaining].concat();
         all.sort_unstable();
         let found = summary(&self.before.findings);
         assert_eq!(names(&self.before.findings), all, "before:\n{found}");
         let found = summary(&self.after.findings);
         let file = self.text("corrections.toml");
-        assert_eq!(names(&self.after.findings), left, "after:\n{found}\nby:\n{file}");
+        assert_eq!(names(&self.after.findings), remaining, "after:\n{found}\nby:\n{file}");
         let notes: Vec<&str> = self.after.log.notes.iter().map(|note| note.note.as_str()).collect();
         assert!(codes.is_empty() || notes.iter().any(|note| note.starts_with("corrected: ")));
     }
 }
 
 #[test]
-fn the_demos_faults_are_gone_but_for_the_drift() {
+fn the_demos_faults_are_corrected_except_the_yaw_drift() {
     let demo = synth::demo();
-    let looped = Loop::of(|log| {
+    let corrected = CorrectedLog::audit(|log| {
         log.run.pose.coding = demo.pose.coding;
         log.run.pose.timing.latency_s = demo.pose.timing.latency_s;
         log.run.joints.zero_offsets = demo.joints.zero_offsets.clone();
         log.run.imu.yaw_drift_rad_s = demo.imu.yaw_drift_rad_s;
     });
-    looped.assert_mends(&["LAT001", "ORD001", "ZER001"], &["YAW001"]);
-    let index = looped.text("corrections.md");
+    corrected.assert_corrects(&["LAT001", "ORD001", "ZER001"], &["YAW001"]);
+    let index = corrected.text("corrections.md");
     for part in [
         "| ORD001 on /tcp_pose_broadcaster/pose | rotvec read as euler:xyz | `conventions.md`",
         "| ZER001 on shoulder_lift_joint | offset of 0.5° | `joint_offsets.yaml`, `robot_description.urdf`",
@@ -81,111 +81,116 @@ fn the_demos_faults_are_gone_but_for_the_drift() {
     ] {
         assert!(index.contains(part), "`{part}` is not in:\n{index}");
     }
-    let code = looped.text("conventions.md");
+    let code = corrected.text("conventions.md");
     assert!(code.contains("SciPy: `Rotation.from_rotvec([rx, ry, rz])`"), "{code}");
-    let offsets = looped.text("joint_offsets.yaml");
+    let offsets = corrected.text("joint_offsets.yaml");
     assert!(offsets.contains("\"shoulder_lift_joint\":\n    offset_rad: 0.0087"), "{offsets}");
-    let latency = looped.text("latency.yaml");
+    let latency = corrected.text("latency.yaml");
     assert!(latency.contains(&format!("\"{POSE}\":\n    latency_s: 0.022")), "{latency}");
 }
 
 #[test]
-fn misread_rotations_are_mended() {
+fn misinterpreted_rotations_are_corrected() {
     for (is, read_as) in [
         ("rotvec", "euler:xyz"),
         ("euler:xyz", "rotvec"),
         ("euler:ZYZ", "euler:xyz"),
         ("euler:xzy@axes", "euler:xyz"),
     ] {
-        let looped = Loop::of(|log| log.run.pose.coding = misread(is, read_as));
-        looped.assert_mends(&["ORD001"], &[]);
+        let corrected = CorrectedLog::audit(|log| log.run.pose.coding = misread(is, read_as));
+        corrected.assert_corrects(&["ORD001"], &[]);
     }
-    let looped = Loop::of(|log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz"));
-    looped.assert_mends(&["ORD001"], &[]);
+    let corrected =
+        CorrectedLog::audit(|log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz"));
+    corrected.assert_corrects(&["ORD001"], &[]);
 }
 
 #[test]
-fn quaternions_and_inverses_are_mended() {
+fn quaternion_orders_and_inverses_are_corrected() {
     for (code, coding) in [
         ("ORD002", Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw)),
         ("ORD002", Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz)),
         ("ORD003", Coding::Inverted),
         ("ORD003", Coding::Transposed),
     ] {
-        Loop::of(|log| log.run.pose.coding = coding).assert_mends(&[code], &[]);
+        CorrectedLog::audit(|log| log.run.pose.coding = coding).assert_corrects(&[code], &[]);
     }
-    let both = Loop::of(|log| {
+    let both = CorrectedLog::audit(|log| {
         log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
         log.run.pose.inverted = true;
     });
-    both.assert_mends(&["ORD002", "ORD003"], &[]);
-    let imu = Loop::of(|log| log.run.imu.coding = Coding::Transposed);
-    imu.assert_mends(&["ORD003"], &[]);
+    both.assert_corrects(&["ORD002", "ORD003"], &[]);
+    let imu = CorrectedLog::audit(|log| log.run.imu.coding = Coding::Transposed);
+    imu.assert_corrects(&["ORD003"], &[]);
 }
 
 #[test]
-fn units_and_orders_are_mended() {
-    Loop::of(|log| log.run.joints.in_degrees = true).assert_mends(&["ORD004"], &[]);
+fn units_and_joint_orders_are_corrected() {
+    CorrectedLog::audit(|log| log.run.joints.in_degrees = true).assert_corrects(&["ORD004"], &[]);
     let order = || Some(vec![5, 0, 1, 2, 3, 4]);
-    let looped = Loop::of(|log| log.run.joints.number_order = order());
-    looped.assert_mends(&["ORD005"], &[]);
-    assert!(looped.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
-    Loop::of(|log| log.run.pose.in_millimetres = true).assert_mends(&["ORD008"], &[]);
-    Loop::of(|log| log.edit = Some(|messages| crate::checks::ord::in_unit(messages, 0.0254)))
-        .assert_mends(&["ORD008"], &[]);
+    let corrected = CorrectedLog::audit(|log| log.run.joints.number_order = order());
+    corrected.assert_corrects(&["ORD005"], &[]);
+    assert!(corrected.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
+    CorrectedLog::audit(|log| log.run.pose.in_millimetres = true).assert_corrects(&["ORD008"], &[]);
+    CorrectedLog::audit(|log| {
+        log.edit = Some(|messages| crate::checks::ord::convert_unit(messages, 0.0254))
+    })
+    .assert_corrects(&["ORD008"], &[]);
     let unity = "x right, y up, z forward (left-handed)";
-    let looped = Loop::of(|log| {
+    let corrected = CorrectedLog::audit(|log| {
         log.edit = Some(|messages| {
             let unity = "x right, y up, z forward (left-handed)";
-            crate::checks::ord::in_axes(messages, unity, unity);
+            crate::checks::ord::convert_axes(messages, unity, unity);
         });
     });
-    looped.assert_mends(&["ORD010"], &[]);
-    assert!(looped.text("corrections.toml").contains(unity));
-    let all = Loop::of(|log| {
+    corrected.assert_corrects(&["ORD010"], &[]);
+    assert!(corrected.text("corrections.toml").contains(unity));
+    let all = CorrectedLog::audit(|log| {
         log.run.joints.in_degrees = true;
         log.run.joints.number_order = order();
         log.run.pose.timing.latency_s = 0.015;
     });
-    all.assert_mends(&["LAT001", "ORD004", "ORD005"], &[]);
+    all.assert_corrects(&["LAT001", "ORD004", "ORD005"], &[]);
 }
 
 #[test]
-fn latencies_are_mended_of_joint_states_and_their_copies_too() {
-    Loop::of(|log| log.run.pose.timing.latency_s = -0.015).assert_mends(&["LAT001"], &[]);
-    Loop::of(|log| log.run.imu.timing.latency_s = 0.02).assert_mends(&["LAT001"], &[]);
-    Loop::of(|log| log.run.tf.timing.latency_s = 0.05).assert_mends(&["LAT001"], &[]);
-    let joints = Loop::of(|log| {
+fn latencies_of_joint_states_and_derived_streams_are_corrected() {
+    CorrectedLog::audit(|log| log.run.pose.timing.latency_s = -0.015)
+        .assert_corrects(&["LAT001"], &[]);
+    CorrectedLog::audit(|log| log.run.imu.timing.latency_s = 0.02)
+        .assert_corrects(&["LAT001"], &[]);
+    CorrectedLog::audit(|log| log.run.tf.timing.latency_s = 0.05).assert_corrects(&["LAT001"], &[]);
+    let joints = CorrectedLog::audit(|log| {
         log.run.joints.timing.latency_s = 0.02;
         // /tf at every fourth stamp of the joint states.
         log.run.tf.timing = log.run.joints.timing.clone();
         log.run.tf.timing.rate_hz = 12.5;
     });
-    joints.assert_mends(&["LAT001"], &[]);
+    joints.assert_corrects(&["LAT001"], &[]);
     let topics = joints.text("latency.yaml");
     assert!(topics.contains(JOINT_STATES) && topics.contains(&format!("\"{TF}\"")), "{topics}");
 }
 
 #[test]
-fn a_skew_is_mended_with_its_latency() {
-    let looped = Loop::of(|log| {
+fn clock_skew_is_corrected_with_its_latency() {
+    let corrected = CorrectedLog::audit(|log| {
         log.run.duration_s = 20.0;
         log.run.pose.timing.skew = 600e-6;
         log.run.pose.timing.latency_s = 0.012;
     });
-    looped.assert_mends(&["LAT001", "LAT002"], &[]);
+    corrected.assert_corrects(&["LAT001", "LAT002"], &[]);
 }
 
 #[test]
-fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
-    let faulty = |log: &mut Log| log.run.joints.zero_offsets = zero(2, 0.6);
-    let looped = Loop::of(faulty);
-    looped.assert_mends(&["ZER001"], &[]);
-    let patched = looped.text("robot_description.urdf");
-    let patch = looped.text("robot_description.urdf.patch");
+fn zero_offsets_are_corrected_by_offsets_and_by_the_model() {
+    let faulty = |log: &mut Log| log.run.joints.zero_offsets = zero_offset(2, 0.6);
+    let corrected = CorrectedLog::audit(faulty);
+    corrected.assert_corrects(&["ZER001"], &[]);
+    let patched = corrected.text("robot_description.urdf");
+    let patch = corrected.text("robot_description.urdf.patch");
     let changed = patch.lines().filter(|line| line.starts_with('+') || line.starts_with('-'));
     assert_eq!(changed.count(), 4, "two headers, one line out and one in:\n{patch}");
-    let [model, reported] = [&patched, &urdf_text(&Log::sound().run.robot)]
+    let [model, reported] = [&patched, &urdf_text(&Log::fault_free().run.robot)]
         .map(|text| Robot::from_urdf(text, "model").expect("a robot"));
     let tip = |robot: &Robot, q: &[f64]| {
         let link = |name| robot.link(name).expect(name);
@@ -197,117 +202,126 @@ fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
     assert!(off_m < 2e-5, "{off_m}");
 
     // /tf was published with the model from before the correction.
-    let file = looped.folder.path().join("made/for/it/robot_description.urdf");
-    let by_model = Log::with(|log| {
+    let file = corrected.folder.path().join("made/for/it/robot_description.urdf");
+    let with_patched_model = Log::modified(|log| {
         faulty(log);
         log.options.run.robots = vec![file.display().to_string().as_str().into()];
     });
-    let by_model = by_model.audited();
-    let codes: Vec<&str> = by_model.findings.iter().map(|finding| finding.code).collect();
-    assert_eq!(codes, ["FRM001"], "{}", summary(&by_model.findings));
-    assert_eq!(the(&by_model, "FRM001", TF).subject.frame.as_deref(), Some("tool0"));
+    let with_patched_model = with_patched_model.report();
+    let codes: Vec<&str> = with_patched_model.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["FRM001"], "{}", summary(&with_patched_model.findings));
+    assert_eq!(
+        single_finding(&with_patched_model, "FRM001", TF).subject.frame.as_deref(),
+        Some("tool0")
+    );
 }
 
 #[test]
-fn a_dh_table_is_patched_in_its_convention_and_its_rows() {
+fn a_dh_table_is_corrected_in_its_convention_and_its_rows() {
     let faulty = |log: &mut Log| {
-        crate::checks::ord::by_table(log, "modified", [""; 2]);
-        log.run.joints.zero_offsets = zero(2, 0.6);
+        crate::checks::ord::use_dh_table(log, "modified", [""; 2]);
+        log.run.joints.zero_offsets = zero_offset(2, 0.6);
     };
     let folder = tempfile::tempdir().expect("a folder");
-    let before = Log::with(|log| {
+    let before = Log::modified(|log| {
         faulty(log);
         log.fix = Some(folder.path().to_owned());
     });
-    let before = before.audited();
+    let before = before.report();
     let codes: Vec<&str> = before.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, ["ORD007", "ZER001"]);
     let file = folder.path().join("ur5e_modified.toml");
     let text = fs::read_to_string(&file).expect("a table");
     assert!(text.contains("convention = \"standard\""), "{text}");
     assert!(text.contains("[-0.3922, 0.0, 0.0, 0.0104"), "{text}");
-    let after = Log::with(|log| {
+    let after = Log::modified(|log| {
         faulty(log);
         log.options.run.robots = vec![file.display().to_string().as_str().into()];
     });
-    let after = after.audited();
+    let after = after.report();
     assert!(after.findings.is_empty(), "{}", summary(&after.findings));
 }
 
 #[test]
-fn of_a_rail_the_offset_is_in_metres() {
-    let looped = Loop::of(|log| {
-        crate::checks::zer::on_a_rail(&mut log.run);
+fn the_zero_offset_of_a_rail_is_in_metres() {
+    let corrected = CorrectedLog::audit(|log| {
+        crate::checks::zer::mount_on_rail(&mut log.run);
         log.run.joints.zero_offsets = vec![0.003];
     });
-    looped.assert_mends(&["ZER001"], &[]);
-    assert!(looped.text("corrections.toml").contains("offset_m = 0.00"));
+    corrected.assert_corrects(&["ZER001"], &[]);
+    assert!(corrected.text("corrections.toml").contains("offset_m = 0.00"));
 }
 
 #[test]
-fn frames_are_mended() {
-    let base = Loop::of(|log| log.run.pose.reference_from_stream = crate::checks::frm::shifted());
-    base.assert_mends(&["FRM002"], &[]);
+fn frames_are_corrected() {
+    let base = CorrectedLog::audit(|log| {
+        log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted()
+    });
+    base.assert_corrects(&["FRM002"], &[]);
     let command = base.text("static_transforms.sh");
     assert!(command.contains("--frame-id base --child-frame-id base_of_tcp_pose"), "{command}");
     assert!(base.text("fixed_joints.xml").contains("<parent link=\"base\"/>"));
-    let tool = Loop::of(|log| {
-        log.run.pose.tip_from_stream = crate::checks::frm::tool();
+    let tool = CorrectedLog::audit(|log| {
+        log.run.pose.tip_from_stream = crate::checks::frm::tool_offset();
         log.run.pose.coding = misread("rotvec", "euler:xyz");
-        log.run.pose.reference_from_stream = crate::checks::frm::half_turn();
+        log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
     });
-    tool.assert_mends(&["FRM002", "FRM003", "ORD001"], &[]);
-    let mount = Loop::of(|log| log.run.imu.mount_error = crate::checks::yaw::turned(90.0));
-    mount.assert_mends(&["YAW003"], &[]);
+    tool.assert_corrects(&["FRM002", "FRM003", "ORD001"], &[]);
+    let mount = CorrectedLog::audit(|log| {
+        log.run.imu.mount_error = crate::checks::yaw::rotated_mount(90.0)
+    });
+    mount.assert_corrects(&["YAW003"], &[]);
     let command = mount.text("static_transforms.sh");
     assert!(command.contains("--frame-id tool0 --child-frame-id imu_link"), "{command}");
     assert!(command.contains(&format!("YAW003 on {IMU}")), "{command}");
 }
 
 #[test]
-fn a_camera_is_put_where_it_is() {
+fn a_camera_mount_is_corrected() {
     for camera in [Camera::InHand, Camera::InBase] {
-        let looped = Loop::of(|log| {
-            crate::checks::hec::watched(log, camera);
+        let corrected = CorrectedLog::audit(|log| {
+            crate::checks::hec::watch_target(log, camera);
             log.run.target.mount_error = Pose::translation(0.0, 0.012, 0.0);
         });
-        looped.assert_mends(&["HEC001"], &[]);
+        corrected.assert_corrects(&["HEC001"], &[]);
     }
 }
 
 #[test]
-fn bare_numbers_are_mended_in_units_and_frames() {
-    let looped = Loop::of(|log| {
+fn unnamed_numbers_are_corrected_in_units_and_frames() {
+    let corrected = CorrectedLog::audit(|log| {
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
-        log.run.pose.reference_from_stream = crate::checks::frm::shifted();
-        log.edit = Some(|messages| crate::checks::ord::as_numbers(messages, 1_f64.to_degrees()));
+        log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
+        log.edit =
+            Some(|messages| crate::checks::ord::poses_to_numbers(messages, 1_f64.to_degrees()));
     });
-    looped.assert_mends(&["FRM002", "ORD001"], &[]);
-    assert!(looped.text("corrections.toml").contains("convention = \"rotvec\""));
+    corrected.assert_corrects(&["FRM002", "ORD001"], &[]);
+    assert!(corrected.text("corrections.toml").contains("convention = \"rotvec\""));
 }
 
 #[test]
-fn what_no_file_mends_is_said() {
-    let looped = Loop::of(|log| log.run.imu.gyro_bias_rad_s = crate::checks::yaw::bias());
-    looped.assert_mends(&[], &["YAW004"]);
-    let index = looped.text("corrections.md");
+fn findings_without_a_correction_are_listed() {
+    let corrected =
+        CorrectedLog::audit(|log| log.run.imu.gyro_bias_rad_s = crate::checks::yaw::gyro_bias());
+    corrected.assert_corrects(&[], &["YAW004"]);
+    let index = corrected.text("corrections.md");
     assert!(index.contains("## Not in these files\n\n- YAW004 on /imu/data: "), "{index}");
-    let clean = Loop::of(|_| {});
-    clean.assert_mends(&[], &[]);
+    let clean = CorrectedLog::audit(|_| {});
+    clean.assert_corrects(&[], &[]);
     assert!(clean.text("corrections.md").contains("No finding can be corrected by a file"));
 }
 
 #[test]
-fn the_same_log_gives_the_same_bytes() {
+fn corrections_of_one_log_are_always_the_same_bytes() {
     let written = || -> BTreeMap<String, Vec<u8>> {
         let folder = tempfile::tempdir().expect("a folder");
-        let log = Log::with(|log| {
-            log.run.joints.zero_offsets = zero(2, 0.6);
-            log.run.pose.reference_from_stream = crate::checks::frm::shifted();
+        let log = Log::modified(|log| {
+            log.run.joints.zero_offsets = zero_offset(2, 0.6);
+            log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
             log.run.pose.coding = misread("rotvec", "euler:xyz");
             log.fix = Some(folder.path().to_owned());
         });
-        log.audited();
+        log.report();
         let entries = fs::read_dir(folder.path()).expect("a folder").map(|entry| {
             let entry = entry.expect("an entry");
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -321,7 +335,7 @@ fn the_same_log_gives_the_same_bytes() {
 }
 
 #[test]
-fn corrections_of_what_is_not_in_the_log_are_refused() {
+fn corrections_for_unknown_topics_and_joints_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("c.toml");
     let refused = |body: &str| {
@@ -332,18 +346,18 @@ fn corrections_of_what_is_not_in_the_log_are_refused() {
         fs::rename(&path, &name).expect("it is there");
         trouble(&name)
     };
-    let said = refused("[[topic]]\nname = \"/nowhere\"\nlatency_s = 0.1\n");
-    assert!(said.contains("-c.toml: the log has no topic '/nowhere'; "), "{said}");
-    let said = refused("[[joint]]\nname = \"knee\"\noffset_rad = 0.1\n");
-    assert!(said.contains("has a joint 'knee'"), "{said}");
-    let said = refused(&format!(
+    let message = refused("[[topic]]\nname = \"/nowhere\"\nlatency_s = 0.1\n");
+    assert!(message.contains("-c.toml: the log has no topic '/nowhere'; "), "{message}");
+    let message = refused("[[joint]]\nname = \"knee\"\noffset_rad = 0.1\n");
+    assert!(message.contains("has a joint 'knee'"), "{message}");
+    let message = refused(&format!(
         "[[topic]]\nname = \"{IMU}\"\nlength_unit = {{is = \"mm\", read_as = \"m\"}}\n"
     ));
-    assert!(said.contains("length_unit cannot be applied to topic"), "{said}");
+    assert!(message.contains("length_unit cannot be applied to topic"), "{message}");
 }
 
 /// The error for a sound log with these corrections.
 fn trouble(corrections: &Path) -> String {
-    let log = Log::with(|log| log.options.corrections = Some(corrections.to_owned()));
-    log.audit().expect_err("it is refused").to_string()
+    let log = Log::modified(|log| log.options.corrections = Some(corrections.to_owned()));
+    log.try_report().expect_err("it is refused").to_string()
 }
