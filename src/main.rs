@@ -11,8 +11,8 @@ use poseaudit::boundary::{ReportingAllocator, catch_panic};
 static MEMORY: ReportingAllocator = ReportingAllocator;
 
 fn main() -> ExitCode {
-    cli::end_on_signals();
-    let outcome = catch_panic(cli::run).unwrap_or_else(|what| cli::fault(&what));
+    cli::handle_signals();
+    let outcome = catch_panic(cli::run).unwrap_or_else(|what| cli::report_fault(&what));
     ExitCode::from(match outcome {
         Outcome::Clean => 0,
         Outcome::Findings => 1,

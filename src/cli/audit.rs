@@ -8,11 +8,11 @@ use poseaudit::output::{fix, foxglove, tables};
 use poseaudit::report::{Format, Report, Trouble};
 use poseaudit::{Audited, Options};
 
-use super::how::{How, first};
-use super::progress::watched;
-use super::{Outcome, misuse, output, reports, say, statistics, view};
+use super::audit_options::{AuditOptions, first_non_empty};
+use super::progress::with_progress;
+use super::{Outcome, messages, misuse, output, reports, statistics, view};
 
-const BASELINE: &str = "--write-baseline";
+const BASELINE_OPTION: &str = "--write-baseline";
 
 /// Audit one recorded run: find wrong poses, timestamps and conventions, with size and uncertainty
 ///
@@ -37,10 +37,10 @@ pub struct Args {
     logs: Vec<PathBuf>,
 
     #[command(flatten)]
-    how: How,
+    audit_options: AuditOptions,
 
     #[command(flatten)]
-    reports: reports::Reports,
+    reports: reports::ReportOptions,
 
     /// Write a Rerun recording of the run
     #[arg(long, value_name = "FILE")]
@@ -83,8 +83,9 @@ pub struct Args {
 }
 
 /// The options, checked so that no output overwrites an input.
-fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
-    let options = Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..how };
+fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
+    let options =
+        Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..options };
     let mut places = options.places();
     if let Some(recording) = args.recording() {
         recording.enter(&mut places);
@@ -98,8 +99,8 @@ fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     if let Some(folder) = &args.fix {
         fix::enter(folder, &options.run.robots, &mut places);
     }
-    args.write_baseline.iter().for_each(|path| places.writes(BASELINE, path));
-    args.reports.enter(&mut places);
+    args.write_baseline.iter().for_each(|path| places.writes(BASELINE_OPTION, path));
+    args.reports.register_outputs(&mut places);
     places.check()?;
     Ok(options)
 }
@@ -118,7 +119,8 @@ impl Args {
         let tables = self.parquet.as_deref().map(|folder| (folder, audited.write_tables(folder)));
         let fixes = self.fix.as_deref().map(|folder| (folder, audited.write_fixes(folder)));
         let outputs = [recorded, messages, tables, fixes].into_iter().flatten();
-        let unwritten = outputs.filter_map(|(path, done)| done.map(|()| say::wrote(path)).err());
+        let unwritten =
+            outputs.filter_map(|(path, done)| done.map(|()| messages::print_written(path)).err());
         unwritten.collect()
     }
 
@@ -127,7 +129,7 @@ impl Args {
             true => statistics::emit(report, &self.reports),
             false => self.reports.emit(report),
         };
-        let kept = match (&self.write_baseline, Format::named("json")) {
+        let baseline_written = match (&self.write_baseline, Format::named("json")) {
             (Some(path), _) if report.error.is_some() => {
                 let what = "not written: a log that could not be audited cannot be a baseline";
                 Err(misuse(path.display().to_string(), what, "see the error of the audit"))
@@ -136,12 +138,12 @@ impl Args {
             _ => Ok(()),
         };
         // One error does not prevent the other.
-        written.and(kept)
+        written.and(baseline_written)
     }
 }
 
 /// Mesh folders must exist, and a recording must be written.
-fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
+fn check_mesh_roots(args: &Args) -> Result<(), Trouble> {
     if let Some(missing) = args.mesh_roots.iter().find(|root| !root.is_dir()) {
         let place = missing.display().to_string();
         let what = if missing.exists() { "not a folder" } else { "no such folder" };
@@ -155,43 +157,44 @@ fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
 }
 
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
-    args.reports.can_be_followed()?;
+    args.reports.check_destination()?;
     if args.statistics {
-        statistics::can_be_followed(&args.reports)?;
+        statistics::check_format(&args.reports)?;
     }
-    args.how.find_config(&args.logs)?;
-    meshes_can_be_drawn(&args)?;
+    args.audit_options.find_config(&args.logs)?;
+    check_mesh_roots(&args)?;
     // Before reading the config: an error report must not overwrite a file.
-    asked(&args, args.how.named())?;
-    let viewer = args.view.then(|| view::viewer(view::OPTION)).transpose()?;
+    check_options(&args, args.audit_options.options_without_config())?;
+    let viewer = args.view.then(|| view::find_viewer(view::VIEW_OPTION)).transpose()?;
     if viewer.is_some() && args.rrd.is_none() {
-        args.rrd = Some(view::place()?);
+        args.rrd = Some(view::create_recording_file()?);
     }
     let mut required = Vec::new();
-    let audited = match args.how.clone().options() {
+    let audited = match args.audit_options.clone().into_options() {
         Err(trouble) => Err(trouble),
-        Ok(how) => {
-            let mut options = asked(&args, how)?;
+        Ok(options) => {
+            let mut options = check_options(&args, options)?;
             let rules = &mut options.policy.rules;
-            rules.required = first(args.require.clone(), std::mem::take(&mut rules.required));
+            rules.required =
+                first_non_empty(args.require.clone(), std::mem::take(&mut rules.required));
             required.clone_from(&rules.required);
-            watched(|progress| {
+            with_progress(|progress| {
                 options.read.progress = Some(progress);
                 poseaudit::audit(&options)
             })
         }
     };
     let (report, unwritten) = match audited {
-        Err(trouble) if !args.reports.tell_trouble() => return Err(trouble),
+        Err(trouble) if !args.reports.has_trouble_format() => return Err(trouble),
         Err(trouble) => (Report::of_trouble(trouble), Vec::new()),
         Ok(audited) => {
-            let are_pictured = args.reports.are_pictured();
+            let are_pictured = args.reports.has_pictures();
             let mut audited = if are_pictured { audited.with_figures() } else { audited };
             let unwritten = args.write_outputs(&mut audited);
             (audited.into_report(), unwritten)
         }
     };
-    let report = report.called(&asked_alone());
+    let report = report.called(&call_without_outputs());
     // Even if another output failed.
     let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
@@ -212,8 +215,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 }
 
 /// The call without output options and verbosity.
-fn asked_alone() -> Vec<String> {
-    const WITH_VALUE: [&str; 9] = [
+fn call_without_outputs() -> Vec<String> {
+    const OPTIONS_WITH_VALUE: [&str; 9] = [
         "--format",
         "--output",
         "-o",
@@ -221,10 +224,10 @@ fn asked_alone() -> Vec<String> {
         "--mcap",
         "--parquet",
         "--rrd",
-        BASELINE,
+        BASELINE_OPTION,
         "--color",
     ];
-    const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
+    const FLAGS: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
     let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
     let words: Vec<String> = words.collect();
     // Words after a final `--` are logs if none is an option.
@@ -237,9 +240,9 @@ fn asked_alone() -> Vec<String> {
     while let Some(word) = words.next() {
         let option = word.split('=').next().unwrap_or_default();
         let is_joined = word.starts_with("-o") && word.len() > 2;
-        if WITH_VALUE.contains(&word.as_str()) {
+        if OPTIONS_WITH_VALUE.contains(&word.as_str()) {
             words.next();
-        } else if !is_joined && !ALONE.contains(&option) && !WITH_VALUE.contains(&option) {
+        } else if !is_joined && !FLAGS.contains(&option) && !OPTIONS_WITH_VALUE.contains(&option) {
             asked.push(word);
         }
     }

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use poseaudit::report::Trouble;
 use poseaudit::{Options, calibrate};
 
-use super::how::How;
+use super::audit_options::AuditOptions;
 use super::output::{self, Format};
-use super::progress::watched;
-use super::{Outcome, misuse, say};
+use super::progress::with_progress;
+use super::{Outcome, messages, misuse};
 
 /// Estimate the link parameters of an arm from logs, and write a calibrated model
 ///
@@ -30,7 +30,7 @@ pub struct Args {
     logs: Vec<PathBuf>,
 
     #[command(flatten)]
-    how: How,
+    audit_options: AuditOptions,
 
     /// Write robot.urdf, calibration.json and, for a UR, calibration.yaml into this folder
     #[arg(long, value_name = "DIR")]
@@ -46,11 +46,11 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, mut how, out, topic, format } = args;
-    how.find_config(&logs)?;
+    let Args { logs, mut audit_options, out, topic, format } = args;
+    audit_options.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
     // Before reading the config, so a file that would be overwritten is reported first.
-    let mut places = with(how.named()).places();
+    let mut places = with(audit_options.options_without_config()).places();
     poseaudit::output::calibration::enter(&out, &mut places);
     places.check()?;
     if out.exists() && !out.is_dir() {
@@ -60,16 +60,16 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
             "name a folder with --out",
         ));
     }
-    let options = how.options()?;
+    let options = audit_options.into_options()?;
     let options = with(options);
-    let found = watched(|progress| {
+    let found = with_progress(|progress| {
         let mut options = options;
         options.read.progress = Some(progress);
         calibrate(&options, topic.as_deref())
     })?;
     let written = found.write(&out)?;
     let files: Vec<PathBuf> = written.iter().map(|name| out.join(name)).collect();
-    files.iter().for_each(|file| say::wrote(file));
+    files.iter().for_each(|file| messages::print_written(file));
     let files: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
     output::emit(None, |stdout| match format {
         Format::Text => found.write_text(&files, stdout),

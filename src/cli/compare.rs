@@ -10,8 +10,8 @@ use poseaudit::compare::{compare, markdown, text};
 use poseaudit::log::{self, LogError, ReadOptions};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
 
-use super::how::How;
-use super::progress::watched;
+use super::audit_options::AuditOptions;
+use super::progress::with_progress;
 use super::{Outcome, output};
 
 /// Compare two reports or logs, or a log with its baseline: new, fixed and worse findings
@@ -36,7 +36,7 @@ pub struct Args {
     new: PathBuf,
 
     #[command(flatten)]
-    how: How,
+    audit_options: AuditOptions,
 
     /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -60,14 +60,17 @@ enum Format {
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let sides = [&args.old, &args.new];
     let logs: Vec<&PathBuf> = sides.into_iter().filter(|path| !is_json(path)).collect();
-    args.how.find_config(&logs)?;
-    let mut places = args.how.named().places();
+    args.audit_options.find_config(&logs)?;
+    let mut places = args.audit_options.options_without_config().places();
     sides.into_iter().for_each(|path| places.reads_log(path));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
-    let how = args.how.options()?;
-    let (old, new) = (kept(&args.old, Side::Old, &how)?, kept(&args.new, Side::New, &how)?);
-    let comparison = compare(&old, &new, how.policy.fail_on);
+    let options = args.audit_options.into_options()?;
+    let (old, new) = (
+        load_report(&args.old, Side::Old, &options)?,
+        load_report(&args.new, Side::New, &options)?,
+    );
+    let comparison = compare(&old, &new, options.policy.fail_on);
     output::emit(args.output.as_deref(), |out| match args.format {
         Format::Text => text(&comparison, out),
         Format::Markdown => markdown(&comparison, out),
@@ -76,7 +79,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             writeln!(out)
         }
     })?;
-    let is_open = how.policy.fail_on_inconclusive && new.verdict == Verdict::Inconclusive;
+    let is_open = options.policy.fail_on_inconclusive && new.verdict == Verdict::Inconclusive;
     Ok(if comparison.regression || is_open { Outcome::Findings } else { Outcome::Clean })
 }
 
@@ -88,13 +91,13 @@ enum Side {
 
 /// The report at `path`, or of that log. A new log that cannot be audited yields a report that is worse
 /// than any baseline.
-fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
+fn load_report(path: &Path, side: Side, options: &Options) -> Result<Report, Trouble> {
     if is_json(path) {
         return Report::from_file(path);
     }
-    let audited = watched(|progress| {
-        let read = ReadOptions { progress: Some(progress), ..how.read.clone() };
-        poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..how.clone() })
+    let audited = with_progress(|progress| {
+        let read = ReadOptions { progress: Some(progress), ..options.read.clone() };
+        poseaudit::audit(&Options { logs: vec![path.to_owned()], read, ..options.clone() })
     });
     match audited {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {

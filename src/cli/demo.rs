@@ -32,7 +32,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     places.check()?;
     let demo = poseaudit::demo(&args.dir)?;
     reports::emit(args.format, &demo.report, None)?;
-    let lines: Vec<String> = demo.planted.iter().map(line).collect();
+    let lines: Vec<String> = demo.planted.iter().map(planted_text).collect();
     if args.format.is_text() {
         output::emit(None, |out| writeln!(out, "\n{}", lines.join("\n")))?;
     } else {
@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(if recovered { Outcome::Clean } else { Outcome::Findings })
 }
 
-fn line(planted: &Planted) -> String {
+fn planted_text(planted: &Planted) -> String {
     let mark = if planted.recovered { "recovered" } else { "missed" };
     format!("{mark:<16}{}", planted.what)
 }

@@ -12,7 +12,7 @@ use poseaudit::run::robot_of;
 use serde_json::json;
 
 use super::output::Format;
-use super::{Outcome, misuse, output, say};
+use super::{Outcome, messages, misuse, output};
 
 /// Forward kinematics: the pose of one link in another, for one configuration or a file of them
 #[derive(Debug, clap::Args)]
@@ -31,7 +31,7 @@ pub struct Args {
         value_name = "Q",
         allow_negative_numbers = true,
         conflicts_with = "file",
-        value_parser = finite
+        value_parser = parse_finite
     )]
     q: Vec<f64>,
 
@@ -60,7 +60,7 @@ pub struct Args {
     format: Format,
 }
 
-fn finite(text: &str) -> Result<f64, String> {
+fn parse_finite(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| "expected a finite number".to_owned())
 }
@@ -69,14 +69,14 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let mut places = Places::default();
     places.reads("the robot", Path::new(&args.robot));
     args.file.iter().for_each(|file| places.reads("the file of joint positions", file));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
     let robot = robot_of(&args.robot)
         .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;
     let chain = chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
     match (&args.file, &args.output) {
-        (Some(file), Some(output)) => many(&chain, args, file, output)?,
-        _ => one(&robot, &chain, args)?,
+        (Some(file), Some(output)) => convert_file(&chain, args, file, output)?,
+        _ => print_one(&robot, &chain, args)?,
     }
     Ok(Outcome::Clean)
 }
@@ -113,7 +113,7 @@ fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
     q
 }
 
-fn many(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Trouble> {
+fn convert_file(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Trouble> {
     let trouble = |option: &str, TableError { path, cause }: TableError| {
         misuse(path.display().to_string(), cause, format!("see {option} in `poseaudit fk --help`"))
     };
@@ -126,11 +126,11 @@ fn many(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Tr
         .map_err(|error| TableError { path: output.to_owned(), cause: error.to_string() })
         .and_then(|mut frame| write_frame(output, &mut frame));
     written.map_err(|error| trouble("--output", error))?;
-    say::wrote(output);
+    messages::print_written(output);
     Ok(())
 }
 
-fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
+fn print_one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
     let (found, wanted) = (args.q.len(), chain.dof());
     if found != wanted {
         let names = chain.joint_names().join(", ");
@@ -140,9 +140,9 @@ fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
     let q = in_si(chain, args.q.clone(), args.deg);
     let base_from_tip = chain.forward(&q);
     output::emit(None, |out| match args.format {
-        Format::Text => text(robot, chain, &base_from_tip, out),
+        Format::Text => write_text(robot, chain, &base_from_tip, out),
         Format::Json => {
-            let said = json!({
+            let json_text = json!({
                 "robot": robot.name,
                 "base": chain.base_name(),
                 "tip": chain.tip_name(),
@@ -152,7 +152,7 @@ fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
                 "xyzw": xyzw_from_rotation(&base_from_tip.rotation),
                 "matrix": matrix(&base_from_tip),
             });
-            writeln!(out, "{said:#}")
+            writeln!(out, "{json_text:#}")
         }
     })
 }
@@ -162,7 +162,7 @@ pub(super) fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
 }
 
-fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+fn write_text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let (name, base, tip) = (&robot.name, chain.base_name(), chain.tip_name());
     writeln!(out, "{}", foreign(format_args!("{name}: {base} → {tip}")))?;
     write_pose(pose, out)

@@ -20,13 +20,13 @@ use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use serde::Serialize;
 
-use super::how::How;
+use super::audit_options::AuditOptions;
 use super::output::Format;
-use super::progress::Logs;
+use super::progress::FleetProgressBar;
 use super::{Outcome, fleet_report, misuse, output};
 
 /// Default limit per log, at least.
-const LEAST_MEMORY_BYTES: u64 = 512 << 20;
+const MIN_MEMORY_BYTES: u64 = 512 << 20;
 
 /// Audit many logs, each in its own process, and store the results as Parquet
 ///
@@ -57,10 +57,10 @@ pub struct Args {
     out: Option<PathBuf>,
 
     #[command(flatten)]
-    how: How,
+    audit_options: AuditOptions,
 
     /// Label for all these logs: site=berlin, arm=cell3, or any other name
-    #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
+    #[arg(long = "label", value_name = "NAME=VALUE", value_parser = parse_label)]
     labels: Vec<(String, String)>,
 
     /// Template that reads labels from the ends of the paths, such as {site}/{arm}/*
@@ -72,11 +72,11 @@ pub struct Args {
     jobs: Option<NonZero<usize>>,
 
     /// Time limit for the audit of one log, seconds
-    #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = super::how::positive_seconds)]
+    #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = super::audit_options::positive_seconds)]
     timeout: f64,
 
     /// Memory limit for the audit of one log, such as 2GiB [default: its share of the machine's]
-    #[arg(long, value_name = "SIZE", value_parser = size_bytes)]
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     memory: Option<u64>,
 
     /// Retry logs that exceeded a limit or crashed the audit
@@ -92,8 +92,8 @@ pub struct Args {
     pending: bool,
 
     /// What identifies a log: its content, or its path, size and modification time, which needs no reading
-    #[arg(long, value_enum, value_name = "HOW", default_value_t = By::Content)]
-    identity: By,
+    #[arg(long, value_enum, value_name = "HOW", default_value_t = IdentityName::Content)]
+    identity: IdentityName,
 
     /// Format of the summary
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -114,23 +114,23 @@ enum Command {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum By {
+enum IdentityName {
     /// A hash of the content: copies are the same log
     Content,
     /// Path, size and modification time
     File,
 }
 
-impl From<By> for Identity {
-    fn from(by: By) -> Self {
+impl From<IdentityName> for Identity {
+    fn from(by: IdentityName) -> Self {
         match by {
-            By::Content => Identity::Content,
-            By::File => Identity::File,
+            IdentityName::Content => Identity::Content,
+            IdentityName::File => Identity::File,
         }
     }
 }
 
-fn label(text: &str) -> Result<(String, String), String> {
+fn parse_label(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
         _ => Err("expected NAME=VALUE, such as site=berlin".to_owned()),
@@ -138,7 +138,7 @@ fn label(text: &str) -> Result<(String, String), String> {
 }
 
 /// Bytes, with an optional unit KiB, MiB or GiB (K, M, G).
-fn size_bytes(text: &str) -> Result<u64, String> {
+fn parse_size(text: &str) -> Result<u64, String> {
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let shift = match text[end..].trim().to_ascii_lowercase().as_str() {
         "" | "b" => Some(0),
@@ -156,20 +156,20 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let Some(Command::Report(args)) = args.command.take() {
         return fleet_report::run(args);
     }
-    args.how.find_config(&args.sources)?;
-    let options = args.how.clone().options()?;
+    args.audit_options.find_config(&args.sources)?;
+    let options = args.audit_options.clone().into_options()?;
     let out = args.out.clone().unwrap_or_default();
     if args.worker {
-        return work(&options, &Store::create(&out)?, args.pages);
+        return run_worker(&options, &Store::create(&out)?, args.pages);
     }
     let sources = sources(&args.sources, io::stdin().lock())?;
-    places(&args, &options, &out, &sources).check()?;
+    register_places(&args, &options, &out, &sources).check()?;
     if args.pending {
         return list_pending(&args, &options, &out, sources);
     }
     let (fail_on, fails_open) = (options.policy.fail_on, options.policy.fail_on_inconclusive);
     let outcomes = audit(&args, &options, &out, sources)?;
-    let summary = Summary::of(&out, &outcomes, (fail_on, fails_open));
+    let summary = Summary::new(&out, &outcomes, (fail_on, fails_open));
     output::emit(args.output.as_deref(), |to| match args.format {
         Format::Text => summary.text(to),
         Format::Json => {
@@ -186,11 +186,11 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
+fn register_places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
     let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
     sources.iter().for_each(|source| places.reads_log(&source.path));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places
 }
 
@@ -201,12 +201,12 @@ fn list_pending(
     sources: Vec<Source>,
 ) -> Result<Outcome, Trouble> {
     let settings = AuditSettings::of(options)?;
-    let left = match Store::open(out) {
+    let pending = match Store::open(out) {
         Some(store) => pending(sources, &store, &settings, args.identity.into(), args.retry)?,
         None => sources,
     };
-    output::exactly(args.output.as_deref(), |to| {
-        for source in &left {
+    output::emit_unescaped(args.output.as_deref(), |to| {
+        for source in &pending {
             match is_url(&source.path) {
                 true => write!(to, "{}", SourceName::from_path(&source.path))?,
                 // Paths may contain any bytes.
@@ -228,12 +228,12 @@ fn audit(
     let settings = AuditSettings::of(options)?;
     let store = Store::create(out)?;
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZero::get);
-    let share = || Some((memory_bytes()? / jobs as u64).max(LEAST_MEMORY_BYTES));
+    let share = || Some((memory_bytes()? / jobs as u64).max(MIN_MEMORY_BYTES));
     let limits = Limits {
         time: Some(Duration::from_secs_f64(args.timeout.min(1e9))),
         memory_bytes: args.memory.or_else(share),
     };
-    let progress = Logs::new(sources.len());
+    let progress = FleetProgressBar::new(sources.len());
     let outcomes = audit_all(&Call {
         sources,
         store: &store,
@@ -244,7 +244,7 @@ fn audit(
         jobs,
         limits,
         retry: args.retry,
-        worker: &worker,
+        worker: &worker_command,
         progress: &|course| progress.show(course),
     });
     progress.end();
@@ -252,7 +252,7 @@ fn audit(
 }
 
 /// This call with `--worker`.
-fn worker() -> io::Result<process::Command> {
+fn worker_command() -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
     // Only global options may precede the command.
     let args: Vec<OsString> = std::env::args_os().skip(1).collect();
@@ -261,8 +261,8 @@ fn worker() -> io::Result<process::Command> {
     Ok(command)
 }
 
-fn work(options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
-    serve(options, store, paged)
+fn run_worker(options: &Options, store: &Store, with_pages: bool) -> Result<Outcome, Trouble> {
+    serve(options, store, with_pages)
         .map_err(|error| misuse("--worker", error.to_string(), "this option is internal"))?;
     Ok(Outcome::Clean)
 }
@@ -278,10 +278,10 @@ struct Summary<'a> {
 }
 
 /// Failed logs listed as text.
-const MOST_NAMED: usize = 20;
+const MAX_LISTED_FAILURES: usize = 20;
 
 impl<'a> Summary<'a> {
-    fn of(out: &Path, outcomes: &'a Outcomes, fail: (Option<Severity>, bool)) -> Self {
+    fn new(out: &Path, outcomes: &'a Outcomes, fail: (Option<Severity>, bool)) -> Self {
         let out = out.display().to_string();
         let failing = outcomes.failing(fail.0, fail.1);
         Self { schema: "poseaudit.fleet-run/1", out, failing, outcomes }
@@ -310,13 +310,13 @@ impl<'a> Summary<'a> {
         for (count, how) in unaudited.into_iter().filter(|(count, _)| *count > 0) {
             writeln!(to, "{count} {how}")?;
         }
-        for failure in errors.iter().take(MOST_NAMED) {
+        for failure in errors.iter().take(MAX_LISTED_FAILURES) {
             let path = poseaudit::report::tame(&failure.path);
             let what = failure.what.as_deref().unwrap_or_default();
             writeln!(to, "  {path}: {}", poseaudit::report::tame(what))?;
         }
-        if errors.len() > MOST_NAMED {
-            writeln!(to, "  and {} more", errors.len() - MOST_NAMED)?;
+        if errors.len() > MAX_LISTED_FAILURES {
+            writeln!(to, "  and {} more", errors.len() - MAX_LISTED_FAILURES)?;
         }
         writeln!(to, "results in {}", self.out)
     }
@@ -327,12 +327,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_read_as_people_write_them() {
-        assert_eq!(size_bytes("2GiB"), Ok(2 << 30));
-        assert_eq!(size_bytes("512 m"), Ok(512 << 20));
-        assert_eq!(size_bytes("1000"), Ok(1000));
+    fn sizes_parse_with_units() {
+        assert_eq!(parse_size("2GiB"), Ok(2 << 30));
+        assert_eq!(parse_size("512 m"), Ok(512 << 20));
+        assert_eq!(parse_size("1000"), Ok(1000));
         for text in ["", "GiB", "0", "-1", "2 TB", "99999999999G"] {
-            assert!(size_bytes(text).is_err(), "{text}");
+            assert!(parse_size(text).is_err(), "{text}");
         }
     }
 }

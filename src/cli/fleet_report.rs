@@ -79,7 +79,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     if log::is_dataset(&args.folder) || log::is_store(&args.folder) {
         places.reads_log(&args.folder);
     }
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
     let Some(store) = Store::open(&args.folder) else {
         let place = args.folder.display().to_string();

@@ -9,7 +9,7 @@ use poseaudit::places::Places;
 use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, foreign, tame};
 use poseaudit::time::seconds;
 
-use super::progress::watched;
+use super::progress::with_progress;
 use super::{Outcome, output};
 
 /// List the topics of a log, with the role of each and why
@@ -34,7 +34,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let config = args.config.as_deref().map(Config::from_file).transpose()?;
     let mut options = config.as_ref().map(Config::options).unwrap_or_default();
     options.logs.clone_from(&args.logs);
-    let report = watched(|progress| {
+    let report = with_progress(|progress| {
         options.read.progress = Some(progress);
         poseaudit::info(&options)
     })?;
@@ -65,12 +65,12 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         let line = format!("{name}, {base} → {tip}, from {source}: {joints}");
         writeln!(out, "{}", foreign(line))?;
     }
-    writeln!(out, "\n{}", table(&report.streams).trim_fmt())
+    writeln!(out, "\n{}", stream_table(&report.streams).trim_fmt())
 }
 
-fn table(streams: &[StreamRow]) -> Table {
-    const COUNT: usize = 5;
-    const SPAN: usize = 7;
+fn stream_table(streams: &[StreamRow]) -> Table {
+    const COUNT_COLUMN: usize = 5;
+    const SPAN_COLUMN: usize = 7;
     let header = ["topic", "type", "frames", "role", "witness", "count", "Hz", "span s", "why"];
     let mut table = output::table(header);
     for stream in streams {
@@ -89,7 +89,7 @@ fn table(streams: &[StreamRow]) -> Table {
             .map(|cell| tame(&cell).into_owned()),
         );
     }
-    for number in COUNT..=SPAN {
+    for number in COUNT_COLUMN..=SPAN_COLUMN {
         if let Some(column) = table.column_mut(number) {
             column.set_cell_alignment(CellAlignment::Right);
         }

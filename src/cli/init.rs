@@ -8,7 +8,7 @@ use poseaudit::log::ReadOptions;
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
-use super::progress::watched;
+use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
 /// Generate a commented config from a log
@@ -41,13 +41,13 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     }
     let mut places = Places::default();
     logs.iter().for_each(|log| places.reads_log(log));
-    output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
     if schema {
         output::emit(output.as_deref(), |out| out.write_all(config::schema().as_bytes()))?;
         return Ok(Outcome::Clean);
     }
-    let audited = watched(|progress| {
+    let audited = with_progress(|progress| {
         let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
         poseaudit::audit(&Options { logs, read, ..Options::default() })
     })?;

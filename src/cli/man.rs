@@ -29,7 +29,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         None => output::emit(None, |out| Man::new(whole).render(out))?,
         Some(folder) => {
             let mut places = Places::default();
-            places.writes_into(output::OUTPUT, folder, []);
+            places.writes_into(output::OUTPUT_OPTION, folder, []);
             places.check()?;
             for page in pages(&whole)? {
                 let path = folder.join(page.name);

@@ -2,6 +2,7 @@
 //! `--output`, messages to stderr.
 
 mod audit;
+mod audit_options;
 mod calibrate;
 mod compare;
 mod completions;
@@ -10,10 +11,10 @@ mod explain;
 mod fk;
 mod fleet;
 mod fleet_report;
-mod how;
 mod info;
 mod init;
 mod man;
+mod messages;
 mod output;
 mod plan;
 mod pose;
@@ -22,7 +23,6 @@ mod record_list;
 mod reports;
 mod robots;
 mod rules;
-mod say;
 mod statistics;
 mod tf;
 mod view;
@@ -82,7 +82,7 @@ Examples:
 )]
 struct Cli {
     #[command(flatten)]
-    say: say::Say,
+    verbosity: messages::VerbosityOptions,
 
     #[command(subcommand)]
     command: Command,
@@ -112,9 +112,9 @@ enum Command {
 
 /// Runs the command. For invalid options `clap` exits with status 2.
 pub fn run() -> Outcome {
-    let result = Cli::try_parse().map_err(refused).and_then(|cli| {
-        cli.say.apply();
-        follow(cli.command)
+    let result = Cli::try_parse().map_err(parse_trouble).and_then(|cli| {
+        cli.verbosity.apply();
+        dispatch(cli.command)
     });
     result.unwrap_or_else(|trouble| {
         output::error(&trouble);
@@ -122,7 +122,7 @@ pub fn run() -> Outcome {
     })
 }
 
-fn follow(command: Command) -> Result<Outcome, Trouble> {
+fn dispatch(command: Command) -> Result<Outcome, Trouble> {
     match command {
         Command::Audit(args) => audit::run(*args),
         Command::Calibrate(args) => calibrate::run(*args),
@@ -146,7 +146,7 @@ fn follow(command: Command) -> Result<Outcome, Trouble> {
 }
 
 /// Error for a log in place of a command; `clap` reports all others and exits.
-fn refused(error: clap::Error) -> Trouble {
+fn parse_trouble(error: clap::Error) -> Trouble {
     let first = std::env::args_os().nth(1).map(PathBuf::from);
     match first.filter(|path| error.kind() == ErrorKind::InvalidSubcommand && path.exists()) {
         Some(path) => {
@@ -158,23 +158,23 @@ fn refused(error: clap::Error) -> Trouble {
 }
 
 /// Deletes partial files on interruption or termination.
-pub fn end_on_signals() {
+pub fn handle_signals() {
     #[cfg(unix)]
     {
         use signal_hook::consts::{SIGINT, SIGTERM};
         // Shells make background jobs ignore SIGINT.
-        let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_passed_over(signal));
+        let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_ignored(signal));
         // Otherwise signals keep their default action.
         let Ok(mut signals) = signal_hook::iterator::Signals::new(wanted) else { return };
         let handle = signals.handle();
-        let heard = std::thread::Builder::new().spawn(move || {
+        let listener = std::thread::Builder::new().spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 poseaudit::boundary::delete_staged_files();
                 // Ends the process by the signal.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
         });
-        if heard.is_err() {
+        if listener.is_err() {
             handle.close();
         }
     }
@@ -183,7 +183,7 @@ pub fn end_on_signals() {
 /// Whether the parent process made this one ignore it.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "querying the action of a signal")]
-fn is_passed_over(signal: i32) -> bool {
+fn is_ignored(signal: i32) -> bool {
     // SAFETY: writes only to the struct, which outlives the call, and changes no action.
     unsafe {
         let mut action: libc::sigaction = std::mem::zeroed();
@@ -192,7 +192,7 @@ fn is_passed_over(signal: i32) -> bool {
     }
 }
 
-pub fn fault(what: &str) -> Outcome {
+pub fn report_fault(what: &str) -> Outcome {
     // Thread libraries report only this for a refused thread.
     match what.contains("spawn") || what.contains("ThreadPoolBuildError") {
         true => output::error(
@@ -228,9 +228,9 @@ mod tests {
 
     #[test]
     fn a_panic_ends_in_one_line_that_asks_for_a_report() {
-        let told =
+        let result =
             poseaudit::boundary::catch_panic(|| -> Outcome { panic!("no such column\nmore") });
-        let line = fault_line(&told.expect_err("a panic"));
+        let line = fault_line(&result.expect_err("a panic"));
         assert!(line.contains(": no such column (") && line.contains("please report"), "{line}");
         assert!(line.contains("cli/mod.rs:") && !line.contains('\n'), "{line}");
     }
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn every_command_has_examples_and_they_can_be_followed() {
+    fn every_command_has_examples_that_parse() {
         let whole = Cli::command();
         for command in [&whole].into_iter().chain(whole.get_subcommands()) {
             let examples = examples(command);

@@ -11,7 +11,7 @@ use clap::ValueEnum;
 use comfy_table::{Table, presets};
 use poseaudit::report::{Trouble, tame, upright, write_whole};
 
-use super::say;
+use super::messages;
 
 /// Output format of commands that do not print a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -22,7 +22,7 @@ pub enum Format {
     Json,
 }
 
-pub const OUTPUT: &str = "--output";
+pub const OUTPUT_OPTION: &str = "--output";
 
 const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -32,7 +32,7 @@ pub fn error(what: impl Display) {
 }
 
 pub fn warning(what: impl Display) {
-    if say::is_quiet() {
+    if messages::is_quiet() {
         return;
     }
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
@@ -52,13 +52,13 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
 /// grep.
 pub fn columns() -> Option<usize> {
     /// Unknown width.
-    const USUAL: usize = 100;
+    const DEFAULT_COLUMNS: usize = 100;
     if !io::stdout().is_terminal() {
         return None;
     }
     let set = std::env::var("COLUMNS").ok().and_then(|text| text.parse().ok());
     let own = || terminal_size::terminal_size_of(io::stdout()).map(|(width, _)| width.0.into());
-    set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(USUAL))
+    set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(DEFAULT_COLUMNS))
 }
 
 /// Writes to the file at `path`, creating its parents, or to stdout, with bidirectional control characters
@@ -67,7 +67,7 @@ pub fn emit(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), Trouble> {
-    exactly(path, |out| {
+    emit_unescaped(path, |out| {
         let mut text = Vec::new();
         write(&mut text)?;
         match std::str::from_utf8(&text) {
@@ -78,7 +78,7 @@ pub fn emit(
 }
 
 /// Same, without escaping.
-pub fn exactly(
+pub fn emit_unescaped(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> Result<(), Trouble> {
@@ -106,6 +106,6 @@ fn to_stdout(text: &[u8]) -> io::Result<()> {
 
 fn to_file(path: &Path, text: &[u8]) -> io::Result<()> {
     write_whole(path, |staged| StripStream::new(File::create(staged)?).write_all(text))?;
-    say::wrote(path);
+    messages::print_written(path);
     Ok(())
 }

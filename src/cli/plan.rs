@@ -16,8 +16,8 @@ use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
 use super::{Outcome, misuse, output};
-use arm::Planning;
-use setup::{Asked, asked};
+use arm::PlannedArm;
+use setup::{PlanTask, build_valid_task};
 
 /// Plan a motion that makes an audit conclusive, or predict what a given motion would show
 #[derive(Debug, clap::Args)]
@@ -41,7 +41,7 @@ pub struct Args {
         value_delimiter = ',',
         allow_hyphen_values = true,
         required_unless_present = "check",
-        value_parser = finite
+        value_parser = parse_finite
     )]
     around: Vec<f64>,
 
@@ -50,32 +50,32 @@ pub struct Args {
     degrees: bool,
 
     /// What the motion must show
-    #[arg(long = "for", value_enum, default_value_t = For::Zeros)]
-    purpose: For,
+    #[arg(long = "for", value_enum, default_value_t = PurposeName::Zeros)]
+    purpose: PurposeName,
 
     /// Duration of the motion, s
-    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = within::<2, 3600>)]
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = parse_within::<2, 3600>)]
     seconds: f64,
 
     /// Maximum deviation of each joint from --around, degrees; 3.5 mm per degree for a prismatic joint
-    #[arg(long, value_name = "DEG", default_value_t = 15.0, value_parser = within::<0, 180>)]
+    #[arg(long, value_name = "DEG", default_value_t = 15.0, value_parser = parse_within::<0, 180>)]
     amplitude: f64,
 
     /// Maximum joint speed, rad/s; a fifth of it in m/s for a prismatic joint [default: the model's limit,
     /// else 1]
-    #[arg(long, value_name = "RAD/S", value_parser = within::<0, 100>)]
+    #[arg(long, value_name = "RAD/S", value_parser = parse_within::<0, 100>)]
     speed: Option<f64>,
 
     /// Maximum joint acceleration, rad/s²; a fifth of it in m/s² for a prismatic joint
-    #[arg(long, value_name = "RAD/S²", default_value_t = 1.0, value_parser = within::<0, 1000>)]
+    #[arg(long, value_name = "RAD/S²", default_value_t = 1.0, value_parser = parse_within::<0, 1000>)]
     acceleration: f64,
 
     /// Minimum height of all parts of the arm in the base frame, m
-    #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = finite)]
+    #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = parse_finite)]
     floor: Option<f64>,
 
     /// Minimum distance between parts of the arm, and to the floor, m
-    #[arg(long, value_name = "M", default_value_t = 0.02, value_parser = within::<0, 10>)]
+    #[arg(long, value_name = "M", default_value_t = 0.02, value_parser = parse_within::<0, 10>)]
     clear: f64,
 
     /// Poses come from a tracker: neither its world frame nor the marker offset is known
@@ -83,27 +83,27 @@ pub struct Args {
     outside: bool,
 
     /// Noise of positions along each axis, mm
-    #[arg(long, value_name = "MM", default_value_t = 0.1, value_parser = within::<0, 1000>)]
+    #[arg(long, value_name = "MM", default_value_t = 0.1, value_parser = parse_within::<0, 1000>)]
     noise_mm: f64,
 
     /// Noise of rotations about each axis, degrees
-    #[arg(long, value_name = "DEG", default_value_t = 0.02, value_parser = within::<0, 90>)]
+    #[arg(long, value_name = "DEG", default_value_t = 0.02, value_parser = parse_within::<0, 90>)]
     noise_deg: f64,
 
     /// Pose rate, Hz
-    #[arg(long, value_name = "HZ", default_value_t = 100.0, value_parser = within::<0, 10000>)]
+    #[arg(long, value_name = "HZ", default_value_t = 100.0, value_parser = parse_within::<0, 10000>)]
     rate: f64,
 
     /// Deviation of each link from the nominal model, mm; 0 for an exact model
-    #[arg(long, value_name = "MM", default_value_t = 0.1, value_parser = at_least_nothing)]
+    #[arg(long, value_name = "MM", default_value_t = 0.1, value_parser = parse_up_to_100)]
     links_mm: f64,
 
     /// Distance of the camera target in front of the tip, m
-    #[arg(long, value_name = "M", default_value_t = 0.5, value_parser = within::<0, 100>)]
+    #[arg(long, value_name = "M", default_value_t = 0.5, value_parser = parse_within::<0, 100>)]
     target: f64,
 
     /// Maximum angle of the target from the camera axis (z of the tip), degrees
-    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = within::<0, 180>)]
+    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = parse_within::<0, 180>)]
     view: f64,
 
     /// Base link: the reference frame of the poses
@@ -138,7 +138,7 @@ pub struct Args {
 
 /// Purpose of the motion, from the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum For {
+enum PurposeName {
     /// The zero offset of each joint
     Zeros,
     /// The deviations of all links from the nominal model
@@ -151,14 +151,14 @@ enum For {
     Yaw,
 }
 
-impl From<For> for Purpose {
-    fn from(asked: For) -> Self {
-        match asked {
-            For::Zeros => Purpose::Zeros,
-            For::Calibration => Purpose::Calibration,
-            For::Latency => Purpose::Latency,
-            For::HandEye => Purpose::HandEye,
-            For::Yaw => Purpose::Yaw,
+impl From<PurposeName> for Purpose {
+    fn from(name: PurposeName) -> Self {
+        match name {
+            PurposeName::Zeros => Purpose::Zeros,
+            PurposeName::Calibration => Purpose::Calibration,
+            PurposeName::Latency => Purpose::Latency,
+            PurposeName::HandEye => Purpose::HandEye,
+            PurposeName::Yaw => Purpose::Yaw,
         }
     }
 }
@@ -179,7 +179,7 @@ enum Format {
 }
 
 impl Format {
-    fn of(path: &Path) -> Option<Self> {
+    fn from_extension(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()? {
             "csv" => Some(Self::Csv),
             "json" => Some(Self::Json),
@@ -191,13 +191,13 @@ impl Format {
     }
 }
 
-fn finite(text: &str) -> Result<f64, String> {
+fn parse_finite(text: &str) -> Result<f64, String> {
     let number = text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| "expected a finite number".to_owned())
 }
 
-fn at_least_nothing(text: &str) -> Result<f64, String> {
-    let number = finite(text)?;
+fn parse_up_to_100(text: &str) -> Result<f64, String> {
+    let number = parse_finite(text)?;
     match number {
         0.0..=100.0 => Ok(number),
         _ => Err("expected a number from 0 to 100".to_owned()),
@@ -205,47 +205,48 @@ fn at_least_nothing(text: &str) -> Result<f64, String> {
 }
 
 /// Above `LOW`, at most `HIGH`.
-fn within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
-    let number = finite(text)?;
+fn parse_within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
+    let number = parse_finite(text)?;
     match number > f64::from(LOW) && number <= f64::from(HIGH) {
         true => Ok(number),
         false => Err(format!("expected a number above {LOW}, up to {HIGH}")),
     }
 }
 
-const OBSTACLES: &str = "NO COLLISION CHECKING: the cell, the payload and cables are not modelled; run at \
+const COLLISION_WARNING: &str = "NO COLLISION CHECKING: the cell, the payload and cables are not modelled; run at \
     low speed first, with a hand on the e-stop";
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let mut places = Places::default();
     places.reads("the robot", Path::new(&args.robot));
     args.check.iter().for_each(|file| places.reads("the motion", file));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
-    let planning = Planning::of(args)?;
+    let arm = PlannedArm::from_args(args)?;
     match &args.check {
-        Some(file) => check(args, &planning, file),
-        None => planned(args, &planning),
+        Some(file) => check_motion(args, &arm, file),
+        None => plan_motion(args, &arm),
     }
 }
 
-fn planned(args: &Args, planning: &Planning) -> Result<Outcome, Trouble> {
-    let around = planning.posture(&args.around, args.degrees)?;
-    let asked = asked(args, planning, around)?;
-    let format = args.format.or_else(|| Format::of(args.output.as_deref()?));
+fn plan_motion(args: &Args, arm: &PlannedArm) -> Result<Outcome, Trouble> {
+    let around = arm.configuration(&args.around, args.degrees)?;
+    let task = build_valid_task(args, arm, around)?;
+    let format = args.format.or_else(|| Format::from_extension(args.output.as_deref()?));
     let format = format.unwrap_or(Format::Text);
     if format == Format::Urscript {
-        urscript::is_theirs(&planning.chain)?;
+        urscript::check_is_ur(&arm.chain)?;
     }
-    let planned = plan::plan(&asked.task(&planning.chain)).map_err(|why| refusal(&asked, why))?;
-    let motion = asked.motion(&planned);
+    let planned =
+        plan::plan(&task.requirements(&arm.chain)).map_err(|why| infeasible_trouble(&task, why))?;
+    let motion = task.motion(&planned);
     let emit = |format: Format, path: Option<&Path>| {
         output::emit(path, |out| match format {
-            Format::Text => text::planned(planning, &asked, &planned, &motion, out),
-            Format::Csv => write::csv(planning, &motion, out),
-            Format::Json => write::json(planning, &asked, &planned, &motion, out),
-            Format::Yaml => write::yaml(planning, &planned.series, out),
-            Format::Urscript => urscript::program(planning, &asked, &planned.series, out),
+            Format::Text => text::write_plan(arm, &task, &planned, &motion, out),
+            Format::Csv => write::write_csv(arm, &motion, out),
+            Format::Json => write::write_json(arm, &task, &planned, &motion, out),
+            Format::Yaml => write::write_yaml(arm, &planned.series, out),
+            Format::Urscript => urscript::write_program(arm, &task, &planned.series, out),
         })
     };
     emit(format, args.output.as_deref())?;
@@ -255,50 +256,52 @@ fn planned(args: &Args, planning: &Planning) -> Result<Outcome, Trouble> {
     match args.output {
         // Describes the file on stdout.
         Some(_) => emit(Format::Text, None)?,
-        None => output::warning(OBSTACLES),
+        None => output::warning(COLLISION_WARNING),
     }
     Ok(Outcome::Clean)
 }
 
-fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Trouble> {
-    let motion = read::motion(file, &planning.chain)?;
+fn check_motion(args: &Args, arm: &PlannedArm, file: &Path) -> Result<Outcome, Trouble> {
+    let motion = read::read_motion(file, &arm.chain)?;
     let around = match args.around.is_empty() {
         true => motion.row(0).to_vec(),
-        false => planning.posture(&args.around, args.degrees)?,
+        false => arm.configuration(&args.around, args.degrees)?,
     };
-    let asked = Asked::of_given(args, planning, around);
-    let sensing = &asked.sensing;
+    let task = PlanTask::from_configuration(args, arm, around);
+    let sensing = &task.sensing;
     let purpose = args.purpose.into();
-    let promises = plan::expected_precision(&planning.chain, &motion, purpose, sensing)
-        .ok_or_else(|| {
+    let precision =
+        plan::expected_precision(&arm.chain, &motion, purpose, sensing).ok_or_else(|| {
             let what = "its points are more than 2 s apart; the motion between them is unknown";
             misuse(file.display().to_string(), what, "provide at least 10 points per second")
         })?;
-    let checked = setup::Checked::of(planning, &asked, &motion, promises);
-    let format = args.format.or_else(|| Format::of(args.output.as_deref()?));
+    let checked = setup::MotionCheck::new(arm, &task, &motion, precision);
+    let format = args.format.or_else(|| Format::from_extension(args.output.as_deref()?));
     output::emit(args.output.as_deref(), |out| match format {
-        Some(Format::Json) => write::checked_json(planning, &asked, &checked, &motion, out),
-        Some(Format::Csv) => write::csv(planning, &motion, out),
-        _ => text::checked(planning, &asked, &checked, &motion, out),
+        Some(Format::Json) => write::write_check_json(arm, &task, &checked, &motion, out),
+        Some(Format::Csv) => write::write_csv(arm, &motion, out),
+        _ => text::write_check(arm, &task, &checked, &motion, out),
     })?;
     Ok(if checked.is_within() { Outcome::Clean } else { Outcome::Findings })
 }
 
 /// Error, and what would help, if no motion was found.
-fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
+fn infeasible_trouble(task: &PlanTask, why: Infeasible) -> Trouble {
     match why {
         Infeasible::NoMargin => misuse(
             "--around",
             "no joint can move: each is at a limit, or --amplitude leaves no room",
             "choose a configuration farther from the limits",
         ),
-        Infeasible::ClearanceViolated(near) => {
-            let near = near.map_or_else(String::new, |near| format!(": {}", asked.nearness(&near)));
-            let remedy = match near_view(&why) {
+        Infeasible::ClearanceViolated(violation) => {
+            let violation = violation.map_or_else(String::new, |violation| {
+                format!(": {}", task.violation_text(&violation))
+            });
+            let remedy = match is_view_violated(&why) {
                 true => "reduce --amplitude, or increase --view or --target",
                 false => "reduce --amplitude or --clear, or choose a more open configuration",
             };
-            misuse("--around", format!("every motion tried comes too close{near}"), remedy)
+            misuse("--around", format!("every motion tried comes too close{violation}"), remedy)
         }
         Infeasible::NothingObservable => misuse(
             "--for",
@@ -308,6 +311,6 @@ fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
     }
 }
 
-fn near_view(why: &Infeasible) -> bool {
+fn is_view_violated(why: &Infeasible) -> bool {
     matches!(why, Infeasible::ClearanceViolated(Some(ClearanceViolation::View(_))))
 }

@@ -110,27 +110,27 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let poses = poses(args);
+    let poses = pose_texts(args);
     match (poses.as_slice(), &args.pairs, args.is.is_empty()) {
         ([], None, true) => {
             let remedy =
                 "give a pose, two that should agree, or --pairs; see `poseaudit pose --help`";
             Err(misuse("pose", "no pose was given", remedy))
         }
-        ([pose], ..) => one(pose, args),
+        ([pose], ..) => print_conventions(pose, args),
         ([_, _], ..) => {
             let [is, but] = [0, 1].map(|at| paste(&poses[at]).map_err(trouble("POSE")));
-            several(vec![Pair { is: is?, but: but? }], "POSE", args)
+            reconcile_pairs(vec![Pair { is: is?, but: but? }], "POSE", args)
         }
         _ => {
             let place = if args.pairs.is_some() { "--pairs" } else { "--is, --but" };
-            several(pairs(args)?, place, args)
+            reconcile_pairs(read_pairs(args)?, place, args)
         }
     }
 }
 
 /// One or two texts, or the numbers of one unquoted pose.
-fn poses(args: &Args) -> Vec<String> {
+fn pose_texts(args: &Args) -> Vec<String> {
     let first: Vec<String> = [&args.pose, &args.other].into_iter().flatten().cloned().collect();
     match args.rest.is_empty() {
         true => first,
@@ -147,7 +147,7 @@ fn style(option: &str, given: Option<&str>) -> Result<Style, Trouble> {
     style.transpose().map(Option::unwrap_or_default).map_err(trouble(option))
 }
 
-fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
+fn print_conventions(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     let options = [
         ("--is-as", &args.is_as),
         ("--but-as", &args.but_as),
@@ -166,9 +166,9 @@ fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     }
     let flags = [(args.deg, "deg"), (args.rad, "rad"), (args.mm, "mm"), (args.m, "m")];
     let units = flags.into_iter().filter(|(is_given, _)| *is_given).map(|(_, unit)| unit);
-    let said: Vec<&str> = args.from.as_deref().into_iter().chain(units).collect();
-    let said = (!said.is_empty()).then(|| said.join(","));
-    let style = style("--from", said.as_deref())?;
+    let convention: Vec<&str> = args.from.as_deref().into_iter().chain(units).collect();
+    let convention = (!convention.is_empty()).then(|| convention.join(","));
+    let style = style("--from", convention.as_deref())?;
     let pasted = paste(&text).map_err(trouble("POSE"))?;
     let sheets = sheet(&pasted, style).map_err(trouble("POSE"))?;
     output::emit(None, |out| match args.format {
@@ -178,7 +178,7 @@ fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Trouble> {
+fn reconcile_pairs(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Trouble> {
     let is: Vec<&Pasted> = pairs.iter().map(|pair| &pair.is).collect();
     let is = frame_names(&is, "--is-frames", args.is_frames.as_deref())?;
     let but: Vec<&Pasted> = pairs.iter().map(|pair| &pair.but).collect();
@@ -238,7 +238,7 @@ fn frame_names(
     Ok(FrameNames { parent: name(parent), child: name(child) })
 }
 
-fn pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
+fn read_pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
     if let Some(path) = &args.pairs {
         Places::only_read([path])?;
         let place = path.display().to_string();

@@ -10,33 +10,33 @@ use indicatif::{HumanBytes, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use poseaudit::fleet::Course;
 use poseaudit::log::Progress;
 
-use super::say;
+use super::messages;
 
 /// Before a bar is shown.
-const PATIENCE: Duration = Duration::from_secs(1);
-const REDRAW: Duration = Duration::from_millis(100);
+const BAR_DELAY: Duration = Duration::from_secs(1);
+const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Shows a bar on stderr after a second if that is a terminal.
-pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
+pub fn with_progress<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let progress = Arc::new(Progress::default());
-    if say::is_quiet() || !io::stderr().is_terminal() {
-        return timed(progress, work);
+    if messages::is_quiet() || !io::stderr().is_terminal() {
+        return with_timing(progress, work);
     }
-    let (done, waits) = mpsc::channel::<()>();
+    let (done, finished) = mpsc::channel::<()>();
     let watcher = thread::Builder::new().spawn({
         let progress = Arc::clone(&progress);
         move || {
-            if waits.recv_timeout(PATIENCE) != Err(RecvTimeoutError::Timeout) {
+            if finished.recv_timeout(BAR_DELAY) != Err(RecvTimeoutError::Timeout) {
                 return;
             }
             let bar = bar();
-            while waits.recv_timeout(REDRAW) == Err(RecvTimeoutError::Timeout) {
+            while finished.recv_timeout(REDRAW_INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 show(&bar, &progress);
             }
             bar.finish_and_clear();
         }
     });
-    let result = timed(progress, work);
+    let result = with_timing(progress, work);
     drop(done);
     // A failed progress thread does not matter.
     let _ = watcher.map(thread::JoinHandle::join);
@@ -44,10 +44,10 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
 }
 
 /// Reports the duration in verbose mode.
-fn timed<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T {
+fn with_timing<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let began = Instant::now();
     let result = work(Arc::clone(&progress));
-    say::detail("read", || {
+    messages::print_detail("read", || {
         format!("{}, {:.2} s", HumanBytes(progress.read()), began.elapsed().as_secs_f64())
     });
     result
@@ -68,18 +68,18 @@ fn show(bar: &ProgressBar, progress: &Progress) {
 }
 
 /// Without a terminal.
-const LINE_EVERY: Duration = Duration::from_secs(10);
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// A bar on a terminal, otherwise occasional lines.
-pub struct Logs {
+pub struct FleetProgressBar {
     bar: Option<ProgressBar>,
     began: Instant,
-    told: Mutex<Instant>,
+    last_line: Mutex<Instant>,
 }
 
-impl Logs {
+impl FleetProgressBar {
     pub fn new(total: usize) -> Self {
-        let bar = (!say::is_quiet() && io::stderr().is_terminal()).then(|| {
+        let bar = (!messages::is_quiet() && io::stderr().is_terminal()).then(|| {
             let template = "{bar:30} {pos} of {len} logs, {per_sec}, {eta} left";
             let style = ProgressStyle::with_template(template);
             let target = ProgressDrawTarget::stderr();
@@ -87,7 +87,7 @@ impl Logs {
             bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
         });
         let began = Instant::now();
-        Self { bar, began, told: Mutex::new(began) }
+        Self { bar, began, last_line: Mutex::new(began) }
     }
 
     pub fn show(&self, course: Course) {
@@ -95,18 +95,18 @@ impl Logs {
             bar.set_position(course.done as u64);
             return;
         }
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        if say::is_quiet() || told.elapsed() < LINE_EVERY {
+        let mut last_line = self.last_line.lock().unwrap_or_else(PoisonError::into_inner);
+        if messages::is_quiet() || last_line.elapsed() < LINE_INTERVAL {
             return;
         }
-        *told = Instant::now();
+        *last_line = Instant::now();
         let Course { done, total, audited } = course;
         let rate = audited as f64 / self.began.elapsed().as_secs_f64();
-        let left = match rate > 0.0 {
+        let remaining = match rate > 0.0 {
             true => format!(", {:.0} s left", (total - done) as f64 / rate),
             false => String::new(),
         };
-        eprintln!("{done} of {total} logs, {rate:.2}/s{left}");
+        eprintln!("{done} of {total} logs, {rate:.2}/s{remaining}");
     }
 
     pub fn end(&self) {

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use self::questions::{Need, QUESTIONS, Question};
 use super::output::Format;
-use super::progress::watched;
+use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
 /// List the topics to record for each question: what a log lacks, or what an arm's drivers publish
@@ -29,7 +29,7 @@ Examples:
 pub struct Args {
     /// A log, or its URL, or the catalogue name of an arm
     #[arg(value_name = "LOG|ROBOT")]
-    of: PathBuf,
+    log_or_robot: PathBuf,
 
     /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -76,7 +76,7 @@ struct Answer {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let source = source(&args.of)?;
+    let source = open_source(&args.log_or_robot)?;
     if let Source::Log(report) = &source
         && let Some(trouble) = report.error.as_ref().filter(|_| report.streams.is_empty())
     {
@@ -93,22 +93,22 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-fn source(of: &Path) -> Result<Source, Trouble> {
+fn open_source(of: &Path) -> Result<Source, Trouble> {
     let name = of.display().to_string();
     if of.exists() || is_url(of) {
         Places::only_read([of.to_owned()].iter())?;
         let mut options = Options { logs: vec![of.to_owned()], ..Options::default() };
-        let report = watched(|progress| {
+        let report = with_progress(|progress| {
             options.read.progress = Some(progress);
             poseaudit::info(&options)
         })?;
         return Ok(Source::Log(Box::new(report)));
     }
     catalogue::find(&name).map(Source::Arm).ok_or_else(|| {
-        let near = catalogue::nearest_names(&name);
-        let remedy = match near.as_slice() {
+        let similar = catalogue::nearest_names(&name);
+        let remedy = match similar.as_slice() {
             [] => "name a log, or an arm of `poseaudit robots`".to_owned(),
-            near => format!("name a log, or an arm; is it {}?", near.join(", ")),
+            similar => format!("name a log, or an arm; is it {}?", similar.join(", ")),
         };
         misuse(name, "no such file, and no arm of this name in the catalogue", remedy)
     })
@@ -139,7 +139,7 @@ impl Source {
                 })
                 .collect(),
             // Drivers publish no independent poses.
-            Source::Arm(_) if need == Need::Outside => Vec::new(),
+            Source::Arm(_) if need == Need::Tracker => Vec::new(),
             Source::Arm(_) => {
                 let topics = self.drivers().flat_map(|driver| &driver.topics);
                 topics
@@ -154,15 +154,15 @@ impl Source {
         let mut topics: Vec<Topic> = Vec::new();
         let mut missing = Vec::new();
         for &need in question.needs {
-            let own = self.topics(need);
+            let streams = self.topics(need);
             let is_met = match self {
                 Source::Log(report) => need.is_met(report),
-                Source::Arm(_) => need == Need::Model || !own.is_empty(),
+                Source::Arm(_) => need == Need::Model || !streams.is_empty(),
             };
             if !is_met {
                 missing.push(need);
             }
-            for topic in own {
+            for topic in streams {
                 if topics.iter().all(|known| known.topic != topic.topic) {
                     topics.push(topic);
                 }
@@ -194,7 +194,7 @@ impl Source {
             }
         }
         for answer in answers {
-            writeln!(out, "\n{}", answer.question.asks)?;
+            writeln!(out, "\n{}", answer.question.text)?;
             writeln!(out, "  rules        {}", answer.question.rules.join(", "))?;
             for topic in &answer.topics {
                 let (name, kind) = (tame(&topic.topic), tame(&topic.type_name));
@@ -204,7 +204,7 @@ impl Source {
                 writeln!(out, "  any          every recorded topic")?;
             }
             for need in &answer.missing {
-                writeln!(out, "  missing      {}", need.what())?;
+                writeln!(out, "  missing      {}", need.description())?;
             }
         }
         writeln!(out, "\nrecord         {}", tame(&command(answers)))?;
@@ -218,10 +218,10 @@ impl Source {
                 json!({ "topic": topic.topic, "type": topic.type_name, "role": topic.role })
             });
             json!({
-                "question": question.asks,
+                "question": question.text,
                 "rules": question.rules,
                 "topics": topics.collect::<Vec<_>>(),
-                "missing": missing.iter().map(|need| need.what()).collect::<Vec<_>>(),
+                "missing": missing.iter().map(|need| need.description()).collect::<Vec<_>>(),
             })
         });
         let (log, robot) = match self {

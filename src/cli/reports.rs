@@ -6,12 +6,12 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use poseaudit::places::Places;
 use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 
-use super::output::OUTPUT;
+use super::output::OUTPUT_OPTION;
 use super::{misuse, output};
 
 /// Options for the format and the place of a report.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Reports {
+pub struct ReportOptions {
     /// Format of the report; if repeated, --output names a folder
     #[arg(
         long = "format",
@@ -40,10 +40,10 @@ pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(),
     })
 }
 
-impl Reports {
+impl ReportOptions {
     /// Fails for several formats without a folder.
-    pub fn can_be_followed(&self) -> Result<(), Trouble> {
-        match (&self.output, self.each().as_slice()) {
+    pub fn check_destination(&self) -> Result<(), Trouble> {
+        match (&self.output, self.distinct_formats().as_slice()) {
             (_, [_]) => Ok(()),
             (None, formats) => {
                 let what = format!("{} formats cannot go to stdout together", formats.len());
@@ -59,34 +59,36 @@ impl Reports {
     }
 
     /// Adds the report files to `places`.
-    pub fn enter(&self, places: &mut Places) {
-        match (&self.output, self.each().as_slice()) {
+    pub fn register_outputs(&self, places: &mut Places) {
+        match (&self.output, self.distinct_formats().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => {
                 let names = formats.iter().map(|format| format.file_name.to_owned());
-                places.writes_into(OUTPUT, folder, names);
+                places.writes_into(OUTPUT_OPTION, folder, names);
             }
-            (output, _) => output.iter().for_each(|path| places.writes(OUTPUT, path)),
+            (output, _) => output.iter().for_each(|path| places.writes(OUTPUT_OPTION, path)),
         }
     }
 
     /// If there is only one format.
-    pub fn only(&self) -> Option<(&'static Format, Option<&Path>)> {
-        <[_; 1]>::try_from(self.each()).ok().map(|[format]| (format, self.output.as_deref()))
+    pub fn single_format(&self) -> Option<(&'static Format, Option<&Path>)> {
+        <[_; 1]>::try_from(self.distinct_formats())
+            .ok()
+            .map(|[format]| (format, self.output.as_deref()))
     }
 
     /// Whether the report must contain a trouble. For text, stderr does.
-    pub fn tell_trouble(&self) -> bool {
+    pub fn has_trouble_format(&self) -> bool {
         self.formats.iter().any(|format| !format.is_text())
     }
 
     /// Whether a format has pictures.
-    pub fn are_pictured(&self) -> bool {
+    pub fn has_pictures(&self) -> bool {
         self.formats.iter().any(|format| format.is_pictured())
     }
 
     /// Writes every format.
     pub fn emit(&self, report: &Report) -> Result<(), Trouble> {
-        match (&self.output, self.each().as_slice()) {
+        match (&self.output, self.distinct_formats().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => {
                 let path = |format: &Format| folder.join(format.file_name);
                 let written =
@@ -101,7 +103,7 @@ impl Reports {
     }
 
     /// Without duplicates.
-    fn each(&self) -> Vec<&'static Format> {
+    fn distinct_formats(&self) -> Vec<&'static Format> {
         let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
         FORMATS.iter().filter(wanted).collect()
     }

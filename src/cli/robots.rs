@@ -34,13 +34,13 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
             serde_json::to_writer_pretty(&mut *out, &robots)?;
             writeln!(out)
         }
-        (Format::Text, false) => writeln!(out, "{}", listed(&robots).trim_fmt()),
+        (Format::Text, false) => writeln!(out, "{}", robot_table(&robots).trim_fmt()),
         (Format::Text, true) => robots.iter().try_for_each(|robot| {
-            writeln!(out, "{}\n", listed(&[robot]).trim_fmt())?;
+            writeln!(out, "{}\n", robot_table(&[robot]).trim_fmt())?;
             if let Some(provenance) = &robot.provenance {
                 writeln!(out, "parameters by {} ({})\n", provenance.source, provenance.licence)?;
             }
-            writeln!(out, "{}", joints(robot).trim_fmt())
+            writeln!(out, "{}", joint_table(robot).trim_fmt())
         }),
     })?;
     Ok(Outcome::Clean)
@@ -57,13 +57,13 @@ fn find(name: &str) -> Result<&'static Robot, Trouble> {
     })
 }
 
-fn listed(robots: &[&Robot]) -> comfy_table::Table {
+fn robot_table(robots: &[&Robot]) -> comfy_table::Table {
     let mut table = output::table(["name", "arm", "joints", "base → tip", "reach m", "also"]);
     for robot in robots {
         let maker = robot.provenance.as_ref();
         let arm = maker.map_or(String::new(), |maker| format!("{} {}", maker.vendor, maker.model));
         let moving = robot.joints().iter().filter(|joint| joint.kind.has_position()).count();
-        let [base, tip] = ends(robot);
+        let [base, tip] = base_and_tip(robot);
         let reach = reach_m(robot).map_or(String::new(), |reach_m| format!("{reach_m:.3}"));
         table.add_row([
             robot.name.clone(),
@@ -77,7 +77,7 @@ fn listed(robots: &[&Robot]) -> comfy_table::Table {
     table
 }
 
-fn ends(robot: &Robot) -> [&str; 2] {
+fn base_and_tip(robot: &Robot) -> [&str; 2] {
     let named = |end: &Option<String>| robot.link(end.as_deref()?);
     let base = named(&robot.default_base).unwrap_or_else(|| robot.root());
     let tip = named(&robot.default_tip).or_else(|| robot.leaf_links().last());
@@ -85,12 +85,12 @@ fn ends(robot: &Robot) -> [&str; 2] {
 }
 
 fn reach_m(robot: &Robot) -> Option<f64> {
-    let [base, tip] = ends(robot);
+    let [base, tip] = base_and_tip(robot);
     let chain = robot.chain(robot.link(base)?, robot.link(tip)?).ok()?;
     Some(chain.max_reach_m())
 }
 
-fn joints(robot: &Robot) -> comfy_table::Table {
+fn joint_table(robot: &Robot) -> comfy_table::Table {
     let mut table = output::table(["joint", "kind", "parent → child", "lower", "upper", "speed"]);
     for joint in robot.joints() {
         let limit = |limit: Option<f64>| limit.map_or(String::new(), |limit| format!("{limit:.4}"));
@@ -107,7 +107,7 @@ fn joints(robot: &Robot) -> comfy_table::Table {
 }
 
 fn as_json(robot: &Robot) -> Value {
-    let [base, tip] = ends(robot);
+    let [base, tip] = base_and_tip(robot);
     let maker = robot.provenance.as_ref();
     let joints = robot.joints().iter().map(|joint| {
         json!({

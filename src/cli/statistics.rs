@@ -6,13 +6,13 @@ use poseaudit::report::{Report, Trouble};
 use serde::Serialize;
 
 use super::output;
-use super::reports::Reports;
+use super::reports::ReportOptions;
 
-const STATISTICS: &str = "--statistics";
+const STATISTICS_OPTION: &str = "--statistics";
 
 /// Findings of one rule.
 #[derive(Serialize)]
-struct Row {
+struct RuleCount {
     code: &'static str,
     name: &'static str,
     /// Highest.
@@ -21,27 +21,27 @@ struct Row {
 }
 
 /// Fails if the format has no statistics.
-pub fn can_be_followed(reports: &Reports) -> Result<(), Trouble> {
-    match reports.only() {
+pub fn check_format(reports: &ReportOptions) -> Result<(), Trouble> {
+    match reports.single_format() {
         Some((format, _)) if matches!(format.name, "text" | "json") => Ok(()),
         _ => {
             let what = "statistics are text or JSON";
-            Err(super::misuse(STATISTICS, what, "use one --format: text or json"))
+            Err(super::misuse(STATISTICS_OPTION, what, "use one --format: text or json"))
         }
     }
 }
 
 /// Counts in descending order.
-pub fn emit(report: &Report, reports: &Reports) -> Result<(), Trouble> {
-    let Some((format, path)) = reports.only() else { return Ok(()) };
-    let rows = rows(&report.findings);
+pub fn emit(report: &Report, reports: &ReportOptions) -> Result<(), Trouble> {
+    let Some((format, path)) = reports.single_format() else { return Ok(()) };
+    let rows = count_by_rule(&report.findings);
     output::emit(path, |out| {
         if !format.is_text() {
             serde_json::to_writer_pretty(&mut *out, &rows)?;
             return writeln!(out);
         }
         let mut table = output::table(["count", "code", "name", "severity"]);
-        for Row { code, name, severity, count } in &rows {
+        for RuleCount { code, name, severity, count } in &rows {
             table.add_row([&count.to_string(), *code, *name, severity.name()]);
         }
         if !rows.is_empty() {
@@ -51,13 +51,13 @@ pub fn emit(report: &Report, reports: &Reports) -> Result<(), Trouble> {
     })
 }
 
-fn rows(findings: &[Finding]) -> Vec<Row> {
+fn count_by_rule(findings: &[Finding]) -> Vec<RuleCount> {
     let of = |rule: &&'static checks::Rule| {
         let found = || findings.iter().filter(|finding| *finding.code == *rule.code);
         let severity = found().map(|finding| finding.severity).max()?;
-        Some(Row { code: rule.code, name: rule.name, severity, count: found().count() })
+        Some(RuleCount { code: rule.code, name: rule.name, severity, count: found().count() })
     };
-    let mut rows: Vec<Row> = checks::registry().iter().filter_map(of).collect();
+    let mut rows: Vec<RuleCount> = checks::registry().iter().filter_map(of).collect();
     rows.sort_by_key(|row| std::cmp::Reverse((row.count, row.severity)));
     rows
 }

@@ -13,7 +13,7 @@ use poseaudit::time::Stamp;
 use serde_json::json;
 
 use super::output::Format;
-use super::progress::watched;
+use super::progress::with_progress;
 use super::{Outcome, fk, misuse, output};
 
 /// The transform between two frames of a log, like tf2's lookup_transform
@@ -41,7 +41,7 @@ pub struct Args {
     at: Option<Time>,
 
     /// Print the whole run at this rate, Hz
-    #[arg(long, value_name = "HZ", value_parser = positive, conflicts_with = "at")]
+    #[arg(long, value_name = "HZ", value_parser = parse_positive, conflicts_with = "at")]
     follow: Option<f64>,
 
     /// The robot, for transforms that are missing in the log
@@ -83,7 +83,7 @@ impl FromStr for Time {
     }
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(rate) if rate > 0.0 && rate <= 1e4 => Ok(rate),
         _ => Err("expected a rate between 0 and 10000 Hz".to_owned()),
@@ -92,9 +92,9 @@ fn positive(text: &str) -> Result<f64, String> {
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Places::only_read([&args.log])?;
-    let log = watched(|progress| {
-        let how = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
-        log::open(std::slice::from_ref(&args.log), &how)
+    let log = with_progress(|progress| {
+        let options = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
+        log::open(std::slice::from_ref(&args.log), &options)
     })?;
     let options = RunOptions { robots: args.robots.clone(), ..RunOptions::default() };
     let run = Run::assemble(log, &options).map_err(|error| Trouble::from(&error))?;
@@ -107,15 +107,15 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         return Err(misuse(format!("{} → {}", args.target, args.source), what, remedy));
     }
     let start = run.span.map_or(run.origin, |(start, _)| start);
-    let rows = Rows { args, path: &path, start };
+    let rows = TransformPrinter { args, path: &path, start };
     output::emit(None, |out| match args.follow {
-        Some(rate_hz) => rows.follow(rate_hz, out),
-        None => rows.one(out),
+        Some(rate_hz) => rows.print_rows(rate_hz, out),
+        None => rows.print_one(out),
     })?;
     Ok(Outcome::Clean)
 }
 
-struct Rows<'a> {
+struct TransformPrinter<'a> {
     args: &'a Args,
     path: &'a TfPath<'a>,
     /// Start of the log.
@@ -123,7 +123,7 @@ struct Rows<'a> {
 }
 
 /// Origin of the pose.
-fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
+fn pose_origin(path: &TfPath<'_>, at: Stamp) -> &'static str {
     match path.span() {
         None => "static",
         Some((first, last)) if at < first || at > last => "extrapolated",
@@ -132,14 +132,14 @@ fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
     }
 }
 
-impl Rows<'_> {
+impl TransformPrinter<'_> {
     /// Outside the common range of the transforms, the pose at its nearest end.
     fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
         let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
         self.path.at(held).map_err(io::Error::other)
     }
 
-    fn one(&self, out: &mut dyn Write) -> io::Result<()> {
+    fn print_one(&self, out: &mut dyn Write) -> io::Result<()> {
         let known = self.path.span().map_or(self.start, |(_, last)| last);
         let at = match self.args.at {
             None => known,
@@ -147,14 +147,14 @@ impl Rows<'_> {
             Some(Time::At(stamp)) => stamp,
         };
         let pose = self.pose_at(at)?;
-        let how = how(self.path, at);
+        let origin = pose_origin(self.path, at);
         let age_s = self.path.newest_before(at).map(|newest| at.seconds_since(newest));
         if self.args.format == Format::Json {
-            return self.json(at, &pose, out);
+            return self.print_json(at, &pose, out);
         }
         let (target, source) = (&self.args.target, &self.args.source);
         let from_start_s = at.seconds_since(self.start);
-        write!(out, "{target} → {source} at +{from_start_s:.3} s ({}), {how}", epoch(at))?;
+        write!(out, "{target} → {source} at +{from_start_s:.3} s ({}), {origin}", epoch_text(at))?;
         match age_s {
             Some(age_s) => {
                 writeln!(out, "; the oldest sample it needs is {:.1} ms old", 1e3 * age_s)?
@@ -164,8 +164,8 @@ impl Rows<'_> {
         fk::write_pose(&pose, out)
     }
 
-    fn follow(&self, rate_hz: f64, out: &mut dyn Write) -> io::Result<()> {
-        let Some((first, last)) = self.path.span() else { return self.one(out) };
+    fn print_rows(&self, rate_hz: f64, out: &mut dyn Write) -> io::Result<()> {
+        let Some((first, last)) = self.path.span() else { return self.print_one(out) };
         if self.args.format == Format::Text {
             let [t, x, y, z] = ["t, s", "x, m", "y, m", "z, m"];
             let [roll, pitch, yaw] = ["roll, °", "pitch, °", "yaw, °"];
@@ -179,7 +179,7 @@ impl Rows<'_> {
             let at = first.shifted(row as f64 / rate_hz).min(last);
             let pose = self.pose_at(at)?;
             if self.args.format == Format::Json {
-                self.json(at, &pose, out)?;
+                self.print_json(at, &pose, out)?;
                 continue;
             }
             let [x, y, z] = xyz_of(&pose);
@@ -195,7 +195,7 @@ impl Rows<'_> {
         Ok(())
     }
 
-    fn json(&self, at: Stamp, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+    fn print_json(&self, at: Stamp, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
         let newest = self.path.newest_before(at);
         let row = json!({
             "target": self.args.target,
@@ -203,7 +203,7 @@ impl Rows<'_> {
             "stamp_ns": at.to_string(),
             "t_s": at.seconds_since(self.start),
             "age_s": newest.map(|newest| at.seconds_since(newest)),
-            "how": how(self.path, at),
+            "how": pose_origin(self.path, at),
             "xyz_m": xyz_of(pose),
             "xyzw": xyzw_from_rotation(&pose.rotation),
             "rpy_rad": Convention::RPY.numbers(&pose.rotation),
@@ -214,7 +214,7 @@ impl Rows<'_> {
 }
 
 /// With nanosecond digits.
-fn epoch(at: Stamp) -> String {
+fn epoch_text(at: Stamp) -> String {
     let nanos = at.nanos();
     format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))
 }
@@ -228,7 +228,7 @@ mod tests {
         assert_eq!("+1.5".parse(), Ok(Time::FromStart(1.5)));
         let at = Stamp::from_nanos(1_780_000_000_123_456_789);
         assert_eq!("1780000000.123456789".parse(), Ok(Time::At(at)));
-        assert_eq!(epoch(at), "1780000000.123456789");
+        assert_eq!(epoch_text(at), "1780000000.123456789");
         assert!("now".parse::<Time>().is_err() && "+x".parse::<Time>().is_err());
     }
 }

@@ -9,12 +9,12 @@ use tempfile::TempPath;
 
 use super::misuse;
 
-pub const OPTION: &str = "--view";
+pub const VIEW_OPTION: &str = "--view";
 
 const PROGRAM: &str = "rerun";
 
 /// Finds the viewer for an option. Fails if it is not on the PATH.
-pub fn viewer(option: &str) -> Result<PathBuf, Trouble> {
+pub fn find_viewer(option: &str) -> Result<PathBuf, Trouble> {
     let name = format!("{PROGRAM}{}", env::consts::EXE_SUFFIX);
     let folders = env::var_os("PATH").unwrap_or_default();
     let program = env::split_paths(&folders).map(|folder| folder.join(&name));
@@ -26,17 +26,20 @@ pub fn viewer(option: &str) -> Result<PathBuf, Trouble> {
 
 /// File for an unnamed recording, readable only by this user. It outlives this program, so the viewer can
 /// read it.
-pub fn place() -> Result<PathBuf, Trouble> {
-    draft(OPTION)?.keep().map_err(|error| no_room(OPTION, &error.error))
+pub fn create_recording_file() -> Result<PathBuf, Trouble> {
+    temporary_recording(VIEW_OPTION)?
+        .keep()
+        .map_err(|error| creation_trouble(VIEW_OPTION, &error.error))
 }
 
 /// Deleted when the returned path is dropped.
-fn draft(option: &str) -> Result<TempPath, Trouble> {
+fn temporary_recording(option: &str) -> Result<TempPath, Trouble> {
     let made = tempfile::Builder::new().prefix("poseaudit-").suffix(".rrd").tempfile();
-    made.map(tempfile::NamedTempFile::into_temp_path).map_err(|error| no_room(option, &error))
+    made.map(tempfile::NamedTempFile::into_temp_path)
+        .map_err(|error| creation_trouble(option, &error))
 }
 
-fn no_room(option: &str, error: &io::Error) -> Trouble {
+fn creation_trouble(option: &str, error: &io::Error) -> Trouble {
     let what = format!("cannot create a recording in {}: {error}", env::temp_dir().display());
     misuse(option, what, "free some space, or set TMPDIR to another folder")
 }
@@ -47,11 +50,11 @@ pub fn open(viewer: &Path, recording: &Path) -> Result<(), Trouble> {
     command.arg(recording).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     let started = command.spawn().map(drop);
     started.map_err(|error| {
-        unstarted(viewer, &error, format!("open {} manually", recording.display()))
+        start_trouble(viewer, &error, format!("open {} manually", recording.display()))
     })
 }
 
-fn unstarted(viewer: &Path, error: &io::Error, remedy: impl Into<String>) -> Trouble {
+fn start_trouble(viewer: &Path, error: &io::Error, remedy: impl Into<String>) -> Trouble {
     misuse(viewer.display().to_string(), format!("the viewer cannot be started: {error}"), remedy)
 }
 
@@ -61,30 +64,30 @@ pub struct LiveViewer {
     program: Child,
     port: u16,
     /// Next recording.
-    next: TempPath,
+    recording: TempPath,
 }
 
 impl LiveViewer {
     /// Fails if the viewer cannot be started or no recording can be created.
-    pub fn at(option: &str, port: u16) -> Result<Self, Trouble> {
-        let (viewer, next) = (viewer(option)?, draft(option)?);
+    pub fn start(option: &str, port: u16) -> Result<Self, Trouble> {
+        let (viewer, next) = (find_viewer(option)?, temporary_recording(option)?);
         let mut command = Command::new(&viewer);
         command.args(["--port", &port.to_string(), "-"]);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let remedy = "or write a file with --rrd";
-        let program = command.spawn().map_err(|error| unstarted(&viewer, &error, remedy))?;
-        Ok(Self { program, port, next })
+        let program = command.spawn().map_err(|error| start_trouble(&viewer, &error, remedy))?;
+        Ok(Self { program, port, recording: next })
     }
 
     /// Next recording.
-    pub fn next(&self) -> &Path {
-        &self.next
+    pub fn recording(&self) -> &Path {
+        &self.recording
     }
 
     /// Shows that recording. Fails if the viewer does not accept it, for instance because it was closed.
     pub fn show(&mut self) -> Result<(), Trouble> {
         let Some(pipe) = &mut self.program.stdin else { return Ok(()) };
-        let given = fs::File::open(&self.next).and_then(|mut file| io::copy(&mut file, pipe));
+        let given = fs::File::open(&self.recording).and_then(|mut file| io::copy(&mut file, pipe));
         given.map(drop).map_err(|error| {
             let what = format!("does not accept recordings: {error}");
             let remedy =

@@ -1,7 +1,7 @@
 //! `poseaudit watch`.
 
-mod current;
-mod screen;
+mod recording_sink;
+mod watched_log;
 
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -13,14 +13,14 @@ use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use walkdir::WalkDir;
 
-use self::current::{Current, Pace};
-use self::screen::Screen;
-use super::how::{How, positive_seconds};
+use self::recording_sink::RecordingSink;
+use self::watched_log::{WatchSettings, WatchedLog};
+use super::audit_options::{AuditOptions, positive_seconds};
 use super::output::Format;
 use super::{Outcome, misuse};
 
 /// Between checks for new data.
-const LOOK: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Audit a log while it is recorded, and once more when it has ended; prints a line when the verdict
 /// changes
@@ -40,7 +40,7 @@ pub struct Args {
     path: PathBuf,
 
     #[command(flatten)]
-    how: How,
+    audit_options: AuditOptions,
 
     /// Exit at the verdict FAIL, or when the log has ended (always the case for a LOG); repeatable
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -85,52 +85,52 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     places.reads_log(&args.path);
     args.rrd.iter().for_each(|path| places.writes("--rrd", path));
     places.check()?;
-    args.how.find_config(std::slice::from_ref(&args.path))?;
-    let options = args.how.clone().options()?;
-    let pace = Pace {
-        every: Duration::from_secs_f64(args.every),
+    args.audit_options.find_config(std::slice::from_ref(&args.path))?;
+    let options = args.audit_options.clone().into_options()?;
+    let pace = WatchSettings {
+        min_interval: Duration::from_secs_f64(args.every),
         idle: Duration::from_secs_f64(args.idle),
         format: args.format,
     };
-    let mut screen = Screen::of(args.rrd, args.rrd_connect)?;
+    let mut sink = RecordingSink::new(args.rrd, args.rrd_connect)?;
     let is_folder = args.path.is_dir();
     let ends_with_log = !is_folder || args.until.contains(&Until::End);
     let until_fail = args.until.contains(&Until::Fail);
-    let is_over = |log: &Current| {
+    let is_over = |log: &WatchedLog| {
         (until_fail && log.outcome() == Outcome::Findings) || (ends_with_log && log.has_ended())
     };
-    let mut current: Option<Current> = None;
+    let mut current: Option<WatchedLog> = None;
     loop {
-        if let Some(newest) = newest(&args.path)
+        if let Some(newest) = newest_log(&args.path)
             && current.as_ref().is_none_or(|current| *current.path() != newest)
         {
             // A newer log ends the previous one.
             if let Some(before) = &mut current {
-                before.finish(&mut screen)?;
+                before.finish(&mut sink)?;
                 if is_over(before) {
                     return Ok(before.outcome());
                 }
             }
-            current = Some(Current::of(newest, &options, pace));
+            current = Some(WatchedLog::new(newest, &options, pace));
         }
         if let Some(current) = &mut current {
-            current.look(&mut screen)?;
+            current.poll(&mut sink)?;
             if is_over(current) {
                 return Ok(current.outcome());
             }
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
 /// The path, or the most recently written log in it.
-fn newest(path: &Path) -> Option<PathBuf> {
+fn newest_log(path: &Path) -> Option<PathBuf> {
     /// Recorders create one folder per run.
-    const DEPTH: usize = 3;
+    const MAX_DEPTH: usize = 3;
     if !path.is_dir() {
         return Some(path.to_owned());
     }
-    let files = WalkDir::new(path).max_depth(DEPTH).into_iter().flatten();
+    let files = WalkDir::new(path).max_depth(MAX_DEPTH).into_iter().flatten();
     let dated = files.filter(|entry| entry.file_type().is_file()).filter_map(|entry| {
         let written: SystemTime = entry.metadata().ok()?.modified().ok()?;
         Some((written, entry.into_path()))

@@ -10,14 +10,14 @@ use poseaudit::run::{Run, RunOptions, robot_of};
 use super::super::{fk, misuse};
 use super::Args;
 
-pub struct Planning {
+pub struct PlannedArm {
     pub robot: Robot,
     /// From base to tip.
     pub chain: Chain,
 }
 
-impl Planning {
-    pub fn of(args: &Args) -> Result<Self, Trouble> {
+impl PlannedArm {
+    pub fn from_args(args: &Args) -> Result<Self, Trouble> {
         let unread = match robot_of(&args.robot) {
             Ok(robot) => {
                 let chain = fk::chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
@@ -29,12 +29,12 @@ impl Planning {
         let is_there = path.exists() || log::local(path).is_none();
         let opened = is_there.then(|| log::open(&[path.to_owned()], &ReadOptions::default()));
         match opened {
-            Some(Ok(log)) => Self::of_log(log, args),
+            Some(Ok(log)) => Self::from_log(log, args),
             _ => Err(unread),
         }
     }
 
-    fn of_log(log: log::Log, args: &Args) -> Result<Self, Trouble> {
+    fn from_log(log: log::Log, args: &Args) -> Result<Self, Trouble> {
         let options =
             RunOptions { base: args.base.clone(), tip: args.tip.clone(), ..RunOptions::default() };
         let run = Run::complete(log, &options, |_| Ok::<_, Trouble>(()))?;
@@ -54,19 +54,19 @@ impl Planning {
         Ok(Self { robot: arm.robot.clone(), chain: arm.chain.clone() })
     }
 
-    pub fn slides(&self, at: usize) -> bool {
+    pub fn is_prismatic(&self, at: usize) -> bool {
         self.chain.joint_kinds()[at] == JointKind::Prismatic
     }
 
     /// Converts to SI units.
-    pub fn posture(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
+    pub fn configuration(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
         let (found, wanted) = (given.len(), self.chain.dof());
         if found != wanted {
             let names = self.chain.joint_names().join(", ");
             let what = format!("{found} joint positions given for {wanted} joints");
             return Err(misuse("--around", what, format!("give one for each of {names}")));
         }
-        let in_si = |(at, &q): (usize, &f64)| match degrees && !self.slides(at) {
+        let in_si = |(at, &q): (usize, &f64)| match degrees && !self.is_prismatic(at) {
             true => q.to_radians(),
             false => q,
         };

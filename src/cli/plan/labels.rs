@@ -3,32 +3,32 @@
 use poseaudit::diagnosis::plan::{LimitKind, PlannedQuantity};
 use poseaudit::finding::Unit;
 
-use super::arm::Planning;
-use super::setup::Asked;
+use super::arm::PlannedArm;
+use super::setup::PlanTask;
 
-pub struct Label {
+pub struct QuantityLabel {
     /// JSON key.
-    pub name: &'static str,
+    pub key: &'static str,
     /// Without the joint or axis.
-    pub said: String,
+    pub text: String,
     /// Joint or axis.
-    pub of: Option<String>,
+    pub axis_or_joint: Option<String>,
     pub unit: Unit,
 }
 
-impl Label {
-    pub fn of(planning: &Planning, asked: &Asked, shown: PlannedQuantity) -> Self {
-        let joint = |joint: usize| Some(planning.chain.joint_names()[joint].clone());
+impl QuantityLabel {
+    pub fn new(arm: &PlannedArm, task: &PlanTask, quantity: PlannedQuantity) -> Self {
+        let joint = |joint: usize| Some(arm.chain.joint_names()[joint].clone());
         let axis = |axis: usize| Some(["x", "y", "z"][axis % 3].to_owned());
-        let by_joint = |at: usize| if planning.slides(at) { Unit::Metre } else { Unit::Radian };
-        let links = Unit::Metre.show(asked.sensing.link_m);
-        let (name, said, of, unit) = match shown {
+        let by_joint = |at: usize| if arm.is_prismatic(at) { Unit::Metre } else { Unit::Radian };
+        let links = Unit::Metre.show(task.sensing.link_m);
+        let (key, text, axis_or_joint, unit) = match quantity {
             PlannedQuantity::Zero(at) => {
                 ("zero", "zero, exact nominal model".to_owned(), joint(at), by_joint(at))
             }
             PlannedQuantity::ZeroBesideLinks(at) => {
-                let said = format!("zero, links deviate by {links}");
-                ("zero_beside_links", said, joint(at), by_joint(at))
+                let text = format!("zero, links deviate by {links}");
+                ("zero_beside_links", text, joint(at), by_joint(at))
             }
             PlannedQuantity::FkPosition { everywhere: false } => (
                 "fk_position_here",
@@ -66,19 +66,21 @@ impl Label {
             }
             PlannedQuantity::Tilt(at) => ("tilt", "tilt about".to_owned(), axis(at), Unit::Radian),
         };
-        Self { name, said, of, unit }
+        Self { key, text, axis_or_joint, unit }
     }
 
-    pub fn whole(&self) -> String {
-        match &self.of {
-            None => self.said.clone(),
-            Some(of) if self.name.starts_with("zero") => format!("{of}: {}", self.said),
-            Some(of) => format!("{} {of}", self.said),
+    pub fn full_text(&self) -> String {
+        match &self.axis_or_joint {
+            None => self.text.clone(),
+            Some(axis_or_joint) if self.key.starts_with("zero") => {
+                format!("{axis_or_joint}: {}", self.text)
+            }
+            Some(axis_or_joint) => format!("{} {axis_or_joint}", self.text),
         }
     }
 }
 
-pub fn bound(bound: LimitKind) -> &'static str {
+pub fn limit_name(bound: LimitKind) -> &'static str {
     match bound {
         LimitKind::Lower | LimitKind::Upper => "position",
         LimitKind::Speed => "speed",

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::super::{misuse, output};
 
 /// In file order.
-struct Listed {
+struct MotionTable {
     names: Vec<String>,
     t_s: Vec<f64>,
     q: Vec<Vec<f64>>,
@@ -19,16 +19,16 @@ struct Listed {
 
 /// Reads a motion: CSV with time and joint columns, JSON of `plan`, or a JointTrajectory in YAML, detected
 /// from the content. Fails if it is none of these or lacks a joint.
-pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
-    const MOST_BYTES: u64 = 256 << 20;
+pub fn read_motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
+    const MAX_BYTES: u64 = 256 << 20;
     let place = || path.display().to_string();
     let bytes = std::fs::metadata(path).map(|it| it.len()).unwrap_or(0);
-    if bytes > MOST_BYTES {
+    if bytes > MAX_BYTES {
         return Err(misuse(place(), "too large for a motion", "use a shorter one"));
     }
     let text = std::fs::read_to_string(path)
         .map_err(|error| misuse(place(), error.to_string(), "name a file with a motion"))?;
-    let refused = |what: String| {
+    let misread = |what: String| {
         misuse(
             place(),
             what,
@@ -40,19 +40,19 @@ pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
     let first = text.trim_start().chars().next();
     let has_points = text.lines().any(|line| line.trim_start().starts_with("points:"));
     let listed = match first {
-        Some('{') if text.contains("\"trajectory\"") => of_json(text),
-        _ if has_points || first == Some('{') => of_yaml(text),
-        Some(_) => of_csv(text, chain),
+        Some('{') if text.contains("\"trajectory\"") => parse_json(text),
+        _ if has_points || first == Some('{') => parse_yaml(text),
+        Some(_) => parse_csv(text, chain),
         None => Err("it is empty".to_owned()),
     };
-    listed.and_then(|listed| listed.of(chain)).map_err(refused)
+    listed.and_then(|listed| listed.into_track(chain)).map_err(misread)
 }
 
-impl Listed {
+impl MotionTable {
     /// Orders columns by the chain; derives missing speeds from positions.
-    fn of(self, chain: &Chain) -> Result<JointTrack, String> {
+    fn into_track(self, chain: &Chain) -> Result<JointTrack, String> {
         let places = chain.joint_names().iter().map(|name| {
-            let at = self.names.iter().position(|own| own == name);
+            let at = self.names.iter().position(|name_in_file| name_in_file == name);
             at.ok_or_else(|| format!("no joint {name}; it has {}", self.names.join(", ")))
         });
         let places = places.collect::<Result<Vec<usize>, String>>()?;
@@ -77,8 +77,8 @@ impl Listed {
         if !track.t_s.iter().chain(&track.q).chain(&track.qd).all(|number| number.abs() < 1e9) {
             return Err("it has a value that is not finite, or beyond any arm's range".to_owned());
         }
-        let by_positions = differences(&track);
-        if has_speeds && !is_near(&track.qd, &by_positions) {
+        let by_positions = speeds_from_positions(&track);
+        if has_speeds && !are_speeds_consistent(&track.qd, &by_positions) {
             output::warning(
                 "speeds in the file contradict the positions; using the derivative of the positions",
             );
@@ -91,16 +91,16 @@ impl Listed {
 }
 
 /// Whether speeds match finite differences, within discretisation error.
-fn is_near(given: &[f64], by_positions: &[f64]) -> bool {
+fn are_speeds_consistent(given: &[f64], by_positions: &[f64]) -> bool {
     /// Tolerance as a share of the highest speed.
-    const NEAR: f64 = 0.1;
+    const MAX_SPEED_DEVIATION_RATIO: f64 = 0.1;
     let highest = by_positions.iter().fold(1e-3_f64, |highest, speed| highest.max(speed.abs()));
     let off = given.iter().zip(by_positions).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-    (off / given.len().max(1) as f64).sqrt() < NEAR * highest
+    (off / given.len().max(1) as f64).sqrt() < MAX_SPEED_DEVIATION_RATIO * highest
 }
 
 /// Central differences, one-sided at the ends.
-fn differences(track: &JointTrack) -> Vec<f64> {
+fn speeds_from_positions(track: &JointTrack) -> Vec<f64> {
     let last = track.len() - 1;
     let at = |row: usize, joint: usize| {
         let (from, to) = (row.saturating_sub(1), (row + 1).min(last));
@@ -113,19 +113,20 @@ fn differences(track: &JointTrack) -> Vec<f64> {
         .collect()
 }
 
-fn of_csv(text: &str, chain: &Chain) -> Result<Listed, String> {
-    const TIMES: [&str; 6] = ["t_s", "t", "time", "time_s", "timestamp", "stamp"];
+fn parse_csv(text: &str, chain: &Chain) -> Result<MotionTable, String> {
+    const TIME_COLUMNS: [&str; 6] = ["t_s", "t", "time", "time_s", "timestamp", "stamp"];
     let mut reader = csv::ReaderBuilder::new()
         .comment(Some(b'#'))
         .trim(csv::Trim::All)
         .from_reader(text.as_bytes());
     let header = reader.headers().map_err(|error| error.to_string())?.clone();
-    let place = |name: &str| header.iter().position(|own| own.eq_ignore_ascii_case(name));
-    let time = TIMES.iter().find_map(|name| place(name));
-    let time = time.ok_or_else(|| format!("no column {}", TIMES.join(", ")))?;
+    let place =
+        |name: &str| header.iter().position(|name_in_file| name_in_file.eq_ignore_ascii_case(name));
+    let time = TIME_COLUMNS.iter().find_map(|name| place(name));
+    let time = time.ok_or_else(|| format!("no column {}", TIME_COLUMNS.join(", ")))?;
     let names = chain.joint_names();
     let columns = names.iter().map(|name| {
-        let named = header.iter().position(|own| own == name);
+        let named = header.iter().position(|name_in_file| name_in_file == name);
         let columns = header.iter().collect::<Vec<_>>().join(", ");
         named.ok_or_else(|| format!("no column {name}; it has {columns}"))
     });
@@ -145,10 +146,10 @@ fn of_csv(text: &str, chain: &Chain) -> Result<Listed, String> {
         let speeds = speeds.iter().flatten().map(|&column| number(column));
         qd.push(speeds.collect::<Result<Vec<f64>, String>>()?);
     }
-    Ok(Listed { names: names.to_vec(), t_s, q, qd })
+    Ok(MotionTable { names: names.to_vec(), t_s, q, qd })
 }
 
-fn of_json(text: &str) -> Result<Listed, String> {
+fn parse_json(text: &str) -> Result<MotionTable, String> {
     #[derive(Deserialize)]
     struct Plan {
         joints: Vec<Joint>,
@@ -171,10 +172,10 @@ fn of_json(text: &str) -> Result<Listed, String> {
         return Err("q and t_s of its trajectory differ in length".to_owned());
     }
     qd.resize(q.len(), Vec::new());
-    Ok(Listed { names: joints.into_iter().map(|joint| joint.name).collect(), t_s, q, qd })
+    Ok(MotionTable { names: joints.into_iter().map(|joint| joint.name).collect(), t_s, q, qd })
 }
 
-fn of_yaml(text: &str) -> Result<Listed, String> {
+fn parse_yaml(text: &str) -> Result<MotionTable, String> {
     #[derive(Deserialize)]
     struct Trajectory {
         joint_names: Vec<String>,
@@ -201,5 +202,5 @@ fn of_yaml(text: &str) -> Result<Listed, String> {
     let seconds = |it: &Duration| it.sec as f64 + it.nanosec as f64 * 1e-9;
     let t_s = points.iter().map(|point| seconds(&point.time_from_start)).collect();
     let (q, qd) = points.into_iter().map(|point| (point.positions, point.velocities)).unzip();
-    Ok(Listed { names: joint_names, t_s, q, qd })
+    Ok(MotionTable { names: joint_names, t_s, q, qd })
 }

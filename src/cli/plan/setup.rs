@@ -12,85 +12,89 @@ use poseaudit::stream::JointTrack;
 
 use super::super::misuse;
 use super::Args;
-use super::arm::Planning;
+use super::arm::PlannedArm;
 
 /// Prismatic motion equivalent to one radian.
 const SLIDE_M_PER_RAD: f64 = 0.2;
 /// Without a limit in the model.
-const USUAL_SPEED: f64 = 1.0;
+const DEFAULT_SPEED_RAD_S: f64 = 1.0;
 /// Share of the reach, for models without collision shapes; typical of arms.
-const RADIUS: f64 = 0.06;
+const DEFAULT_RADIUS_RATIO: f64 = 0.06;
 /// Sample interval of written motions.
-const ROW_S: f64 = 0.02;
+const ROW_PERIOD_S: f64 = 0.02;
 
-pub struct Asked {
+pub struct PlanTask {
     pub around: Vec<f64>,
-    pub rooms: Vec<JointMargins>,
+    pub margins: Vec<JointMargins>,
     pub seconds: f64,
     pub purpose: Purpose,
     pub sensing: Sensing,
-    pub keep: Clearances,
+    pub clearances: Clearances,
     pub seed: u64,
     /// Joints without a speed limit in the model.
     pub unlimited: Vec<String>,
     /// Arm segments.
-    parts: Vec<String>,
+    segment_names: Vec<String>,
     /// Whether each radius comes from the model.
-    pub told: Vec<bool>,
+    pub has_model_radius: Vec<bool>,
 }
 
 /// A given motion, checked.
-pub struct Checked {
-    pub promises: Vec<ExpectedPrecision>,
-    pub beyond: Vec<LimitViolation>,
+pub struct MotionCheck {
+    pub precision: Vec<ExpectedPrecision>,
+    pub limit_violations: Vec<LimitViolation>,
     /// First violated clearance and time, s.
-    pub near: Option<(f64, ClearanceViolation)>,
+    pub clearance_violation: Option<(f64, ClearanceViolation)>,
 }
 
 /// The task around a configuration. Fails if that is beyond a limit or below the floor.
-pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked, Trouble> {
-    let names = planning.chain.joint_names();
-    for ((name, limits), &q) in names.iter().zip(planning.chain.limits()).zip(&around) {
+pub fn build_valid_task(
+    args: &Args,
+    arm: &PlannedArm,
+    around: Vec<f64>,
+) -> Result<PlanTask, Trouble> {
+    let names = arm.chain.joint_names();
+    for ((name, limits), &q) in names.iter().zip(arm.chain.limits()).zip(&around) {
         let (low, high) = (limits.lower.unwrap_or(q), limits.upper.unwrap_or(q));
         if q < low || q > high {
             let what = format!("{name} is at {q:.4} there; its limits are {low:.4} to {high:.4}");
             return Err(misuse("--around", what, "choose a configuration within the limits"));
         }
     }
-    let asked = Asked::of_given(args, planning, around);
-    let under = asked.keep.close_pairs(&planning.chain, &asked.around);
-    let under = under
-        .iter()
-        .find(|near| matches!(near, ClearanceViolation::Floor(_, height) if *height < 0.0));
-    match under {
-        Some(near) => Err(misuse("--floor", asked.nearness(near), "lower --floor")),
-        None => Ok(asked),
+    let task = PlanTask::from_configuration(args, arm, around);
+    let below_floor = task.clearances.close_pairs(&arm.chain, &task.around);
+    let below_floor = below_floor.iter().find(
+        |violation| matches!(violation, ClearanceViolation::Floor(_, height) if *height < 0.0),
+    );
+    match below_floor {
+        Some(violation) => Err(misuse("--floor", task.violation_text(violation), "lower --floor")),
+        None => Ok(task),
     }
 }
 
-impl Asked {
+impl PlanTask {
     /// The configuration may be beyond a limit.
-    pub fn of_given(args: &Args, planning: &Planning, around: Vec<f64>) -> Self {
-        let Planning { robot, chain } = planning;
+    pub fn from_configuration(args: &Args, arm: &PlannedArm, around: Vec<f64>) -> Self {
+        let PlannedArm { robot, chain } = arm;
         let amplitude = args.amplitude.to_radians();
-        let unit = |joint: usize| if planning.slides(joint) { SLIDE_M_PER_RAD } else { 1.0 };
-        let room = |(joint, q): (usize, &f64)| {
+        let unit = |joint: usize| if arm.is_prismatic(joint) { SLIDE_M_PER_RAD } else { 1.0 };
+        let margin = |(joint, q): (usize, &f64)| {
             let (limits, unit) = (chain.limits()[joint], unit(joint));
             let most = amplitude * unit;
-            let room = |to: Option<f64>| to.map_or(most, |to| to.clamp(0.0, most));
-            let stated = limits.velocity.unwrap_or(USUAL_SPEED * unit);
+            let margin = |to: Option<f64>| to.map_or(most, |to| to.clamp(0.0, most));
+            let model_limit = limits.velocity.unwrap_or(DEFAULT_SPEED_RAD_S * unit);
             JointMargins {
-                below: room(limits.lower.map(|lower| q - lower)),
-                above: room(limits.upper.map(|upper| upper - q)),
-                velocity: args.speed.map_or(stated, |speed| stated.min(speed * unit)),
+                below: margin(limits.lower.map(|lower| q - lower)),
+                above: margin(limits.upper.map(|upper| upper - q)),
+                velocity: args.speed.map_or(model_limit, |speed| model_limit.min(speed * unit)),
                 acceleration: args.acceleration * unit,
             }
         };
-        let rooms = around.iter().enumerate().map(room).collect();
+        let margins = around.iter().enumerate().map(margin).collect();
         let named = chain.joint_names().iter().zip(chain.limits());
         let unlimited = named.filter(|(_, limits)| limits.velocity.is_none());
         let unlimited = unlimited.map(|(name, _)| name.clone()).collect();
-        let (radius_m, told) = radii(planning, &around);
+        let (radius_m, is_from_model) = segment_radii(arm, &around);
         let camera = Pose::identity();
         let target = chain.forward(&around) * nalgebra::Point3::new(0.0, 0.0, args.target);
         let purpose = args.purpose.into();
@@ -99,7 +103,7 @@ impl Asked {
             target: Vec3::from(target.coords),
             half_rad: args.view.to_radians(),
         });
-        let keep = Clearances::from_configuration(
+        let clearances = Clearances::from_configuration(
             chain,
             &around,
             ArmCapsules { radius_m },
@@ -111,10 +115,11 @@ impl Asked {
         let link = |name: &String| {
             robot.joint(name).map_or(name.clone(), |joint| robot.link_name(joint.child).to_owned())
         };
-        let parts = std::iter::once(chain.base_name().to_owned()).chain(joints.map(link)).collect();
+        let segment_names =
+            std::iter::once(chain.base_name().to_owned()).chain(joints.map(link)).collect();
         Self {
             around,
-            rooms,
+            margins,
             seconds: args.seconds,
             purpose,
             sensing: Sensing {
@@ -126,44 +131,52 @@ impl Asked {
                 hand_from_camera: camera,
                 target_m: args.target,
             },
-            keep,
+            clearances,
             seed: args.seed,
             unlimited,
-            parts,
-            told,
+            segment_names,
+            has_model_radius: is_from_model,
         }
     }
 
-    pub fn task<'a>(&'a self, chain: &'a poseaudit::robot::Chain) -> PlanRequirements<'a> {
+    pub fn requirements<'a>(&'a self, chain: &'a poseaudit::robot::Chain) -> PlanRequirements<'a> {
         PlanRequirements {
             chain,
             around: &self.around,
-            margins: &self.rooms,
+            margins: &self.margins,
             seconds: self.seconds,
             purpose: self.purpose,
             sensing: self.sensing,
-            clearances: &self.keep,
+            clearances: &self.clearances,
             seed: self.seed,
         }
     }
 
     pub fn motion(&self, planned: &MotionPlan) -> JointTrack {
-        planned.series.track((self.seconds / ROW_S).ceil() as usize + 1)
+        planned.series.track((self.seconds / ROW_PERIOD_S).ceil() as usize + 1)
     }
 
-    pub fn nearness(&self, near: &ClearanceViolation) -> String {
-        match *near {
-            ClearanceViolation::Parts(i, j, apart) => format!(
+    pub fn violation_text(&self, violation: &ClearanceViolation) -> String {
+        match *violation {
+            ClearanceViolation::Parts(i, j, distance) => format!(
                 "{} and {} come within {} of each other",
-                self.parts[i],
-                self.parts[j],
-                Unit::Metre.show(apart.max(0.0))
+                self.segment_names[i],
+                self.segment_names[j],
+                Unit::Metre.show(distance.max(0.0))
             ),
             ClearanceViolation::Floor(at, height) if height < 0.0 => {
-                format!("{} is {} below the floor", self.parts[at], Unit::Metre.show(-height))
+                format!(
+                    "{} is {} below the floor",
+                    self.segment_names[at],
+                    Unit::Metre.show(-height)
+                )
             }
             ClearanceViolation::Floor(at, height) => {
-                format!("{} comes within {} of the floor", self.parts[at], Unit::Metre.show(height))
+                format!(
+                    "{} comes within {} of the floor",
+                    self.segment_names[at],
+                    Unit::Metre.show(height)
+                )
             }
             ClearanceViolation::View(angle) => {
                 format!("the target is {} off the camera axis", Unit::Radian.show(angle))
@@ -172,34 +185,35 @@ impl Asked {
     }
 }
 
-impl Checked {
-    pub fn of(
-        planning: &Planning,
-        asked: &Asked,
+impl MotionCheck {
+    pub fn new(
+        arm: &PlannedArm,
+        task: &PlanTask,
         motion: &JointTrack,
-        promises: Vec<ExpectedPrecision>,
+        precision: Vec<ExpectedPrecision>,
     ) -> Self {
-        let speed: Vec<f64> = asked.rooms.iter().map(|room| room.velocity).collect();
-        let acceleration: Vec<f64> = asked.rooms.iter().map(|room| room.acceleration).collect();
-        let beyond = limit_violations(&planning.chain, motion, &speed, &acceleration);
-        let near = (0..motion.len()).find_map(|row| {
-            let near = asked.keep.first_violation(&planning.chain, motion.row(row))?;
-            Some((motion.t_s[row], near))
+        let speed: Vec<f64> = task.margins.iter().map(|margin| margin.velocity).collect();
+        let acceleration: Vec<f64> =
+            task.margins.iter().map(|margin| margin.acceleration).collect();
+        let violations = limit_violations(&arm.chain, motion, &speed, &acceleration);
+        let violation = (0..motion.len()).find_map(|row| {
+            let violation = task.clearances.first_violation(&arm.chain, motion.row(row))?;
+            Some((motion.t_s[row], violation))
         });
-        Self { promises, beyond, near }
+        Self { precision, limit_violations: violations, clearance_violation: violation }
     }
 
     /// Whether all limits and clearances hold.
     pub fn is_within(&self) -> bool {
-        self.beyond.is_empty() && self.near.is_none()
+        self.limit_violations.is_empty() && self.clearance_violation.is_none()
     }
 }
 
 /// Radius of each segment, m, and whether it comes from the model's primitive collision shapes, as far as
 /// they extend from the segment. Otherwise a fraction of the reach.
-fn radii(planning: &Planning, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
-    let Planning { robot, chain } = planning;
-    let usual = RADIUS * chain.max_reach_m();
+fn segment_radii(arm: &PlannedArm, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
+    let PlannedArm { robot, chain } = arm;
+    let default_radius = DEFAULT_RADIUS_RATIO * chain.max_reach_m();
     let mut frames = Vec::new();
     chain.joint_frames(around, &mut frames);
     let tip = chain.forward(around);
@@ -208,11 +222,11 @@ fn radii(planning: &Planning, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
         let to = frames.get(at + 1).unwrap_or(&tip).translation.vector;
         (frames[at].translation.vector, to)
     };
-    let own = |at: usize| -> Option<f64> {
+    let from_shapes = |at: usize| -> Option<f64> {
         let link = robot.joint(&chain.joint_names()[at])?.child;
         let (from, to) = ends(at);
         let along = (to - from).norm_squared();
-        let stands_out = shapes.iter().filter(|shape| shape.link == link).filter_map(|shape| {
+        let extents = shapes.iter().filter(|shape| shape.link == link).filter_map(|shape| {
             let radius = match shape.shape {
                 Shape::Mesh { .. } => return None,
                 Shape::Box(mut edges) => {
@@ -226,11 +240,12 @@ fn radii(planning: &Planning, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
             let nearest = from + (to - from) * part.clamp(0.0, 1.0);
             Some(radius + (centre - nearest).norm())
         });
-        stands_out.reduce(f64::max)
+        extents.reduce(f64::max)
     };
-    let own: Vec<Option<f64>> = std::iter::once(None).chain((0..chain.dof()).map(own)).collect();
+    let from_shapes: Vec<Option<f64>> =
+        std::iter::once(None).chain((0..chain.dof()).map(from_shapes)).collect();
     (
-        own.iter().map(|own| own.unwrap_or(usual)).collect(),
-        own.iter().map(Option::is_some).collect(),
+        from_shapes.iter().map(|from_shapes| from_shapes.unwrap_or(default_radius)).collect(),
+        from_shapes.iter().map(Option::is_some).collect(),
     )
 }

@@ -8,12 +8,12 @@ use poseaudit::report::foreign;
 use poseaudit::robot::Chain;
 
 use super::super::misuse;
-use super::OBSTACLES;
-use super::arm::Planning;
-use super::setup::Asked;
+use super::COLLISION_WARNING;
+use super::arm::PlannedArm;
+use super::setup::PlanTask;
 
 /// Every UR arm, base to tip.
-const JOINTS: [&str; 6] = [
+const UR_JOINT_NAMES: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
     "elbow_joint",
@@ -22,12 +22,14 @@ const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 /// Between commands: a multiple of every controller's period.
-const STEP_S: f64 = 0.008;
+const COMMAND_PERIOD_S: f64 = 0.008;
 
 /// Fails unless the arm has a UR's joints.
-pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
+pub fn check_is_ur(chain: &Chain) -> Result<(), Trouble> {
     let names = chain.joint_names();
-    match names.len() == JOINTS.len() && names.iter().zip(JOINTS).all(|(a, b)| a.ends_with(b)) {
+    match names.len() == UR_JOINT_NAMES.len()
+        && names.iter().zip(UR_JOINT_NAMES).all(|(a, b)| a.ends_with(b))
+    {
         true => Ok(()),
         false => Err(misuse(
             "--format",
@@ -38,22 +40,22 @@ pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
 }
 
 /// Evaluates the sine series at run time; starts only in the start configuration.
-pub fn program(
-    planning: &Planning,
-    asked: &Asked,
+pub fn write_program(
+    arm: &PlannedArm,
+    task: &PlanTask,
     series: &FourierMotion,
     out: &mut dyn Write,
 ) -> io::Result<()> {
     let rate = std::f64::consts::TAU / series.seconds;
-    let purpose = asked.purpose.name();
+    let purpose = task.purpose.name();
     let around: Vec<String> = series.around.iter().map(|q| format!("{q:.9}")).collect();
     writeln!(
         out,
         "# poseaudit plan: {}, {:.1} s, for {purpose}",
-        foreign(&planning.robot.name),
+        foreign(&arm.robot.name),
         series.length_s()
     )?;
-    writeln!(out, "# {OBSTACLES}.")?;
+    writeln!(out, "# {COLLISION_WARNING}.")?;
     writeln!(out, "# Starts only if the arm is in the start configuration. Angles are in rad.")?;
     writeln!(out, "def poseaudit_plan():")?;
     writeln!(out, "  local first = [{}]", around.join(", "))?;
@@ -86,8 +88,8 @@ pub fn program(
     writeln!(out, "  sleep({:.3})", series.rest_s)?;
     writeln!(out, "  local t = 0.0")?;
     writeln!(out, "  while (t < {:.3}):", series.seconds)?;
-    writeln!(out, "    servoj(posture(t), t={STEP_S}, lookahead_time=0.1, gain=300)")?;
-    writeln!(out, "    t = t + {STEP_S}")?;
+    writeln!(out, "    servoj(posture(t), t={COMMAND_PERIOD_S}, lookahead_time=0.1, gain=300)")?;
+    writeln!(out, "    t = t + {COMMAND_PERIOD_S}")?;
     writeln!(out, "  end")?;
     writeln!(out, "  servoj(first, t=0.5, lookahead_time=0.1, gain=300)")?;
     writeln!(out, "  stopj(1.0)")?;

@@ -8,7 +8,7 @@ pub enum Need {
     Joints,
     Model,
     Pose,
-    Outside,
+    Tracker,
     Tf,
     Imu,
     Mount,
@@ -17,12 +17,12 @@ pub enum Need {
 }
 
 impl Need {
-    pub fn what(self) -> &'static str {
+    pub fn description(self) -> &'static str {
         match self {
             Need::Joints => "joint states of the arm",
             Need::Model => "the robot's description, or --robot",
             Need::Pose => "poses of the tool",
-            Need::Outside => "poses of the tool by a tracker or a camera",
+            Need::Tracker => "poses of the tool by a tracker or a camera",
             Need::Tf => "/tf",
             Need::Imu => "an IMU on the arm, with its orientation",
             Need::Mount => "/tf_static, with the frame of the IMU",
@@ -35,7 +35,7 @@ impl Need {
         match self {
             Need::Joints => &["joints"],
             Need::Model => &["description"],
-            Need::Pose | Need::Outside => &["pose"],
+            Need::Pose | Need::Tracker => &["pose"],
             Need::Tf => &["tf"],
             Need::Imu => &["imu"],
             Need::Mount => &["tf_static"],
@@ -49,7 +49,7 @@ impl Need {
             let is_outside = matches!(stream.witness, Some("external"));
             self.roles().contains(&stream.role)
                 && (stream.count > 0)
-                && (self != Need::Outside || is_outside)
+                && (self != Need::Tracker || is_outside)
         };
         report.streams.iter().filter(is_it).collect()
     }
@@ -62,7 +62,7 @@ impl Need {
 
 #[derive(Debug)]
 pub struct Question {
-    pub asks: &'static str,
+    pub text: &'static str,
     pub rules: &'static [&'static str],
     pub needs: &'static [Need],
 }
@@ -70,7 +70,7 @@ pub struct Question {
 /// Each rule belongs to exactly one.
 pub const QUESTIONS: &[Question] = &[
     Question {
-        asks: "Is the log complete, and are its stamps valid?",
+        text: "Is the log complete, and are its stamps valid?",
         rules: &[
             "ING001", "ING002", "ING003", "TIM001", "TIM002", "TIM003", "TIM004", "TIM005",
             "TIM006", "TIM007", "TIM008", "META001", "META002", "FRM004", "FRM005", "FRM007",
@@ -78,12 +78,12 @@ pub const QUESTIONS: &[Question] = &[
         needs: &[],
     },
     Question {
-        asks: "How does the arm move?",
+        text: "How does the arm move?",
         rules: &["MOT001", "MOT002", "MOT003", "MOT005", "VEL001"],
         needs: &[Need::Joints, Need::Model],
     },
     Question {
-        asks: "Do encoding, frames and timing of the poses match their metadata and the joints?",
+        text: "Do encoding, frames and timing of the poses match their metadata and the joints?",
         rules: &[
             "ORD001", "ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008",
             "ORD009", "ORD010", "ORD011", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003",
@@ -92,27 +92,27 @@ pub const QUESTIONS: &[Question] = &[
         needs: &[Need::Joints, Need::Model, Need::Pose],
     },
     Question {
-        asks: "Does the arm deviate beyond what its own encoders see: link lengths, sag, backlash?",
+        text: "Does the arm deviate beyond what its own encoders see: link lengths, sag, backlash?",
         rules: &["ZER002", "ZER003", "MOT006"],
-        needs: &[Need::Joints, Need::Model, Need::Outside],
+        needs: &[Need::Joints, Need::Model, Need::Tracker],
     },
     Question {
-        asks: "Does /tf agree with the joints?",
+        text: "Does /tf agree with the joints?",
         rules: &["FRM001"],
         needs: &[Need::Joints, Need::Model, Need::Tf],
     },
     Question {
-        asks: "Does an IMU drift, tilt or have a wrong mount?",
+        text: "Does an IMU drift, tilt or have a wrong mount?",
         rules: &["YAW001", "YAW002", "YAW003", "YAW004"],
         needs: &[Need::Joints, Need::Model, Need::Imu, Need::Mount],
     },
     Question {
-        asks: "Does the hand-eye chain close?",
+        text: "Does the hand-eye chain close?",
         rules: &["HEC001", "HEC002", "HEC003"],
         needs: &[Need::Joints, Need::Model, Need::Target],
     },
     Question {
-        asks: "Does the arm follow its commands?",
+        text: "Does the arm follow its commands?",
         rules: &["FRM006", "LAT004", "MOT004"],
         needs: &[Need::Joints, Need::Model, Need::Reference],
     },
@@ -153,10 +153,10 @@ mod tests {
                 let is_asked = |row: &&poseaudit::finding::CheckRow| row.status != Status::Skipped;
                 let asked = rows.filter(is_asked).count();
                 if question.needs.iter().all(|need| need.is_met(&report)) {
-                    assert!(asked > 0, "{name}: {}", question.asks);
+                    assert!(asked > 0, "{name}: {}", question.text);
                     held.insert((index, true));
-                } else if !matches!(last, Need::Outside | Need::Mount | Need::Pose) {
-                    assert_eq!(asked, 0, "{name}: {}", question.asks);
+                } else if !matches!(last, Need::Tracker | Need::Mount | Need::Pose) {
+                    assert_eq!(asked, 0, "{name}: {}", question.text);
                     held.insert((index, false));
                 }
             }

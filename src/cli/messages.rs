@@ -10,7 +10,7 @@ use poseaudit::report::tame;
 
 /// Options for verbosity and colour, shared by all commands.
 #[derive(Clone, Copy, Debug, clap::Args)]
-pub struct Say {
+pub struct VerbosityOptions {
     /// Print only the result and errors: no progress, warnings or names of written files on stderr
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
@@ -38,20 +38,20 @@ enum Colour {
 #[repr(u8)]
 enum Level {
     Quiet,
-    Usual,
+    Normal,
     Verbose,
 }
 
-static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
+static LEVEL: AtomicU8 = AtomicU8::new(Level::Normal as u8);
 
 const LABEL: Style = Style::new().dimmed();
 
-impl Say {
+impl VerbosityOptions {
     pub fn apply(self) {
         let level = match (self.quiet, self.verbose) {
             (true, _) => Level::Quiet,
             (_, true) => Level::Verbose,
-            _ => Level::Usual,
+            _ => Level::Normal,
         };
         LEVEL.store(level as u8, Ordering::Relaxed);
         match self.color {
@@ -63,29 +63,29 @@ impl Say {
     }
 }
 
-fn is_said(level: Level) -> bool {
+fn is_shown(level: Level) -> bool {
     LEVEL.load(Ordering::Relaxed) >= level as u8
 }
 
 /// Whether only errors are printed.
 pub fn is_quiet() -> bool {
-    !is_said(Level::Usual)
+    !is_shown(Level::Normal)
 }
 
-pub fn wrote(path: &Path) {
+pub fn print_written(path: &Path) {
     // Not for devices and pipes.
-    if is_said(Level::Usual) && (path.is_file() || path.is_dir()) {
-        line("wrote", &path.display().to_string());
+    if is_shown(Level::Normal) && (path.is_file() || path.is_dir()) {
+        print_line("wrote", &path.display().to_string());
     }
 }
 
 /// Printed in verbose mode.
-pub fn detail(label: &str, what: impl FnOnce() -> String) {
-    if is_said(Level::Verbose) {
-        line(label, &what());
+pub fn print_detail(label: &str, what: impl FnOnce() -> String) {
+    if is_shown(Level::Verbose) {
+        print_line(label, &what());
     }
 }
 
-fn line(label: &str, what: &str) {
+fn print_line(label: &str, what: &str) {
     anstream::eprintln!("{LABEL}{label}{LABEL:#} {}", tame(what));
 }

@@ -8,14 +8,14 @@ use poseaudit::log::is_url;
 use poseaudit::report::Trouble;
 use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, RunOptions};
 
-use super::{misuse, say};
+use super::{messages, misuse};
 
 /// Searches for the config.
 const AUTO: &str = "auto";
 
 /// The audit options.
 #[derive(Clone, Debug, clap::Args)]
-pub struct How {
+pub struct AuditOptions {
     /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
     #[arg(long = "robot", value_name = "FILE|NAME")]
     robots: Vec<RobotSource>,
@@ -82,7 +82,7 @@ pub fn positive_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-impl How {
+impl AuditOptions {
     /// Finds the config for `--config auto`. Fails if no log has one or the logs have different ones.
     pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
         if self.config.as_deref() != Some(Path::new(AUTO)) {
@@ -97,7 +97,7 @@ impl How {
             if is_url(log) || log == Path::new("-") {
                 return refused(format!("{} has no folder", log.display()));
             }
-            match Config::nearest_to(&before_wildcards(log)) {
+            match Config::nearest_to(&path_before_wildcards(log)) {
                 Some(file) if found.contains(&file) => {}
                 Some(file) => found.push(file),
                 None => {
@@ -107,7 +107,7 @@ impl How {
             }
         }
         match found.as_slice() {
-            [file] => say::detail("config", || file.display().to_string()),
+            [file] => messages::print_detail("config", || file.display().to_string()),
             [first, second, ..] => {
                 let (first, second) = (first.display(), second.display());
                 return refused(format!("the logs have different configs: {first} and {second}"));
@@ -119,7 +119,7 @@ impl How {
     }
 
     /// Files on the command line, before reading the config.
-    pub fn named(&self) -> poseaudit::Options {
+    pub fn options_without_config(&self) -> poseaudit::Options {
         poseaudit::Options {
             run: RunOptions {
                 robots: self.robots.clone(),
@@ -132,7 +132,7 @@ impl How {
     }
 
     /// Options of the config, overridden by the command line.
-    pub fn options(self) -> Result<poseaudit::Options, Trouble> {
+    pub fn into_options(self) -> Result<poseaudit::Options, Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
         let mut options = config.as_ref().map(Config::options).unwrap_or_default();
         let (run, policy) = (&mut options.run, &mut options.policy);
@@ -150,7 +150,7 @@ impl How {
         run.stamp = self.stamp.map_or(run.stamp, Into::into);
         run.max_latency_s = self.max_latency.unwrap_or(run.max_latency_s);
         // Replaces the config's declaration of the same topic only.
-        run.declared.retain(|of| !self.declare.iter().any(|said| said.is_of(&of.topic)));
+        run.declared.retain(|config| !self.declare.iter().any(|given| given.is_of(&config.topic)));
         run.declared.splice(..0, self.declare);
         if !self.select.is_empty() {
             policy.rules.select = self.select;
@@ -167,7 +167,7 @@ impl How {
 }
 
 /// Leading folders without wildcards.
-fn before_wildcards(pattern: &Path) -> PathBuf {
+fn path_before_wildcards(pattern: &Path) -> PathBuf {
     let is_plain = |part: &std::path::Component<'_>| {
         !part.as_os_str().to_string_lossy().contains(['*', '?', '[', '{'])
     };
@@ -177,6 +177,6 @@ fn before_wildcards(pattern: &Path) -> PathBuf {
     }
 }
 
-pub fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
+pub fn first_non_empty<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
     if given.is_empty() { other } else { given }
 }
