@@ -19,7 +19,7 @@ SKIPPED = {"target", "node_modules", "seeds", "corpus", "snapshots", "CHANGELOG.
 # Rooms above LIMIT. Lower an entry when its room improves; never raise one.
 ALLOWED = {
     "README.md": 8, "docs": 32, "docs/datasets.md": 51, "docs/fleet-ray.md": 30, "docs/formats.md": 20,
-    "docs/limits.md": 20, "docs/real-logs.md": 7, "docs/remote.md": 46, "docs/rules": 9, "docs/verdicts.md":
+    "docs/limits.md": 20, "docs/real-logs.md": 7, "docs/rules": 9, "docs/verdicts.md":
     14, "fixtures": 8, "fixtures/README.md": 14,
 }
 
