@@ -49,7 +49,7 @@ struct Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     File,
-    /// Its other files are kept.
+    /// Folder; its other files are kept.
     Folder,
     /// Reserved for this option.
     Own,
@@ -59,7 +59,7 @@ enum Kind {
 #[derive(Clone, Debug)]
 struct Place {
     given: PathBuf,
-    /// Without links, `.` and `..`.
+    /// Path without links, `.` and `..`.
     path: PathBuf,
     /// If it exists.
     metadata: Option<Metadata>,

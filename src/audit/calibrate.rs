@@ -73,7 +73,7 @@ pub struct Calibrated {
 }
 
 impl Taken {
-    /// Its rotations carry no information.
+    /// The rotations carry no information.
     pub fn rotation_is_blind(&self) -> bool {
         self.rotation_is_blind
     }
@@ -163,7 +163,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
     Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
 }
 
-/// Around the configurations of `stream`.
+/// Plan around the configurations of `stream`.
 fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     let [base, tip] = [&stream.base, &stream.tip].map(|name| drawing.link(name));
     let chain = drawing.chain(base?, tip?).ok()?;

@@ -59,7 +59,7 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     let files = std::mem::take(&mut *FILES.lock().unwrap_or_else(PoisonError::into_inner));
     let told = Mutex::new((0, ""));
     let progress = Progress::with_callback(move |progress| {
-        // At most 200 updates.
+        // Posts at most 200 updates.
         let (read, total, doing) = (progress.read(), progress.total(), progress.activity());
         let now = (200 * read / total.max(1), doing);
         if std::mem::replace(&mut *told.lock().unwrap_or_else(PoisonError::into_inner), now) != now

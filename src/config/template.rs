@@ -24,7 +24,7 @@ pub fn template(report: &Report) -> String {
     out.0
 }
 
-/// In `[columns]`.
+/// Keys in `[columns]`.
 const COLUMN_KEYS: [&str; 4] = ["joints", "joint_commands", "pose", "pose_commands"];
 
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Template {
         self.0.push('\n');
     }
 
-    /// With a remark.
+    /// Writes a setting with a remark.
     fn set(&mut self, key: &str, value: &str, remark: &str) {
         let setting = format!("{key} = {value}");
         match remark.is_empty() {
@@ -263,7 +263,7 @@ fn amount(unit: Unit, value: f64) -> String {
     }
 }
 
-/// To three digits.
+/// Rounds to three digits.
 fn rounded(rate_hz: f64) -> String {
     let digits = 2 - rate_hz.log10().floor() as i32;
     let step = 10f64.powi(-digits);
@@ -271,7 +271,7 @@ fn rounded(rate_hz: f64) -> String {
     format!("{rounded:.*}", usize::try_from(digits.max(1)).unwrap_or(1))
 }
 
-/// Without line breaks and control characters.
+/// Removes line breaks and control characters.
 fn one_line(text: &str) -> String {
     tame(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }

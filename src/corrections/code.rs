@@ -14,7 +14,7 @@ fn lines(by_library: [&str; 4]) -> Lines {
     LIBRARIES.into_iter().zip(by_library).map(line).collect()
 }
 
-/// For the numbers in logged order.
+/// Variables for the numbers in logged order.
 pub(super) fn variable_names(convention: Convention) -> [&'static str; 3] {
     match convention.is_by_axis() {
         true => ["rx", "ry", "rz"],
@@ -40,7 +40,7 @@ fn retain_libraries(mut lines: Lines) -> Lines {
     lines
 }
 
-/// Not the position.
+/// Inverts the rotation, not the position.
 pub(super) fn invert_rotation() -> Lines {
     lines([
         "rotation.inv()",

@@ -17,12 +17,12 @@ use crate::stats::Measured;
 
 /// Corrections for the findings of an audit, and the findings without one.
 pub(crate) struct CorrectionPlan {
-    /// For an audit.
+    /// Corrections for an audit.
     pub corrections: Corrections,
     pub(super) decodings: Vec<DecodingCode>,
     pub(super) frames: Vec<FixedFrame>,
     pub(super) models: Vec<PatchedModel>,
-    /// For the columns of a dataset.
+    /// Module that corrects the columns of a dataset.
     pub(super) module: Option<String>,
     /// Why models with joint offsets are not patched.
     pub(super) unpatched: Vec<String>,
@@ -39,7 +39,7 @@ pub(super) struct DecodingCode {
     pub lines: Option<Lines>,
 }
 
-/// Before and after the patch.
+/// Model text before and after the patch.
 pub(super) struct PatchedModel {
     pub file: String,
     pub before: String,

@@ -34,7 +34,7 @@ enum Schema {
     One,
 }
 
-/// To 1e-9, without −0.
+/// Rounds to 1e-9, without −0.
 pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
@@ -158,7 +158,7 @@ pub struct AxesCorrection {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameCorrection {
-    /// In m.
+    /// Unit: m.
     xyz: [f64; 3],
     /// x, y, z, w.
     #[serde(deserialize_with = "unit_quaternion")]
@@ -326,7 +326,7 @@ impl Corrections {
         }
     }
 
-    /// Beyond the layout.
+    /// Contradiction that the file layout permits.
     fn inconsistency(&self) -> Option<String> {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;

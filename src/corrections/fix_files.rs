@@ -16,7 +16,7 @@ use crate::report::{quoted, tame};
 /// Index of the other files.
 const INDEX: &str = "corrections.md";
 
-/// Except those of the models.
+/// All files except the models.
 pub(crate) const FIX_FILES: [&str; 8] =
     [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS, MODULE];
 

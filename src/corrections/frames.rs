@@ -6,7 +6,7 @@ use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 /// Frame fixed in another frame.
 #[derive(Clone, Debug)]
 pub(super) struct FixedFrame {
-    /// With its subject.
+    /// Finding with its subject.
     pub finding: String,
     /// How to use it.
     pub comment: String,
@@ -47,7 +47,7 @@ fn number(value: f64) -> String {
     rounded(value).to_string()
 }
 
-/// If necessary.
+/// Quotes `name` if necessary.
 fn shell_quoted(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     match !name.is_empty() && name.chars().all(is_plain) {
@@ -56,13 +56,13 @@ fn shell_quoted(name: &str) -> String {
     }
 }
 
-/// For attributes and comments.
+/// Escapes text for attributes and comments.
 pub(super) fn escape_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")
 }
 
-/// For file and frame names.
+/// Name for files and frames.
 pub(super) fn slug(text: &str) -> String {
     let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
     plain.collect::<String>().trim_matches('_').to_owned()

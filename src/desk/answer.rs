@@ -13,7 +13,7 @@ const STEP_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const STEP_M: f64 = 0.005;
 const NO_STEP: f64 = 0.3;
 
-// In halvings of the residual.
+// Unit: halvings of the residual.
 const INVERSE: f64 = 2.0;
 const TRANSPOSE: f64 = 2.5;
 
@@ -283,7 +283,7 @@ pub struct Answer {
     pub hypotheses: Vec<Hypothesis>,
     /// Number as good as the first, including it.
     pub as_good: usize,
-    /// For a single pair.
+    /// Possible correction of a single pair.
     pub would_do: Option<WouldDo>,
     /// Encodings tried for the two rotations.
     pub tried: usize,

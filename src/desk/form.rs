@@ -18,7 +18,7 @@ const REFUSED_DEFECT: f64 = 1e-2;
 /// Larger deviations are noted.
 pub(super) const SAID_DEFECT: f64 = 1e-3;
 
-/// As in ORD006, rad.
+/// Same angle as in ORD006, rad.
 pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Largest plausible lengths, each in its unit.
@@ -109,7 +109,7 @@ pub struct Reading {
     pub has_odd_angle: bool,
 }
 
-/// In any unit.
+/// Limit in any unit.
 const FARTHEST: f64 = 1e9;
 
 impl Reading {
@@ -400,7 +400,7 @@ fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     }
 }
 
-/// As [`lengths`].
+/// Analogous to [`lengths`].
 fn angles(widest: f64) -> Vec<(AngleUnit, bool)> {
     match widest {
         0.0 => vec![(AngleUnit::Radian, false)],

@@ -174,9 +174,9 @@ impl FixedFrame {
 /// Candidate constant transforms between two poses of one arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Corrections {
-    /// At the base.
+    /// Frames at the base.
     pub base: Vec<FixedFrame>,
-    /// At the tip.
+    /// Frames at the tip.
     pub tip: Vec<FixedFrame>,
 }
 

@@ -15,7 +15,7 @@ enum Token<'a> {
 struct Names {
     names: &'static [&'static str],
     coding: Option<RotationEncoding>,
-    /// In the table of conventions.
+    /// Name in the table of conventions.
     maker: Option<&'static str>,
     kind: &'static str,
 }
@@ -144,7 +144,7 @@ fn tokens(text: &str) -> Vec<Token<'_>> {
     tokens
 }
 
-/// In bytes, with sign and exponent.
+/// Length in bytes, with sign and exponent.
 fn number_length(text: &str) -> usize {
     let mut last = ' ';
     let mut chars = text.char_indices().peekable();

@@ -163,7 +163,7 @@ fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
     Ok(Pasted::new(numbers, si(RotationEncoding::Xyzw), "tf2_echo"))
 }
 
-/// From `ros2 topic echo` or JSON.
+/// Message from `ros2 topic echo` or JSON.
 fn message(text: &str) -> Result<Pasted, DeskError> {
     let document = text.split("\n---").next().unwrap_or(text).trim_start_matches("---");
     let message: Value = serde_saphyr::from_str(document)

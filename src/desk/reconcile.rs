@@ -10,7 +10,7 @@ use super::pairs::Pair;
 use super::search::{Candidate, Group, HOPELESS, SEARCHED, Search, groups};
 use crate::geometry::{Pose, angle_between};
 
-/// In the score.
+/// Score difference.
 const NO_BETTER: f64 = 1.5;
 
 /// Listed explanations.

@@ -12,7 +12,7 @@ use crate::geometry::{
     misinterpretation_classes, pose, rotation_from_rotvec,
 };
 
-// In halvings of the residual.
+// Unit: halvings of the residual.
 const PER_RANK: f64 = 0.25;
 const ODD_UNIT: f64 = 3.0;
 const FRAME: f64 = 1.5;
@@ -103,7 +103,7 @@ impl Place {
     }
 }
 
-/// From A to B.
+/// Steps from A to B.
 #[derive(Clone, Copy)]
 pub(super) struct Steps {
     pub(super) inversion: Inversion,

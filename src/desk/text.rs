@@ -50,7 +50,7 @@ fn in_lines(names: &[String], width: usize) -> Vec<String> {
     lines
 }
 
-/// After a label of 16 characters.
+/// Two columns after a label of 16 characters.
 fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) -> io::Result<()> {
     let width = left.iter().map(|line| line.chars().count()).max().unwrap_or(0).max(44);
     for at in 0..left.len().max(right.len()) {

@@ -52,7 +52,7 @@ pub enum TipPoseKind {
 pub struct UnmodelledCommands {
     /// Joint names.
     pub joints: Vec<String>,
-    /// From command to state, per joint.
+    /// Delay from command to state, per joint.
     pub delays: Vec<CommandDelay>,
 }
 

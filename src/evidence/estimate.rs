@@ -62,9 +62,9 @@ fn diagnose_other_convention(
     found: &ArmDiagnosis,
     most_lag_s: f64,
 ) -> (DhComparison, Option<(Arm, ArmStreamsDiagnosis)>) {
-    /// Maximum position misfit of a possible convention, m, …
+    /// Maximum position misfit of a possible convention, m.
     const MAX_POSITION_MISFIT_M: f64 = 0.02;
-    /// … or relative to the declared one.
+    /// The same, relative to the declared convention.
     const MAX_MISFIT_RATIO: f64 = 0.5;
     let declared = DhResidual::from_diagnosis(found);
     let mut estimate = DhComparison {
@@ -120,7 +120,7 @@ fn diagnose_other_convention(
     (estimate, Some((other, diagnosis)))
 }
 
-/// To m.
+/// Factor to m.
 fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }

@@ -19,7 +19,7 @@ pub struct JointEvidence {
     pub is_prismatic: bool,
     /// Limits in the model.
     pub limits: Limits,
-    /// Over all samples.
+    /// Motion over all samples.
     pub motion: JointMotion,
     /// Recorded velocities against positions. `None` without velocities.
     pub velocity: Option<EstimateResult<VelocityDiagnosis>>,

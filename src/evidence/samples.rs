@@ -32,7 +32,7 @@ pub struct OutlierEvidence {
 /// Values repeated with new stamps while the arm moves.
 #[derive(Clone, Debug)]
 pub struct RepeatedValueEvidence {
-    /// Per transform, or of the stream.
+    /// Repeats per transform, or of the stream.
     pub parts: Vec<RepeatedValues>,
     /// The topic name indicates deliberate repetition.
     pub is_latched: bool,

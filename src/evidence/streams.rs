@@ -51,9 +51,9 @@ pub struct RhythmEvidence {
     pub unstamped: u64,
     /// The topic's samples in other frames.
     pub in_other_frames: u64,
-    /// Per sender or transform.
+    /// Timing per sender or transform.
     pub parts: Vec<Cadence>,
-    /// Relative to the other streams.
+    /// Start and end relative to the other streams.
     pub extent: Option<Extent>,
 }
 

@@ -140,7 +140,7 @@ pub struct Fault {
     pub severity: Severity,
     /// Cause, with the values that correct it.
     pub cause: Cause,
-    /// In a few words, without values.
+    /// Summary without values.
     pub title: &'static str,
     /// One clause: lower-case start, no final period, the value with its unit.
     pub message: String,

@@ -95,7 +95,7 @@ impl Unit {
         }
     }
 
-    /// As in `22.03 ms`, `0.5°`.
+    /// Number and unit, as in `22.03 ms`, `0.5°`.
     pub fn show(self, value: f64) -> String {
         let (factor, suffix) = self.everyday(value.abs());
         let shown = value * factor;
@@ -123,7 +123,7 @@ impl Unit {
         }
     }
 
-    /// Always with a sign.
+    /// Value that always has a sign.
     pub fn show_signed_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), true),
@@ -132,7 +132,7 @@ impl Unit {
         }
     }
 
-    /// With the half-width of its interval.
+    /// Value with the half-width of its interval.
     pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
         if !half.is_finite() {
             return format!("{} ± ?", self.show(value));
@@ -170,7 +170,7 @@ impl Unit {
     }
 }
 
-/// From here on, scientific notation.
+/// Limit for decimal notation.
 const MIN_SCIENTIFIC: f64 = 1e7;
 
 /// Decimals that show `digits` significant digits of `size`.
@@ -191,7 +191,7 @@ fn unsigned_zero(text: String) -> String {
     }
 }
 
-/// With this many decimals, without −0.
+/// Number with this many decimals, without −0.
 pub fn rounded(number: f64, decimals: usize) -> String {
     unsigned_zero(format!("{number:.decimals$}"))
 }

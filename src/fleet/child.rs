@@ -40,7 +40,7 @@ pub enum Order {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// In the system's byte encoding.
+    /// Path in the system's byte encoding.
     pub path: Vec<u8>,
     pub task: Task,
     /// Common properties of its dataset.

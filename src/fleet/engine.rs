@@ -39,9 +39,9 @@ pub struct Call<'a> {
     pub settings: &'a AuditSettings,
     /// How a log's content is identified.
     pub identity: Identity,
-    /// Labels of all logs, …
+    /// Labels of all logs.
     pub labels: Labels,
-    /// … and labels derived from their paths.
+    /// Labels derived from the logs' paths.
     pub template: Option<Template>,
     /// Parallel jobs.
     pub jobs: usize,
@@ -126,7 +126,7 @@ struct Book {
     course: Course,
     /// Assigned to a thread.
     taken: HashSet<String>,
-    /// Not yet saved.
+    /// Rows to save.
     learnt: Vec<SourceRow>,
     noted: Option<Instant>,
     /// Ends the call.

@@ -8,7 +8,7 @@ use crate::report::Verdict;
 pub struct Task {
     /// Key of its rows.
     pub key: String,
-    /// As stored in the tables.
+    /// Path as stored in the tables.
     pub path: String,
     pub content: String,
     pub version: String,
@@ -77,11 +77,11 @@ pub struct Answer {
     pub status: Status,
     /// Warnings count as failures.
     pub verdict: Option<Verdict>,
-    /// Errors, …
+    /// Errors.
     pub errors: u32,
-    /// … warnings …
+    /// Warnings.
     pub warnings: u32,
-    /// … and infos.
+    /// Infos.
     pub infos: u32,
 }
 

@@ -10,7 +10,7 @@ pub struct Log {
     pub files: Vec<LogFile>,
     /// Topics, sorted by name.
     pub topics: Vec<Topic>,
-    /// From attachments and metadata.
+    /// Descriptions from attachments and metadata.
     pub descriptions: Vec<Description>,
     /// Messages read, of any type.
     pub messages: u64,

@@ -14,7 +14,7 @@ pub(super) enum FileFormat {
     Rtde,
     Table(tables::TableFormat),
     Known {
-        /// With its article.
+        /// Name with article.
         looks: &'static str,
         /// Suggested action.
         instead: &'static str,

@@ -3,7 +3,7 @@
 
 use super::Extent;
 
-/// For all files of a run.
+/// Shared by all files of a run.
 #[derive(Debug)]
 pub(super) struct MemoryBudget {
     limit: u64,

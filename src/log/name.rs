@@ -61,7 +61,7 @@ fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     };
     let authority = rest.split('/').next().unwrap_or_default();
     match authority.rsplit_once('@') {
-        // In Azure URLs, the container.
+        // Container in an Azure URL.
         Some((container, _)) if scheme.starts_with("abfs") && !container.contains(':') => rest,
         Some((secret, _)) => &rest[secret.len() + 1..],
         // A password containing a slash.

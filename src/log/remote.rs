@@ -117,7 +117,7 @@ pub(super) struct Fetched {
     pub(super) bytes: u64,
 }
 
-/// All parts if checksums are verified.
+/// Fetches all parts if checksums are verified.
 #[cfg(feature = "cloud")]
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     fetch::fetch(address, options)

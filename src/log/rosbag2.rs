@@ -33,7 +33,7 @@ const METADATA: &str = "metadata.yaml";
 
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// Used parts.
+/// Used parts of the metadata.
 #[derive(Deserialize)]
 struct Document {
     rosbag2_bagfile_information: Information,
@@ -45,7 +45,7 @@ struct Information {
     relative_file_paths: Vec<String>,
     #[serde(default)]
     message_count: Option<u64>,
-    /// From version 5.
+    /// Present from version 5.
     #[serde(default)]
     files: Vec<FileInformation>,
 }

@@ -23,7 +23,7 @@ use super::{Extent, ReadOptions};
 use ground::stream::{Columns, JointColumn, JointColumns, Times, is_usable};
 use ground::time;
 
-/// In controller order.
+/// Joint names in controller order.
 pub(super) const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -152,7 +152,7 @@ impl Read for Lines<'_> {
 /// Samples of all tables of a run, whose columns may be in different files.
 #[derive(Default)]
 pub(super) struct Recording {
-    /// In the order of [`VECTORS`].
+    /// Samples in the order of [`VECTORS`].
     samples: [Option<Samples>; VECTORS.len()],
 }
 
@@ -169,7 +169,7 @@ struct Layout {
     timestamp: usize,
     /// Index into [`VECTORS`], and the columns.
     vectors: Vec<(usize, Vec<usize>)>,
-    /// Only counted.
+    /// Channels that are only counted.
     others: Vec<ChannelId>,
 }
 

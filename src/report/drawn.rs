@@ -21,7 +21,7 @@ use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-/// Gaps per stream.
+/// Maximum gaps per stream.
 const MOST_SILENCES: usize = 60;
 
 /// Pose streams per arm that are plotted without a finding.
@@ -77,7 +77,7 @@ impl Clock<'_> {
         stamp.seconds_since(self.start)
     }
 
-    /// From the run's origin.
+    /// Converts a time from the run's origin.
     fn of_origin_s(&self, t_s: f64) -> f64 {
         t_s + self.run.origin.seconds_since(self.start)
     }
@@ -142,7 +142,7 @@ fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
 }
 
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
-    /// Plotted beyond twice the latency, s.
+    /// Margin beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
     let figure = |(source, imu): (&ImuSource, &StreamEvidence<ImuEvidence>)| {
         let found = &imu.diagnosis;

@@ -55,7 +55,7 @@ pub enum Own {
     Rests(Vec<[[f64; 3]; 2]>),
     /// Time and deviation from a valid rotation.
     Norms(Vec<[f64; 2]>),
-    /// In its link, as matrix columns.
+    /// Axes of an IMU in its link, as matrix columns.
     ImuAxes {
         /// Link.
         link: String,
@@ -90,13 +90,13 @@ pub struct JointFigure {
     pub t_s: Vec<f64>,
     /// Positions.
     pub position: Vec<f64>,
-    /// Recorded; may be empty.
+    /// Recorded velocity; may be empty.
     pub velocity: Vec<f64>,
-    /// From the positions.
+    /// Velocity from positions.
     pub rate: Vec<f64>,
     /// Lower and upper.
     pub limits: [Option<f64>; 2],
-    /// Limit.
+    /// Speed limit.
     pub top_speed: Option<f64>,
 }
 
@@ -111,13 +111,13 @@ pub struct PoseFigure {
     pub is_derived: bool,
     /// Stamps, s.
     pub t_s: Vec<f64>,
-    /// Against recorded FK, m.
+    /// Error against recorded FK, m.
     pub before_m: Vec<f64>,
-    /// Against recorded FK, rad.
+    /// Error against recorded FK, rad.
     pub before_rad: Vec<f64>,
-    /// After all corrections, m.
+    /// Error after all corrections, m.
     pub after_m: Vec<f64>,
-    /// After all corrections, rad.
+    /// Error after all corrections, rad.
     pub after_rad: Vec<f64>,
     /// FK from the origin of the reference frame, m.
     pub reach_m: Vec<f64>,
@@ -153,9 +153,9 @@ pub struct ImuFigure {
 /// Latency in a window of about a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoursePoint {
-    /// Middle, s.
+    /// Window middle, s.
     pub t_s: f64,
-    /// Relative to the whole run's, s.
+    /// Latency relative to the whole run's, s.
     pub beyond_s: f64,
     /// Half-width of the 95 % interval, s.
     pub half_width_s: f64,
@@ -181,7 +181,7 @@ pub struct ReadingScore {
 pub struct TimelineRow {
     /// Topic.
     pub topic: String,
-    /// If the topic has several streams.
+    /// Frame, if the topic has several streams.
     pub frame: Option<String>,
     /// First and last stamp, s.
     pub span_s: [f64; 2],

@@ -6,9 +6,9 @@ use super::{Report, github, html, json, junit, markdown, sarif, text};
 /// A report format.
 #[derive(Clone, Copy)]
 pub struct Format {
-    /// For `--format`.
+    /// Name for `--format`.
     pub name: &'static str,
-    /// In a folder of several formats.
+    /// File name in a folder of several formats.
     pub file_name: &'static str,
     /// Intended use.
     pub about: &'static str,

@@ -66,13 +66,13 @@ fn findings(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<
     writeln!(out)
 }
 
-/// With effect and confounders.
+/// Message with effect and confounders.
 fn what(finding: &Finding, says: &Outline) -> String {
     let lines = std::iter::once(finding.message.clone()).chain(says.about(finding));
     lines.map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
-/// Collapsible.
+/// Collapsible section.
 fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> io::Result<()> {
     if lines.is_empty() {
         return Ok(());

@@ -101,7 +101,7 @@ pub struct Report {
     /// If requested.
     #[serde(skip)]
     pub figures: Option<Figures>,
-    /// Overridden by the configuration.
+    /// Includes overrides from the configuration.
     #[serde(skip)]
     pub(crate) thresholds: Thresholds,
 }

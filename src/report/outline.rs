@@ -14,14 +14,14 @@ pub(crate) use passed::{Bound, Passed};
 
 pub(crate) struct Outline<'a> {
     report: &'a Report,
-    /// Several: subjects must include the robot.
+    /// Whether there are several, so subjects must include the robot.
     robots: bool,
 }
 
 struct Outcomes<'a> {
-    /// Passed, …
+    /// Passed without a remark.
     plain: Vec<&'a CheckRow>,
-    /// … and passed with a remark.
+    /// Passed with a remark.
     remarked: Vec<&'a CheckRow>,
     asked: usize,
 }

@@ -8,7 +8,7 @@ const CELLS: usize = 32;
 
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Without samples.
+/// Cell without samples.
 const NONE: char = '·';
 
 /// One line per stream whose errors the findings explain. Empty without figures or faults.

@@ -24,7 +24,7 @@ impl CdrWriter {
         self.aligned(value.to_le_bytes());
     }
 
-    /// Fixed length, or consecutive fields.
+    /// Array of fixed length, or consecutive fields.
     pub(super) fn f64_array<const N: usize>(&mut self, values: [f64; N]) {
         for value in values {
             self.f64(value);

@@ -171,7 +171,7 @@ pub(super) fn pose_stamped(stamp: Stamp, frame_id: &str, pose: LoggedPose) -> Ve
     cdr.finish()
 }
 
-/// Without dimensions.
+/// `Float64MultiArray` without dimensions.
 pub(super) fn numbers(data: &[f64]) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
     cdr.count(0);

@@ -90,11 +90,11 @@ pub struct Scenario {
     pub base: String,
     /// Logged link; carries the IMU.
     pub tip: String,
-    /// On the recorder's clock.
+    /// Start, on the recorder's clock.
     pub start: Stamp,
     /// In s.
     pub duration_s: f64,
-    /// For all random numbers.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Motion of the arm.
     pub motion: Motion,
@@ -304,7 +304,7 @@ impl Scenario {
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
-    /// In effect at `time_s`.
+    /// Scenario in effect at `time_s`.
     fn at(&self, time_s: f64) -> &Scenario {
         let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
         begun.checked_sub(1).map_or(self, |last| &self.later[last].1)

@@ -45,7 +45,7 @@ const COMFORT: f64 = 0.9;
 /// Prismatic travel equivalent to a radian, m.
 const METRES_PER_RADIAN: f64 = 0.25;
 
-/// With two continuous derivatives.
+/// Trajectory with two continuous derivatives.
 #[derive(Debug, Clone)]
 pub(super) enum Trajectory {
     /// At rest before the first and after the last.
@@ -199,7 +199,7 @@ impl Trajectory {
         Self::Sines { home: rooms.iter().map(|room| room.home).collect(), sines }
     }
 
-    /// In s after the start.
+    /// Positions and velocities, `time_s` after the start.
     pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         match self {
             Self::Knots(knots) => {

@@ -22,7 +22,7 @@ pub struct Lines {
     pub turned_by: Option<Convention>,
 }
 
-/// Between stops, s.
+/// Minimum time between stops, s.
 const LEAST_S: f64 = 0.5;
 /// Sample interval of the joints, s.
 const STEP_S: f64 = 0.004;
@@ -226,7 +226,7 @@ impl Path {
 
 /// Returns its departure time, s.
 fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
-    /// Mean, between stops, rad/s.
+    /// Mean speed between stops, rad/s.
     const SPEED_RAD_S: f64 = 0.8;
     let on_the_way_s = stops.last().map_or(0.0, |last| {
         let far_m = (pose.translation.vector - last.pose.translation.vector).norm();

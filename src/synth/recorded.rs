@@ -37,7 +37,7 @@ pub struct JointStream {
     pub timing: Timing,
     /// Whether velocities are logged.
     pub with_velocity: bool,
-    /// Relative to the positions, s.
+    /// Delay after the positions, s.
     pub velocity_late_s: f64,
     /// Per joint, velocities only; 1 beyond the list.
     pub velocity_scales: Vec<f64>,
@@ -114,7 +114,7 @@ pub struct TfStream {
     pub with_static: bool,
     /// Second publisher of these transforms.
     pub second: Option<SecondPublisher>,
-    /// More in /tf_static.
+    /// More transforms in /tf_static.
     pub others: Vec<OtherTransform>,
 }
 
@@ -134,7 +134,7 @@ pub struct OtherTransform {
 pub struct ImuStream {
     /// Timing.
     pub timing: Timing,
-    /// In /tf_static.
+    /// Mounting, as in /tf_static.
     pub tip_from_imu: Pose,
     /// True mount in the published one: `imu_as_published_from_imu`.
     pub mount_error: Pose,

@@ -22,7 +22,7 @@ pub(super) struct Message {
     pub(super) cdr: Vec<u8>,
 }
 
-/// About the arm itself.
+/// Messages about the arm itself.
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = latched(scenario);
     messages.extend(joint_states(scenario, truth));
@@ -318,7 +318,7 @@ impl Scenario {
         ticks.filter(move |(sent_s, _)| is_kept(sent_s)).map(|(_, tick)| tick)
     }
 
-    /// Received 1 ms later.
+    /// Message received 1 ms later.
     pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
         let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
@@ -332,7 +332,7 @@ impl Scenario {
 }
 
 impl Timing {
-    /// Since the start, s.
+    /// Age of the content, s.
     fn age_s(&self, sent_s: f64) -> f64 {
         let Some((from_s, to_s, by_s)) = self.ages else { return 0.0 };
         match sent_s {
@@ -471,7 +471,7 @@ fn logged_transform<'a>(
     }
 }
 
-/// At `position`, rad or m.
+/// Joint transform at `position`, rad or m.
 fn motion(joint: &Joint, position: f64) -> Pose {
     let along = joint.axis * position;
     match joint.kind {

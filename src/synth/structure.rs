@@ -21,7 +21,7 @@ pub struct Drive {
     pub frame_id: String,
     /// Maximum distance from the start, m.
     pub reach_m: f64,
-    /// To either side, rad.
+    /// Maximum angle to either side, rad.
     pub turn_rad: f64,
     /// Timing of the transform to the robot's root; a rate of 0 omits it.
     pub edge: Timing,

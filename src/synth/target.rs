@@ -103,7 +103,7 @@ impl TargetStream {
         }
     }
 
-    /// If /tf_static contains it.
+    /// Camera frame, if /tf_static contains it.
     pub(super) fn frame<'a>(&'a self, scenario: &'a Scenario) -> Option<LoggedTransform<'a>> {
         (self.timing.rate_hz > 0.0 && self.with_frame).then(|| LoggedTransform {
             parent: self.carrier(scenario),

@@ -33,14 +33,14 @@ pub enum Task {
     Calibration,
 }
 
-/// To one stop, relative to home.
+/// Motion to one stop, relative to home.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leg {
     /// In the base, m.
     shift_m: Vec3,
     /// Rotation vector in the tool frame, rad.
     turn_rad: Vec3,
-    /// Mean.
+    /// Mean speed.
     pub(super) speed_m_s: f64,
     pub(super) rest_s: f64,
 }
@@ -68,9 +68,9 @@ fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s
 }
 
 impl Task {
-    /// At least `count`.
+    /// At least `count` legs.
     pub(super) fn legs(self, random: &mut Pcg64, count: usize) -> Vec<Leg> {
-        /// Half, m.
+        /// Half width, m.
         const WIDTH_M: f64 = 0.1;
         let mut legs: Vec<Leg> = Vec::new();
         let level = |random: &mut Pcg64, size: f64| {

@@ -74,7 +74,7 @@ impl Truth {
         Ok(Self { chain, above, whole, trajectory, brake, shake, bends })
     }
 
-    /// With compliance.
+    /// Joint positions and velocities, with compliance.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let (mut positions, mut velocities) = self.encoders(time_s);
         self.bends.add(time_s, &mut positions, &mut velocities);

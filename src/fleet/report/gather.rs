@@ -37,7 +37,7 @@ struct Log {
     status: Status,
     verdict: Option<Verdict>,
     start_ns: Option<i64>,
-    /// For logs without calendar time.
+    /// Episode of a log without calendar time.
     episode: Option<usize>,
 }
 
@@ -47,7 +47,7 @@ impl Log {
         Whose { site, arm, robot, ..Whose::default() }
     }
 
-    /// If it is a calendar time.
+    /// Start, if it is a calendar time.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
     }
@@ -245,7 +245,7 @@ pub(super) type Cause = (String, Whose);
 
 struct Gathering<'a> {
     question: &'a Question,
-    /// For logs with a single robot.
+    /// Robot of each log with a single one.
     sole_robots: HashMap<&'a str, &'a str>,
     /// Number of logs that passed, per rule and subject.
     asked: BTreeMap<Cause, usize>,

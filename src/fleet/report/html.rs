@@ -223,7 +223,7 @@ fn matrix(report: &FleetReport) -> Markup {
     })
 }
 
-/// Relative to the page, or absolute.
+/// Link relative to the page, or absolute.
 fn link(page: &Path) -> String {
     let page = page.display().to_string();
     let path = utf8_percent_encode(&page, ESCAPED);

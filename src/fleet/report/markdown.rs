@@ -1,4 +1,4 @@
-//! For a dataset card.
+//! Report for a dataset card.
 
 use std::io::{self, Write};
 

@@ -51,7 +51,7 @@ pub enum At {
 }
 
 impl At {
-    /// In seconds or episodes.
+    /// Difference in seconds or episodes.
     pub fn since(self, first: Self) -> f64 {
         match (self, first) {
             (Self::Time(own), Self::Time(first)) => seconds(own - first),
@@ -244,7 +244,7 @@ fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Cour
     }
 }
 
-/// For values in this unit.
+/// Warning threshold in this unit.
 fn figure(code: &str, unit: &str) -> Option<f64> {
     let rule = checks::find(code).ok()?;
     let figures = rule.grade.thresholds();

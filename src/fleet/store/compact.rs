@@ -101,7 +101,7 @@ impl Store {
         keys.iter().try_for_each(|key| self.forget(key))
     }
 
-    /// If there are enough parts.
+    /// Merges if there are enough parts.
     fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
         let all = parts::of(&self.folder.of(table))?;
         let alike: Vec<PathBuf> =

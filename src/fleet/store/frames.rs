@@ -209,7 +209,7 @@ fn as_json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
-/// Without ignored findings.
+/// Number of findings, without ignored ones.
 pub(in crate::fleet) fn found(report: &Report, severity: Severity) -> u32 {
     report.findings.iter().filter(|finding| finding.severity == severity).count() as u32
 }

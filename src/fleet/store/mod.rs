@@ -31,11 +31,11 @@ pub use frames::{LogRows, Row, Tables};
 pub enum Table {
     /// Result per log.
     Runs,
-    /// Per topic.
+    /// Row per topic.
     Streams,
-    /// Per rule and subject.
+    /// Row per rule and subject.
     Checks,
-    /// Per finding.
+    /// Row per finding.
     Findings,
     /// Reason per log not audited.
     Errors,
@@ -43,7 +43,7 @@ pub enum Table {
     Sources,
 }
 
-/// In write order.
+/// Tables in write order.
 pub const TABLES: [Table; 5] =
     [Table::Streams, Table::Checks, Table::Findings, Table::Errors, Table::Runs];
 
@@ -228,7 +228,7 @@ impl Store {
         self.path().join(DATASETS).join(format!("{name}.json"))
     }
 
-    /// When these settings were first stored.
+    /// Time when these settings were first stored.
     pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
         let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()

@@ -93,7 +93,7 @@ pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// If it exists.
+/// Removes the file if it exists.
 pub fn remove(path: &Path) -> Result<(), StoreError> {
     match fs::remove_file(path) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {

@@ -155,7 +155,7 @@ impl Builder {
         Self { kinds, parts, stamped }
     }
 
-    /// Without rows.
+    /// Copy without rows.
     pub(crate) fn empty_copy(&self) -> Self {
         Self::new(self.kinds, self.stamped)
     }

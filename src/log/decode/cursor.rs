@@ -22,7 +22,7 @@ pub(crate) enum EncapsulationError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("byte {offset} of the message: needs {wanted} bytes, {left} remain")]
 pub(crate) struct Short {
-    /// From the start of the message.
+    /// Offset from the start of the message.
     offset: usize,
     wanted: u64,
     left: usize,
@@ -120,7 +120,7 @@ impl<'a> Cursor<'a> {
         self.at
     }
 
-    /// To a position from [`Cursor::at`].
+    /// Moves to a position from [`Cursor::at`].
     pub(super) fn seek(&mut self, at: usize) {
         self.at = at;
     }
@@ -151,7 +151,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.body[start..self.at])
     }
 
-    /// Little-endian.
+    /// Little-endian bytes.
     #[inline]
     fn value<const N: usize>(&mut self) -> Result<[u8; N], Short> {
         let start = self.aligned(N);
@@ -182,7 +182,7 @@ impl<'a> Cursor<'a> {
         Ok(length)
     }
 
-    /// Without the terminating zero of CDR.
+    /// Text without the terminating zero of CDR.
     #[inline]
     pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
         let length = self.length()?;

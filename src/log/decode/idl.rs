@@ -30,7 +30,7 @@ struct Type {
     arity: Arity,
 }
 
-/// With unresolved names.
+/// Structure with unresolved names.
 struct Struct {
     /// Enclosing modules, each followed by `/`.
     scope: String,
@@ -46,7 +46,7 @@ struct Parser<'a> {
     scope: String,
     structs: Vec<Struct>,
     struct_names: HashSet<String>,
-    /// With the scope of their type.
+    /// Aliases with the scope of their type.
     aliases: HashMap<String, (String, Type)>,
     constants: HashMap<String, u64>,
     fields: usize,
@@ -61,7 +61,7 @@ struct Annotations {
 }
 
 impl Parser<'_> {
-    /// In a file or module.
+    /// Definition in a file or module.
     fn definition(&mut self, depth: usize) -> Result<(), SchemaError> {
         if depth > MAX_DEPTH {
             return Err(SchemaError::TooDeep { field: self.scope.clone() });
@@ -411,7 +411,7 @@ fn primitive(word: &str) -> Option<Primitive> {
     })
 }
 
-/// In any base.
+/// Parses an integer in any base.
 fn whole(text: &str) -> Option<u64> {
     match text.as_bytes() {
         [b'0', b'x' | b'X', ..] => u64::from_str_radix(&text[2..], 16).ok(),

@@ -30,10 +30,10 @@ pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
 pub(super) use self::schema::{bounded, canonical, excerpt};
 
-/// As declared in the log.
+/// Message format as declared in the log.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Format<'a> {
-    /// Such as `cdr`.
+    /// Encoding, such as `cdr`.
     pub(super) encoding: &'a str,
     pub(super) type_name: &'a str,
     /// Such as `ros2msg`; empty without a schema.

@@ -30,7 +30,7 @@ pub(crate) struct Plan {
 #[derive(Debug)]
 struct Wanted {
     number: u32,
-    /// From the message's root.
+    /// Path from the root.
     path: Box<str>,
     what: What,
 }
@@ -179,7 +179,7 @@ fn has_vectors(wanted: &[Wanted]) -> bool {
 }
 
 impl What {
-    /// Without nested wanted fields.
+    /// Reads a field without nested wanted fields.
     fn read(&self, value: Value<'_>, row: &mut Row) -> Result<(), Fault> {
         match *self {
             What::Seconds(scalar) => row.seconds = scalar.integer(value)?,

@@ -8,7 +8,7 @@ use super::schema::canonical;
 pub(super) type Fields = &'static [(&'static str, Slot)];
 
 pub(crate) struct Recipe {
-    /// As `package/Type`, or `package.Type` outside ROS.
+    /// Names such as `package/Type`, or `package.Type` outside ROS.
     type_names: &'static [&'static str],
     /// Array whose elements are rows; without it, a message is one row.
     pub(super) each: Option<&'static str>,

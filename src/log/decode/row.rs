@@ -32,7 +32,7 @@ pub(super) const MAX_LIST: usize = 1 << 16;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Slot {
-    /// When the content was valid.
+    /// Time of the content.
     Stamp,
     /// Index into [`Row::texts`].
     Text(usize),
@@ -58,9 +58,9 @@ impl Slot {
 /// Times in ns.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(crate) struct RowTimes {
-    /// At the recorder.
+    /// Receive time.
     pub(crate) log: i64,
-    /// At the sender.
+    /// Publish time.
     pub(crate) publish: i64,
     /// From the sender or recorder; 0 if there is none.
     pub(crate) sequence: u32,
@@ -78,7 +78,7 @@ pub(crate) struct Row {
     pub(super) texts: [String; 2],
     pub(super) names: Names,
     pub(super) lists: [Vec<f64>; 4],
-    /// In the message's array of rows.
+    /// Index in the message's array of rows.
     pub(super) index: usize,
     pub(super) group: Cell<Group>,
     /// Positions of the previous message's values, in encodings without an index.
@@ -110,7 +110,7 @@ impl Row {
         std::array::from_fn(|i| self.numbers[first + i])
     }
 
-    /// For fields missing from a message.
+    /// Clears a field missing from a message.
     pub(super) fn reset(&mut self, slot: Slot) {
         match slot {
             Slot::Stamp => (self.seconds, self.nanoseconds) = (0, 0),

@@ -72,7 +72,7 @@ pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
     check_length(schema).map(|()| String::from_utf8_lossy(schema))
 }
 
-/// For messages.
+/// Shortens text for messages.
 pub(crate) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 80;
     start_of(text, LONGEST).into_owned()
@@ -112,7 +112,7 @@ pub(super) enum Primitive {
 }
 
 impl Primitive {
-    /// On the wire, in bytes.
+    /// Size on the wire, bytes.
     pub(super) const fn size(self) -> usize {
         match self {
             Primitive::U8 | Primitive::I8 => 1,
@@ -163,7 +163,7 @@ pub(super) enum Extensibility {
 
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Definition {
-    /// In [`canonical`] form.
+    /// Name in [`canonical`] form.
     pub(super) name: String,
     pub(super) fields: Vec<Field>,
     pub(super) extensibility: Extensibility,

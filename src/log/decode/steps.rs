@@ -18,7 +18,7 @@ pub(super) use self::shape::Shape;
 #[derive(Debug)]
 pub(crate) struct Plan {
     serialization: Serialization,
-    /// For consecutive values without lengths.
+    /// Steps for consecutive values without lengths.
     plain: Vec<Step>,
     /// For CDR version 2, with lengths between the values; empty for ROS 1.
     delimited: Vec<Step>,

@@ -118,7 +118,7 @@ pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
 
 const MAX_COMPRESSION_NAME: u32 = 16;
 
-/// Without compression name and data.
+/// Size without compression name and data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
 #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "local files are complete"))]
@@ -199,7 +199,7 @@ pub(super) struct Chunk<'a> {
     /// Log times, ns.
     pub(super) first_time: u64,
     pub(super) last_time: u64,
-    /// Uncompressed.
+    /// Uncompressed size.
     pub(super) size: u64,
     /// Checksum of the uncompressed records; 0 if absent.
     pub(super) crc: u32,

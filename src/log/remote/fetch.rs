@@ -156,7 +156,7 @@ struct Object {
     kind: FileFormat,
     file: Unpacked,
     present: Ranges,
-    /// Including repeated ones.
+    /// Bytes received, including repeated ones.
     fetched: Cell<usize>,
     planned: usize,
     progress: Option<Arc<Progress>>,
@@ -198,7 +198,7 @@ impl Object {
         Fetched { file: self.file, present, bytes: self.fetched.get() as u64 }
     }
 
-    /// All if there is no index.
+    /// Fetches the needed parts, or everything without an index.
     async fn fetch_needed(&mut self) -> Result<(), RemoteFault> {
         let tail = self.size.saturating_sub(TAIL_BYTES)..self.size;
         self.fetch(Ranges::new(vec![tail], MAX_GAP_BYTES)).await?;

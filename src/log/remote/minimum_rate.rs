@@ -9,10 +9,10 @@ use tokio::time::sleep;
 
 use super::fault::RemoteFault;
 
-/// In bytes per second.
+/// Environment variable, bytes per second.
 const RATE: &str = "POSEAUDIT_LEAST_RATE";
 
-/// In seconds.
+/// Environment variable, seconds.
 const SECONDS: &str = "POSEAUDIT_PATIENCE";
 
 /// Averaged over all requests of a download.

@@ -63,7 +63,7 @@ pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option
     const OP: &[u8] = b"\x04\0\0\0op=";
     /// Maximum length of the fields before it.
     const BEFORE: usize = 256;
-    /// Candidates.
+    /// Maximum number of candidates.
     const MOST: usize = 10_000;
     let rest = bytes.get(from..)?;
     let fields = rest.windows(OP.len()).enumerate().filter(|(_, window)| *window == OP);
@@ -118,7 +118,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// If all fields are valid.
+    /// Opcode, if all fields are valid.
     fn op(self) -> Option<u8> {
         let mut op = None;
         for field in self.fields() {
@@ -134,7 +134,7 @@ impl<'a> Header<'a> {
         fields.find(|(found, _)| *found == name.as_bytes()).map(|(_, value)| value)
     }
 
-    /// If it is UTF-8.
+    /// Text, if it is UTF-8.
     pub(super) fn text(self, name: &str) -> Option<&'a str> {
         std::str::from_utf8(self.bytes(name)?).ok()
     }
@@ -147,7 +147,7 @@ impl<'a> Header<'a> {
         self.bytes(name)?.try_into().ok().map(u64::from_le_bytes)
     }
 
-    /// In ns.
+    /// Time in ns.
     fn time(self, name: &str) -> Option<u64> {
         self.bytes(name)?.try_into().ok().map(time)
     }
@@ -208,7 +208,7 @@ impl Message {
 pub(super) struct Chunk<'a> {
     /// `None` if unknown.
     pub(super) compression: Option<Compression>,
-    /// Uncompressed.
+    /// Uncompressed size.
     pub(super) size: u32,
     pub(super) data: &'a [u8],
 }
@@ -279,7 +279,7 @@ impl<'a> MessageIndex<'a> {
     }
 }
 
-/// From seconds and nanoseconds, ns.
+/// Time in ns from seconds and nanoseconds.
 fn time(value: &[u8; 8]) -> u64 {
     let [seconds, nanoseconds] = [&value[..4], &value[4..]]
         .map(|part| part.try_into().map_or(0, u32::from_le_bytes))

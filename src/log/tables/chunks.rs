@@ -102,7 +102,7 @@ impl<'a> ChunkAssembly<'a> {
         self.absent < MAX_ABSENT_CHUNKS
     }
 
-    /// For unreadable chunks with unknown indices.
+    /// Marks unreadable chunks with unknown indices.
     pub fn mark_absent_damaged(&mut self, why: TableError) {
         let absent = self.states.iter_mut().filter(|state| **state == ChunkState::Absent);
         absent.for_each(|state| *state = ChunkState::Damaged);

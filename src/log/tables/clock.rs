@@ -57,7 +57,7 @@ pub(super) struct Clock {
     pub description: String,
     /// Set if identified by its numbers.
     pub unnamed_column: Option<String>,
-    /// Median.
+    /// Median step, s.
     step_s: f64,
 }
 
@@ -290,7 +290,7 @@ fn why_not_times(column: &Column) -> String {
 }
 
 fn increases_evenly(values: &[f64]) -> bool {
-    /// Relative to the median step.
+    /// Share of steps that are regular relative to the median.
     const MIN_REGULAR_PERCENT: usize = 90;
     const REGULAR_STEP: std::ops::RangeInclusive<f64> = 0.5..=2.0;
     let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -299,7 +299,7 @@ fn increases_evenly(values: &[f64]) -> bool {
     steps.iter().all(|own| *own > 0.0) && 100 * usual >= MIN_REGULAR_PERCENT * steps.len()
 }
 
-/// As for two clocks without drift.
+/// Whether two clocks agree without drift.
 fn is_linear_in(one: &[f64], other: &[f64]) -> bool {
     const MAX_RELATIVE_RESIDUAL: f64 = 1e-4;
     let (Some(first), Some(last)) = (one.first().zip(other.first()), one.last().zip(other.last()))

@@ -12,7 +12,7 @@ use crate::rtde;
 /// Other columns are text.
 const MIN_NUMERIC_SHARE: f64 = 0.5;
 const MAX_HEADER_LINES: usize = 200;
-/// As for RTDE tables.
+/// Same limit as for RTDE tables.
 const MAX_LINE_BYTES: usize = 1 << 20;
 const COMMENT_MARKERS: [&str; 3] = ["#", "%", "//"];
 /// In a row of a robot log.
@@ -287,7 +287,7 @@ fn is_text(cell: &[u8], number: f64) -> bool {
     number.is_nan() && !MISSING_MARKERS.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
 }
 
-/// As in concatenated files.
+/// Whether a row repeats the header, as in concatenated files.
 fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
         // Names include the units below them.

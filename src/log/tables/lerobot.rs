@@ -15,9 +15,9 @@ use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
 use crate::files::LogInput;
 
 const INFO_PATH: &str = "meta/info.json";
-/// From `data/chunk-000/file-000.parquet` upwards.
+/// Folders above `data/chunk-000/file-000.parquet` to search.
 const MAX_PARENTS: usize = 4;
-/// In one audit.
+/// Files per audit.
 const MAX_FILES: usize = 100;
 
 #[derive(Clone, Debug, Default)]
@@ -33,7 +33,7 @@ pub(super) struct Feature {
     /// Declared numbers per row.
     width: Option<usize>,
     names: Vec<String>,
-    /// From the description; one per kind.
+    /// Counts from the description; one per kind.
     pub described_counts: Vec<usize>,
 }
 
@@ -168,7 +168,7 @@ impl Dataset {
         }
     }
 
-    /// Between the declarations and the numbers.
+    /// Contradictions between the declarations and the numbers.
     pub fn contradictions(&self, episodes: &[(String, Table)]) -> Vec<String> {
         let Some((_, table)) = episodes.first() else { return Vec::new() };
         let mut found = Vec::new();

@@ -34,7 +34,7 @@ enum ColumnMeaning {
         names: Vec<String>,
         unnamed: bool,
         lines: Vec<[f64; 2]>,
-        /// Same order; empty if none.
+        /// Velocities in the same order; may be empty.
         velocities: Vec<Cell>,
     },
     /// The rotation in any encoding.

@@ -54,9 +54,9 @@ pub(super) use self::tfrecord::has_record;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{is_store, store_files};
 
-/// In one audit.
+/// Episodes per audit.
 const MAX_EPISODES: usize = 100;
-/// Per table.
+/// Columns per table.
 const MAX_COLUMNS: usize = 2000;
 /// Numbers per row; larger arrays are images.
 const MAX_WIDTH: usize = 256;
@@ -112,7 +112,7 @@ impl Table {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Column {
     pub name: String,
-    /// As written in the file.
+    /// Type as written in the file.
     pub kind: String,
     pub width: usize,
     /// Names of the numbers in a row, if known.
@@ -192,7 +192,7 @@ pub(super) struct TableTopic {
     pub kind: String,
     pub why: String,
     pub cells: Vec<TableCell>,
-    /// Between column names and numbers.
+    /// Contradiction between column names and numbers.
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
@@ -203,7 +203,7 @@ pub(super) struct TableTopic {
 }
 
 enum EpisodeError {
-    /// Its columns or its stamps.
+    /// The columns or stamps are unidentified.
     Unidentified(String),
     UnusableRows(String),
 }
@@ -508,7 +508,7 @@ pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) 
     array
 }
 
-/// Without orientations.
+/// Positions without orientations.
 fn position_columns(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     let array = array_columns(stamps, 3, values);
     PoseColumns {

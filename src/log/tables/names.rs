@@ -347,7 +347,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
         .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
 
-/// As models write it.
+/// Joint name as models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
     let own = words(name);
     if is_other_quantity(&own) {
@@ -397,7 +397,7 @@ pub(super) fn arm_prefix(stem: &[String]) -> String {
     }
 }
 
-/// Only generic words and a side.
+/// Whether there are only generic words and a side.
 pub(super) fn is_generic(stem: &[String]) -> bool {
     stem.iter().all(|word| {
         let word = word.as_str();
@@ -496,7 +496,7 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-/// For [`PoseComponent::Label`].
+/// Number of [`PoseComponent::Label`]s.
 pub(super) fn label_count() -> usize {
     ANGLE_LABELS.len()
 }

@@ -10,7 +10,7 @@ const MAX_DEPTH: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PageHeader {
     pub is_dictionary: bool,
-    /// Including nulls.
+    /// Count, including nulls.
     pub values: usize,
     /// Version 2 pages only.
     rows: Option<usize>,

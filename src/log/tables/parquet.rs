@@ -26,7 +26,7 @@ use super::{
 use crate::memory_budget::MemoryBudget;
 
 const EPISODE_COLUMN: &str = "episode_index";
-/// Per call.
+/// Rows per call.
 const BATCH_ROWS: usize = 1 << 14;
 
 struct ParquetFile {
@@ -84,7 +84,7 @@ impl ParquetFile {
         Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
     }
 
-    /// In each row group.
+    /// Rows of each row group.
     fn groups(&self) -> impl Iterator<Item = usize> {
         self.metadata.row_groups().iter().map(|of| usize::try_from(of.num_rows()).unwrap_or(0))
     }
@@ -93,7 +93,7 @@ impl ParquetFile {
 /// Pages of a column in a row group.
 #[derive(Debug, Default)]
 struct PageCounts {
-    /// In all pages so far.
+    /// Count in all pages so far.
     values: usize,
     /// Number of values before the page and in it, and the reason.
     damaged: Vec<(usize, usize, String)>,
@@ -382,9 +382,9 @@ struct LeafValues {
     /// Row range within the file.
     rows: Range<usize>,
     values: Vec<f64>,
-    /// For lists: values per row.
+    /// Values per row of a list.
     lengths: Vec<u32>,
-    /// Relative to the start of `rows`.
+    /// Lost rows relative to the start of `rows`.
     lost: Vec<Range<usize>>,
     why: Option<TableError>,
 }
@@ -585,7 +585,7 @@ impl LeafValues {
         let there = lengths.iter().filter(|length| **length > 0).map(|length| *length as usize);
         let width = most_frequent(there);
         let others = |length: &&u32| **length as usize != width && **length > 0;
-        // Such as point clouds.
+        // Lists of varying lengths, such as point clouds.
         if width == 0
             || width > MAX_WIDTH
             || 2 * lengths.iter().filter(others).count() >= lengths.len()

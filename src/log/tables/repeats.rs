@@ -9,7 +9,7 @@ use ground::stream::{Columns, JointColumns};
 /// Minimum rows of an episode, and minimum rows with a change in a repeated column.
 const MIN_ROWS: usize = 20;
 const MIN_CHANGES: usize = 10;
-/// Compared with each other.
+/// Topics compared with each other.
 const MAX_TOPICS: usize = 100;
 
 /// With the number of episodes that have each.

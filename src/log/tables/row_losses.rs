@@ -88,9 +88,9 @@ impl RowLoss {
 pub(crate) struct ReadColumn {
     /// The last rows may be absent.
     pub column: Column,
-    /// Declared.
+    /// Declared rows.
     pub rows: usize,
-    /// Unreadable.
+    /// Unreadable rows.
     pub lost: Vec<Range<usize>>,
     /// Reason of the first loss.
     pub why: Option<TableError>,

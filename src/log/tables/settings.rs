@@ -9,7 +9,7 @@ pub struct ColumnSettings {
     pub rate_hz: Option<f64>,
     /// In the order of the model's joints.
     pub joints: Vec<ColumnSelector>,
-    /// In the same order.
+    /// Commands in the same order.
     pub joint_commands: Vec<ColumnSelector>,
     /// rad = factor · number + offset.
     pub joint_factors: Vec<f64>,

@@ -11,7 +11,7 @@ use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
 
 impl Calibrated {
-    /// With all inputs.
+    /// Result with all inputs.
     pub fn json(&self) -> Value {
         let found = &self.found;
         let joints: Vec<Value> = self

@@ -13,7 +13,7 @@ use crate::robot::{Calibration, Robot, catalogue};
 
 /// Model with the deviations.
 const MODEL: &str = "robot.urdf";
-/// As read by `--calibration`.
+/// File for `--calibration`.
 const NUMBERS: &str = "calibration.json";
 /// Format of `ur_calibration`.
 const UR: &str = "calibration.yaml";
@@ -101,7 +101,7 @@ impl Calibrated {
         format!("poseaudit_{}", u64::from_le_bytes(head))
     }
 
-    /// If the model is one.
+    /// DH table, if the model is one.
     fn dh_table(&self) -> Option<String> {
         let convention = self.drawing.dh.as_ref()?.convention;
         let link = |name: &String| self.drawing.link(name);

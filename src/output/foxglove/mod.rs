@@ -28,7 +28,7 @@ use crate::report::{Report, Trouble, write_whole};
 use crate::stats::thin;
 use crate::time::Stamp;
 
-/// Per stream.
+/// Scenes per stream.
 const MOST_SCENES: usize = 2_000;
 
 const LOG_TOPIC: &str = "/poseaudit/log";
@@ -78,7 +78,7 @@ fn messages(audited: &Audited) -> Vec<Message> {
     messages
 }
 
-/// At its first stamp.
+/// Log message at the finding's first stamp.
 fn line(finding: &Finding, says: &Outline<'_>, start: Stamp) -> Message {
     let level = match finding.severity {
         Severity::Info => 2,
@@ -161,7 +161,7 @@ fn colour([r, g, b]: [f64; 3]) -> Value {
 }
 
 fn ball(pose: &Pose, rgb: [f64; 3]) -> Value {
-    /// In m.
+    /// Diameter, m.
     const SIZE: f64 = 0.02;
     json!({
         "pose": { "position": point(pose), "orientation": turned() },

@@ -114,7 +114,7 @@ fn turning<'a>(
 }
 
 impl Capsule {
-    /// From z to the capsule's axis.
+    /// Rotation from z to the capsule's axis.
     fn rotation(&self) -> RotationQuat {
         let along = self.along.try_normalize(1e-9).unwrap_or(Vec3::z());
         rotation_of(&turn_z_to(&along))

@@ -58,7 +58,7 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
 fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
     /// Longer spans, as a fraction of the run, are replaced by the run.
     const MOST: f64 = 0.8;
-    /// Before and after the span, s.
+    /// Margin before and after the span, s.
     const AROUND_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
@@ -86,9 +86,9 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
 }
 
 fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    /// Viewing direction, …
+    /// Viewing direction.
     const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
-    /// … and distance as a multiple of the scene's radius.
+    /// Viewing distance as a multiple of the scene's radius.
     const AWAY: f64 = 1.8;
     let times = tools::magnified(arm);
     let name = match times {
@@ -202,7 +202,7 @@ fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<P
     Ok(plot)
 }
 
-/// With their log messages.
+/// Findings with their log messages.
 fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use re_sdk_types::components::MediaType;
 
-/// In bytes.
+/// Unit: bytes.
 const MOST_BYTES: u64 = 64 << 20;
 
 #[derive(Debug)]

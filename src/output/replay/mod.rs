@@ -57,7 +57,7 @@ use tape::{Names, Tape};
 
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
 
-/// Per stream.
+/// Rows per stream.
 const MOST_ROWS: usize = 4_000;
 
 /// Output path and identity of a recording. The viewer combines data with the same ids.
@@ -198,7 +198,7 @@ impl State {
         }
     }
 
-    /// In the reference frame.
+    /// Poses in the reference frame.
     fn poses<'a>(self, stream: &ReplayStream<'a>) -> &'a [Pose] {
         match self {
             State::Logged => &stream.aligned.logged,
@@ -206,7 +206,7 @@ impl State {
         }
     }
 
-    /// Against FK.
+    /// Residuals against FK.
     fn residuals(self, stream: &ReplayStream<'_>) -> PoseDistances {
         match self {
             State::Logged => stream.aligned.before(),

@@ -51,7 +51,7 @@ impl Quantity {
         self.root(arm).join(&entity(&[topic]))
     }
 
-    /// From SI to the displayed unit.
+    /// Factor from SI to the displayed unit.
     fn factor(self) -> f64 {
         match self {
             Quantity::Position => 1e3,
@@ -166,7 +166,7 @@ struct Series {
     rgb: [u8; 3],
     /// UI points. A line below another one is wider.
     width: f32,
-    /// From SI to the displayed unit.
+    /// Factor from SI to the displayed unit.
     factor: f64,
 }
 

@@ -67,7 +67,7 @@ impl Reel {
         }
     }
 
-    /// Timeless.
+    /// Adds a row without times.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.add(&self.recording, Self::row(path.clone(), TimePoint::default(), what)?);
         Ok(())

@@ -32,7 +32,7 @@ pub(super) fn positions(arm: &ReplayArm<'_>, joints: &JointTrack, row: usize) ->
 
 /// Bounding sphere of the motion in the base frame: centre and radius, m.
 pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
-    /// More rows hardly change the result.
+    /// More rows barely change the result.
     const ENOUGH: usize = 200;
     let (mut low, mut high) = (Vec3::zeros(), Vec3::zeros());
     let mut frames = Vec::new();

@@ -23,7 +23,7 @@ pub(super) struct Names {
 }
 
 impl Names {
-    /// Without the log.
+    /// Names without the log.
     pub const OWN: Self = Self { stamp: "stamp", log: "log_time" };
     /// The viewer's names for a log: one cursor moves both.
     pub const OF_VIEWER: Self = Self { stamp: "ros2_timestamp", log: "message_log_time" };
@@ -69,7 +69,7 @@ impl Tape {
         self.moments(arm, &arm.received, stamps)
     }
 
-    /// Timeless.
+    /// Adds a row without times.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.reel.still(path, what)
     }

@@ -19,7 +19,7 @@ use crate::robot::catalogue;
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
 const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
-/// From stamp to receive time.
+/// Delay from stamp to receive time.
 const TRANSPORT_S: f64 = 0.003;
 
 fn chain(robot: &Robot) -> Chain {
@@ -94,7 +94,7 @@ fn stream(aligned: &AlignedSamples, kind: StreamKind) -> ReplayStream<'_> {
     }
 }
 
-/// No streams, joints as recorded.
+/// Arm without streams, joints as recorded.
 fn arm<'a>(robot: &'a Robot, chain: &'a Chain, recorded: &'a JointTrack) -> ReplayArm<'a> {
     ReplayArm {
         name: "ur5e",
@@ -124,7 +124,7 @@ impl Seen {
         Ok(Self { messages, notes })
     }
 
-    /// Without the blueprint.
+    /// Chunks except the blueprint.
     fn chunks(&self, path: &EntityPath) -> Vec<Chunk> {
         let recorded = self.messages.iter().filter_map(|message| match message {
             LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Recording => {

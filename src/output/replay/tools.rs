@@ -25,7 +25,7 @@ pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<
     tool.draw(tape, &entity(&["arms", arm.name, "tip"]), &moved, size_m)
 }
 
-/// With trail and error.
+/// Draws a stream's tool with trail and error.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -125,7 +125,7 @@ impl Tool<'_> {
     }
 }
 
-/// Timeless.
+/// Trail without times.
 fn trail(
     tape: &Tape,
     path: &EntityPath,

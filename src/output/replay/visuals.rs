@@ -22,7 +22,7 @@ const NAMED: usize = 3;
 pub(super) struct Drawn {
     /// All visuals are drawn.
     pub is_whole: bool,
-    /// For the report.
+    /// Notes for the report.
     pub notes: Vec<String>,
 }
 
@@ -129,7 +129,7 @@ struct Found {
     /// Drawn visuals, and meshes among them.
     drawn: usize,
     meshes: usize,
-    /// Not drawn, with the reason.
+    /// Missing meshes, with the reason.
     missing: Vec<(String, NoMesh)>,
     /// Visuals on links whose position is unknown.
     adrift: usize,

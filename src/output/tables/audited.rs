@@ -8,7 +8,7 @@ use crate::places::Places;
 use crate::report::Trouble;
 use crate::report::reached;
 
-/// In write order.
+/// Tables in write order.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
 /// Registers the files in `folder`.

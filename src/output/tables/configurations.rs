@@ -39,7 +39,7 @@ impl Configurations {
     }
 }
 
-/// To rad or m.
+/// Factor to rad or m.
 fn unit(column: &str, kind: JointKind, deg: bool) -> f64 {
     let column = column.trim();
     let is_deg = column.ends_with("_deg") || (deg && !column.ends_with("_rad"));

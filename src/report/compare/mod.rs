@@ -12,7 +12,7 @@ use crate::report::{Report, Verdict};
 
 pub use words::{markdown, text};
 
-/// Relative change of an amount.
+/// Minimum relative change of an amount.
 const MATERIAL: f64 = 0.1;
 
 /// Change of a cause.

@@ -11,12 +11,12 @@ use crate::report::figures::{JointFigure, Own};
 use crate::run::{Arm, ImuSource, ReferenceContent, TargetSource};
 use crate::stream::JointTrack;
 
-/// In a plane.
+/// Points per plane.
 const MOST_POINTS: usize = 400;
 /// Speed of a joint at rest, rad/s or m/s.
 const RESTS: f64 = 5e-3;
 
-/// With the indices of the findings.
+/// Plots, each with the index of its finding.
 pub(super) fn figures(
     clock: &Clock,
     facts: &RunEvidence,
@@ -174,7 +174,7 @@ impl<'a> Found<'a> {
     }
 
     fn gyro(&self) -> Option<Own> {
-        /// Samples at rest.
+        /// Minimum samples at rest.
         const ENOUGH: usize = 20;
         let (arm, source, of) = self.imu()?;
         let track = &source.track;
@@ -207,7 +207,7 @@ impl<'a> Found<'a> {
 
     /// Joint of the subject, or the arm's first joint.
     fn joint(&self) -> Option<JointFigure> {
-        /// For differentiating positions, s.
+        /// Differentiation window, s.
         const WINDOW_S: f64 = 0.05;
         let (arm, facts) = self.arm()?;
         let named = |name: &str| self.subject.joint.as_deref() == Some(name);

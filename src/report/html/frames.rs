@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use crate::report::figures::{Figures, FrameEdge, FrameEdgeKind};
 use crate::report::{RobotRow, StreamRow};
 
-/// Real arms stay below it.
+/// Maximum depth; real arms are shallower.
 const DEEPEST: usize = 60;
 
 pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
@@ -34,7 +34,7 @@ pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
     }
 }
 
-/// For the table of streams.
+/// Frames of a row in the table of streams.
 pub fn of_stream(stream: &StreamRow) -> Markup {
     let parent = stream.frame_id.as_deref().or(stream.reference.as_deref());
     let child = stream.child_frame_id.as_deref().or(stream.link.as_deref());

@@ -34,9 +34,9 @@ const UPLOT_STYLE: &str = include_str!("uplot/uPlot.min.css");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
-/// Rows of all plots of a page, …
+/// Rows of all plots of a page.
 const MOST_ROWS: usize = 45_000;
-/// … minimum and maximum of one plot.
+/// Minimum and maximum rows of one plot.
 const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
 const MOST_PLOTS: usize = 120;
 

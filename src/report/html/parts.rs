@@ -320,7 +320,7 @@ fn row(bound: &Bound) -> Markup {
     }
 }
 
-/// Nothing without lines.
+/// Empty without lines.
 fn list(id: &str, title: &str, lines: &[String]) -> Markup {
     html! {
         @if !lines.is_empty() {

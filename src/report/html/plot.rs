@@ -59,7 +59,7 @@ pub enum Role {
     Amount,
     /// Reference of an amount, or a fitted line.
     Beside,
-    /// Not constant.
+    /// Limit that varies.
     Limit,
 }
 

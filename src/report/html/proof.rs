@@ -208,7 +208,7 @@ impl Case<'_> {
         self.report.checks.iter().filter(move |row| row.code == code && row.subject.robot == *robot)
     }
 
-    /// ms.
+    /// Latency, ms.
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
         let row =
             self.checks(LAT001.code).find(|row| row.subject.topic.as_deref() == Some(topic))?;

@@ -18,13 +18,13 @@ pub(crate) struct Passed {
 pub(crate) struct Bound {
     pub code: &'static str,
     pub name: &'static str,
-    /// The largest, with its interval.
+    /// Largest amount, with its interval.
     pub amount: String,
     /// Empty if the rule has no threshold.
     pub limit: String,
     /// Number of amounts, if several.
     pub of: Option<usize>,
-    /// If not all subjects passed.
+    /// Subjects, if not all passed.
     pub on: Option<String>,
 }
 

@@ -11,9 +11,9 @@ use ground::stream::{JointColumn, JointColumns, is_usable};
 /// than a hundred joints.
 const MAX_JOINTS: usize = 256;
 
-/// Above this number of missing values (one gigabyte), …
+/// Maximum number of missing values (one gigabyte) in sparse topics.
 const ABSENT_CELLS: usize = 1 << 26;
-/// … at least one value in this many must be present. A topic does not have more senders.
+/// Above it, at least one value in this many must be present. A topic does not have more senders.
 const MAX_SENDERS: usize = 8;
 
 /// Followed by the joint's number.
@@ -40,7 +40,7 @@ pub(in crate::decode) struct Joints {
     pub(super) names: Names,
     /// Column of each name.
     pub(super) order: Vec<usize>,
-    /// They are all columns, each once.
+    /// Whether the names are all columns, each once.
     pub(super) is_complete: bool,
     /// Values in all rows; `absent` counts those missing from their messages.
     pub(super) cells: usize,

@@ -154,7 +154,7 @@ impl Poses {
 pub(in crate::decode) struct PoseSet {
     pub(super) poses: Poses,
     pub(super) naming: Naming,
-    /// In one message.
+    /// Maximum number of poses in one message.
     pub(super) most: usize,
 }
 
@@ -200,7 +200,7 @@ impl PoseSet {
         self.most = self.most.max(later.most);
     }
 
-    /// For an arm.
+    /// Too many poses for an arm.
     pub(super) fn is_too_large(&self) -> bool {
         self.most > self.naming.max_poses()
     }

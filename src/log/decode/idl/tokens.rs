@@ -34,7 +34,7 @@ impl<'a> Tokens<'a> {
         self.at == self.text.len()
     }
 
-    /// For [`Tokens::since`].
+    /// Position for [`Tokens::since`].
     pub(super) fn here(&self) -> usize {
         self.at
     }

@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn times_are_read_as_the_internet_writes_them() {
-        // From `date -u -d … +%s`.
+        // Expected values from `date -u -d … +%s`.
         for (text, expected) in [
             ("1970-01-01T00:00:00Z", Some((0, 0))),
             ("2024-02-29T23:59:59.5Z", Some((1_709_251_199, 500_000_000))),

@@ -26,7 +26,7 @@ pub(super) enum Scalar {
 #[derive(Debug, Default)]
 pub(in super::super) struct Types {
     messages: HashMap<String, Message>,
-    /// In total.
+    /// Total number of fields.
     fields: usize,
 }
 
@@ -61,7 +61,7 @@ impl Message {
 }
 
 impl Field {
-    /// For messages.
+    /// Type name for messages.
     pub(super) fn spelled(&self) -> String {
         let repeated = if self.is_repeated { "repeated " } else { "" };
         match &self.kind {

@@ -76,7 +76,7 @@ impl<'a> Reader<'a> {
         self.at == self.bytes.len()
     }
 
-    /// At the current position.
+    /// Error at the current position.
     pub(crate) fn error(&self, fault: Fault) -> WireError {
         WireError { path: String::new(), offset: self.at, fault }
     }

@@ -22,7 +22,7 @@ pub(super) struct Compiler<'a> {
     wire: Wire,
     /// Fields so far.
     fields: usize,
-    /// Per wanted field.
+    /// Whether each wanted field was found.
     found: Vec<bool>,
 }
 

@@ -18,21 +18,21 @@ pub(super) enum Op {
         count: Count,
     },
     SkipTexts(Count),
-    /// Into [`Row::seconds`].
+    /// Writes to [`Row::seconds`].
     Seconds(Primitive),
-    /// Into [`Row::nanoseconds`].
+    /// Writes to [`Row::nanoseconds`].
     Nanoseconds(Primitive),
-    /// Into one of [`Row::numbers`].
+    /// Writes to one of [`Row::numbers`].
     Number(Primitive, usize),
     /// Consecutive, into [`Row::numbers`].
     Doubles(std::ops::Range<usize>),
-    /// Into one of [`Row::lists`].
+    /// Writes to one of [`Row::lists`].
     List(Primitive, Count, usize),
-    /// Into one of [`Row::texts`].
+    /// Writes to one of [`Row::texts`].
     Text(usize),
-    /// Into [`Row::names`].
+    /// Writes to [`Row::names`].
     Names(Count),
-    /// For every element of an array.
+    /// Loop over the elements of an array.
     Repeat {
         count: Count,
         steps: Vec<Step>,
@@ -110,7 +110,7 @@ impl Op {
 }
 
 impl Count {
-    /// For the value at the cursor.
+    /// Number of values at the cursor.
     pub(super) fn of(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
         match self {
             Count::Fixed(count) => Ok(count),

@@ -17,9 +17,9 @@ const MOST_READS: usize = 512;
 /// Maximum offset of a decisive byte.
 const FARTHEST: usize = 1 << 14;
 
-/// After this many consecutive messages of different shapes, …
+/// Consecutive messages of different shapes before shapes are computed less often.
 const PATIENCE: u32 = 8;
-/// … compute the shape for one message in this many.
+/// Then computes the shape for one message in this many.
 const SELDOM: u32 = 64;
 
 #[derive(Debug, Default)]
@@ -46,11 +46,11 @@ pub(in crate::decode) struct Shape {
 enum Read {
     /// Offsets of seconds and nanoseconds in the message.
     Stamp(usize, usize),
-    /// From this offset in the message.
+    /// Doubles from this offset in the message.
     Doubles(usize, Range<usize>),
     /// Doubles from offset `at` in the message.
     List { at: usize, count: usize, index: usize },
-    /// At this offset in the body.
+    /// Value at this offset in the body.
     Value(usize, Op),
     /// Completes the message's only row.
     Only,
@@ -183,7 +183,7 @@ fn doubles(bytes: &[u8]) -> &[[u8; 8]] {
     bytes.as_chunks().0
 }
 
-/// They must exist.
+/// The four bytes must exist.
 fn word(message: &[u8], at: usize) -> [u8; 4] {
     message[at..].first_chunk().copied().unwrap_or_default()
 }

@@ -18,10 +18,10 @@ const MAX_CODECS: usize = 16;
 
 #[derive(Clone, Debug)]
 pub(super) struct ZarrArray {
-    /// Within the store.
+    /// Path within the store.
     pub path: String,
     grid: ChunkGrid,
-    /// In encoding order.
+    /// Codecs in encoding order.
     codecs: Vec<Codec>,
     /// Prefix and separator of the indices in a chunk's name.
     prefix: &'static str,

@@ -16,7 +16,7 @@ pub(super) enum Codec {
     /// As in numcodecs: the length, then a block.
     Lz4,
     Blosc,
-    /// Not verified.
+    /// Checksum that is not verified.
     Crc32c,
     /// Element size in bytes.
     Shuffle(usize),
@@ -44,7 +44,7 @@ impl Codec {
         })
     }
 
-    /// To at most `most` bytes.
+    /// Decodes at most `most` bytes.
     pub fn decode(self, packed: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
         match self {
             Self::Zlib => read_all(flate2::read::ZlibDecoder::new(packed), most),
@@ -66,7 +66,7 @@ impl Codec {
     }
 }
 
-/// At most `most` bytes.
+/// Reads at most `most` bytes.
 pub(super) fn read_all(decoder: impl Read, most: usize) -> Result<Vec<u8>, TableError> {
     let mut bytes = Vec::new();
     decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(codec_error)?;
