@@ -15,7 +15,7 @@ use crate::program::poseaudit;
 const CLEAN: &str = "fixtures/clean.mcap";
 
 /// Runs `calibrate` on a table of configurations of that UR10.
-fn of_table(log: &str, out: &str) -> Output {
+fn calibrate_table(log: &str, out: &str) -> Output {
     const ARM: [&str; 6] = ["--robot", "ur10", "--base", "base", "--tip", "tool0"];
     poseaudit(&[&["calibrate", log, "--out", out, "--format", "json"], &ARM[..]].concat())
 }
@@ -38,11 +38,11 @@ fn noise(seed: usize) -> f64 {
 }
 
 /// A UR10 with link deviations of up to 0.5 mm and 0.05°.
-fn truth() -> Robot {
-    let drawing = catalogue::find("ur10").expect("it is in the catalogue");
-    let [base, tip] = ["base", "tool0"].map(|name| drawing.link(name).expect("a link"));
-    let links = drawing.link_path(base, tip).expect("a path");
-    let off = |link: usize| {
+fn robot_with_deviations() -> Robot {
+    let nominal = catalogue::find("ur10").expect("it is in the catalogue");
+    let [base, tip] = ["base", "tool0"].map(|name| nominal.link(name).expect("a link"));
+    let links = nominal.link_path(base, tip).expect("a path");
+    let deviation = |link: usize| {
         // A free base and a free tool absorb deviations before the first and after the last joint, and
         // along the last axis.
         let is_free = link == 0 || link == 6;
@@ -53,14 +53,14 @@ fn truth() -> Robot {
         let turn = [3, 4, 5].map(|axis| 9e-4 * at(axis));
         pose([0, 1, 2].map(|axis| 5e-4 * at(axis)), rotation_from_rotvec(turn.into()))
     };
-    let deviations: Vec<Pose> = (0..links.links.len()).map(off).collect();
-    drawing.with_deviations(&links, &deviations, &[])
+    let deviations: Vec<Pose> = (0..links.links.len()).map(deviation).collect();
+    nominal.with_deviations(&links, &deviations, &[])
 }
 
 /// A table of `rows` configurations with the poses of a marker on the tool from a tracker: in mm, and
 /// degrees of Euler angles about the moving z, y and x axes.
-fn table(rows: usize, moves: [bool; 6]) -> String {
-    let robot = truth();
+fn table_of_configurations(rows: usize, moves: [bool; 6]) -> String {
+    let robot = robot_with_deviations();
     let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
     let chain = robot.chain(base, tip).expect("a chain");
     let world = pose([1.4, -0.3, 0.8], rotation_from_rpy([0.3, -0.2, 1.9]));
@@ -71,8 +71,8 @@ fn table(rows: usize, moves: [bool; 6]) -> String {
             .map(|joint| if moves[joint] { 2.2 * noise(6 * row + joint) } else { 0.7 })
             .collect();
         let seen = world * chain.forward(&q) * tool;
-        let wobble = |axis: usize| 2e-5 * noise(100_000 + 3 * row + axis);
-        let [x, y, z] = [0, 1, 2].map(|axis| 1e3 * (seen.translation.vector[axis] + wobble(axis)));
+        let noise_m = |axis: usize| 2e-5 * noise(100_000 + 3 * row + axis);
+        let [x, y, z] = [0, 1, 2].map(|axis| 1e3 * (seen.translation.vector[axis] + noise_m(axis)));
         let [roll, pitch, yaw] = Convention::RPY.numbers(&seen.rotation);
         let angles = [yaw, pitch, roll].map(f64::to_degrees);
         let q: Vec<String> = q.iter().map(f64::to_string).collect();
@@ -84,17 +84,17 @@ fn table(rows: usize, moves: [bool; 6]) -> String {
 
 /// Rms difference between two robots' distances of tip pairs at random configurations, m. Independent of
 /// the bases.
-fn apart_m(a: &Robot, b: &Robot) -> f64 {
+fn tip_distance_difference_m(a: &Robot, b: &Robot) -> f64 {
     let chain = |robot: &Robot| {
         let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
         robot.chain(base, tip).expect("a chain")
     };
     let (a, b) = (chain(a), chain(b));
-    let posture =
+    let configuration =
         |k: usize| -> Vec<f64> { (0..6).map(|joint| 3.0 * noise(7000 + 6 * k + joint)).collect() };
     let squares: Vec<f64> = (0..200)
         .map(|k| {
-            let (one, other) = (posture(2 * k), posture(2 * k + 1));
+            let (one, other) = (configuration(2 * k), configuration(2 * k + 1));
             let between = |chain: &poseaudit::robot::Chain| {
                 (chain.forward(&one).translation.vector - chain.forward(&other).translation.vector)
                     .norm()
@@ -106,18 +106,18 @@ fn apart_m(a: &Robot, b: &Robot) -> f64 {
 }
 
 #[test]
-fn what_is_written_of_a_log_is_read_again_and_audits_clean() {
+fn the_files_of_a_calibration_are_read_back_and_the_log_passes_with_them() {
     let folder = TempDir::new().expect("a folder");
     let out = path(&folder, "calibrated");
-    let found = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
-    assert_eq!(found["schema"], "poseaudit.calibration/1");
-    assert_eq!(found["written"], true, "{}", found["refused"]);
-    assert_eq!(found["converged"], true, "{}", found["last_step"]);
-    let kept =
+    let report = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
+    assert_eq!(report["schema"], "poseaudit.calibration/1");
+    assert_eq!(report["written"], true, "{}", report["refused"]);
+    assert_eq!(report["converged"], true, "{}", report["last_step"]);
+    let file =
         fs::read_to_string(folder.path().join("calibrated/calibration.json")).expect("a file");
-    assert_eq!(serde_json::from_str::<Value>(&kept).expect("JSON"), found);
-    let [width, rows] =
-        [&found["parameters"], &found["covariance"]].map(|of| of.as_array().expect("a list").len());
+    assert_eq!(serde_json::from_str::<Value>(&file).expect("JSON"), report);
+    let [width, rows] = [&report["parameters"], &report["covariance"]]
+        .map(|of| of.as_array().expect("a list").len());
     assert!(width == rows && width >= 24, "{width} {rows}");
     for option in ["--robot", "--calibration", "--calibration"].iter().zip([
         "robot.urdf",
@@ -140,30 +140,33 @@ fn what_is_written_of_a_log_is_read_again_and_audits_clean() {
 }
 
 #[test]
-fn a_table_without_stamps_gives_the_arm_whatever_its_units_and_its_convention() {
+fn a_table_without_stamps_is_calibrated_in_any_unit_and_convention() {
     let folder = TempDir::new().expect("a folder");
     let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
-    fs::write(&log, table(120, [true; 6])).expect("a file");
-    let output = of_table(&log, &out);
+    fs::write(&log, table_of_configurations(120, [true; 6])).expect("a file");
+    let output = calibrate_table(&log, &out);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stdout));
-    let found = json(&output);
-    let stream = &found["streams"][0];
+    let report = json(&output);
+    let stream = &report["streams"][0];
     assert_eq!(stream["read_as"], "euler:ZYX, in degrees");
     assert!(stream["after"]["m"].as_f64().expect("a number") < 3e-5, "{stream}");
-    assert_eq!(found["witness"], "external");
+    assert_eq!(report["witness"], "external");
     let written =
         Robot::from_file(Path::new(&path(&folder, "calibrated/robot.urdf"))).expect("a robot");
-    let (before, after) =
-        (apart_m(&truth(), catalogue::find("ur10").expect("ur10")), apart_m(&truth(), &written));
+    let (before, after) = (
+        tip_distance_difference_m(&robot_with_deviations(), catalogue::find("ur10").expect("ur10")),
+        tip_distance_difference_m(&robot_with_deviations(), &written),
+    );
     assert!(before > 5e-4 && after < 3e-5, "{before} {after}");
 }
 
 #[test]
-fn a_log_in_which_one_joint_moves_carries_no_calibration() {
+fn a_log_with_one_moving_joint_gives_no_calibration() {
     let folder = TempDir::new().expect("a folder");
     let (log, out) = (path(&folder, "postures.csv"), path(&folder, "calibrated"));
-    fs::write(&log, table(60, [false, false, true, false, false, false])).expect("a file");
-    let output = of_table(&log, &out);
+    fs::write(&log, table_of_configurations(60, [false, false, true, false, false, false]))
+        .expect("a file");
+    let output = calibrate_table(&log, &out);
     let text = String::from_utf8_lossy(&output.stdout).into_owned()
         + &String::from_utf8_lossy(&output.stderr);
     assert!(matches!(output.status.code(), Some(1 | 3)), "{text}");
@@ -176,10 +179,10 @@ fn a_log_in_which_one_joint_moves_carries_no_calibration() {
 }
 
 #[test]
-fn a_table_needs_a_model_and_no_file_that_is_read_is_written() {
+fn a_table_needs_a_model_and_no_input_is_overwritten() {
     let folder = TempDir::new().expect("a folder");
     let log = path(&folder, "postures.csv");
-    fs::write(&log, table(20, [true; 6])).expect("a file");
+    fs::write(&log, table_of_configurations(20, [true; 6])).expect("a file");
     let output = poseaudit(&["calibrate", &log, "--out", &path(&folder, "out")]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--robot"));

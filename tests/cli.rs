@@ -24,7 +24,7 @@ fn assert_refused(args: &[&str], expected: i32, part: &str) {
 }
 
 #[test]
-fn what_is_no_log_gets_one_line() {
+fn a_file_that_is_not_a_log_gives_one_line() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str, content: &[u8]| {
         let path = folder.path().join(name);
@@ -39,7 +39,7 @@ fn what_is_no_log_gets_one_line() {
 }
 
 #[test]
-fn trouble_is_a_report_in_json() {
+fn errors_are_reports_in_json() {
     let output = poseaudit(&["audit", "no/such.mcap", "--format", "json"]);
     let report = json(&output);
     assert_eq!(status(&output), 2);
@@ -51,7 +51,7 @@ fn trouble_is_a_report_in_json() {
 }
 
 #[test]
-fn a_log_that_is_cut_off_is_audited_as_far_as_it_goes() {
+fn a_truncated_log_is_audited_up_to_its_end() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("cut.mcap");
     let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(CLEAN)).expect("the fixture");
@@ -61,7 +61,7 @@ fn a_log_that_is_cut_off_is_audited_as_far_as_it_goes() {
 }
 
 #[test]
-fn a_wrong_call_ends_with_2() {
+fn a_wrong_call_exits_with_2() {
     for args in [
         &["audit"][..],
         &["audit", CLEAN, "--select", "FOO001"],
@@ -85,7 +85,7 @@ fn a_wrong_call_ends_with_2() {
 }
 
 #[test]
-fn what_is_no_calibration_gets_one_line_with_its_place() {
+fn an_invalid_calibration_gives_one_line_with_file_and_line() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("arm.yaml").display().to_string();
     fs::write(&path, "kinematics:\n  shoulder: {x: 0}\n").expect("a file");
@@ -93,7 +93,7 @@ fn what_is_no_calibration_gets_one_line_with_its_place() {
 }
 
 #[test]
-fn an_unknown_rule_names_the_nearest() {
+fn an_unknown_rule_suggests_the_nearest() {
     assert_refused(&["explain", "lat9"], 2, "did you mean LAT001");
 }
 
@@ -119,7 +119,7 @@ fn a_clean_log_passes() {
 }
 
 #[test]
-fn a_faulty_log_fails_as_its_findings_say() {
+fn a_faulty_log_fails_unless_its_rules_are_deselected() {
     let output = poseaudit(&["audit", FAULTY, "--format", "json"]);
     assert_eq!(status(&output), 1, "{}", stdout(&output));
     assert_eq!(json(&output)["verdict"], "fail");
@@ -130,7 +130,7 @@ fn a_faulty_log_fails_as_its_findings_say() {
 }
 
 #[test]
-fn messages_are_clauses_with_a_figure() {
+fn messages_are_clauses_with_a_number() {
     let report = json(&poseaudit(&["audit", FAULTY, "--format", "json"]));
     let findings = report["findings"].as_array().expect("a list");
     assert!(!findings.is_empty());
@@ -147,7 +147,7 @@ fn messages_are_clauses_with_a_figure() {
 }
 
 #[test]
-fn the_json_has_the_keys_of_the_contract_in_their_order() {
+fn the_json_report_has_the_documented_keys_in_order() {
     let report = json(&poseaudit(&["audit", FAULTY, "--format", "json"]));
     let keys = |value: &Value| -> Vec<String> {
         value.as_object().expect("an object").keys().cloned().collect()
@@ -182,13 +182,13 @@ fn the_json_has_the_keys_of_the_contract_in_their_order() {
 }
 
 #[test]
-fn same_input_same_bytes() {
+fn the_same_log_gives_the_same_report() {
     let once = poseaudit(&["audit", FAULTY, "--format", "json"]);
     assert_eq!(once.stdout, poseaudit(&["audit", FAULTY, "--format", "json"]).stdout);
 }
 
 #[test]
-fn a_report_goes_where_it_is_sent() {
+fn a_report_is_written_to_the_output_path() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("reports/today/clean.txt");
     let output = poseaudit(&["audit", CLEAN, "--output", &path.display().to_string()]);
@@ -199,13 +199,13 @@ fn a_report_goes_where_it_is_sent() {
 }
 
 #[test]
-fn what_mends_a_log_is_written_and_taken_back() {
+fn corrections_are_written_and_applied() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mend = folder.path().join("to/mend").display().to_string();
+    let folder_of_fixes = folder.path().join("to/mend").display().to_string();
     let plain = poseaudit(&["audit", FAULTY]);
-    let output = poseaudit(&["audit", FAULTY, "--fix", &mend]);
+    let output = poseaudit(&["audit", FAULTY, "--fix", &folder_of_fixes]);
     assert_eq!((status(&output), &output.stdout), (1, &plain.stdout), "{}", stderr(&output));
-    let file = format!("{mend}/corrections.toml");
+    let file = format!("{folder_of_fixes}/corrections.toml");
     let output = poseaudit(&["audit", FAULTY, "--corrections", &file]);
     assert_eq!(status(&output), 0, "{}", stdout(&output));
     assert!(stdout(&output).contains("corrected: elbow_joint by an offset of 0.6°"));
@@ -219,7 +219,7 @@ fn what_mends_a_log_is_written_and_taken_back() {
 }
 
 #[test]
-fn a_required_rule_that_cannot_conclude_fails_the_call() {
+fn a_required_rule_that_is_inconclusive_fails_the_call() {
     let args = ["audit", CLEAN, "--select", "ING", "--require", "LAT001"];
     let output = poseaudit(&args);
     assert_eq!(status(&output), 1, "{}", stderr(&output));
@@ -256,7 +256,7 @@ fn codes(report: &Value) -> Vec<&str> {
 }
 
 #[test]
-fn the_demo_speaks_json_too() {
+fn the_demo_prints_json() {
     let folder = tempfile::tempdir().expect("a folder");
     let dir = folder.path().display().to_string();
     let output = poseaudit(&["demo", &dir, "--format", "json"]);
@@ -269,7 +269,7 @@ fn the_demo_speaks_json_too() {
 }
 
 #[test]
-fn a_pose_is_said_in_every_convention() {
+fn a_pose_is_printed_in_every_convention() {
     let pose = "243.69 -249.04 618.32 149.49 -12.78 72.64";
     let output = poseaudit(&["pose", "--from", "euler:xyz", "--deg", "--mm", pose]);
     assert_eq!(status(&output), 0, "{}", stderr(&output));
@@ -311,26 +311,26 @@ fn two_poses_are_reconciled() {
 }
 
 #[test]
-fn what_is_left_of_two_poses_stands_first_and_nothing_reconciled_exits_with_1() {
+fn the_remaining_offset_of_two_poses_is_printed_first_and_no_match_exits_with_1() {
     let tool = ["pose", "p[0.3, 0.1, 0.5, 1.2, -1.7, 0.6]", "0.3 0.1 0.62 1.2 -1.7 0.6"];
     let output = poseaudit(&[&tool[..], &["--but-as", "ur"]].concat());
     assert_eq!(status(&output), 1, "{}", stderr(&output));
-    let said = stdout(&output);
-    assert!(said.starts_with("orientations agree, 120.0 mm along base z\n"), "{said}");
+    let text = stdout(&output);
+    assert!(text.starts_with("orientations agree, 120.0 mm along base z\n"), "{text}");
     let nothing = ["pose", "0.3 0.1 0.5 0.5 0.5 0.5 0.5", "0.9 -0.1 0.2 0.1 0.7 0.1 0.7"];
     let output = poseaudit(&[&nothing[..], &["--is-as", "ros", "--but-as", "ros"]].concat());
     assert_eq!(status(&output), 1, "{}", stdout(&output));
 }
 
 #[test]
-fn numbers_need_no_quotes_and_one_pose_takes_no_word_of_two() {
+fn numbers_need_no_quotes_and_one_pose_refuses_options_for_two() {
     let bare = ["pose", "0.3,", "0.1,", "-0.5", "0", "0", "0", "1", "--from", "ros"];
     assert_eq!(status(&poseaudit(&bare)), 0, "{}", stderr(&poseaudit(&bare)));
     assert_refused(&["pose", "0 0 1 0 0 0 1", "--robot", "ur5e"], 2, "--robot");
 }
 
 #[test]
-fn what_is_no_pose_gets_one_line() {
+fn an_invalid_pose_gives_one_line() {
     assert_refused(&["pose", "1 2 3 4 5"], 2, "5 numbers are not a pose");
     assert_refused(
         &["pose", "1 0 0  0 0.9 0  0 0 1"],
@@ -343,12 +343,12 @@ fn what_is_no_pose_gets_one_line() {
 }
 
 #[test]
-fn a_log_in_the_place_of_a_command_is_told_how_it_is_audited() {
+fn a_log_in_place_of_a_command_suggests_audit() {
     assert_refused(&[FAULTY], 2, "audit it with `poseaudit audit fixtures/faulty.mcap`");
 }
 
 #[test]
-fn tables_are_written_into_a_folder_that_is_made() {
+fn tables_are_written_into_a_new_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     let tables = folder.path().join("made/tables");
     let output = poseaudit(&["audit", FAULTY, "--parquet", &tables.display().to_string()]);
@@ -403,7 +403,7 @@ fn a_transform_of_the_log_is_looked_up_as_tf2_does() {
 }
 
 #[test]
-fn the_page_shows_what_proves_each_finding() {
+fn the_html_report_plots_the_evidence_of_each_finding() {
     let args = ["audit", FAULTY, "--format", "html"];
     let (output, again) = (poseaudit(&args), poseaudit(&args));
     assert_eq!(status(&output), 1);
@@ -443,7 +443,7 @@ fn the_page_shows_what_proves_each_finding() {
 }
 
 #[test]
-fn a_config_stands_behind_the_command_line() {
+fn the_command_line_overrides_the_config() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("poseaudit.toml");
     let config = path.display().to_string();
@@ -455,13 +455,13 @@ fn a_config_stands_behind_the_command_line() {
     let output = poseaudit(&[&over[..], &["--format", "json"]].concat());
     assert_eq!((status(&output), codes(&json(&output))), (1, vec!["ZER001"]));
     fs::write(&path, "\nfail_onn = \"never\"\n").expect("a file");
-    let said = format!("{config}:2: unknown key `fail_onn`: did you mean `fail_on`?");
-    assert_refused(&["audit", CLEAN, "--config", &config], 2, &said);
+    let message = format!("{config}:2: unknown key `fail_onn`: did you mean `fail_on`?");
+    assert_refused(&["audit", CLEAN, "--config", &config], 2, &message);
     assert_refused(&["audit", CLEAN, "--config", "no/such.toml"], 2, "no/such.toml");
 }
 
 #[test]
-fn init_writes_a_config_and_overwrites_none() {
+fn init_writes_a_config_and_does_not_overwrite_one() {
     let folder = tempfile::tempdir().expect("a folder");
     let config = folder.path().join("new/poseaudit.toml").display().to_string();
     let output = poseaudit(&["init", CLEAN, "--output", &config]);

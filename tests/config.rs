@@ -32,31 +32,32 @@ fn fixture(name: &str) -> PathBuf {
 }
 
 /// Audits a log with a config.
-fn audited(log: &Path, config: &str) -> Report {
+fn audit_with_config(log: &Path, config: &str) -> Report {
     let config = Config::from_text(config.to_owned(), Path::new("p.toml")).expect("a config");
     let options = Options { logs: vec![log.to_owned()], ..config.options() };
     poseaudit::audit(&options).expect("a report").report
 }
 
-fn faulty(config: &str) -> Report {
-    audited(&fixture("faulty.mcap"), config)
+fn audit_faulty_log(config: &str) -> Report {
+    audit_with_config(&fixture("faulty.mcap"), config)
 }
 
 /// Findings, as `CODE subject`.
-fn found(report: &Report) -> Vec<String> {
-    let said = report.findings.iter().map(|one| format!("{} {}", one.code, one.subject.label()));
-    said.collect()
+fn found_subjects(report: &Report) -> Vec<String> {
+    let subjects =
+        report.findings.iter().map(|one| format!("{} {}", one.code, one.subject.label()));
+    subjects.collect()
 }
 
 #[test]
-fn what_init_writes_audits_its_log_as_no_config_does() {
+fn the_config_of_init_gives_the_same_report_as_no_config() {
     for (log, without) in &*REPORTS {
-        let with = audited(log, &template(without));
+        let with = audit_with_config(log, &template(without));
         for key in ["verdict", "error", "robots", "checks", "findings", "observability"] {
-            let of = |report: &Report| -> Value {
+            let value_of = |report: &Report| -> Value {
                 serde_json::to_value(report).expect("a report is JSON")[key].clone()
             };
-            let (mut without, mut with) = (of(without), of(&with));
+            let (mut without, mut with) = (value_of(without), value_of(&with));
             // The config is then the source of the robot.
             for robots in [&mut without, &mut with] {
                 let rows = robots.as_array_mut().into_iter().flatten();
@@ -69,7 +70,7 @@ fn what_init_writes_audits_its_log_as_no_config_does() {
 }
 
 #[test]
-fn every_report_is_of_its_schema_and_is_read_back() {
+fn every_report_is_valid_and_can_be_read_back() {
     let (mut schemas, mut compiler) = (Schemas::new(), Compiler::new());
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/poseaudit.report.schema.json");
     let schema = compiler.compile(path, &mut schemas).expect("a schema");
@@ -91,9 +92,9 @@ fn every_report_is_of_its_schema_and_is_read_back() {
 }
 
 #[test]
-fn thresholds_and_severities_are_those_of_the_config() {
+fn thresholds_and_severities_come_from_the_config() {
     let late = |config: &str| {
-        let report = faulty(config);
+        let report = audit_faulty_log(config);
         let late = report.findings.iter().find(|one| one.code == "LAT001");
         late.map(|one| one.severity)
     };
@@ -105,13 +106,13 @@ fn thresholds_and_severities_are_those_of_the_config() {
 }
 
 #[test]
-fn what_is_ignored_is_said_and_does_not_count() {
-    let report = faulty(
+fn ignored_findings_are_listed_and_do_not_count() {
+    let report = audit_faulty_log(
         "[[ignore]]\ncode = \"LAT001\"\ntopic = \"/tcp_pose_broadcaster/pose\"\nreason = \"known\"\n\
          [[ignore]]\ncode = \"ZER\"\nreason = \"re-homed\"\n\
          [[ignore]]\ncode = \"YAW\"\ntopic = \"/no_such_imu\"\nreason = \"gone\"\n",
     );
-    assert_eq!((report.verdict, found(&report)), (Verdict::Pass, Vec::new()));
+    assert_eq!((report.verdict, found_subjects(&report)), (Verdict::Pass, Vec::new()));
     let ignored: Vec<(&str, &str)> =
         report.ignored.iter().map(|one| (one.finding.code, one.place.as_str())).collect();
     assert_eq!(ignored, [("LAT001", "p.toml:1"), ("ZER001", "p.toml:5")]);
@@ -131,20 +132,21 @@ fn what_is_ignored_is_said_and_does_not_count() {
 }
 
 #[test]
-fn a_declared_rate_and_a_declared_topic_are_expected() {
-    let report = faulty(
+fn declared_rates_and_topics_are_checked() {
+    let report = audit_faulty_log(
         "[stream.\"/imu/data\"]\nrate_hz = 400\n[stream.\"/tf\"]\nrate_hz = 20\n\
          [stream.\"/gone\"]\nrole = \"pose\"\n[stream.\"/unwanted\"]\nrole = \"ignored\"\n",
     );
-    let slow = found(&report).into_iter().filter(|said| said.starts_with("TIM006"));
+    let slow = found_subjects(&report).into_iter().filter(|found| found.starts_with("TIM006"));
     assert_eq!(slow.collect::<Vec<_>>(), ["TIM006 /gone", "TIM006 /imu/data"]);
 }
 
 #[test]
-fn roles_witnesses_and_frames_are_those_of_the_config() {
+fn roles_sources_and_frames_come_from_the_config() {
     let pose = "/tcp_pose_broadcaster/pose";
-    let with =
-        |keys: &str| audited(&fixture("clean.mcap"), &format!("[stream.\"{pose}\"]\n{keys}"));
+    let with = |keys: &str| {
+        audit_with_config(&fixture("clean.mcap"), &format!("[stream.\"{pose}\"]\n{keys}"))
+    };
     let row = |report: &Report| {
         let row = report.streams.iter().find(|stream| stream.topic == pose).cloned();
         row.expect("the stream is listed")
@@ -155,31 +157,31 @@ fn roles_witnesses_and_frames_are_those_of_the_config() {
     assert_eq!(row(&ignored).role, "ignored");
     assert!(!ignored.checks.iter().any(|check| check.subject.topic.as_deref() == Some(pose)));
     let in_base_link = with("frame = \"base_link\"");
-    assert_eq!(found(&in_base_link), [format!("FRM002 {pose}")]);
+    assert_eq!(found_subjects(&in_base_link), [format!("FRM002 {pose}")]);
     let of_flange = with("link = \"flange\"");
-    assert_eq!(found(&of_flange), [format!("FRM003 {pose}")]);
+    assert_eq!(found_subjects(&of_flange), [format!("FRM003 {pose}")]);
     assert_eq!(of_flange.findings[0].severity, Severity::Error);
 }
 
 #[test]
-fn what_a_vendor_gives_is_held_against_the_log() {
+fn the_encoding_of_a_vendor_is_compared_with_the_log() {
     let log = fixture("gimbal.mcap");
-    let of = |vendor: &str, units: &str| {
+    let encoding_codes = |vendor: &str, units: &str| {
         let keys = format!("vendor = \"{vendor}\"\n{units}");
-        let report = audited(&log, &format!("[stream.\"/tool_pose\"]\n{keys}"));
+        let report = audit_with_config(&log, &format!("[stream.\"/tool_pose\"]\n{keys}"));
         let codes = report.findings.iter().map(|one| one.code);
         codes.filter(|code| code.starts_with("ORD") && *code != "ORD006").collect::<Vec<_>>()
     };
     // Its numbers are roll, pitch and yaw in radians, and metres.
-    assert_eq!(of("aubo", ""), [""; 0]);
-    assert_eq!(of("jaka", ""), ["ORD008"]);
-    assert_eq!(of("jaka", "units = [\"m\"]"), [""; 0]);
-    assert_eq!(of("ur", ""), ["ORD001"]);
-    assert_eq!(of("fanuc", ""), ["ORD004", "ORD008"]);
+    assert_eq!(encoding_codes("aubo", ""), [""; 0]);
+    assert_eq!(encoding_codes("jaka", ""), ["ORD008"]);
+    assert_eq!(encoding_codes("jaka", "units = [\"m\"]"), [""; 0]);
+    assert_eq!(encoding_codes("ur", ""), ["ORD001"]);
+    assert_eq!(encoding_codes("fanuc", ""), ["ORD004", "ORD008"]);
 }
 
 #[test]
-fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
+fn a_stream_setting_that_contradicts_the_log_is_refused_with_its_line() {
     let refused = |text: &str| {
         let config = Config::from_text(text.to_owned(), Path::new("p.toml")).expect("a config");
         let options = Options { logs: vec![fixture("clean.mcap")], ..config.options() };
@@ -191,27 +193,28 @@ fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
         ("link = \"no_such_thing\"", "not a link of an arm"),
         ("convention = \"rotvec\"", "contains quaternions"),
     ] {
-        let said = refused(&format!("\n[stream.\"/tcp_pose_broadcaster/pose\"]\n{keys}"));
-        assert!(said.starts_with("p.toml:2: ") && said.contains(part), "{said}");
+        let message = refused(&format!("\n[stream.\"/tcp_pose_broadcaster/pose\"]\n{keys}"));
+        assert!(message.starts_with("p.toml:2: ") && message.contains(part), "{message}");
     }
-    let said = refused("[stream.\"/imu/data\"]\nlink = \"tool0\"");
-    assert!(said.contains("have no `link`"), "{said}");
+    let message = refused("[stream.\"/imu/data\"]\nlink = \"tool0\"");
+    assert!(message.contains("have no `link`"), "{message}");
 }
 
 /// The log at `path` with its pose topic renamed to `name`.
-fn renamed(path: &Path, name: &str) -> Vec<u8> {
+fn rename_pose_topic(path: &Path, name: &str) -> Vec<u8> {
     let bytes = fs::read(path).expect("the fixture");
     let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).expect("a writer");
     let mut channels = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).expect("messages") {
         let message = message.expect("a sound message");
-        let of = &message.channel;
-        let topic = if of.topic == POSE { name } else { of.topic.as_str() };
-        let schema = of.schema.as_ref().expect("a schema");
-        let channel_id = *channels.entry(of.id).or_insert_with(|| {
+        let logged = &message.channel;
+        let topic = if logged.topic == POSE { name } else { logged.topic.as_str() };
+        let schema = logged.schema.as_ref().expect("a schema");
+        let channel_id = *channels.entry(logged.id).or_insert_with(|| {
             let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data);
             let schema = schema.expect("a schema");
-            let channel = writer.add_channel(schema, topic, &of.message_encoding, &of.metadata);
+            let channel =
+                writer.add_channel(schema, topic, &logged.message_encoding, &logged.metadata);
             channel.expect("a channel")
         });
         let header = mcap::records::MessageHeader {
@@ -227,18 +230,21 @@ fn renamed(path: &Path, name: &str) -> Vec<u8> {
 }
 
 #[test]
-fn hostile_names_are_read_back_and_escaped() {
+fn hostile_topic_names_are_escaped_and_read_back() {
     let name = "/it's|a\\ \"<b>'''topic\u{202e} # H1";
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("run.mcap");
-    fs::write(&log, renamed(&fixture("faulty.mcap"), name)).expect("a file");
+    fs::write(&log, rename_pose_topic(&fixture("faulty.mcap"), name)).expect("a file");
     let fix = folder.path().join("fix");
     let options = Options { logs: vec![log.clone()], ..Options::default() };
     let first = poseaudit::audit(&options).expect("a report");
     first.write_fixes(&fix).expect("a folder to write to");
     let without = first.report;
     assert!(without.streams.iter().any(|stream| stream.topic == name));
-    assert_eq!(found(&audited(&log, &template(&without))), found(&without));
+    assert_eq!(
+        found_subjects(&audit_with_config(&log, &template(&without))),
+        found_subjects(&without)
+    );
     assert!(!template(&without).contains(['\u{202e}', '\u{1b}']));
 
     let index = fs::read_to_string(fix.join("corrections.md")).expect("the index");

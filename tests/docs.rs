@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Rows of all tables with this many columns in a document, without headers.
-fn rows<const N: usize>(document: &str) -> Vec<[String; N]> {
+fn table_rows<const N: usize>(document: &str) -> Vec<[String; N]> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(document);
     let text = fs::read_to_string(path).expect("the document");
     let cells = |line: &str| -> Option<[String; N]> {
@@ -16,17 +16,17 @@ fn rows<const N: usize>(document: &str) -> Vec<[String; N]> {
 }
 
 /// The text in backquotes of a cell with nothing else.
-fn quoted(cell: &str) -> &str {
+fn unquote(cell: &str) -> &str {
     let inner = cell.strip_prefix('`').and_then(|cell| cell.strip_suffix('`'));
     inner.unwrap_or_else(|| panic!("not in backquotes: {cell}"))
 }
 
 #[test]
-fn every_symptom_has_the_answer_that_is_promised() {
-    let rows = rows::<4>("symptoms.md");
+fn every_documented_symptom_gives_its_documented_finding() {
+    let rows = table_rows::<4>("symptoms.md");
     assert!(rows.len() >= 30, "only {} rows were read", rows.len());
     for [symptom, _, call, says] in rows {
-        let mut words = quoted(&call).split(' ');
+        let mut words = unquote(&call).split(' ');
         assert_eq!(words.next(), Some("poseaudit"), "{call}");
         let output = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
             .args(words)
@@ -34,10 +34,11 @@ fn every_symptom_has_the_answer_that_is_promised() {
             .output()
             .expect("the binary runs");
         let text = String::from_utf8_lossy(&output.stdout);
-        let found = match quoted(&says) {
+        let found = match unquote(&says) {
             // For a fault, the document promises a finding, not only that the rule ran.
             code if call.contains(" audit ") && is_code(code) => {
-                text.lines().any(|line| is_finding(line, code)) || passes(&call, &text, code)
+                text.lines().any(|line| is_finding(line, code))
+                    || is_selected_rule(&call, &text, code)
             }
             words => text.contains(words),
         };
@@ -61,7 +62,7 @@ fn is_finding(line: &str, code: &str) -> bool {
 }
 
 /// Whether the call selects single rules, some of which should pass.
-fn passes(call: &str, text: &str, code: &str) -> bool {
+fn is_selected_rule(call: &str, text: &str, code: &str) -> bool {
     call.contains("--select") && text.contains(code)
 }
 
@@ -69,7 +70,7 @@ fn passes(call: &str, text: &str, code: &str) -> bool {
 mod pages;
 
 #[test]
-fn the_pages_of_the_rules_are_current() {
+fn the_rule_pages_are_current() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
     let symptoms = fs::read_to_string(docs.join("symptoms.md")).expect("the document");
     for (name, text) in pages::all(&symptoms) {
@@ -82,7 +83,7 @@ fn the_pages_of_the_rules_are_current() {
 }
 
 #[test]
-fn what_the_pages_ask_of_a_sound_log_is_answered() {
+fn the_calls_of_the_rule_pages_pass_on_a_fault_free_log() {
     let symptoms = document("symptoms.md");
     for rule in poseaudit::checks::registry() {
         let call = pages::of_a_sound_log(rule);
@@ -105,11 +106,11 @@ fn what_the_pages_ask_of_a_sound_log_is_answered() {
 
 #[test]
 fn concepts_name_existing_modules_and_rules() {
-    let rows = rows::<5>("concepts.md");
+    let rows = table_rows::<5>("concepts.md");
     assert!(rows.len() >= 60, "only {} rows were read", rows.len());
     for [term, meaning, _, rules, module] in rows.into_iter().filter(|row| row[0] != "term") {
         assert!(meaning.split_whitespace().count() <= 25, "{term}: too long");
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(quoted(&module));
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(unquote(&module));
         assert!(path.exists(), "{term}: no {module}");
         for code in rules.split([',', ' ']).filter(|word| is_code(word)) {
             assert!(poseaudit::checks::find(code).is_ok(), "{term}: no rule {code}");
@@ -140,7 +141,7 @@ fn the_schema_of_the_report_is_current() {
 }
 
 #[test]
-fn the_config_that_is_shown_can_be_read_and_is_of_the_schema() {
+fn the_documented_config_can_be_read_and_is_valid() {
     let text = document("config.md");
     let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next());
     let example = example.expect("an example");
@@ -214,10 +215,10 @@ fn sources(folder: &str) -> String {
 }
 
 #[test]
-fn every_limit_names_a_test_that_exists() {
+fn every_documented_limit_names_an_existing_test() {
     let sources = sources("src") + &sources("tests");
     let mut count = 0;
-    for [what, _, _, tests] in rows::<4>("../SECURITY.md") {
+    for [what, _, _, tests] in table_rows::<4>("../SECURITY.md") {
         for name in tests.split('`').skip(1).step_by(2) {
             let at = sources.find(&format!("fn {name}("));
             let before = at.map(|at| sources[..at].trim_end());

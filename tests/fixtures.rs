@@ -9,7 +9,7 @@ mod scenarios;
 
 /// Log times and sizes of the messages of each topic. Numbers may differ in their last digits between
 /// platforms, and so do compressed bytes.
-fn outline(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
+fn times_and_sizes(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
     let mut topics: BTreeMap<String, Vec<(u64, usize)>> = BTreeMap::new();
     for message in mcap::MessageStream::new(log).unwrap().map(Result::unwrap) {
         let topic = topics.entry(message.channel.topic.clone()).or_default();
@@ -22,12 +22,12 @@ fn outline(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
 fn fixtures_are_small_and_current() {
     for (name, run) in scenarios::all().unwrap() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
-        let kept = std::fs::read(&path).unwrap();
-        let mut made = Vec::new();
-        run.write_mcap(Cursor::new(&mut made), Some(mcap::Compression::Zstd)).unwrap();
-        assert!(kept.len() < 300_000, "{name} has {} bytes", kept.len());
+        let committed = std::fs::read(&path).unwrap();
+        let mut generated = Vec::new();
+        run.write_mcap(Cursor::new(&mut generated), Some(mcap::Compression::Zstd)).unwrap();
+        assert!(committed.len() < 300_000, "{name} has {} bytes", committed.len());
         assert!(
-            outline(&kept) == outline(&made),
+            times_and_sizes(&committed) == times_and_sizes(&generated),
             "{name} differs from the generator's output: run `cargo run --example fixtures`"
         );
     }

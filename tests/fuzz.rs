@@ -9,7 +9,7 @@ use rand::{Rng, RngExt, SeedableRng};
 mod feed;
 
 #[test]
-fn seeds_whole_cut_and_overwritten_are_read_or_refused() {
+fn complete_truncated_and_overwritten_seeds_do_not_panic() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
     let mut random = rand_pcg::Pcg64::seed_from_u64(4);
     for (target, _) in feed::TARGETS {
@@ -36,7 +36,7 @@ fn seeds_whole_cut_and_overwritten_are_read_or_refused() {
 mod audits;
 
 #[test]
-fn seeds_of_whole_audits_keep_what_every_report_promises() {
+fn audits_of_all_seeds_keep_the_invariants_of_reports() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/audits");
     let mut seeds: Vec<_> =
         fs::read_dir(folder).unwrap().map(|seed| seed.unwrap().path()).collect();

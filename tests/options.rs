@@ -25,16 +25,16 @@ fn with_env(args: &[&str], env: &[(&str, &str)]) -> Output {
 }
 
 #[test]
-fn what_is_written_is_named_on_stderr_unless_it_is_to_be_quiet() {
+fn written_files_are_listed_on_stderr_unless_quiet() {
     let folder = TempDir::new().expect("a folder");
     let [page, tables, fixes] = ["run.html", "tables", "fixes"].map(|name| path(&folder, name));
     let call =
         ["audit", FAULTY, "--format", "html", "-o", &page, "--parquet", &tables, "--fix", &fixes];
     let output = poseaudit(&call);
-    let said: Vec<&str> = stderr(&output).lines().collect();
-    assert_eq!(said.len(), 3, "{said:?}");
+    let lines: Vec<&str> = stderr(&output).lines().collect();
+    assert_eq!(lines.len(), 3, "{lines:?}");
     for written in [&page, &tables, &fixes] {
-        assert!(said.contains(&format!("wrote {written}").as_str()), "{said:?}");
+        assert!(lines.contains(&format!("wrote {written}").as_str()), "{lines:?}");
         assert!(Path::new(written).exists(), "{written}");
     }
     let quiet = poseaudit(&[&call[..], &["-q"]].concat());
@@ -45,7 +45,7 @@ fn what_is_written_is_named_on_stderr_unless_it_is_to_be_quiet() {
 }
 
 #[test]
-fn colours_are_where_they_are_wanted() {
+fn colours_follow_the_option_and_the_environment() {
     let call = |args: &[&str], env: &[(&str, &str)]| {
         let output = with_env(&[&["audit", CLEAN, "--select", "ING"], args].concat(), env);
         stdout(&output).contains('\u{1b}')
@@ -58,7 +58,7 @@ fn colours_are_where_they_are_wanted() {
 }
 
 #[test]
-fn a_config_is_looked_for_only_where_it_is_asked_for() {
+fn a_config_is_searched_only_with_config_auto() {
     let folder = TempDir::new().expect("a folder");
     let below = folder.path().join("runs/monday");
     fs::create_dir_all(&below).expect("a folder");
@@ -112,11 +112,11 @@ fn rules_are_listed_for_programs() {
 }
 
 #[test]
-fn a_baseline_is_kept_and_logs_are_compared_with_the_options_of_audit() {
+fn a_baseline_is_written_and_compare_takes_the_options_of_audit() {
     let folder = TempDir::new().expect("a folder");
     let baseline = path(&folder, "baseline.json");
-    let kept = poseaudit(&["audit", CLEAN, "-q", "--write-baseline", &baseline]);
-    assert_eq!(status(&kept), 0, "{}", stderr(&kept));
+    let written_baseline = poseaudit(&["audit", CLEAN, "-q", "--write-baseline", &baseline]);
+    assert_eq!(status(&written_baseline), 0, "{}", stderr(&written_baseline));
     let json = poseaudit(&["audit", CLEAN, "--format", "json"]);
     assert_eq!(fs::read(&baseline).expect("the baseline"), json.stdout);
     assert_eq!(status(&poseaudit(&["compare", &baseline, FAULTY])), 1);

@@ -20,31 +20,31 @@ struct Call {
     file: Option<&'static str>,
 }
 
-const OF_AUDIT: &[&str] =
+const AUDIT_INPUTS: &[&str] =
     &["run.mcap", "bag/bag_0.mcap", "r.toml", "c.yaml", "poseaudit.toml", "corrections.toml"];
 
 /// Inputs of an audit in these tests.
-const READS: &str = "run.mcap bag --robot r.toml --calibration c.yaml --config poseaudit.toml";
+const AUDIT_ARGS: &str = "run.mcap bag --robot r.toml --calibration c.yaml --config poseaudit.toml";
 
 const CALLS: &[Call] = &[
     Call {
         args: "audit READS --corrections corrections.toml --output OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: None,
     },
     Call {
         args: "audit READS --corrections corrections.toml --format json --output OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: None,
     },
     Call {
         args: "audit READS --corrections corrections.toml --format json --format html --output OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: Some("report.json"),
     },
     Call {
         args: "audit READS --corrections corrections.toml --rrd OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: None,
     },
     Call {
@@ -59,12 +59,12 @@ const CALLS: &[Call] = &[
     },
     Call {
         args: "audit READS --corrections corrections.toml --mcap OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: None,
     },
     Call {
         args: "audit READS --corrections corrections.toml --parquet OUT",
-        inputs: OF_AUDIT,
+        inputs: AUDIT_INPUTS,
         file: Some("findings.parquet"),
     },
     Call {
@@ -109,9 +109,9 @@ const CALLS: &[Call] = &[
 
 /// A folder with an input of every kind. Each has invalid content, so a reader that runs before the output
 /// check causes a different error.
-fn inputs() -> TempDir {
+fn folder_with_inputs() -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    for name in OF_AUDIT.iter().chain(&[
+    for name in AUDIT_INPUTS.iter().chain(&[
         "meshes/a/link.obj",
         "old.json",
         "q.csv",
@@ -133,12 +133,12 @@ fn poseaudit(folder: &Path, args: &[String]) -> Command {
 }
 
 fn args(call: &str, out: &str) -> Vec<String> {
-    let call = call.replace("READS", READS);
+    let call = call.replace("READS", AUDIT_ARGS);
     call.split(' ').map(|arg| arg.replace("OUT", out)).collect()
 }
 
 /// A hash of each file below a folder, and the targets of its links. A fleet's lock is empty and remains.
-fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
+fn hash_files(folder: &Path) -> BTreeMap<PathBuf, String> {
     let mut all = BTreeMap::new();
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
@@ -146,7 +146,7 @@ fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
             let target = fs::read_link(&path).expect("a link");
             all.insert(path, target.display().to_string());
         } else if path.is_dir() {
-            all.extend(content(&path));
+            all.extend(hash_files(&path));
         } else if !path.ends_with(".lock") {
             let bytes = fs::read(&path).expect("a file");
             all.insert(path, blake3::hash(&bytes).to_hex().to_string());
@@ -158,15 +158,15 @@ fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
 /// Asserts that a call exited with status 2 and one line that contains `part`, without other output.
 #[track_caller]
 fn assert_refused(output: &Output, part: &str, call: &[String]) {
-    assert_unwritten(output, part, call);
+    assert_one_line_error(output, part, call);
     assert!(output.stdout.is_empty(), "{call:?}");
 }
 
 /// Asserts that a call exited with status 2 and one line that contains `part`.
 #[track_caller]
-fn assert_unwritten(output: &Output, part: &str, call: &[String]) {
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    let line = said.trim_end();
+fn assert_one_line_error(output: &Output, part: &str, call: &[String]) {
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    let line = stderr.trim_end();
     assert_eq!(output.status.code(), Some(2), "{call:?}: {line}");
     assert!(line.starts_with("error: ") && !line.contains('\n'), "{call:?}: {line}");
     assert!(line.contains(part), "{call:?}: {line}");
@@ -174,31 +174,31 @@ fn assert_unwritten(output: &Output, part: &str, call: &[String]) {
 
 /// The same for a call whose output could not be written, with a report on stdout.
 #[track_caller]
-fn assert_only_unwritten(output: &Output, part: &str, call: &[String]) {
-    let is_beside = ["--rrd", "--mcap", "--parquet", "--fix"]
+fn assert_output_refused(output: &Output, part: &str, call: &[String]) {
+    let has_report_on_stdout = ["--rrd", "--mcap", "--parquet", "--fix"]
         .iter()
-        .any(|beside| call.iter().any(|arg| arg == beside));
-    if !is_beside {
+        .any(|option| call.iter().any(|arg| arg == option));
+    if !has_report_on_stdout {
         return assert_refused(output, part, call);
     }
-    assert_unwritten(output, part, call);
+    assert_one_line_error(output, part, call);
     let report = String::from_utf8_lossy(&output.stdout);
     assert!(report.contains("base.mcap") && report.contains("ING001"), "{call:?}: {report}");
 }
 
 /// Runs `call` with its output at `out`, and asserts that it is refused without changes.
 #[track_caller]
-fn refused(folder: &Path, call: &Call, out: &str, part: &str) {
-    let before = content(folder);
+fn assert_call_refused(folder: &Path, call: &Call, out: &str, part: &str) {
+    let before = hash_files(folder);
     let args = args(call.args, out);
     let output = poseaudit(folder, &args).output().expect("the binary runs");
     assert_refused(&output, part, &args);
-    assert_eq!(content(folder), before, "{args:?}");
+    assert_eq!(hash_files(folder), before, "{args:?}");
 }
 
 #[test]
-fn no_output_is_an_input() {
-    let folder = inputs();
+fn no_output_overwrites_an_input() {
+    let folder = folder_with_inputs();
     let at = |name: &str| folder.path().join(name);
     for (number, call) in CALLS.iter().enumerate() {
         for input in call.inputs {
@@ -217,21 +217,21 @@ fn no_output_is_an_input() {
                 fs::create_dir(at(&soft)).expect("a folder");
                 fs::hard_link(at(input), at(&hard).join(file)).expect("a link");
                 symlink(at(input), at(&soft).join(file)).expect("a link");
-                refused(folder.path(), call, &hard, what);
-                refused(folder.path(), call, &soft, what);
+                assert_call_refused(folder.path(), call, &hard, what);
+                assert_call_refused(folder.path(), call, &soft, what);
                 continue;
             }
-            refused(folder.path(), call, input, what);
-            refused(folder.path(), call, &format!("./new/../meshes/../{input}"), what);
-            refused(folder.path(), call, &at(input).display().to_string(), what);
+            assert_call_refused(folder.path(), call, input, what);
+            assert_call_refused(folder.path(), call, &format!("./new/../meshes/../{input}"), what);
+            assert_call_refused(folder.path(), call, &at(input).display().to_string(), what);
             let link = format!("link-{number}-{name}");
             symlink(at(input), at(&link)).expect("a link");
-            refused(folder.path(), call, &link, what);
+            assert_call_refused(folder.path(), call, &link, what);
             // If only names count, a different name is a different file, which is replaced.
             if what == "which would be lost" || what.is_empty() {
                 let hard = format!("hard-{number}-{name}");
                 fs::hard_link(at(input), at(&hard)).expect("a link");
-                refused(folder.path(), call, &hard, what);
+                assert_call_refused(folder.path(), call, &hard, what);
             }
         }
     }
@@ -239,7 +239,7 @@ fn no_output_is_an_input() {
 
 /// Every output of a call that reads a log, with `LOG` as the log; for a folder, a file that is written
 /// into it.
-const OF_LOGS: &[(&str, Option<&str>)] = &[
+const LOG_CALLS: &[(&str, Option<&str>)] = &[
     ("audit LOG --output OUT", None),
     ("audit LOG --format json --output OUT", None),
     ("audit LOG --format json --format html --output OUT", Some("report.json")),
@@ -251,7 +251,7 @@ const OF_LOGS: &[(&str, Option<&str>)] = &[
 ];
 
 /// Fleets, and reports on the folder `FOLDER`, in which the log is.
-const OF_FLEETS: &[(&str, Option<&str>)] = &[
+const FLEET_CALLS: &[(&str, Option<&str>)] = &[
     ("fleet LOG --out fleet --output OUT", None),
     ("fleet LOG --out fleet --pending --output OUT", None),
     ("fleet report FOLDER --output OUT", None),
@@ -259,7 +259,7 @@ const OF_FLEETS: &[(&str, Option<&str>)] = &[
 ];
 
 /// Logs that are folders, parts of a file, or have companion files, and the files that are read with each.
-const LOGS: &[(&str, &[&str])] = &[
+const LOGS_AND_FILES: &[(&str, &[&str])] = &[
     ("a.lerobot", &["a.lerobot/meta/info.json", EPISODE]),
     ("a.lerobot#1", &["a.lerobot/meta/info.json", EPISODE]),
     (EPISODE, &["a.lerobot/meta/info.json", EPISODE]),
@@ -274,11 +274,11 @@ const LOGS: &[(&str, &[&str])] = &[
 const EPISODE: &str = "a.lerobot/data/chunk-000/episode_000000.parquet";
 
 /// A folder with these logs, valid as far as their type detection.
-fn logs() -> TempDir {
-    let folder = inputs();
+fn folder_with_logs() -> TempDir {
+    let folder = folder_with_inputs();
     // The header of an empty record.
     let record = [&[0; 8][..], &[41, 3, 152, 7]].concat();
-    for file in LOGS.iter().flat_map(|(_, files)| files.iter()) {
+    for file in LOGS_AND_FILES.iter().flat_map(|(_, files)| files.iter()) {
         let content: &[u8] = match *file {
             "a.zarr/.zgroup" => b"{\"zarr_format\": 2}",
             "a.lerobot/meta/info.json" => b"{}",
@@ -294,11 +294,11 @@ fn logs() -> TempDir {
 }
 
 #[test]
-fn no_output_is_a_file_of_a_log_at_any_depth() {
-    let folder = logs();
+fn no_output_overwrites_a_file_of_a_log_at_any_depth() {
+    let folder = folder_with_logs();
     let at = |name: &str| folder.path().join(name);
-    for (number, (args, file)) in OF_LOGS.iter().chain(OF_FLEETS).enumerate() {
-        for (log, files) in LOGS {
+    for (number, (args, file)) in LOG_CALLS.iter().chain(FLEET_CALLS).enumerate() {
+        for (log, files) in LOGS_AND_FILES {
             let path = Path::new(log);
             let parent = path.parent().filter(|parent| *parent != Path::new(""));
             let of_file = parent.unwrap_or(Path::new("."));
@@ -333,22 +333,22 @@ fn no_output_is_a_file_of_a_log_at_any_depth() {
                         symlink(at(input), at(&soft).join(file)).expect("a link");
                     }
                     None => {
-                        refused(folder.path(), &call, input, why);
+                        assert_call_refused(folder.path(), &call, input, why);
                         fs::hard_link(at(input), at(&hard)).expect("a link");
                         symlink(at(input), at(&soft)).expect("a link");
                     }
                 }
-                refused(folder.path(), &call, &hard, why);
-                refused(folder.path(), &call, &soft, why);
+                assert_call_refused(folder.path(), &call, &hard, why);
+                assert_call_refused(folder.path(), &call, &soft, why);
             }
         }
     }
 }
 
 #[test]
-fn nothing_is_added_to_a_folder_that_is_a_log() {
-    let folder = logs();
-    for (args, file) in OF_LOGS {
+fn nothing_is_written_into_a_folder_that_is_a_log() {
+    let folder = folder_with_logs();
+    for (args, file) in LOG_CALLS {
         for (log, inside) in [
             ("a.lerobot", "a.lerobot/data/chunk-000"),
             (EPISODE, "a.lerobot/data/chunk-000"),
@@ -358,7 +358,7 @@ fn nothing_is_added_to_a_folder_that_is_a_log() {
             let args = args.replace("LOG", log);
             let call = Call { args: args.leak(), inputs: &[], file: *file };
             let out = if file.is_some() { inside.to_owned() } else { format!("{inside}/new") };
-            refused(folder.path(), &call, &out, "would become part of it");
+            assert_call_refused(folder.path(), &call, &out, "would become part of it");
         }
     }
     // A config is allowed there, but a report on results must not replace a table.
@@ -368,28 +368,28 @@ fn nothing_is_added_to_a_folder_that_is_a_log() {
     assert!(!String::from_utf8_lossy(&output.stderr).contains("part of it"));
     let results = Call { args: "fleet report a.lerobot --output OUT", inputs: &[], file: None };
     for out in [EPISODE, "a.lerobot/new.html"] {
-        refused(folder.path(), &results, out, "would become part of it");
+        assert_call_refused(folder.path(), &results, out, "would become part of it");
     }
 }
 
 #[test]
-fn a_report_on_a_wrong_config_takes_the_place_of_no_input() {
-    let folder = inputs();
+fn a_report_on_an_invalid_config_overwrites_no_input() {
+    let folder = folder_with_inputs();
     fs::write(folder.path().join("poseaudit.toml"), "no config").expect("a file");
     let call = &CALLS[1];
-    for input in OF_AUDIT {
-        refused(folder.path(), call, input, "which would be lost");
+    for input in AUDIT_INPUTS {
+        assert_call_refused(folder.path(), call, input, "which would be lost");
     }
     fs::write(folder.path().join("poseaudit.toml"), "robot = \"named.toml\"\n").expect("a file");
     fs::write(folder.path().join("named.toml"), "named").expect("a file");
     let named =
         Call { args: "audit run.mcap --config poseaudit.toml --format json --output OUT", ..*call };
-    refused(folder.path(), &named, "named.toml", "which would be lost");
+    assert_call_refused(folder.path(), &named, "named.toml", "which would be lost");
 }
 
 #[test]
-fn no_two_outputs_are_one() {
-    let folder = inputs();
+fn two_outputs_at_the_same_path_are_refused() {
+    let folder = folder_with_inputs();
     for (args, part) in [
         ("audit run.mcap --rrd x --output OUT", "x"),
         ("audit run.mcap --rrd x --output OUT", "./new/../x"),
@@ -401,13 +401,13 @@ fn no_two_outputs_are_one() {
         ("fleet run.mcap --out results --output OUT", "results/runs/new.parquet"),
     ] {
         let call = Call { args, inputs: &[], file: None };
-        refused(folder.path(), &call, part, "is written there too");
+        assert_call_refused(folder.path(), &call, part, "is written there too");
     }
 }
 
 #[test]
-fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
-    let folder = inputs();
+fn folders_linked_files_and_read_only_files_are_not_replaced() {
+    let folder = folder_with_inputs();
     let at = |name: &str| folder.path().join(name);
     fs::create_dir_all(at("folder/inside")).expect("a folder");
     fs::write(at("file"), "mine").expect("a file");
@@ -415,27 +415,27 @@ fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
     fs::set_permissions(at("kept"), Permissions::from_mode(0o444)).expect("permissions");
     for (number, call) in CALLS.iter().enumerate() {
         let is_init = call.args.starts_with("init");
-        let or_there = |what| if is_init { "exists already" } else { what };
+        let expected_part = |what| if is_init { "exists already" } else { what };
         if let Some(file) = call.file {
-            refused(folder.path(), call, "file", "folder");
+            assert_call_refused(folder.path(), call, "file", "folder");
             let out = format!("out-{number}");
             fs::create_dir(at(&out)).expect("a folder");
             fs::copy(at("kept"), at(&out).join(file)).expect("a copy");
-            refused(folder.path(), call, &out, "is read-only");
+            assert_call_refused(folder.path(), call, &out, "is read-only");
             continue;
         }
-        refused(folder.path(), call, "folder", or_there("is a folder"));
-        refused(folder.path(), call, "file/new", "file is not a folder");
-        refused(folder.path(), call, "kept", or_there("is read-only"));
+        assert_call_refused(folder.path(), call, "folder", expected_part("is a folder"));
+        assert_call_refused(folder.path(), call, "file/new", "file is not a folder");
+        assert_call_refused(folder.path(), call, "kept", expected_part("is read-only"));
         let link = format!("folder/link-{number}");
         symlink(at("file"), at(&link)).expect("a link");
-        refused(folder.path(), call, &link, or_there("outside its folder"));
+        assert_call_refused(folder.path(), call, &link, expected_part("outside its folder"));
     }
 }
 
 #[test]
-fn stdout_that_leads_to_an_input_is_refused() {
-    let folder = inputs();
+fn stdout_redirected_into_an_input_is_refused() {
+    let folder = folder_with_inputs();
     let path = folder.path().join("run.mcap");
     let before = fs::read(&path).expect("the log");
     for call in [
@@ -453,7 +453,7 @@ fn stdout_that_leads_to_an_input_is_refused() {
 }
 
 /// Calls that write, with their actual inputs.
-const WRITERS: &[&str] = &[
+const WRITING_CALLS: &[&str] = &[
     "audit LOG --select ING --output OUT/new",
     "audit LOG --select ING --format json --format html --output OUT",
     "audit LOG --select ING --rrd OUT/new",
@@ -470,24 +470,24 @@ const WRITERS: &[&str] = &[
     "man --output OUT",
 ];
 
-fn writers(folder: &Path, out: &str) -> Vec<Vec<String>> {
+fn writing_calls(folder: &Path, out: &str) -> Vec<Vec<String>> {
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap");
     let joints = "shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,\
                   wrist_3_joint\n0,0,0,0,0,0\n";
     fs::write(folder.join("q.csv"), joints).expect("a file");
     let log = log.display().to_string();
-    WRITERS.iter().map(|call| args(&call.replace("LOG", &log), out)).collect()
+    WRITING_CALLS.iter().map(|call| args(&call.replace("LOG", &log), out)).collect()
 }
 
 #[test]
-fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
+fn a_full_disk_and_an_unwritable_folder_change_no_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let results = args("fleet LOG --select ING --out results", "");
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap");
     let results = results.iter().map(|arg| arg.replace("LOG", &log.display().to_string()));
-    let made = poseaudit(folder.path(), &results.collect::<Vec<_>>()).output().expect("it runs");
-    assert!(made.status.code().is_some_and(|code| code < 2));
-    for call in writers(folder.path(), "old") {
+    let fleet = poseaudit(folder.path(), &results.collect::<Vec<_>>()).output().expect("it runs");
+    assert!(fleet.status.code().is_some_and(|code| code < 2));
+    for call in writing_calls(folder.path(), "old") {
         let old = folder.path().join("old");
         fs::create_dir_all(&old).expect("a folder");
         let is_init = call[0] == "init";
@@ -495,10 +495,10 @@ fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
             fs::write(old.join("new"), "as it was").expect("a file");
             fs::write(old.join("new.csv"), "as it was").expect("a file");
         }
-        let before = content(folder.path());
+        let before = hash_files(folder.path());
         let mut command = poseaudit(folder.path(), &call);
         // Simulates a full disk: no file can have a byte.
-        let full = || {
+        let forbid_writing = || {
             let none = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
             // SAFETY: both calls affect only this process, and are allowed between fork and exec.
             let set = unsafe {
@@ -508,21 +508,21 @@ fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
             if set == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
         };
         // SAFETY: see above.
-        let output = unsafe { command.pre_exec(full) }.output().expect("the binary runs");
-        assert_only_unwritten(&output, "File too large", &call);
-        assert_eq!(content(folder.path()), before, "{call:?}");
+        let output = unsafe { command.pre_exec(forbid_writing) }.output().expect("the binary runs");
+        assert_output_refused(&output, "File too large", &call);
+        assert_eq!(hash_files(folder.path()), before, "{call:?}");
         fs::remove_dir_all(&old).expect("a folder");
     }
-    for call in writers(folder.path(), "/proc/none") {
-        let before = content(folder.path());
+    for call in writing_calls(folder.path(), "/proc/none") {
+        let before = hash_files(folder.path());
         let output = poseaudit(folder.path(), &call).output().expect("the binary runs");
-        assert_only_unwritten(&output, "/proc/none", &call);
-        assert_eq!(content(folder.path()), before, "{call:?}");
+        assert_output_refused(&output, "/proc/none", &call);
+        assert_eq!(hash_files(folder.path()), before, "{call:?}");
     }
 }
 
 #[test]
-fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
+fn an_interrupted_call_leaves_no_partial_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
     fs::write(folder.path().join("run.rrd"), "as it was").expect("a file");
@@ -536,13 +536,13 @@ fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
         let interrupted = (0..20).find_map(|_| {
             let mut command = poseaudit(folder.path(), &call);
             // The parent may have set this signal to be ignored, as a shell does for background jobs.
-            let taken = move || {
+            let reset_signal = move || {
                 // SAFETY: the call only resets the signal in the child.
                 unsafe { libc::signal(signal, libc::SIG_DFL) };
                 Ok(())
             };
             // SAFETY: a single async-signal-safe call runs between fork and exec.
-            let command = unsafe { command.pre_exec(taken) };
+            let command = unsafe { command.pre_exec(reset_signal) };
             let mut child = command.stdout(Stdio::null()).spawn().expect("the binary runs");
             let pid = i32::try_from(child.id()).expect("a process");
             let mut status = None;
@@ -560,7 +560,7 @@ fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
 }
 
 #[test]
-fn the_same_log_makes_the_same_recording() {
+fn the_same_log_gives_the_same_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/faulty.mcap");
     let recordings = ["a.rrd", "b.rrd"].map(|name| {
@@ -573,7 +573,7 @@ fn the_same_log_makes_the_same_recording() {
 }
 
 #[test]
-fn a_temporary_folder_that_takes_no_file_is_named() {
+fn an_unwritable_temporary_folder_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap"));
     let packed = zstd::bulk::compress(&log.expect("the fixture"), 1).expect("memory");

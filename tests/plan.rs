@@ -9,7 +9,7 @@ use crate::program::{poseaudit, status, stderr, stdout};
 
 const AROUND: &str = "--around=0,-1.57,1.57,-1.2,-1.57,0.3";
 
-fn planned(folder: &Path, name: &str, purpose: &str) -> (String, String) {
+fn write_plan(folder: &Path, name: &str, purpose: &str) -> (String, String) {
     let path = folder.join(name).display().to_string();
     let output = poseaudit(&[
         "plan",
@@ -26,20 +26,20 @@ fn planned(folder: &Path, name: &str, purpose: &str) -> (String, String) {
     (path, stdout(&output).to_owned())
 }
 
-fn checked(path: &str, more: &[&str]) -> (i32, Value) {
+fn check_motion(path: &str, more: &[&str]) -> (i32, Value) {
     let call = [&["plan", "ur5e", "--check", path, "--format", "json"], more].concat();
     let output = poseaudit(&call);
-    let said = serde_json::from_slice(&output.stdout);
-    (status(&output), said.unwrap_or_else(|error| panic!("{error}: {}", stderr(&output))))
+    let report = serde_json::from_slice(&output.stdout);
+    (status(&output), report.unwrap_or_else(|error| panic!("{error}: {}", stderr(&output))))
 }
 
 #[test]
-fn every_form_is_read_back_as_what_was_written() {
+fn every_plan_format_is_read_back_unchanged() {
     let folder = tempfile::tempdir().expect("a folder");
-    let halves = ["csv", "json", "yaml"].map(|form| {
-        let (path, said) = planned(folder.path(), &format!("motion.{form}"), "latency");
-        assert!(said.contains("NO COLLISION CHECKING"), "{said}");
-        let (status, checked) = checked(&path, &["--for", "latency"]);
+    let half_widths = ["csv", "json", "yaml"].map(|form| {
+        let (path, text) = write_plan(folder.path(), &format!("motion.{form}"), "latency");
+        assert!(text.contains("NO COLLISION CHECKING"), "{text}");
+        let (status, checked) = check_motion(&path, &["--for", "latency"]);
         assert_eq!(status, 0, "{checked}");
         assert_eq!(checked["beyond"], Value::Array(Vec::new()));
         assert_eq!(checked["too_near"], Value::Null);
@@ -48,23 +48,23 @@ fn every_form_is_read_back_as_what_was_written() {
     let text = fs::read_to_string(folder.path().join("motion.json")).expect("the plan");
     let plan: Value = serde_json::from_str(&text).expect("JSON");
     let promised = plan["expected"][0]["half_95"].as_f64().expect("a number");
-    for half in halves {
-        assert!((half / promised - 1.0).abs() < 0.02, "{half} {promised}");
+    for half_width in half_widths {
+        assert!((half_width / promised - 1.0).abs() < 0.02, "{half_width} {promised}");
     }
     assert!(plan["gain"]["over_random_phases"].as_f64() > Some(1.5), "{}", plan["gain"]);
     assert!(plan["gain"]["over_one_joint_at_a_time"].as_f64() > Some(1.5), "{}", plan["gain"]);
 }
 
 #[test]
-fn the_same_call_writes_the_same_bytes() {
+fn the_same_call_writes_the_same_plan() {
     let folder = tempfile::tempdir().expect("a folder");
     let [one, other] = ["one.csv", "other.csv"]
-        .map(|name| fs::read(planned(folder.path(), name, "zeros").0).expect("a motion"));
+        .map(|name| fs::read(write_plan(folder.path(), name, "zeros").0).expect("a motion"));
     assert_eq!(one, other);
 }
 
 #[test]
-fn a_motion_beyond_its_limits_is_named_with_the_joint_and_fails() {
+fn a_motion_beyond_joint_limits_fails_and_names_the_joint() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("fast.csv").display().to_string();
     let mut text =
@@ -77,21 +77,21 @@ fn a_motion_beyond_its_limits_is_named_with_the_joint_and_fails() {
         text += &format!("{t_s},{pan},-1.57,1.57,-1.2,-1.57,0.3\n");
     }
     fs::write(&path, text).expect("a file");
-    let (status, said) = checked(&path, &[]);
+    let (status, report) = check_motion(&path, &[]);
     assert_eq!(status, 1);
-    let beyond = said["beyond"].as_array().expect("a list");
+    let beyond = report["beyond"].as_array().expect("a list");
     let found: Vec<_> =
         beyond.iter().map(|it| (it["joint"].as_str(), it["what"].as_str())).collect();
     let pan = Some("shoulder_pan_joint");
     assert_eq!(found, [(pan, Some("speed")), (pan, Some("acceleration"))]);
     // The model's own speed limit applies in any case.
-    assert_eq!(checked(&path, &["--acceleration", "25", "--speed", "3"]).0, 1);
-    let fold = poseaudit(&["plan", "ur5e", "--check", &path, "--floor", "0.5"]);
-    assert!(status == 1 && stdout(&fold).contains("TOO CLOSE"), "{}", stdout(&fold));
+    assert_eq!(check_motion(&path, &["--acceleration", "25", "--speed", "3"]).0, 1);
+    let folded = poseaudit(&["plan", "ur5e", "--check", &path, "--floor", "0.5"]);
+    assert!(status == 1 && stdout(&folded).contains("TOO CLOSE"), "{}", stdout(&folded));
 }
 
 #[test]
-fn what_cannot_be_planned_ends_in_one_line_with_2() {
+fn an_impossible_plan_gives_one_line_and_exits_with_2() {
     for (call, part) in [
         (&["plan", "ur5e", "--around", "0,-1.57,3.5,-1.2,-1.57,0"][..], "elbow_joint is at 3.5000"),
         (&["plan", "ur5e", "--around", "0,0,0"], "given for 6 joints"),
@@ -112,9 +112,9 @@ fn what_cannot_be_planned_ends_in_one_line_with_2() {
 }
 
 #[test]
-fn a_program_for_their_arms_begins_only_where_the_arm_stands() {
+fn a_urscript_program_starts_only_at_the_planned_position() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (path, _) = planned(folder.path(), "zeros.script", "zeros");
+    let (path, _) = write_plan(folder.path(), "zeros.script", "zeros");
     let text = fs::read_to_string(path).expect("a program");
     for part in ["# NO COLLISION CHECKING", "def poseaudit_plan():", "halt", "servoj(posture(t)"] {
         assert!(text.contains(part), "{part}");
@@ -126,7 +126,7 @@ fn a_program_for_their_arms_begins_only_where_the_arm_stands() {
 }
 
 #[test]
-fn what_an_audit_could_not_tell_ends_in_a_call_that_runs() {
+fn inconclusive_audits_suggest_plan_calls_that_run() {
     let output = poseaudit(&["audit", "fixtures/few_views.mcap", "--fail-on", "never"]);
     let text = stdout(&output).to_owned();
     let calls: Vec<&str> =

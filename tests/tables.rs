@@ -21,11 +21,11 @@ pub(crate) const STEP_S: f64 = 0.02;
 #[derive(Clone, Copy)]
 pub(crate) struct Table {
     /// Latency of the poses, s.
-    pub late_s: f64,
+    pub latency_s: f64,
     /// Offset of the logged elbow, rad.
-    pub elbow: f64,
+    pub elbow_offset_rad: f64,
     /// Factor of joint positions.
-    pub unit: f64,
+    pub joint_factor: f64,
     /// Whether rotations are logged as roll, pitch, yaw.
     pub rpy: bool,
     /// Whether the table has poses.
@@ -33,7 +33,7 @@ pub(crate) struct Table {
 }
 
 pub(crate) const CLEAN: Table =
-    Table { late_s: 0.0, elbow: 0.0, unit: 1.0, rpy: false, poses: true };
+    Table { latency_s: 0.0, elbow_offset_rad: 0.0, joint_factor: 1.0, rpy: false, poses: true };
 
 pub(crate) fn ur5e() -> Chain {
     let robot = catalogue::find("ur5e").expect("in the catalogue");
@@ -43,7 +43,7 @@ pub(crate) fn ur5e() -> Chain {
 }
 
 /// Joint positions at a time; each joint moves at a different rate.
-fn q(t_s: f64) -> [f64; JOINTS] {
+fn joint_positions(t_s: f64) -> [f64; JOINTS] {
     const RATES: [f64; JOINTS] = [0.11, 0.17, 0.23, 0.31, 0.37, 0.43];
     std::array::from_fn(|joint| {
         let turn = TAU * RATES[joint] * t_s;
@@ -56,11 +56,11 @@ impl Table {
         let chain = ur5e();
         let row = |row: usize| {
             let t_s = row as f64 * STEP_S;
-            let mut logged = q(t_s);
-            logged[2] += self.elbow;
+            let mut logged = joint_positions(t_s);
+            logged[2] += self.elbow_offset_rad;
             let mut numbers = vec![t_s];
-            numbers.extend(logged.map(|q| q * self.unit));
-            let pose: Pose = chain.forward(&q(t_s - self.late_s));
+            numbers.extend(logged.map(|q| q * self.joint_factor));
+            let pose: Pose = chain.forward(&joint_positions(t_s - self.latency_s));
             if self.poses {
                 // Half of the rounding of a controller's poses.
                 let noise = 1e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
@@ -96,16 +96,16 @@ impl Table {
 }
 
 /// A run of a UR5e with a zero offset of the elbow, as a table.
-pub fn csv_of_ur5e(elbow: f64) -> String {
-    Table { elbow, ..CLEAN }.text("q")
+pub fn csv_of_ur5e_with_elbow_offset(elbow_offset_rad: f64) -> String {
+    Table { elbow_offset_rad, ..CLEAN }.text("q")
 }
 
-fn audited(table: &Table, robot: Option<&str>) -> Report {
+fn report_on_table(table: &Table, robot: Option<&str>) -> Report {
     let folder = tempfile::tempdir().expect("a folder");
-    report(&table.csv("q", folder.path()), robot, ColumnSettings::default()).expect("a report")
+    audit_table(&table.csv("q", folder.path()), robot, ColumnSettings::default()).expect("a report")
 }
 
-pub(crate) fn report(
+pub(crate) fn audit_table(
     path: &Path,
     robot: Option<&str>,
     columns: ColumnSettings,
@@ -117,14 +117,14 @@ pub(crate) fn report(
     audit(&options).map(poseaudit::Audited::into_report)
 }
 
-pub(crate) fn amount(report: &Report, code: &str) -> f64 {
+pub(crate) fn value_of(report: &Report, code: &str) -> f64 {
     let found: Vec<&Finding> =
         report.findings.iter().filter(|finding| finding.code == code).collect();
     let [only] = found.as_slice() else { panic!("{code} in {:?}", report.findings) };
     only.estimate.as_ref().and_then(|estimate| estimate.value()).expect("an amount")
 }
 
-pub(crate) fn causes(report: &Report) -> Vec<&str> {
+pub(crate) fn fault_codes(report: &Report) -> Vec<&str> {
     let above = report
         .findings
         .iter()
@@ -133,10 +133,10 @@ pub(crate) fn causes(report: &Report) -> Vec<&str> {
 }
 
 #[test]
-fn a_sound_table_passes_and_its_arm_is_found() {
-    let report = audited(&CLEAN, None);
+fn a_fault_free_table_passes_and_its_arm_is_identified() {
+    let report = report_on_table(&CLEAN, None);
     assert_eq!(
-        (report.verdict, causes(&report)),
+        (report.verdict, fault_codes(&report)),
         (Verdict::Pass, Vec::new()),
         "{:?}",
         report.findings
@@ -145,27 +145,30 @@ fn a_sound_table_passes_and_its_arm_is_found() {
 }
 
 #[test]
-fn planted_faults_are_named_with_their_amounts() {
+fn planted_faults_are_found_with_their_values() {
     for rpy in [false, true] {
-        let late = audited(&Table { late_s: 0.06, rpy, ..CLEAN }, Some("ur5e"));
-        assert_eq!(causes(&late), ["LAT001"]);
-        assert!((amount(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", amount(&late, "LAT001"));
-        let zero = audited(&Table { elbow: -0.5_f64.to_radians(), rpy, ..CLEAN }, Some("ur5e"));
-        assert_eq!(causes(&zero), ["ZER001"]);
+        let late = report_on_table(&Table { latency_s: 0.06, rpy, ..CLEAN }, Some("ur5e"));
+        assert_eq!(fault_codes(&late), ["LAT001"]);
+        assert!((value_of(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", value_of(&late, "LAT001"));
+        let zero = report_on_table(
+            &Table { elbow_offset_rad: -0.5_f64.to_radians(), rpy, ..CLEAN },
+            Some("ur5e"),
+        );
+        assert_eq!(fault_codes(&zero), ["ZER001"]);
         assert!(
-            (amount(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01,
+            (value_of(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01,
             "{}",
-            amount(&zero, "ZER001")
+            value_of(&zero, "ZER001")
         );
     }
 }
 
 /// Positions alone violate no convention of rotations or units, in any format.
 #[test]
-fn positions_without_rotations_are_audited_as_such() {
+fn poses_without_rotations_are_audited() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.csv");
-    let of = |table: Table, metres: f64, robot: Option<&str>| {
+    let report_of = |table: Table, metres: f64, robot: Option<&str>| {
         let mut text = "time,q1,q2,q3,q4,q5,q6,x,y,z".to_owned();
         for mut row in table.rows() {
             row.truncate(1 + JOINTS + 3);
@@ -174,28 +177,29 @@ fn positions_without_rotations_are_audited_as_such() {
             write!(text, "\n{}", cells.join(",")).expect("text");
         }
         fs::write(&path, text).expect("a file");
-        report(&path, robot, ColumnSettings::default()).expect("a report")
+        audit_table(&path, robot, ColumnSettings::default()).expect("a report")
     };
     for robot in [None, Some("ur5e")] {
-        let sound = of(CLEAN, 1.0, robot);
+        let sound = report_of(CLEAN, 1.0, robot);
         assert_eq!(sound.verdict, Verdict::Pass, "{:?}", sound.findings);
         assert!(sound.findings.is_empty(), "{:?}", sound.findings);
     }
-    let millimetres = of(CLEAN, 1e-3, Some("ur5e"));
-    let said: Vec<_> =
+    let millimetres = report_of(CLEAN, 1e-3, Some("ur5e"));
+    let found: Vec<_> =
         millimetres.findings.iter().map(|it| (it.code, it.title.to_string())).collect();
-    assert_eq!(said, [("ORD001", "encoding of undeclared numbers was inferred".to_owned())]);
+    assert_eq!(found, [("ORD001", "encoding of undeclared numbers was inferred".to_owned())]);
     assert_eq!(millimetres.verdict, Verdict::Pass);
-    let late = of(Table { late_s: 0.06, ..CLEAN }, 1.0, Some("ur5e"));
-    assert_eq!(causes(&late), ["LAT001"]);
-    assert!((amount(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", amount(&late, "LAT001"));
-    let zero = of(Table { elbow: -0.5_f64.to_radians(), ..CLEAN }, 1.0, Some("ur5e"));
-    assert_eq!(causes(&zero), ["ZER001"]);
-    assert!((amount(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01);
+    let late = report_of(Table { latency_s: 0.06, ..CLEAN }, 1.0, Some("ur5e"));
+    assert_eq!(fault_codes(&late), ["LAT001"]);
+    assert!((value_of(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", value_of(&late, "LAT001"));
+    let zero =
+        report_of(Table { elbow_offset_rad: -0.5_f64.to_radians(), ..CLEAN }, 1.0, Some("ur5e"));
+    assert_eq!(fault_codes(&zero), ["ZER001"]);
+    assert!((value_of(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01);
 }
 
 #[test]
-fn names_in_another_order_than_a_pose_tells_are_named() {
+fn joint_names_in_an_order_that_contradicts_the_poses_are_a_finding() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.csv");
     let names = ur5e().joint_names().to_vec();
@@ -206,15 +210,15 @@ fn names_in_another_order_than_a_pose_tells_are_named() {
         let rows = text.split_once('\n').expect("rows").1;
         let header = format!("time,{},x,y,z,qx,qy,qz,qw", names.join(","));
         fs::write(&path, format!("{header}\n{rows}")).expect("a file");
-        let report = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
-        assert_eq!(causes(&report), expected, "{:?}", report.findings);
+        let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+        assert_eq!(fault_codes(&report), expected, "{:?}", report.findings);
     }
 }
 
 /// KUKA's RSI logs measured and commanded tool poses, but no joints.
 #[test]
-fn a_tool_that_follows_its_command_is_said_without_an_arm() {
-    const LATE: usize = 3;
+fn the_delay_of_a_tool_behind_its_command_is_noted_without_an_arm() {
+    const DELAY_ROWS: usize = 3;
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.csv");
     // It moves for 10 s, rests and moves again; at rest it is 0.2 off its command.
@@ -227,43 +231,48 @@ fn a_tool_that_follows_its_command_is_said_without_an_arm() {
         "time,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,X_RSol,Y_RSol,Z_RSol,A_RSol,B_RSol,C_RSol"
             .to_owned();
     for row in 0..1200 {
-        let ([x, y, z], [a, b, c]) = (at(row), at(row + LATE));
+        let ([x, y, z], [a, b, c]) = (at(row), at(row + DELAY_ROWS));
         let t_s = row as f64 * STEP_S;
         write!(text, "\n{t_s:.3},{:.4},{y:.4},{z:.4},0,1,2,{a:.4},{b:.4},{c:.4},0,1,2", x + 0.2)
             .expect("text");
     }
     fs::write(&path, text).expect("a file");
-    let report = report(&path, None, ColumnSettings::default()).expect("a report");
+    let report = audit_table(&path, None, ColumnSettings::default()).expect("a report");
     let notes: String = report.log.notes.iter().map(|note| note.note.as_str()).collect();
-    for said in ["X_RIst follows X_RSol by 60 ms; offset at rest +0.200", "Z_RIst follows"] {
-        assert!(notes.contains(said), "{said}: {notes}");
+    for expected in ["X_RIst follows X_RSol by 60 ms; offset at rest +0.200", "Z_RIst follows"] {
+        assert!(notes.contains(expected), "{expected}: {notes}");
     }
 }
 
 #[test]
-fn degrees_are_read_as_such_and_said() {
-    let degrees =
-        Table { unit: 1_f64.to_degrees(), elbow: -0.5_f64.to_radians(), rpy: true, ..CLEAN };
+fn joints_in_degrees_are_converted_and_noted() {
+    let degrees = Table {
+        joint_factor: 1_f64.to_degrees(),
+        elbow_offset_rad: -0.5_f64.to_radians(),
+        rpy: true,
+        ..CLEAN
+    };
     for robot in [None, Some("ur5e")] {
-        let report = audited(&degrees, robot);
-        assert_eq!(causes(&report), ["ZER001"], "{:?}", report.findings);
+        let report = report_on_table(&degrees, robot);
+        assert_eq!(fault_codes(&report), ["ZER001"], "{:?}", report.findings);
         let joints = report.streams.iter().find(|stream| stream.role == "joints").expect("joints");
         assert!(joints.reason.contains("taken for degrees"), "{}", joints.reason);
     }
 }
 
 #[test]
-fn shares_of_the_range_are_no_degrees() {
-    let shares = Table { unit: 100.0 / 3.0, ..CLEAN };
-    let report = audited(&shares, Some("ur5e"));
-    assert_eq!(causes(&report), ["ORD009"], "{:?}", report.findings);
+fn joints_in_percent_are_not_taken_for_degrees() {
+    let shares = Table { joint_factor: 100.0 / 3.0, ..CLEAN };
+    let report = report_on_table(&shares, Some("ur5e"));
+    assert_eq!(fault_codes(&report), ["ORD009"], "{:?}", report.findings);
 }
 
 #[test]
-fn a_unit_that_no_pose_shows_is_left_open() {
-    let report = audited(&Table { unit: 40.0, poses: false, ..CLEAN }, Some("ur5e"));
+fn without_a_pose_the_unit_of_joints_is_inconclusive() {
+    let report =
+        report_on_table(&Table { joint_factor: 40.0, poses: false, ..CLEAN }, Some("ur5e"));
     assert_eq!(
-        (causes(&report), report.verdict),
+        (fault_codes(&report), report.verdict),
         (Vec::new(), Verdict::Inconclusive),
         "{:?}",
         report.findings
@@ -276,7 +285,7 @@ fn a_unit_that_no_pose_shows_is_left_open() {
 }
 
 #[test]
-fn a_table_that_fits_no_arm_is_a_question() {
+fn a_table_that_fits_no_arm_is_an_error_that_asks_for_the_robot() {
     // An arm with poses scaled by 1.3 matches no catalogue arm.
     let folder = tempfile::tempdir().expect("a folder");
     let mut text = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
@@ -290,7 +299,7 @@ fn a_table_that_fits_no_arm_is_a_question() {
     }
     let path = folder.path().join("run.csv");
     fs::write(&path, text).expect("a file");
-    let report = report(&path, None, ColumnSettings::default()).expect("a report");
+    let report = audit_table(&path, None, ColumnSettings::default()).expect("a report");
     let error = report.error.as_ref().expect("a question");
     assert!(
         error.what.contains("does not name its 6 joints") && error.remedy.contains("--robot"),
@@ -299,28 +308,28 @@ fn a_table_that_fits_no_arm_is_a_question() {
 }
 
 #[test]
-fn metadata_that_the_stamps_contradict_are_a_finding() {
+fn a_declared_rate_that_contradicts_the_stamps_is_a_finding() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/log/tables/fixtures");
     let status = |report: &Report| {
         let row = report.checks.iter().find(|row| row.code == "META001").expect("it is asked");
         row.status
     };
-    let of = |file: &str| {
-        report(&folder.join(file), Some("ur5e"), ColumnSettings::default()).expect("a report")
+    let report_of = |file: &str| {
+        audit_table(&folder.join(file), Some("ur5e"), ColumnSettings::default()).expect("a report")
     };
     // Its stamps match the declared 25 Hz.
-    assert_eq!(status(&of("chunked_latest.h5")), Status::Pass);
-    let wrong = of("wrong_rate.h5");
+    assert_eq!(status(&report_of("chunked_latest.h5")), Status::Pass);
+    let wrong = report_of("wrong_rate.h5");
     assert_eq!(status(&wrong), Status::Fail);
     let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
     let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
     assert!(message.contains("declares 40 frames") && message.contains("25.0000"), "{message}");
     // Even without metadata, numbers may contradict column names.
-    assert_eq!(status(&audited(&CLEAN, None)), Status::Pass);
+    assert_eq!(status(&report_on_table(&CLEAN, None)), Status::Pass);
 }
 
 #[test]
-fn columns_without_names_can_be_said() {
+fn columns_without_names_can_be_declared() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.npy");
     let rows = CLEAN.rows();
@@ -331,26 +340,31 @@ fn columns_without_names_can_be_said() {
     rows.iter().flatten().for_each(|number| bytes.extend(number.to_le_bytes()));
     fs::write(&path, bytes).expect("a file");
     let select = |text: &str| vec![text.parse().expect("a selector")];
-    let said = ColumnSettings {
+    let declared = ColumnSettings {
         rate_hz: Some(1.0 / STEP_S),
         joints: select("array[1:7]"),
         pose: select("array[7:14]"),
         ..ColumnSettings::default()
     };
-    let found = report(&path, Some("ur5e"), said).expect("a report");
+    let found = audit_table(&path, Some("ur5e"), declared).expect("a report");
     assert_eq!(
-        (found.verdict, causes(&found)),
+        (found.verdict, fault_codes(&found)),
         (Verdict::Pass, Vec::new()),
         "{:?}",
         found.findings
     );
     // Its first number increases in even steps: the times.
-    let told = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
-    assert_eq!((told.verdict, causes(&told)), (Verdict::Pass, Vec::new()), "{:?}", told.findings);
+    let detected = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert_eq!(
+        (detected.verdict, fault_codes(&detected)),
+        (Verdict::Pass, Vec::new()),
+        "{:?}",
+        detected.findings
+    );
 }
 
 /// Message of META002 for the edited rows of a sound UR5e.
-fn repeated(
+fn repeated_columns(
     header: &str,
     edit: impl Fn(&[f64]) -> Vec<f64>,
 ) -> Vec<(String, Option<String>, String)> {
@@ -362,7 +376,7 @@ fn repeated(
     }
     let path = folder.path().join("run.csv");
     fs::write(&path, text + "\n").expect("a file");
-    let report = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     let found = report.findings.iter().filter(|finding| finding.code == "META002");
     found
         .map(|found| {
@@ -377,29 +391,33 @@ fn repeated(
 }
 
 #[test]
-fn columns_that_repeat_others_are_named() {
+fn columns_that_repeat_others_are_a_finding() {
     const STATE: &str = "time,q1,q2,q3,q4,q5,q6,tcp_x,tcp_y,tcp_z,tcp_qx,tcp_qy,tcp_qz,tcp_qw";
-    assert_eq!(repeated(STATE, <[f64]>::to_vec), []);
+    assert_eq!(repeated_columns(STATE, <[f64]>::to_vec), []);
     let commands = format!("{STATE},action_q1,action_q2,action_q3,action_q4,action_q5,action_q6");
-    let copied = repeated(&commands, |row| [row, &row[1..7]].concat());
-    let [(_, None, said)] = copied.as_slice() else { panic!("{copied:?}") };
-    assert!(said.starts_with("warning") && said.contains("in every row"), "{said}");
+    let copied = repeated_columns(&commands, |row| [row, &row[1..7]].concat());
+    let [(_, None, message)] = copied.as_slice() else { panic!("{copied:?}") };
+    assert!(message.starts_with("warning") && message.contains("in every row"), "{message}");
     // Commands that lead by a row are not repeats of the states.
-    let ahead = repeated(&commands, |row| [row, &q(row[0] + STEP_S)].concat());
+    let ahead =
+        repeated_columns(&commands, |row| [row, &joint_positions(row[0] + STEP_S)].concat());
     assert_eq!(ahead, []);
     let tracker = format!(
         "{STATE},tracker_x,tracker_y,tracker_z,tracker_qx,tracker_qy,tracker_qz,tracker_qw"
     );
-    let twice = repeated(&tracker, |row| [row, &row[7..]].concat());
-    let [(topic, None, said)] = twice.as_slice() else { panic!("{twice:?}") };
-    assert!(topic == "tracker" && said.contains("not an independent measurement"), "{said}");
-    let still = repeated(&tracker, |row| [row, &[0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]].concat());
-    let [(topic, None, said)] = still.as_slice() else { panic!("{still:?}") };
+    let twice = repeated_columns(&tracker, |row| [row, &row[7..]].concat());
+    let [(topic, None, message)] = twice.as_slice() else { panic!("{twice:?}") };
+    assert!(topic == "tracker" && message.contains("not an independent measurement"), "{message}");
+    let still =
+        repeated_columns(&tracker, |row| [row, &[0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]].concat());
+    let [(topic, None, message)] = still.as_slice() else { panic!("{still:?}") };
     assert!(
-        topic == "tracker" && said.starts_with("info") && said.contains("constant in every row"),
-        "{said}"
+        topic == "tracker"
+            && message.starts_with("info")
+            && message.contains("constant in every row"),
+        "{message}"
     );
-    let joint = repeated(STATE, |row| [&row[..6], &row[5..6], &row[7..]].concat());
-    let [(_, Some(_), said)] = joint.as_slice() else { panic!("{joint:?}") };
-    assert!(said.starts_with("warning") && said.contains("identical to"), "{said}");
+    let joint = repeated_columns(STATE, |row| [&row[..6], &row[5..6], &row[7..]].concat());
+    let [(_, Some(_), message)] = joint.as_slice() else { panic!("{joint:?}") };
+    assert!(message.starts_with("warning") && message.contains("identical to"), "{message}");
 }

@@ -17,20 +17,20 @@ fn import(arguments: &[&str]) -> Output {
     importer.args(arguments).output().expect("the importer runs")
 }
 
-fn holds(bytes: &[u8], part: &str) -> bool {
+fn contains_text(bytes: &[u8], part: &str) -> bool {
     bytes.windows(part.len()).any(|window| window == part.as_bytes())
 }
 
 #[test]
-fn the_importer_adds_the_audit_to_the_recording_that_the_viewer_names() {
+fn the_importer_adds_the_audit_to_the_named_recording() {
     let output = import(&[FAULTY, "--application-id", "an-app", "--recording-id", "rec-4711"]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(output.stdout.starts_with(b"RRF"), "no recording");
-    assert!(holds(&output.stdout, "an-app") && holds(&output.stdout, "rec-4711"));
+    assert!(contains_text(&output.stdout, "an-app") && contains_text(&output.stdout, "rec-4711"));
 }
 
 #[test]
-fn what_is_no_log_with_an_arm_is_left_to_other_importers() {
+fn files_without_an_arm_are_left_to_other_importers() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = folder.path().join("notes.txt");
     fs::write(&text, "nothing\n").expect("a file");
@@ -43,14 +43,14 @@ fn what_is_no_log_with_an_arm_is_left_to_other_importers() {
 }
 
 /// An audit with `--view` and only `folder` on the path.
-fn viewed(folder: &Path, more: &[&str]) -> Output {
+fn audit_with_view(folder: &Path, more: &[&str]) -> Output {
     let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
     audit.env("PATH", folder).args(["audit", FAULTY, "--view"]).args(more);
     audit.output().expect("the program runs")
 }
 
 #[test]
-fn folders_of_meshes_must_be_there_and_be_of_use() {
+fn mesh_folders_must_exist_and_be_used() {
     let folder = tempfile::tempdir().expect("a folder");
     let rrd = folder.path().join("run.rrd").display().to_string();
     let audit = |arguments: &[&str]| {
@@ -64,16 +64,16 @@ fn folders_of_meshes_must_be_there_and_be_of_use() {
         (vec!["--mesh-root", "src", "--mesh-root", FAULTY, "--rrd", &rrd], "not a folder"),
         (vec!["--mesh-root", "src"], "--rrd FILE or --view"),
     ];
-    for (arguments, said) in cases {
+    for (arguments, expected) in cases {
         let (status, stderr) = audit(&arguments);
         assert_eq!(status, Some(2), "{arguments:?}");
-        assert!(stderr.contains(said) && stderr.lines().count() == 1, "{stderr}");
+        assert!(stderr.contains(expected) && stderr.lines().count() == 1, "{stderr}");
         assert!(!folder.path().join("run.rrd").exists());
     }
 }
 
 #[test]
-fn what_came_of_the_meshes_is_a_note_of_the_report() {
+fn missing_meshes_are_noted_in_the_report() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
     let rrd = folder.path().join("run.rrd");
@@ -88,11 +88,11 @@ fn what_came_of_the_meshes_is_a_note_of_the_report() {
 #[test]
 fn without_a_viewer_nothing_is_audited() {
     let folder = tempfile::tempdir().expect("a folder");
-    let output = viewed(folder.path(), &[]);
+    let output = audit_with_view(folder.path(), &[]);
     assert_eq!(output.status.code(), Some(2));
     assert!(output.stdout.is_empty());
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(said.contains("--view") && said.contains("not on the PATH"), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(stderr.contains("--view") && stderr.contains("not on the PATH"), "{stderr}");
 }
 
 #[cfg(unix)]
@@ -103,18 +103,20 @@ fn the_viewer_is_started_with_the_recording() {
 
     let folder = tempfile::tempdir().expect("a folder");
     let viewer = folder.path().join("rerun");
-    let (seen, recording) = (folder.path().join("seen"), folder.path().join("run.rrd"));
+    let (argument_file, recording) = (folder.path().join("seen"), folder.path().join("run.rrd"));
     // The file is renamed when it is complete.
-    let script =
-        format!("#!/bin/sh\nprintf %s \"$1\" > {0}.part\n/bin/mv {0}.part {0}\n", seen.display());
+    let script = format!(
+        "#!/bin/sh\nprintf %s \"$1\" > {0}.part\n/bin/mv {0}.part {0}\n",
+        argument_file.display()
+    );
     fs::write(&viewer, script).expect("a script");
     fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("a program");
     let path = recording.display().to_string();
-    let output = viewed(folder.path(), &["--rrd", &path]);
+    let output = audit_with_view(folder.path(), &["--rrd", &path]);
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
     // The program does not wait for the viewer.
-    let patience = (0..500).map(|_| std::thread::sleep(Duration::from_millis(20)));
-    let told = patience.map(|()| fs::read_to_string(&seen)).find_map(Result::ok);
-    assert_eq!(told.as_deref(), Some(path.as_str()));
+    let polls = (0..500).map(|_| std::thread::sleep(Duration::from_millis(20)));
+    let opened = polls.map(|()| fs::read_to_string(&argument_file)).find_map(Result::ok);
+    assert_eq!(opened.as_deref(), Some(path.as_str()));
     assert!(recording.is_file());
 }

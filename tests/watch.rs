@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::program::{CLEAN, FAULTY, poseaudit, status, stderr};
 
 /// A fixture with small chunks, like those of a recorder that writes immediately.
-fn bytes(fixture: &str) -> Vec<u8> {
+fn small_chunk_log(fixture: &str) -> Vec<u8> {
     let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(fixture)).expect("the fixture");
     let mut written = Cursor::new(Vec::new());
     let options = mcap::WriteOptions::new().chunk_size(Some(1 << 14));
@@ -27,10 +27,10 @@ fn bytes(fixture: &str) -> Vec<u8> {
 
 /// Starts `watch`.
 fn watch(path: &Path, options: &[&str]) -> Child {
-    call(path, options).spawn().expect("the binary runs")
+    watch_command(path, options).spawn().expect("the binary runs")
 }
 
-fn call(path: &Path, options: &[&str]) -> Command {
+fn watch_command(path: &Path, options: &[&str]) -> Command {
     let mut call = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
     call.arg("watch").arg(path).args(["--every", "0.05", "--format", "json"]).args(options);
     call.stdout(Stdio::piped());
@@ -38,7 +38,7 @@ fn call(path: &Path, options: &[&str]) -> Command {
 }
 
 /// Its exit status, and its printed lines.
-fn ended(mut child: Child) -> (i32, Vec<Value>) {
+fn wait_for_end(mut child: Child) -> (i32, Vec<Value>) {
     let mut text = String::new();
     child.stdout.take().expect("a pipe").read_to_string(&mut text).expect("UTF-8");
     let status = child.wait().expect("it ends").code().expect("by itself");
@@ -46,7 +46,7 @@ fn ended(mut child: Child) -> (i32, Vec<Value>) {
 }
 
 /// Writes the bytes in `pieces`, with short delays.
-fn write(path: &Path, bytes: &[u8], pieces: usize) {
+fn append_in_pieces(path: &Path, bytes: &[u8], pieces: usize) {
     let mut file = OpenOptions::new().append(true).open(path).expect("a file");
     for piece in bytes.chunks(bytes.len().div_ceil(pieces)) {
         file.write_all(piece).expect("room");
@@ -54,7 +54,7 @@ fn write(path: &Path, bytes: &[u8], pieces: usize) {
     }
 }
 
-fn log(folder: &tempfile::TempDir) -> PathBuf {
+fn empty_log(folder: &tempfile::TempDir) -> PathBuf {
     let path = folder.path().join("run.mcap");
     fs::write(&path, b"").expect("a file");
     path
@@ -65,14 +65,14 @@ fn verdicts(lines: &[Value]) -> Vec<&str> {
 }
 
 #[test]
-fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end() {
+fn a_growing_log_is_audited_repeatedly_and_once_more_at_its_end() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = log(&folder);
-    let drawn = ["seen.rrd", "whole.rrd"].map(|name| folder.path().join(name));
-    let [seen, whole] = drawn.each_ref().map(|path| path.to_str().expect("UTF-8"));
+    let path = empty_log(&folder);
+    let recordings = ["seen.rrd", "whole.rrd"].map(|name| folder.path().join(name));
+    let [seen, whole] = recordings.each_ref().map(|path| path.to_str().expect("UTF-8"));
     let child = watch(&path, &["--rrd", seen]);
-    write(&path, &bytes(FAULTY), 6);
-    let (status, lines) = ended(child);
+    append_in_pieces(&path, &small_chunk_log(FAULTY), 6);
+    let (status, lines) = wait_for_end(child);
     // The viewer finally gets the recording of the complete log.
     poseaudit(&["audit", path.to_str().expect("UTF-8"), "--rrd", whole]);
     assert!(fs::read(seen).expect("a recording") == fs::read(whole).expect("a recording"));
@@ -83,39 +83,41 @@ fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end()
     assert!(lines[..lines.len() - 1].iter().any(|line| line["verdict"] == "fail"), "{lines:?}");
     // Each byte is read once while the log is written, except the index at its end, and then all bytes
     // again.
-    let (size, read) = (bytes(FAULTY).len() as u64, last["read_bytes"].as_u64());
+    let (size, read) = (small_chunk_log(FAULTY).len() as u64, last["read_bytes"].as_u64());
     assert_eq!(last["read_again_bytes"].as_u64(), Some(size));
     assert!(read.is_some_and(|read| read <= size && read > size / 2), "{read:?} of {size}");
-    let told: Vec<&Value> =
+    let new_findings: Vec<&Value> =
         lines.iter().flat_map(|line| line["new"].as_array()).flatten().collect();
-    let is_told = |code: &str| {
-        told.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with(code)))
+    let is_new = |code: &str| {
+        new_findings
+            .iter()
+            .any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with(code)))
     };
-    assert!(is_told("LAT001") && is_told("ZER001"), "{told:?}");
+    assert!(is_new("LAT001") && is_new("ZER001"), "{new_findings:?}");
 }
 
 /// Runs `watch` with this script as the viewer, on a log that is written in six pieces.
 #[cfg(unix)]
-fn shown(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Value>, String) {
+fn watch_with_viewer(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Value>, String) {
     use std::os::unix::fs::PermissionsExt;
     let viewer = folder.path().join("rerun");
     fs::write(&viewer, format!("#!/bin/sh\n{script}\n")).expect("a script");
     fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("a program");
-    let path = log(folder);
-    let mut call = call(&path, &["--rrd-connect", "9911"]);
+    let path = empty_log(folder);
+    let mut call = watch_command(&path, &["--rrd-connect", "9911"]);
     let mut child =
         call.env("PATH", folder.path()).stderr(Stdio::piped()).spawn().expect("the binary runs");
     let mut stderr = child.stderr.take().expect("a pipe");
-    write(&path, &bytes(FAULTY), 6);
-    let (status, lines) = ended(child);
-    let mut said = String::new();
-    stderr.read_to_string(&mut said).expect("UTF-8");
-    (status, lines, said)
+    append_in_pieces(&path, &small_chunk_log(FAULTY), 6);
+    let (status, lines) = wait_for_end(child);
+    let mut stderr_text = String::new();
+    stderr.read_to_string(&mut stderr_text).expect("UTF-8");
+    (status, lines, stderr_text)
 }
 
 #[cfg(unix)]
 #[test]
-fn a_viewer_is_given_the_recordings_as_they_are_made() {
+fn a_viewer_receives_each_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     // The file is renamed when it is complete.
     let seen = folder.path().join("seen");
@@ -123,42 +125,45 @@ fn a_viewer_is_given_the_recordings_as_they_are_made() {
         "/bin/cat > {0}.part; echo \"$*\" > {0}.call; /bin/mv {0}.part {0}",
         seen.display()
     );
-    let (status, lines, said) = shown(&folder, &script);
-    assert_eq!((status, said.as_str()), (1, ""));
-    let patience = (0..500).map(|_| thread::sleep(Duration::from_millis(20)));
-    let given = patience.map(|()| fs::read(&seen)).find_map(Result::ok).expect("recordings");
+    let (status, lines, stderr_text) = watch_with_viewer(&folder, &script);
+    assert_eq!((status, stderr_text.as_str()), (1, ""));
+    let polls = (0..500).map(|_| thread::sleep(Duration::from_millis(20)));
+    let received = polls.map(|()| fs::read(&seen)).find_map(Result::ok).expect("recordings");
     let call = fs::read_to_string(seen.with_extension("call")).expect("a call");
     assert_eq!(call.trim_end(), "--port 9911 -");
     // One after the other; the last is that of the complete log.
     let last = folder.path().join("last.rrd").display().to_string();
     let path = folder.path().join("run.mcap").display().to_string();
     poseaudit(&["audit", &path, "--rrd", &last]);
-    assert!(given.ends_with(&fs::read(last).expect("a recording")));
-    let begun = given.windows(4).filter(|four| four == b"RRF2").count();
-    assert!(begun >= 2 && begun <= lines.len(), "{begun} recordings, {lines:?}");
+    assert!(received.ends_with(&fs::read(last).expect("a recording")));
+    let recordings = received.windows(4).filter(|four| four == b"RRF2").count();
+    assert!(recordings >= 2 && recordings <= lines.len(), "{recordings} recordings, {lines:?}");
 }
 
 #[cfg(unix)]
 #[test]
-fn a_viewer_that_is_closed_is_said_once_and_ends_no_watch() {
+fn a_closed_viewer_is_reported_once_and_does_not_end_the_watch() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (status, lines, said) = shown(&folder, "exit 0");
+    let (status, lines, stderr_text) = watch_with_viewer(&folder, "exit 0");
     assert_eq!(status, 1, "{lines:?}");
     assert_eq!(lines.last().map(|line| &line["event"]), Some(&"ended".into()));
-    assert!(said.contains("viewer at port 9911: does not accept recordings"), "{said}");
-    assert_eq!(said.lines().count(), 1, "{said}");
+    assert!(
+        stderr_text.contains("viewer at port 9911: does not accept recordings"),
+        "{stderr_text}"
+    );
+    assert_eq!(stderr_text.lines().count(), 1, "{stderr_text}");
 }
 
 #[test]
-fn a_log_that_is_killed_and_begun_again_is_audited_anew() {
+fn a_restarted_log_is_audited_from_its_start() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = log(&folder);
+    let path = empty_log(&folder);
     let child = watch(&path, &[]);
-    let faulty = bytes(FAULTY);
-    write(&path, &faulty[..faulty.len() / 2], 3);
+    let faulty = small_chunk_log(FAULTY);
+    append_in_pieces(&path, &faulty[..faulty.len() / 2], 3);
     fs::write(&path, b"").expect("a file");
-    write(&path, &bytes(CLEAN), 5);
-    let (status, lines) = ended(child);
+    append_in_pieces(&path, &small_chunk_log(CLEAN), 5);
+    let (status, lines) = wait_for_end(child);
     assert_eq!(status, 0, "{lines:?}");
     let again = lines.iter().position(|line| line["event"] == "begun-again").expect("a line");
     assert!(verdicts(&lines[..again]).contains(&"fail"), "{lines:?}");
@@ -167,17 +172,17 @@ fn a_log_that_is_killed_and_begun_again_is_audited_anew() {
 }
 
 #[test]
-fn a_log_without_an_end_yet_is_no_damaged_one() {
+fn a_log_without_a_footer_is_not_reported_as_damaged_while_watched() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = log(&folder);
+    let path = empty_log(&folder);
     let child = watch(&path, &[]);
     // Its data are complete, but it has no footer and is not known to be growing.
-    let clean = bytes(CLEAN);
+    let clean = small_chunk_log(CLEAN);
     let (most, end) = clean.split_at(clean.len() - mcap::MAGIC.len());
-    write(&path, most, 2);
+    append_in_pieces(&path, most, 2);
     thread::sleep(Duration::from_secs(1));
-    write(&path, end, 1);
-    let (status, lines) = ended(child);
+    append_in_pieces(&path, end, 1);
+    let (status, lines) = wait_for_end(child);
     assert_eq!(status, 0, "{lines:?}");
     assert!(lines.iter().all(|line| line["new"] == Value::Array(Vec::new())), "{lines:?}");
     let again = lines.last().and_then(|line| line["read_again_bytes"].as_u64());
@@ -185,45 +190,47 @@ fn a_log_without_an_end_yet_is_no_damaged_one() {
 }
 
 #[test]
-fn until_fail_ends_before_the_log_does() {
+fn until_fail_ends_before_the_end_of_the_log() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = log(&folder);
-    let faulty = bytes(FAULTY);
-    write(&path, &faulty[..faulty.len() * 3 / 4], 1);
+    let path = empty_log(&folder);
+    let faulty = small_chunk_log(FAULTY);
+    append_in_pieces(&path, &faulty[..faulty.len() * 3 / 4], 1);
     // For a folder, watches the newest log that is being written.
-    let (status, lines) = ended(watch(folder.path(), &["--until", "fail"]));
+    let (status, lines) = wait_for_end(watch(folder.path(), &["--until", "fail"]));
     assert_eq!(status, 1);
     assert_eq!(verdicts(&lines).last(), Some(&"fail"));
     assert!(lines.iter().all(|line| line["event"] != "ended"), "{lines:?}");
 }
 
 #[test]
-fn a_log_whose_recorder_died_ends_when_nothing_comes() {
+fn an_idle_log_without_a_footer_ends_the_watch() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = log(&folder);
-    let clean = bytes(CLEAN);
-    write(&path, &clean[..clean.len() / 2], 1);
-    let (_, lines) = ended(watch(&path, &["--idle", "1"]));
+    let path = empty_log(&folder);
+    let clean = small_chunk_log(CLEAN);
+    append_in_pieces(&path, &clean[..clean.len() / 2], 1);
+    let (_, lines) = wait_for_end(watch(&path, &["--idle", "1"]));
     let last = lines.last().expect("a line");
     assert_eq!(last["event"], "ended");
     // Findings of the complete audit about the end of the file.
-    let says = last["new"].as_array().expect("findings");
+    let findings = last["new"].as_array().expect("findings");
     assert!(
-        says.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with("ING001"))),
+        findings
+            .iter()
+            .any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with("ING001"))),
         "{last}"
     );
 }
 
 #[test]
-fn until_fail_ends_with_a_log_that_fails_when_another_takes_its_place() {
+fn until_fail_ends_with_a_failing_log_when_another_log_replaces_it() {
     let folder = tempfile::tempdir().expect("a folder");
-    let clean = bytes(CLEAN);
-    write(&log(&folder), &clean[..clean.len() / 2], 1);
+    let clean = small_chunk_log(CLEAN);
+    append_in_pieces(&empty_log(&folder), &clean[..clean.len() / 2], 1);
     let child = watch(folder.path(), &["--until", "fail"]);
     thread::sleep(Duration::from_secs(1));
     // The recorder was killed, so the first log has no footer; recording continues with another name.
-    fs::write(folder.path().join("second.mcap"), bytes(FAULTY)).expect("a file");
-    let (status, lines) = ended(child);
+    fs::write(folder.path().join("second.mcap"), small_chunk_log(FAULTY)).expect("a file");
+    let (status, lines) = wait_for_end(child);
     assert_eq!(status, 1);
     let last = lines.last().expect("a line");
     assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()), "{lines:?}");
@@ -231,7 +238,7 @@ fn until_fail_ends_with_a_log_that_fails_when_another_takes_its_place() {
 }
 
 #[test]
-fn a_path_that_is_not_there_is_refused_in_one_line() {
+fn a_missing_path_is_refused_in_one_line() {
     let output = poseaudit(&["watch", "no/such.mcap"]);
     assert_eq!(status(&output), 2);
     assert!(

@@ -19,7 +19,7 @@ struct Row {
     but: String,
 }
 
-fn answer(rows: &[Row]) -> Answer {
+fn reconcile_pairs(rows: &[Row]) -> Answer {
     let pasted = |text: &str| paste(text).expect("a pose");
     let pair = |row: &Row| Pair { is: pasted(&row.is), but: pasted(&row.but) };
     let names = FrameNames::default();
@@ -33,23 +33,23 @@ fn answer(rows: &[Row]) -> Answer {
 }
 
 /// Describes what is wrong with the answer for the first `count` pairs.
-fn wrong(rows: &[Row], count: usize) -> Option<String> {
+fn describe_mismatch(rows: &[Row], count: usize) -> Option<String> {
     let row = &rows[0];
-    let answer = answer(&rows[..count]);
+    let answer = reconcile_pairs(&rows[..count]);
     let best = &answer.hypotheses[0];
     let claims = best.claims();
     let is_claimed = match row.claim.as_str() {
         "" => claims.is_empty() || row.riddle.starts_with("Eigen"),
-        claim => claims.iter().chain(&best.also).any(|said| said.contains(claim)),
+        claim => claims.iter().chain(&best.also).any(|text| text.contains(claim)),
     };
-    let is_told = answer.verdict == Verdict::Reconciled && best.but.to_string() == row.read;
-    (!is_told || !is_claimed).then(|| {
+    let is_reconciled = answer.verdict == Verdict::Reconciled && best.but.to_string() == row.read;
+    (!is_reconciled || !is_claimed).then(|| {
         format!("{} from {count}: {:?}, {}, {claims:?}", row.riddle, answer.verdict, best.but)
     })
 }
 
 #[test]
-fn poses_of_other_programs_are_reconciled_and_named() {
+fn pose_pairs_of_other_programs_are_reconciled_and_named() {
     let mut reader = csv::Reader::from_reader(include_str!("riddles.csv").as_bytes());
     let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("the table");
     let wrong: Vec<String> = rows
@@ -57,18 +57,21 @@ fn poses_of_other_programs_are_reconciled_and_named() {
         .flat_map(|riddle| {
             let all = riddle.len();
             let first = riddle[0].pairs;
-            [first, all].into_iter().filter_map(|count| wrong(riddle, count)).collect::<Vec<_>>()
+            [first, all]
+                .into_iter()
+                .filter_map(|count| describe_mismatch(riddle, count))
+                .collect::<Vec<_>>()
         })
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]
-fn one_pair_claims_no_tool_and_no_base() {
+fn one_pair_determines_neither_tool_nor_base() {
     let mut reader = csv::Reader::from_reader(include_str!("riddles.csv").as_bytes());
     let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("the table");
     for riddle in rows.chunk_by(|a, b| a.riddle == b.riddle).filter(|riddle| riddle[0].pairs > 1) {
-        let answer = answer(&riddle[..1]);
+        let answer = reconcile_pairs(&riddle[..1]);
         assert_eq!(answer.verdict, Verdict::Open, "{}", riddle[0].riddle);
         assert!(answer.would_do.is_some(), "{}", riddle[0].riddle);
     }

@@ -27,7 +27,7 @@ fn episode(path: &Path, seed: u64, turned: bool) -> Result<()> {
 }
 
 #[test]
-fn the_columns_of_a_dataset_are_told_once_and_contradicted_by_name() -> Result<()> {
+fn columns_are_identified_once_per_dataset_and_contradicting_episodes_are_named() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let logs = folder.path().join("episodes");
     fs::create_dir(&logs)?;

@@ -47,7 +47,7 @@ fn short_logs(count: u64) -> Result<(TempDir, String, String)> {
 }
 
 #[test]
-fn every_log_is_a_row_whatever_it_is() -> Result<()> {
+fn every_log_is_one_row_even_if_unreadable() -> Result<()> {
     let (folder, logs, out) = short_logs(3)?;
     let at = |name: &str| folder.path().join("logs").join(name);
     fs::copy(at("000.mcap"), at("copy.mcap"))?;
@@ -87,7 +87,7 @@ fn every_log_is_a_row_whatever_it_is() -> Result<()> {
 }
 
 #[test]
-fn what_is_done_is_not_done_again_and_other_settings_are_another_audit() -> Result<()> {
+fn audited_logs_are_skipped_unless_settings_change() -> Result<()> {
     let (folder, logs, out) = short_logs(2)?;
     let run = |more: &[&str]| -> Result<(u64, u64)> {
         let mut args = vec![logs.as_str(), "--out", &out, "--format", "json"];
@@ -109,7 +109,7 @@ fn what_is_done_is_not_done_again_and_other_settings_are_another_audit() -> Resu
 }
 
 #[test]
-fn what_is_pending_is_what_has_no_row() -> Result<()> {
+fn pending_logs_are_those_without_a_row() -> Result<()> {
     let (folder, logs, out) = short_logs(2)?;
     let pending = |more: &[&str]| -> Result<Vec<String>> {
         let output = fleet(&[&logs, "--out", &out, "--pending"]).args(more).output()?;
@@ -137,7 +137,7 @@ fn kill(child: &mut Child) -> io::Result<()> {
 }
 
 #[test]
-fn a_killed_call_is_gone_on_with_and_no_row_is_lost_or_doubled() -> Result<()> {
+fn a_killed_call_can_be_resumed_without_lost_or_repeated_rows() -> Result<()> {
     const LOGS: u64 = 12;
     let (_folder, logs, out) = short_logs(LOGS)?;
     let runs = Path::new(&out).join("runs");
@@ -182,7 +182,7 @@ fn a_killed_call_is_gone_on_with_and_no_row_is_lost_or_doubled() -> Result<()> {
 }
 
 #[test]
-fn a_hundred_parts_become_one_and_say_the_same() -> Result<()> {
+fn a_hundred_result_files_are_merged_without_changes() -> Result<()> {
     const LOGS: u64 = 100;
     let folder = tempfile::tempdir()?;
     let (logs, out) = (folder.path().join("logs"), folder.path().join("out"));
@@ -209,7 +209,7 @@ fn a_hundred_parts_become_one_and_say_the_same() -> Result<()> {
 }
 
 #[test]
-fn logs_that_take_too_much_are_rows_and_may_be_tried_again() -> Result<()> {
+fn logs_beyond_time_or_memory_limits_are_rows_and_can_be_retried() -> Result<()> {
     let (folder, logs, out) = short_logs(1)?;
     bomb(&folder.path().join("logs/bomb.mcap"))?;
     let limited = |more: &[&str]| -> Result<Value> {
@@ -235,7 +235,7 @@ fn logs_that_take_too_much_are_rows_and_may_be_tried_again() -> Result<()> {
 }
 
 #[test]
-fn a_log_that_cannot_be_read_is_tried_again() -> Result<()> {
+fn an_unreadable_log_is_retried() -> Result<()> {
     let (folder, _, out) = short_logs(1)?;
     let [there, gone] = ["logs/000.mcap", "logs/gone.mcap"]
         .map(|name| folder.path().join(name).display().to_string());
@@ -273,7 +273,7 @@ fn several_engines_may_write_into_one_folder() -> Result<()> {
 }
 
 #[test]
-fn labels_come_from_the_call_and_from_the_path() -> Result<()> {
+fn labels_come_from_options_and_paths() -> Result<()> {
     let folder = tempfile::tempdir()?;
     for arm in ["cell1", "cell2"] {
         let path = folder.path().join("berlin").join(arm).join("run.mcap");
@@ -292,7 +292,7 @@ fn labels_come_from_the_call_and_from_the_path() -> Result<()> {
 }
 
 #[test]
-fn a_wrong_call_ends_with_2_and_writes_nothing() -> Result<()> {
+fn a_wrong_call_exits_with_2_and_writes_nothing() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("out").display().to_string();
     let empty = folder.path().display().to_string();

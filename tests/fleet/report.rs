@@ -217,7 +217,7 @@ fn reported(folder: &Path, more: &[&str]) -> Result<(Report, Option<i32>)> {
 }
 
 #[test]
-fn a_zero_that_creeps_is_told_with_its_rate_and_a_constant_one_is_not() -> Result<()> {
+fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -> Result<()> {
     const RATE_RAD: f64 = 1.5e-5;
     const STEP_S: f64 = 0.004;
     let folder = tempfile::tempdir()?;
@@ -303,7 +303,7 @@ fn html(folder: &Path, out: &str) -> Result<()> {
 }
 
 #[test]
-fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
+fn requested_pages_are_linked_from_the_fleet_report() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("results").display().to_string();
     let logs = ["clean", "faulty"]
@@ -329,13 +329,15 @@ fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
 }
 
 #[test]
-fn a_zero_that_moved_within_a_dataset_is_told_with_its_episodes() -> Result<()> {
+fn a_zero_offset_step_within_a_dataset_is_reported_with_its_episodes() -> Result<()> {
     let folder = tempfile::tempdir()?;
     for episode in 0..12 {
         // Their names are not in numerical order.
-        let elbow = if episode < 9 { 0.0 } else { 0.01 };
+        let elbow_offset_rad = if episode < 9 { 0.0 } else { 0.01 };
         // Duplicates count once.
-        let table = crate::tables::csv_of_ur5e(elbow + 1e-8 * f64::from(episode));
+        let table = crate::tables::csv_of_ur5e_with_elbow_offset(
+            elbow_offset_rad + 1e-8 * f64::from(episode),
+        );
         std::fs::write(folder.path().join(format!("episode_{episode}.csv")), table)?;
     }
     let [logs, out] = ["", "out"].map(|name| folder.path().join(name).display().to_string());

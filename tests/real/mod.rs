@@ -16,7 +16,7 @@ fn project() -> &'static Path {
 }
 
 #[test]
-fn the_page_is_made_from_the_table() {
+fn the_page_on_real_logs_is_current() {
     let sources = table::sources().expect("tests/real/expected.toml");
     let page = fs::read_to_string(project().join("docs/real-logs.md")).expect("docs/real-logs.md");
     let command = "cargo run --example real_logs -- --markdown > docs/real-logs.md";
@@ -25,7 +25,7 @@ fn the_page_is_made_from_the_table() {
 
 /// The tool is 149.9 mm long, and the nominal model has a residual of 0.04 to 0.31 mm.
 #[test]
-fn a_real_ur3e_is_identified_and_healthy() {
+fn a_real_ur3e_is_identified_without_findings() {
     let log = project().join("tests/real/ur3e.csv");
     let options = poseaudit::Options { logs: vec![log], ..Default::default() };
     let report = poseaudit::audit(&options).expect("the log can be read").into_report();

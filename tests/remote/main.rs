@@ -132,7 +132,7 @@ fn fetched(report: &Value) -> usize {
 }
 
 #[test]
-fn of_images_in_open_chunks_next_to_nothing_is_fetched() {
+fn of_images_in_uncompressed_chunks_almost_nothing_is_fetched() {
     let server = Server::of(&[("cell 7/run.mcap", &OPEN)], Manners::default());
     let url = s3("cell 7/run.mcap");
     let (report, output) = audit(&server, &url, &[]);
@@ -154,7 +154,7 @@ fn of_images_in_open_chunks_next_to_nothing_is_fetched() {
 }
 
 #[test]
-fn where_all_is_verified_all_is_fetched() {
+fn with_verify_all_bytes_are_fetched() {
     let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
     let url = s3("run.mcap");
     let (report, _) = audit(&server, &url, &["--verify"]);
@@ -165,7 +165,7 @@ fn where_all_is_verified_all_is_fetched() {
 }
 
 #[test]
-fn packed_damaged_and_unindexed_logs_read_as_local_ones_do() {
+fn compressed_damaged_and_unindexed_logs_give_the_report_of_a_local_copy() {
     let packed = camera(Some(Compression::Zstd));
     let cut = &OPEN[..OPEN.len() / 2];
     let mut damaged = OPEN.clone();
@@ -185,7 +185,7 @@ fn packed_damaged_and_unindexed_logs_read_as_local_ones_do() {
 }
 
 #[test]
-fn a_web_server_serves_too_also_one_that_knows_no_ranges() {
+fn a_web_server_works_with_and_without_range_requests() {
     for wholes in [false, true] {
         let manners = Manners { public: true, wholes, ..Manners::default() };
         let server = Server::of(&[("cell 7/run.mcap", &OPEN)], manners);
@@ -200,7 +200,7 @@ fn a_web_server_serves_too_also_one_that_knows_no_ranges() {
 }
 
 #[test]
-fn a_user_and_a_password_are_used_and_shown_nowhere() {
+fn a_user_and_a_password_are_used_and_never_printed() {
     let login = Some("Basic bWU6c2VjIHJldA==");
     let manners = Manners { public: true, login, ..Manners::default() };
     let server = Server::of(&[("run.mcap", &OPEN)], manners);
@@ -249,7 +249,7 @@ fn a_user_and_a_password_are_used_and_shown_nowhere() {
 }
 
 #[test]
-fn the_machine_is_asked_for_credentials_only_where_a_setting_says_so() {
+fn the_metadata_service_is_asked_for_credentials_only_by_a_setting() {
     let server = Server::of(&[("run.mcap", &OPEN)], Manners::default());
     let said = |url: &str, setting: &str| {
         let mut command = command(&server, &["audit", url]);
@@ -274,7 +274,7 @@ fn the_machine_is_asked_for_credentials_only_where_a_setting_says_so() {
 }
 
 #[test]
-fn a_server_that_sends_next_to_nothing_is_given_up() {
+fn a_stalled_server_ends_the_call() {
     let servers = [
         Manners { trickle_ms: 300, public: true, ..Manners::default() },
         Manners { trickle_ms: 300, wholes: true, public: true, ..Manners::default() },
@@ -302,7 +302,7 @@ fn a_server_that_sends_next_to_nothing_is_given_up() {
 }
 
 #[test]
-fn connections_that_break_off_are_taken_up_again() {
+fn interrupted_connections_are_resumed() {
     for manners in [
         Manners { cuts: 3, ..Manners::default() },
         Manners { busy: 2, ..Manners::default() },
@@ -335,7 +335,7 @@ fn assert_refused(server: &Server, key_id: &str, url: &str, expected: i32, parts
 }
 
 #[test]
-fn what_cannot_be_fetched_gets_one_line() {
+fn an_object_that_cannot_be_fetched_gives_one_line() {
     let objects: &[(&str, &[u8])] =
         &[("run.mcap", &OPEN), ("empty.mcap", b""), ("notes.txt", b"no log")];
     let server = Server::of(objects, Manners::default());
@@ -365,7 +365,7 @@ fn what_cannot_be_fetched_gets_one_line() {
 }
 
 #[test]
-fn a_fleet_takes_what_a_prefix_holds_and_fetches_nothing_twice() {
+fn a_fleet_audits_the_logs_below_a_prefix_and_fetches_each_once() {
     let arm = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/base.mcap"));
     let arm = arm.expect("the fixture");
     let objects: &[(&str, &[u8])] = &[

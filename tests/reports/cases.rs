@@ -82,7 +82,7 @@ pub fn written(format: &str, report: &Report) -> String {
 }
 
 #[test]
-fn no_name_reaches_a_terminal_with_its_control_characters() {
+fn no_topic_name_is_printed_with_control_characters() {
     let text = written("text", &hostile(Some(Severity::Warning)));
     let names = text.matches("k=").count();
     assert!(names > 0, "{text}");

@@ -117,7 +117,7 @@ fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
 }
 
 #[test]
-fn the_action_fails_on_a_faulty_log_and_leaves_its_reports() {
+fn the_action_fails_on_a_faulty_log_and_writes_its_reports() {
     let folder = tempfile::tempdir().expect("a folder");
     let left = act(folder.path(), &[("logs", FAULTY)]);
     assert_eq!(status(&left.output), 1, "{}", stderr(&left.output));
@@ -130,7 +130,7 @@ fn the_action_fails_on_a_faulty_log_and_leaves_its_reports() {
 }
 
 #[test]
-fn the_action_audits_each_log_that_fits_and_ends_with_the_worst_of_them() {
+fn the_action_audits_each_matching_log_and_exits_with_the_worst_status() {
     let folder = tempfile::tempdir().expect("a folder");
     let logs = "fixtures/fault*.mcap\n\nfixtures/clean.mcap\n";
     let left = act(folder.path(), &[("logs", logs)]);
@@ -149,7 +149,7 @@ fn the_action_audits_each_log_that_fits_and_ends_with_the_worst_of_them() {
 }
 
 #[test]
-fn with_a_baseline_the_action_fails_only_on_what_is_worse() {
+fn with_a_baseline_the_action_fails_only_on_regressions() {
     let folder = tempfile::tempdir().expect("a folder");
     let before = folder.path().join("before/fixtures_faulty.mcap");
     fs::create_dir_all(&before).expect("a folder");
@@ -164,7 +164,7 @@ fn with_a_baseline_the_action_fails_only_on_what_is_worse() {
 }
 
 #[test]
-fn a_log_that_is_not_there_fails_the_action_and_is_said() {
+fn a_missing_log_fails_the_action_and_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let left = act(folder.path(), &[("logs", "no/such.mcap"), ("baseline", "no/such.json")]);
     assert_eq!(status(&left.output), 2, "{}", stderr(&left.output));
@@ -172,7 +172,7 @@ fn a_log_that_is_not_there_fails_the_action_and_is_said() {
 }
 
 #[test]
-fn the_workflow_gives_the_action_inputs_that_it_has() {
+fn the_example_workflow_uses_existing_inputs_of_the_action() {
     let (action, workflow): (Action, Workflow) =
         (yaml("action.yml"), yaml("examples/ci/github.yml"));
     let steps: Vec<Step> = workflow.jobs.into_values().flat_map(|job| job.steps).collect();
@@ -200,7 +200,7 @@ fn repository() -> tempfile::TempDir {
 }
 
 #[test]
-fn the_scripts_for_gitlab_and_jenkins_leave_junit_of_every_log() {
+fn the_scripts_for_gitlab_and_jenkins_write_junit_for_every_log() {
     let jobs: BTreeMap<String, Job> = yaml("examples/ci/gitlab.yml");
     let pipeline = text("examples/ci/Jenkinsfile");
     let jenkins = pipeline.split("'''").nth(1).expect("a script").replace("\\\\", "\\");
@@ -216,7 +216,7 @@ fn the_scripts_for_gitlab_and_jenkins_leave_junit_of_every_log() {
 }
 
 #[test]
-fn the_hook_audits_each_log_by_itself() {
+fn the_hook_audits_each_log_separately() {
     let [hook] = <[Hook; 1]>::try_from(yaml::<Vec<Hook>>(".pre-commit-hooks.yaml"))
         .unwrap_or_else(|hooks| panic!("{} hooks", hooks.len()));
     assert!(hook.files.contains("mcap"));

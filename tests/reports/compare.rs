@@ -43,7 +43,7 @@ fn course(comparison: &Comparison, code: &str) -> Course {
 }
 
 #[test]
-fn what_json_holds_is_read_back() {
+fn a_json_report_is_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("report.json");
     fs::write(&path, written("json", &FAULTS)).expect("a file");
@@ -53,7 +53,7 @@ fn what_json_holds_is_read_back() {
 }
 
 #[test]
-fn a_report_from_before_its_newer_keys_is_read() {
+fn a_report_without_newer_keys_is_read() {
     let mut old = serde_json::to_value(&*FAULTS).expect("JSON");
     for key in ["observability", "workspace"] {
         old.as_object_mut().expect("an object").remove(key).expect("the key");
@@ -73,7 +73,7 @@ fn a_report_is_no_worse_than_itself() {
 }
 
 #[test]
-fn what_appears_fails_from_its_severity_and_what_goes_does_not() {
+fn new_findings_fail_from_a_severity_and_resolved_ones_do_not() {
     let (sound, faulty) = (sound(), FAULTS.clone());
     let there = compare(&sound, &faulty, WARNING);
     assert!(there.regression && there.causes.iter().all(|it| it.course == Course::Appeared));
@@ -87,7 +87,7 @@ fn what_appears_fails_from_its_severity_and_what_goes_does_not() {
 }
 
 #[test]
-fn an_amount_grows_only_beyond_both_intervals_and_by_a_tenth() {
+fn a_value_grows_only_beyond_both_intervals_and_by_a_tenth() {
     let old = late_by(15e-3, 1e-3);
     let cases = [
         (20e-3, 1e-3, Course::Grew),
@@ -108,7 +108,7 @@ fn an_amount_grows_only_beyond_both_intervals_and_by_a_tenth() {
 }
 
 #[test]
-fn a_graver_finding_grew_and_another_reading_changed() {
+fn a_higher_severity_counts_as_grown_and_another_misinterpretation_as_changed() {
     let mut old = FAULTS.clone();
     of(&mut old, "ZER001").severity = Severity::Warning;
     assert_eq!(course(&compare(&old, &FAULTS.clone(), WARNING), "ZER001"), Course::Grew);
@@ -124,7 +124,7 @@ fn a_graver_finding_grew_and_another_reading_changed() {
 }
 
 #[test]
-fn what_is_not_told_any_more_is_not_gone() {
+fn a_cause_that_became_inconclusive_is_not_gone() {
     let faulty = FAULTS.clone();
     let mut open = sound();
     for row in open.checks.iter_mut().filter(|row| row.code == "LAT001") {
@@ -142,7 +142,7 @@ fn what_is_not_told_any_more_is_not_gone() {
 }
 
 #[test]
-fn a_file_that_is_called_otherwise_is_the_same_log() {
+fn a_renamed_file_is_the_same_log() {
     let damaged = |file: &str| {
         let mut report = FAULTS.clone();
         report.log.files[0].path = file.into();
@@ -156,7 +156,7 @@ fn a_file_that_is_called_otherwise_is_the_same_log() {
 }
 
 #[test]
-fn a_log_is_held_against_its_baseline() {
+fn a_log_is_compared_with_its_baseline() {
     let folder = tempfile::tempdir().expect("a folder");
     let baseline = folder.path().join("baseline.json").display().to_string();
     fs::write(&baseline, written("json", &FAULTS)).expect("a file");
@@ -174,7 +174,7 @@ fn a_log_is_held_against_its_baseline() {
 }
 
 #[test]
-fn a_new_log_that_cannot_be_read_is_a_regression_and_an_old_one_a_wrong_call() {
+fn an_unreadable_new_log_is_a_regression_and_an_unreadable_old_one_a_wrong_call() {
     let folder = tempfile::tempdir().expect("a folder");
     let empty = folder.path().join("empty.mcap");
     fs::write(&empty, "").expect("a file");
@@ -186,7 +186,7 @@ fn a_new_log_that_cannot_be_read_is_a_regression_and_an_old_one_a_wrong_call() {
 }
 
 #[test]
-fn a_comparison_reads_well() {
+fn the_markdown_of_a_comparison_is_current() {
     let (mut old, new) = (late_by(5e-3, 1e-5), FAULTS.clone());
     old.findings.retain(|finding| finding.code == "LAT001");
     old.findings[0].severity = Severity::Warning;
@@ -197,7 +197,7 @@ fn a_comparison_reads_well() {
 }
 
 #[test]
-fn what_is_no_report_is_refused_with_its_place() {
+fn an_invalid_report_is_refused_with_file_and_line() {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);

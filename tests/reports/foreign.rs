@@ -10,7 +10,7 @@ const NAME: &str = "x\n::error::evil\u{1b}[31m\u{202e}.mcap";
 
 #[cfg(unix)]
 #[test]
-fn no_name_of_a_file_reaches_a_terminal_as_it_is() {
+fn no_file_name_is_printed_unescaped() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join(NAME);
     fs::copy(FAULTY, &log).expect("a copy");
@@ -47,7 +47,7 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 
 /// Print statements pass paths and names through `foreign` or `tame`.
 #[test]
-fn statements_that_print_names_use_the_one_function() {
+fn statements_that_print_names_escape_them() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut raw = Vec::new();
     for file in ["cli", "output/calibration"].iter().flat_map(|folder| sources(&root.join(folder)))

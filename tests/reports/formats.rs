@@ -17,7 +17,7 @@ fn audit_into(log: &str, folder: &str) -> Vec<String> {
 }
 
 #[test]
-fn several_formats_go_into_a_folder_and_are_what_each_is_alone() {
+fn several_formats_are_written_into_a_folder_and_equal_single_ones() {
     let folder = tempfile::tempdir().expect("a folder");
     let into = folder.path().join("made/for/it");
     let args = audit_into(FAULTY, &into.display().to_string());
@@ -52,7 +52,7 @@ fn several_formats_without_a_folder_are_refused_before_the_audit() {
 }
 
 #[test]
-fn one_format_said_twice_is_one() {
+fn a_repeated_format_counts_once() {
     let once = poseaudit(&["audit", CLEAN, "--format", "json"]);
     let twice = poseaudit(&["audit", CLEAN, "--format", "json", "--format", "json"]);
     assert_eq!(status(&twice), 0, "{}", stderr(&twice));
@@ -60,7 +60,7 @@ fn one_format_said_twice_is_one() {
 }
 
 #[test]
-fn a_log_that_cannot_be_read_is_said_in_every_format() {
+fn an_unreadable_log_is_reported_in_every_format() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("empty.mcap");
     fs::write(&log, "").expect("a file");

@@ -25,7 +25,7 @@ fn is_kept(found: Option<&str>, text: &str) -> bool {
 }
 
 #[test]
-fn suites_and_cases_are_as_the_schema_has_them_and_add_up() {
+fn junit_suites_and_cases_follow_the_schema_and_add_up() {
     for report in [&*FAULTS, &hostile(Some(Severity::Warning)), &hostile(None)] {
         let text = written("junit", report);
         let document = Document::parse(&text).expect("XML");
@@ -64,7 +64,7 @@ fn suites_and_cases_are_as_the_schema_has_them_and_add_up() {
 }
 
 #[test]
-fn a_case_fails_where_the_run_fails() {
+fn a_junit_case_fails_if_the_audit_fails() {
     let of = |report: &Report| {
         let text = written("junit", report);
         let document = Document::parse(&text).expect("XML");
@@ -83,7 +83,7 @@ fn a_case_fails_where_the_run_fails() {
 }
 
 #[test]
-fn what_the_log_does_not_tell_is_skipped_with_the_reason_and_never_a_pass() {
+fn undecided_checks_are_skipped_with_their_reason() {
     let text = written("junit", &FAULTS);
     let document = Document::parse(&text).expect("XML");
     let reasons: Vec<&str> = document
@@ -99,7 +99,7 @@ fn what_the_log_does_not_tell_is_skipped_with_the_reason_and_never_a_pass() {
 }
 
 #[test]
-fn what_was_not_audited_is_an_error() {
+fn an_unaudited_log_is_a_junit_error() {
     let report = Report::of_trouble(Trouble {
         kind: TroubleKind::Log,
         what: "the file is empty (0 bytes)".to_owned(),

@@ -27,7 +27,7 @@ fn rows(markdown: &str) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn the_table_holds_every_finding_with_its_amount_and_fix() {
+fn the_table_lists_every_finding_with_value_and_fix() {
     let rows = rows(&written("markdown", &FAULTS));
     assert_eq!(rows.len(), 1 + FAULTS.findings.len());
     for (row, finding) in rows[1..].iter().zip(&FAULTS.findings) {
@@ -43,7 +43,7 @@ fn the_table_holds_every_finding_with_its_amount_and_fix() {
 }
 
 #[test]
-fn no_name_breaks_a_table_begins_html_or_names_somebody() {
+fn no_name_breaks_a_table_starts_html_or_mentions_a_user() {
     let markdown = written("markdown", &hostile(Some(Severity::Warning)));
     let rows = rows(&markdown);
     // Line ends and control characters become blanks; mentions are disabled.

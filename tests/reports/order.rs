@@ -26,7 +26,7 @@ fn block<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn an_arm_at_rest_asks_for_one_motion_in_a_few_lines() {
+fn a_report_on_an_arm_at_rest_suggests_one_motion_in_a_few_lines() {
     let text = written("text", &audited("shake").report);
     let open = block(&text, "inconclusive");
     assert!((1..=4).contains(&open.len()), "{open:#?}");
@@ -44,7 +44,7 @@ fn an_arm_at_rest_asks_for_one_motion_in_a_few_lines() {
 }
 
 #[test]
-fn a_pass_says_what_it_bounds() {
+fn a_pass_lists_its_bounds() {
     let audited = audited("clean");
     let text = written("text", &audited.report);
     let passed = block(&text, "passed").join("; ");
@@ -57,7 +57,7 @@ fn a_pass_says_what_it_bounds() {
 }
 
 #[test]
-fn a_log_that_could_not_be_audited_passes_nothing() {
+fn a_log_that_cannot_be_audited_passes_no_rule() {
     let trouble = Trouble {
         kind: TroubleKind::Log,
         what: "nothing can be audited".to_owned(),
@@ -72,7 +72,7 @@ fn a_log_that_could_not_be_audited_passes_nothing() {
 }
 
 #[test]
-fn findings_have_their_own_pictures_with_their_limits() {
+fn findings_have_plots_with_their_limits() {
     for (log, titles, limit) in [
         (
             "shake",
@@ -95,7 +95,7 @@ fn findings_have_their_own_pictures_with_their_limits() {
 }
 
 #[test]
-fn foxglove_gets_every_finding_and_where_the_tool_is_off() {
+fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
     let audited = audited("faulty");
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("findings.mcap");

@@ -24,7 +24,7 @@ fn no_audit() -> Report {
 }
 
 #[test]
-fn every_report_is_valid_by_the_schema_of_the_standard() {
+fn every_sarif_report_is_valid() {
     let path =
         concat!(env!("CARGO_MANIFEST_DIR"), "/tests/reports/schemas/sarif-schema-2.1.0.json");
     let (mut schemas, mut compiler) = (Schemas::new(), Compiler::new());
@@ -40,7 +40,7 @@ fn every_report_is_valid_by_the_schema_of_the_standard() {
 }
 
 #[test]
-fn a_finding_is_a_result_of_its_rule_and_an_open_check_a_notification() {
+fn a_finding_is_a_sarif_result_and_an_inconclusive_check_a_notification() {
     let log = sarif(&FAULTS);
     let run = &log["runs"][0];
     let rules = run["tool"]["driver"]["rules"].as_array().expect("rules");
@@ -61,7 +61,7 @@ fn a_finding_is_a_result_of_its_rule_and_an_open_check_a_notification() {
 }
 
 #[test]
-fn what_is_ignored_is_a_suppressed_result_with_its_reason() {
+fn an_ignored_finding_is_a_suppressed_result_with_its_reason() {
     let mut report = FAULTS.clone();
     let finding = report.findings.remove(0);
     let (reason, place) = ("known since May".to_owned(), "poseaudit.toml:3".to_owned());
@@ -81,7 +81,7 @@ fn what_is_ignored_is_a_suppressed_result_with_its_reason() {
 }
 
 #[test]
-fn what_was_not_audited_did_not_succeed() {
+fn an_unaudited_log_is_a_failed_execution() {
     let log = sarif(&no_audit());
     let invocation = &log["runs"][0]["invocations"][0];
     assert_eq!(invocation["executionSuccessful"], false);
@@ -91,7 +91,7 @@ fn what_was_not_audited_did_not_succeed() {
 }
 
 #[test]
-fn a_fingerprint_is_of_the_cause_and_of_no_amount() {
+fn a_fingerprint_depends_on_the_cause_and_not_on_the_value() {
     let prints = |report: &Report| -> BTreeSet<String> {
         let log = sarif(report);
         let results = log["runs"][0]["results"].as_array().expect("results").iter();

@@ -6,7 +6,7 @@ use std::process::Command;
 use super::{poseaudit, status, stderr, stdout};
 
 #[test]
-fn every_shell_gets_a_script_with_the_commands() {
+fn every_shell_has_completions_of_all_commands() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let output = poseaudit(&["completions", shell]);
         assert_eq!(status(&output), 0, "{}", stderr(&output));

@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::cases::{FAULTS, written};
 
 #[test]
-fn the_formats_for_eyes() {
+fn snapshots_of_the_readable_formats() {
     insta::assert_snapshot!("faulty.md", written("markdown", &FAULTS));
     insta::assert_snapshot!("faulty.junit", written("junit", &FAULTS));
     insta::assert_snapshot!("faulty.github", written("github", &FAULTS));

@@ -37,7 +37,7 @@ const NOT_SAID: [&str; 27] = [
 ];
 
 #[test]
-fn reports_on_the_fixtures_speak_the_language_of_the_trade() {
+fn reports_on_the_fixtures_use_no_forbidden_phrase() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     let entries = folder.read_dir().expect("the fixtures");
     let mut logs: Vec<PathBuf> = entries.map(|entry| entry.expect("a file").path()).collect();

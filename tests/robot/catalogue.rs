@@ -137,7 +137,7 @@ fn two_equal_arms_in_a_log_are_two_candidates() {
 }
 
 #[test]
-fn six_joints_of_a_log_do_not_prefer_an_arm_of_seven() {
+fn six_logged_joints_do_not_match_an_arm_with_seven() {
     let six: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
     let seven: Vec<String> = (1..=7).map(|i| format!("joint_{i}")).collect();
     assert!(catalogue::candidates_for(&six)[0].names.is_complete());
@@ -146,7 +146,7 @@ fn six_joints_of_a_log_do_not_prefer_an_arm_of_seven() {
 }
 
 #[test]
-fn a_prefix_that_would_make_two_names_one_is_refused() {
+fn a_prefix_that_makes_two_names_equal_is_refused() {
     let robot = urdf(
         "<link name='a_x'/><link name='x'/>
          <joint name='j' type='fixed'><parent link='a_x'/><child link='x'/></joint>",
@@ -157,7 +157,7 @@ fn a_prefix_that_would_make_two_names_one_is_refused() {
 }
 
 #[test]
-fn arms_are_found_by_their_models_where_only_one_has_it() {
+fn an_arm_is_found_by_a_model_name_that_only_one_has() {
     for (short, name) in [
         ("fr3", Some("franka_fr3")),
         ("xarm6", Some("ufactory_xarm6")),

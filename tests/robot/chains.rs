@@ -74,7 +74,7 @@ fn a_chain_walked_backwards_is_the_inverse() {
 }
 
 #[test]
-fn a_chain_through_a_link_on_the_way_is_the_product_of_its_parts() {
+fn a_chain_through_an_intermediate_link_is_the_product_of_its_parts() {
     let robot = catalogue::find("ur5e").unwrap();
     let q = positions(6, 11);
     let base_from_forearm = chain(robot, "base", "forearm_link").forward(&q[..3]);
@@ -127,7 +127,7 @@ fn sliding_and_mimicking_joints_follow_their_coordinates() {
 }
 
 #[test]
-fn a_follower_alone_in_the_path_takes_its_masters_position() {
+fn a_mimic_joint_without_its_master_in_the_path_takes_its_position() {
     let robot = urdf(GANTRY);
     let chain = chain(&robot, "arm", "hand");
     assert_eq!(chain.joint_names(), ["turn"]);
@@ -199,7 +199,7 @@ fn the_reach_of_an_arm_stretched_out_is_found() {
 }
 
 #[test]
-fn what_makes_no_chain_says_what_to_do() {
+fn an_impossible_chain_is_an_error_with_a_remedy() {
     let robot = urdf(
         "<link name='a'/><link name='b'/><link name='c'/><link name='d'/><link name='e'/>
          <joint name='f' type='fixed'><parent link='a'/><child link='b'/></joint>
@@ -219,7 +219,7 @@ fn what_makes_no_chain_says_what_to_do() {
 }
 
 #[test]
-fn a_misspelt_link_is_answered_with_the_nearest() {
+fn a_misspelt_link_suggests_the_nearest() {
     let error = catalogue::find("ur5e").unwrap().link_or_nearest("wrist_3_lnk").unwrap_err();
     let ChainError::UnknownLink { instead, .. } = &error else { panic!("{error}") };
     assert_eq!(instead[0], "wrist_3_link");

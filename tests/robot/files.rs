@@ -8,7 +8,7 @@ use poseaudit::robot::Robot;
 use super::{assert_near, default_chain, urdf};
 
 #[test]
-fn a_dh_table_alone_is_a_robot() {
+fn a_dh_table_is_a_robot() {
     let text = "
         units = 'm, rad'
         [dh]
@@ -33,7 +33,7 @@ fn a_dh_table_alone_is_a_robot() {
 }
 
 #[test]
-fn the_two_conventions_differ_where_a_and_alpha_stand() {
+fn dh_conventions_differ_in_the_order_of_a_and_alpha() {
     let of = |convention: &str| {
         let text =
             format!("[dh]\nconvention = '{convention}'\nrows = [[1.0, 0.0, {FRAC_PI_2}, 0.0]]");
@@ -112,7 +112,7 @@ fn a_file_that_is_missing_is_named() {
 }
 
 #[test]
-fn urdf_defaults_and_slack_are_understood() {
+fn urdf_defaults_and_lenient_syntax_are_read() {
     let robot = urdf(
         "<link name='a'><visual><geometry><mesh filename='$(find x)/y.stl' scale='?'/></geometry></visual></link>
          <link name='b'/><link name='c'/>
@@ -257,7 +257,7 @@ fn a_bad_urdf_is_refused_with_its_line() {
 }
 
 #[test]
-fn a_hostile_urdf_neither_overflows_nor_hangs() {
+fn a_hostile_urdf_causes_no_overflow_and_no_hang() {
     let deep = format!("{}{}", "<link name='a'>".repeat(99), "</link>".repeat(99));
     assert_eq!(urdf(&deep).links().count(), 1);
 

@@ -81,7 +81,7 @@ fn a_warning_comes_before_an_error() {
 }
 
 #[test]
-fn limits_can_be_told_apart_from_each_other_and_from_thresholds() {
+fn limits_have_keys_different_from_each_other_and_from_thresholds() {
     for rule in registry() {
         let mut keys = BTreeSet::from(["warning", "error", "severity"]);
         for limit in rule.limits {
@@ -93,7 +93,7 @@ fn limits_can_be_told_apart_from_each_other_and_from_thresholds() {
 }
 
 #[test]
-fn the_headline_rules_are_those_of_the_contract() {
+fn the_headline_rules_are_the_documented_ones() {
     let headline = registry().iter().filter(|rule| rule.headline).map(|rule| rule.code);
     assert_eq!(headline.collect::<Vec<_>>(), ["LAT001", "MDL001", "ORD001", "YAW001", "ZER001"]);
 }
