@@ -109,9 +109,9 @@ pub fn decide_frame(
 /// Thresholds of a rule on frames; reaching one is a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameThresholds {
-    /// Of the translation.
+    /// Translation threshold.
     pub length: Threshold,
-    /// Of the rotation.
+    /// Rotation threshold.
     pub angle: Threshold,
 }
 

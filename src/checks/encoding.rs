@@ -17,7 +17,7 @@ use crate::geometry::{
 /// Minimum ratio of the residuals as logged and of the next best encoding to that of a reported one.
 const MIN_CLEAR_RATIO: f64 = 2.0;
 
-/// Of an accepted encoding, rad.
+/// Limit for an accepted encoding, rad.
 const MAX_RESIDUAL_RAD: f64 = 10.0 * DEGREE;
 
 const SETTLE: &str = "turn the wrist through 60° or more about two axes";

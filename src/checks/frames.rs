@@ -24,14 +24,14 @@ const SETTLE: &str = "turn the wrist through 60° about two axes, at several pla
 /// One end of a stream's transform, with its rule.
 pub struct FrameRule {
     pub rule: &'static Rule,
-    /// Of the estimate.
+    /// Name of the estimate.
     pub name: &'static str,
     pub estimate: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
     /// Name of the frame.
     pub frame: fn(&StreamEvidence<PoseEvidence>) -> &str,
     /// Reason for not judging this stream.
     pub not_judged: fn(&StreamEvidence<PoseEvidence>) -> Option<String>,
-    /// During the run.
+    /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
     pub is_confounder: fn(&Confounder, usize) -> bool,

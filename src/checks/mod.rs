@@ -268,7 +268,7 @@ impl SubjectResult {
 pub struct Evaluation {
     /// One per selected rule and subject.
     pub checks: Vec<CheckRow>,
-    /// By severity, then by effect at the tip.
+    /// Sorted by severity, then by effect at the tip.
     pub findings: Vec<Finding>,
     /// Exempted in the config.
     pub ignored: Vec<IgnoredFinding>,

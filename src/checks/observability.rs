@@ -36,7 +36,7 @@ pub(crate) fn unobservable_zero(
         .then(|| format!("{joint} moved only {}: its zero is not observable", unit.show(moved)))
 }
 
-/// What one pose stream does not observe.
+/// Causes that one pose stream does not observe.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct StreamObservability {
     /// Name of the robot.

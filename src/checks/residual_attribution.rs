@@ -16,9 +16,9 @@ const MAX_NOISE_RATIO: f64 = 2.0;
 /// Errors from this multiple on are significant: F = 9 has p = 0.001 for seven independent samples.
 const MIN_SIGNIFICANT_NOISE_RATIO: f64 = 3.0;
 
-/// Sag, backlash and encoder errors, each below its threshold, sum to at most this multiple at any sample …
+/// Sag, backlash and encoder errors, each below its threshold, sum to at most this multiple at any sample.
 const MAX_SUMMED_PEAK_RATIO: f64 = 2.0;
-/// … and to this multiple, rms, over a tenth of the run.
+/// The same, rms over a tenth of the run.
 const MAX_SUMMED_RMS_RATIO: f64 = 1.5;
 
 /// On the distance between publishers, whose samples differ.
@@ -103,7 +103,7 @@ fn is_faulty(outcome: &Outcome) -> bool {
 }
 
 pub(super) enum Attribution {
-    /// As logged.
+    /// Below the thresholds as logged.
     BelowThresholds,
     WithinNoise,
     /// The residual is below the thresholds or noise. `is_reported` if a corrected cause is reported.
@@ -129,7 +129,7 @@ pub(super) struct ExceedingResidual {
     pub parts: Vec<PartError>,
 }
 
-/// Of a nominal model, rms m.
+/// Limit for a nominal model, rms m.
 const MIN_NOMINAL_RESIDUAL_M: f64 = 0.3e-3;
 
 /// `None` if the stream has no error estimate.
@@ -234,7 +234,7 @@ fn is_degrees_artifact(
     stream: &StreamEvidence<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
-    /// In thresholds.
+    /// Unit: thresholds.
     const MAX_RESIDUAL_RATIO: f64 = 5.0;
     let apart = outcomes.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart

@@ -7,7 +7,7 @@ use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
 pub struct ScalarRule {
-    /// Of the estimate.
+    /// Name of the estimate.
     pub name: &'static str,
     pub threshold: Threshold,
     /// Motion or topic that would make it observable.

@@ -46,7 +46,7 @@ struct Page {
     text: Vec<u8>,
 }
 
-/// Including subcommands.
+/// Pages, including subcommands.
 fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
     let man = Man::new(command.clone());
     let mut text = Vec::new();

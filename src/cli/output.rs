@@ -38,7 +38,7 @@ pub fn warning(what: impl Display) {
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
-/// Without borders.
+/// Table without borders.
 pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::NOTHING).set_header(header);
@@ -77,7 +77,7 @@ pub fn emit(
     })
 }
 
-/// Same, without escaping.
+/// [`emit`] without escaping.
 pub fn emit_unescaped(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,

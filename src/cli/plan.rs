@@ -204,7 +204,7 @@ fn parse_up_to_100(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Above `LOW`, at most `HIGH`.
+/// Number above `LOW` and at most `HIGH`.
 fn parse_within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
     let number = parse_finite(text)?;
     match number > f64::from(LOW) && number <= f64::from(HIGH) {

@@ -12,7 +12,7 @@ use poseaudit::log::Progress;
 
 use super::messages;
 
-/// Before a bar is shown.
+/// Delay before a bar is shown.
 const BAR_DELAY: Duration = Duration::from_secs(1);
 const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -67,7 +67,7 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     bar.set_position(read);
 }
 
-/// Without a terminal.
+/// Interval without a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// A bar on a terminal, otherwise occasional lines.

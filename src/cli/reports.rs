@@ -69,7 +69,7 @@ impl ReportOptions {
         }
     }
 
-    /// If there is only one format.
+    /// Format, if there is only one.
     pub fn single_format(&self) -> Option<(&'static Format, Option<&Path>)> {
         <[_; 1]>::try_from(self.distinct_formats())
             .ok()
@@ -102,7 +102,7 @@ impl ReportOptions {
         }
     }
 
-    /// Without duplicates.
+    /// Formats without duplicates.
     fn distinct_formats(&self) -> Vec<&'static Format> {
         let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
         FORMATS.iter().filter(wanted).collect()

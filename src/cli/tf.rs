@@ -213,7 +213,7 @@ impl TransformPrinter<'_> {
     }
 }
 
-/// With nanosecond digits.
+/// Epoch time with nanosecond digits.
 fn epoch_text(at: Stamp) -> String {
     let nanos = at.nanos();
     format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))

@@ -19,7 +19,7 @@ use super::audit_options::{AuditOptions, positive_seconds};
 use super::output::Format;
 use super::{Outcome, misuse};
 
-/// Between checks for new data.
+/// Interval between checks for new data.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Audit a log while it is recorded, and once more when it has ended; prints a line when the verdict

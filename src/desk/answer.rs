@@ -153,7 +153,7 @@ pub struct WouldDo {
 impl WouldDo {
     /// Distance and axis, such as `150.0 mm along tool z`; `None` if the rotations differ.
     pub fn apart(&self) -> Option<String> {
-        /// Of the distance along an axis.
+        /// Minimum share of the distance along one axis.
         const ALONG: f64 = 0.995;
         let shift = self.tool.translation.vector;
         let along = |vector: Vec3, end: &str| {
@@ -224,7 +224,7 @@ impl Hypothesis {
         claims
     }
 
-    /// Whether all equivalent encodings change both sides alike, which determines the difference.
+    /// Whether all equivalent encodings change both sides equally, which determines the difference.
     pub(super) fn tells_the_change(&self) -> bool {
         let is_alike = |[is, but]: &[Reading; 2]| is.form == but.form;
         self.equivalents.is_empty()

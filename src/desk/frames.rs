@@ -217,7 +217,7 @@ impl Corrections {
 fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<FixedFrame>) {
     let mut fixed: Vec<LinkId> =
         robot.links().filter(|link| robot.fixed_transform(end, *link).is_some()).collect();
-    // Of frames with equal transforms, prefer common ones for poses.
+    // Prefer common pose frames among those with equal transforms.
     let ends =
         [&robot.default_base, &robot.controller_base, &robot.default_tip, &robot.controller_tip];
     fixed.sort_by_key(|link| {

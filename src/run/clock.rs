@@ -242,7 +242,7 @@ impl Delay {
 /// A stream is on another clock if its median delay to the recorder differs by more than `max_latency_s`.
 /// Alignment uses the minimum of log time minus stamp: the clock offset plus the minimum transport delay.
 /// Subtracting that of a stream on the common clock removes the delay. Streams on log time are aligned
-/// alike if the common clock is not the recorder's.
+/// as well if the common clock is not the recorder's.
 pub(super) fn settle(
     sources: &[Source<'_>],
     wanted: Clock,

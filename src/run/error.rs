@@ -235,7 +235,7 @@ impl RunError {
         }
     }
 
-    /// What the user can do, as a clause.
+    /// Suggested action, as a clause.
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::NoJointStates { question: Some(_), .. } => {

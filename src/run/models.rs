@@ -106,7 +106,7 @@ pub(super) fn models(
     let spaces = Space::of_names(&places);
     for ((place, text), space) in clues.descriptions.iter().zip(&spaces) {
         let found = format!("the description in the log ({place})");
-        // Of several descriptions, each describes the joints of its topic name.
+        // Each of several descriptions describes the joints of its topic name.
         let is_its = |joint: &&String| space.claim([joint.as_str()]) == Claim::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };

@@ -23,7 +23,7 @@ pub struct RepeatedValues {
     pub frame: Option<String>,
     /// Rows in motion.
     pub rows: usize,
-    /// Of these, repeats of the previous row.
+    /// Rows that repeat the previous one.
     pub repeated: usize,
     /// Row rate in motion, Hz.
     pub rows_hz: f64,

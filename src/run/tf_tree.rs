@@ -303,7 +303,7 @@ impl TfTree {
 #[derive(Clone, Debug)]
 pub struct TfPath<'a> {
     tree: &'a TfTree,
-    /// From target to source.
+    /// Steps from target to source.
     steps: Vec<Step<'a>>,
 }
 

@@ -15,7 +15,7 @@ const TURNS: [f64; 2] = [TAU, 360.0];
 const NEAR: f64 = 0.02;
 /// The same in long usual steps; the larger applies.
 const STEPS: f64 = 4.0;
-/// Its upper bound, turns.
+/// Upper bound of that distance, turns.
 const FAR: f64 = 0.125;
 /// Minimum share of values in the range.
 const WITHIN: f64 = 0.99;

@@ -58,9 +58,9 @@ rule! {
 const SETTLE: &str = "let the arm rest for half a second at its goals";
 /// An equal offset above this at all rests may be a tool or base frame, m.
 const MIN_FRAME_OFFSET_M: f64 = 0.02;
-/// Of an arm, m.
+/// Limit for any arm, m.
 const MAX_STEADY_STATE_ERROR_M: f64 = 0.1;
-/// Of a calibrated arm, m and rad.
+/// Limit for a calibrated arm, m and rad.
 const MAX_NOMINAL_RESIDUAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -108,7 +108,7 @@ impl<'a> RestErrors<'a> {
     }
 }
 
-/// In units of the warning thresholds.
+/// Error in units of the warning thresholds.
 fn relative_error(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     let length = gap.distance_m.norm.value / thresholds.length.warning;
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
@@ -319,7 +319,7 @@ fn fault(
     })
 }
 
-/// Whether the error is alike at all rests, relative to its size.
+/// Whether the error is similar at all rests, relative to its size.
 fn is_constant(
     gap: &RestError,
     (spread_m, spread_rad): (f64, f64),

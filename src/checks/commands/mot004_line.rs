@@ -180,7 +180,7 @@ fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
     }
 }
 
-/// If the command is a slerp.
+/// Outcome at the tip if the command is a slerp.
 fn tip_outcome(
     case: &Case,
     line: &CommandedLine,

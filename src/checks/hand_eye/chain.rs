@@ -138,7 +138,7 @@ pub fn with_solution(
     all.into_iter().fold(judged, |judged, (key, value)| judged.with_evidence(&key, value))
 }
 
-/// At evenly spaced poses.
+/// Residuals at evenly spaced poses.
 fn each(solution: &HandEyeSolution) -> Value {
     const MAX_LISTED_SAMPLES: usize = 200;
     let all = &solution.closure.each;

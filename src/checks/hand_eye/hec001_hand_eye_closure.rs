@@ -198,7 +198,7 @@ fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome 
     ))
 }
 
-/// With its 95 % interval.
+/// Camera pose with its 95 % interval.
 fn describe_camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
     let camera = &solution.camera;
     let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {

@@ -57,7 +57,7 @@ const THRESHOLD: Threshold = Threshold {
     error: 2.0 * DEGREE / 60.0,
 };
 
-/// Several times the wander of a good filter, where it starts to affect poses.
+/// Several times the wander of a good filter; larger jumps affect poses.
 const JUMP: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 

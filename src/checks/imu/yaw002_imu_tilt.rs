@@ -76,7 +76,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
 
 /// If another axis of the orientation's world points up; `None` if it is only tilted.
 fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
-    /// From the vertical, rad.
+    /// Maximum angle to the vertical, rad.
     const UP: f64 = 10.0 * DEGREE;
     let axis = up.in_world.iamax();
     if up.in_world[axis].abs() < UP.cos() || (axis == 2 && up.in_world.z > 0.0) {

@@ -160,7 +160,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     }
 }
 
-/// With its 95 % interval.
+/// Value with its 95 % interval.
 fn shown(measured: Measured) -> Value {
     json!({"value": measured.value, "ci95": measured.interval(0.95)})
 }

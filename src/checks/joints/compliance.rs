@@ -16,7 +16,7 @@ pub(super) struct ComplianceRule {
 }
 
 impl ComplianceRule {
-    /// Judges every joint of this kind, or the arm if there is none.
+    /// Judges every joint of this kind, or else the arm.
     pub fn check(&self, rule: &Rule, case: &Case) -> Vec<SubjectResult> {
         let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
         arms.flat_map(|arm| self.judge_arm(rule, case, arm)).collect()

@@ -61,7 +61,7 @@ struct StreamProfile<'a> {
     /// Stamps independent of the joint states'.
     has_independent_stamps: bool,
     course: &'a EstimateResult<LatencyProfile>,
-    /// After removing the profile.
+    /// Latency after removing the profile.
     latency: Option<&'a Measured>,
 }
 

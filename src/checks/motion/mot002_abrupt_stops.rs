@@ -46,14 +46,14 @@ rule! {
     }
 }
 
-/// Of a revolute joint.
+/// Thresholds of a revolute joint.
 const MAX_REVOLUTE_ACCELERATION: Limit = Limit {
     key: "turning",
     unit: Unit::RadianPerSecondSquared,
     value: 20.0,
     what: "acceleration above which a revolute joint stops abruptly",
 };
-/// Of a prismatic joint.
+/// Thresholds of a prismatic joint.
 const MAX_PRISMATIC_ACCELERATION: Limit = Limit {
     key: "sliding",
     unit: Unit::MetrePerSecondSquared,

@@ -42,7 +42,7 @@ rule! {
     }
 }
 
-/// Of the range or limit; a smaller excess is `info`.
+/// Share of the range or limit; a smaller excess is `info`.
 const MAX_SLIGHT_EXCESS: f64 = 0.01;
 /// The same for the speed of a continuous joint.
 const MAX_ENDLESS_SPEED_EXCESS: f64 = 1.0;

@@ -219,7 +219,7 @@ fn has_gaps(by: &GapLimits, part: &Cadence) -> bool {
     gaps_in_motion(by, part).next().is_some()
 }
 
-/// By period or sequence numbers; `None` if neither is available.
+/// Counted by period or sequence numbers; `None` if neither is available.
 fn lost_samples(by: &GapLimits, part: &Cadence) -> Option<usize> {
     // Unbroken numbers may be assigned by the recorder, so they prove nothing.
     let by_number = part.skipped.filter(|skipped| *skipped > 0);

@@ -12,7 +12,7 @@ use super::Args;
 
 pub struct PlannedArm {
     pub robot: Robot,
-    /// From base to tip.
+    /// Chain from base to tip.
     pub chain: Chain,
 }
 

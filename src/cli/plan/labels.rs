@@ -9,7 +9,7 @@ use super::setup::PlanTask;
 pub struct QuantityLabel {
     /// JSON key.
     pub key: &'static str,
-    /// Without the joint or axis.
+    /// Label without the joint or axis.
     pub text: String,
     /// Joint or axis.
     pub axis_or_joint: Option<String>,

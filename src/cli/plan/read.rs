@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::super::{misuse, output};
 
-/// In file order.
+/// Columns in file order.
 struct MotionTable {
     names: Vec<String>,
     t_s: Vec<f64>,

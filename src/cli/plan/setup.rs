@@ -16,7 +16,7 @@ use super::arm::PlannedArm;
 
 /// Prismatic motion equivalent to one radian.
 const SLIDE_M_PER_RAD: f64 = 0.2;
-/// Without a limit in the model.
+/// Speed without a limit in the model.
 const DEFAULT_SPEED_RAD_S: f64 = 1.0;
 /// Share of the reach, for models without collision shapes; typical of arms.
 const DEFAULT_RADIUS_RATIO: f64 = 0.06;

@@ -162,7 +162,7 @@ fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usiz
     }
 }
 
-/// Below MDL001's thresholds, for every stream.
+/// Whether every stream's residual is below MDL001's thresholds.
 fn explains_all(explanation: &SelectedModel) -> bool {
     explanation.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < MAX_EXPLAINED_M && rms(&stream.residual[1]) < MAX_EXPLAINED_RAD

@@ -247,7 +247,7 @@ impl CalibrationSystem<'_> {
         self.robot.with_deviations(self.path, &deviations, &self.zeros(state))
     }
 
-    /// Per joint of the chain.
+    /// Zero per joint of the chain.
     fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {

@@ -90,7 +90,7 @@ impl TipSensitivity {
     }
 }
 
-/// At rest, over the joint ranges.
+/// Configurations at rest, over the joint ranges.
 fn random_configurations(chain: &Chain) -> JointTrack {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
     let range = |(limits, kind): (&Limits, &JointKind)| {

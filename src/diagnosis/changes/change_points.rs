@@ -54,7 +54,7 @@ pub struct JointPatch {
     pub to_s: f64,
     /// Applied to positions.
     pub factor: f64,
-    /// Then added, rad or m.
+    /// Offset after the factor, rad or m.
     pub offset: f64,
 }
 

@@ -509,7 +509,7 @@ impl NumericTable {
         wanted.chains.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Centred.
+    /// Centred columns at these rows.
     fn at_rows(&self, rows: &[usize]) -> DMatrix<f64> {
         centred(DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
             self.columns[column][rows[row]]

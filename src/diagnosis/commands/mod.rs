@@ -248,7 +248,7 @@ fn rest_windows(
 const MAX_GOAL_DISTANCE_M: f64 = 0.02;
 const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// Relative to the thresholds for near.
+/// Distance from a goal relative to its limits.
 fn relative_error(gap: &RestError) -> f64 {
     (gap.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
         .max(gap.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)

@@ -63,7 +63,7 @@ impl ComplianceTerm {
         }
     }
 
-    /// In rad, signed except for eccentricity.
+    /// Size in rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
             ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],

@@ -13,9 +13,9 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 const MIN_MOTION_SHARE: f64 = 0.01;
 /// Below this fraction of the extent, positions as logged are accepted without other tests.
 const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.003;
-/// Two solutions are equivalent if their residuals are within this factor, …
+/// Two solutions are equivalent if their residuals are within this factor.
 const MAX_EQUIVALENT_RATIO: f64 = 5.0;
-/// … or if the residual is at most this fraction of the extent.
+/// They are also equivalent if the residual is at most this fraction of the extent.
 const MAX_EQUIVALENT_RESIDUAL_SHARE: f64 = 0.002;
 /// For a unit, mirroring or inverse, as a fraction of the extent.
 const MAX_RESIDUAL_SHARE: f64 = 0.15;

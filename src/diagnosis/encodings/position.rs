@@ -145,7 +145,7 @@ impl PositionEncodingEstimate {
 fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     /// Relative to the widest coordinate.
     const MAX_CONSTANT_SPREAD_SHARE: f64 = 0.01;
-    /// Of FK, relative to the widest coordinate and in m.
+    /// Spread of FK, relative to the widest coordinate and in m.
     const MIN_MOVING_SPREAD_SHARE: f64 = 0.05;
     const MIN_MOVING_SPREAD_M: f64 = 5e-3;
     /// Relative to the magnitude; less is rounding.

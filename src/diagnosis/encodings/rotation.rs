@@ -17,9 +17,9 @@ use ground::geometry::{
 use ground::stream::Orientations;
 use rayon::prelude::*;
 
-/// An accepted residual is within this ratio of the smallest, …
+/// An accepted residual is within this ratio of the smallest.
 const MAX_RESIDUAL_RATIO: f64 = 5.0;
-/// … or within this difference (0.05°).
+/// A residual within this difference (0.05°) is accepted too.
 const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
 /// Above this, no candidate is accepted (20°).
 const MAX_RESIDUAL_RAD: f64 = 0.35;
@@ -29,7 +29,7 @@ const SCREENING_ERROR_FACTOR: f64 = 1.5;
 /// Approximate number compared on all samples.
 const SCREENED_CANDIDATES: usize = 48;
 
-/// Of the largest tilt of an upright world (10°).
+/// Cosine of the largest tilt of an upright world (10°).
 const MIN_UPRIGHT_COSINE: f64 = 0.985;
 
 /// A tilt of gravity is a further fault.
@@ -79,7 +79,7 @@ impl RotationCorrections {
     }
 }
 
-/// As logged.
+/// Rotations as logged.
 #[derive(Clone, Copy)]
 pub(crate) enum LoggedRotations<'a> {
     Rotations(&'a [Rotation]),
@@ -302,7 +302,7 @@ fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)>
     kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
 }
 
-/// Except by rotating the world only.
+/// Whether the fit tilts gravity, except by rotating the world only.
 fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
     let turned_world_only =
         matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);

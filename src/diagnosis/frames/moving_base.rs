@@ -14,9 +14,9 @@ const MIN_SAMPLES: usize = 20;
 const MAX_LAG_S: f64 = 0.5;
 const INITIAL_STEP_S: f64 = 0.02;
 const FINAL_STEP_S: f64 = 2e-5;
-/// Separate latencies of transforms and poses must reduce the residual to this fraction, …
+/// Separate latencies of transforms and poses must reduce the residual to this fraction.
 const MAX_RESIDUAL_RATIO: f64 = 0.7;
-/// … and differ by more than this.
+/// Separate latencies must differ by more than this.
 const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
 /// With a residual above the first fraction of the extent, joints may be misinterpreted. A lag must then
 /// reduce it below the second fraction.
@@ -249,7 +249,7 @@ impl PlanarTravel {
     }
 }
 
-/// At mostly increasing times.
+/// FK at mostly increasing times.
 struct FkSequence<'a> {
     joints: &'a JointTrack,
     stream: &'a PoseStream<'a>,
@@ -291,7 +291,7 @@ mod tests {
         Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
     }
 
-    /// In `frame(t)`, with a constant latency.
+    /// Track in `frame(t)`, with a constant latency.
     fn track(
         joints: &JointTrack,
         chain: &ground::robot::Chain,

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
-/// Of the second direction to the first, to determine a rotation.
+/// Minimum ratio of the second direction to the first, to determine a rotation.
 const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
 
 /// In the unit of the positions.

@@ -29,7 +29,7 @@ pub(super) struct HandEyeFit {
     /// Position and rotation noise per component, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
-    /// Without outliers.
+    /// Rows without outliers.
     keep: Vec<bool>,
 }
 

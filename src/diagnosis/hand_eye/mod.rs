@@ -4,7 +4,7 @@
 //! `base_from_target`. With the camera in the base, `base_from_hand⁻¹ · X · camera_from_target` is
 //! `hand_from_target`. Both have the form `carrier · X · camera_from_target = Y` with `X =
 //! mount_from_camera` and `Y` unknown, so one solver handles both:
-//! 1. The lag at which hand and target rotate alike.
+//! 1. The lag between the rotations of hand and target.
 //! 2. A closed-form solution from relative motions (`A X = X B`: Park and Martin, "Robot sensor
 //!    calibration: solving AX = XB on the Euclidean group", IEEE Trans. Robotics and Automation 10(5),
 //!    1994), from pairs with equal rotation angles (Chen, "A screw motion approach to uniqueness analysis

@@ -9,7 +9,7 @@ use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
 pub(super) trait Model {
-    /// At the current parameters.
+    /// Linearises at the current parameters.
     fn linearize(&self) -> Linear;
 
     fn design_noise(&self) -> DesignNoise;
@@ -61,7 +61,7 @@ struct Excited {
     free: Vec<usize>,
     /// Excited ones, as columns over all parameters.
     basis: DMatrix<f64>,
-    /// Not excited.
+    /// Directions that are not excited.
     held: Vec<DVector<f64>>,
     noise: DMatrix<f64>,
 }

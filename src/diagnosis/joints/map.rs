@@ -6,9 +6,9 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 /// Motion of a joint per unit of another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coupling {
-    /// Driven.
+    /// Driven joint.
     pub joint: usize,
-    /// Driving.
+    /// Driving joint.
     pub by: usize,
     /// Motion of `joint` per unit of `by`.
     pub factor: f64,
@@ -109,7 +109,7 @@ impl JointMap {
     }
 }
 
-/// Including zero.
+/// Whether `angle` is a multiple of a quarter turn.
 pub(crate) fn is_quarter_turn(angle: f64) -> bool {
     /// Estimates of round angles are within it; a tuned zero rarely is.
     const ROUND_TOLERANCE_RAD: f64 = 5e-3;

@@ -26,9 +26,9 @@ const MIN_MOTION_M: f64 = 5e-3;
 /// Ratio to the best residual that excludes another interpretation.
 const MIN_RESIDUAL_RATIO: f64 = 2.0;
 /// A costlier interpretation is selected only if the cheaper one exceeds this multiple of the least
-/// residual …
+/// residual.
 const MAX_COMPETITOR_RATIO: f64 = 4.0;
-/// … and this value.
+/// A cheaper interpretation below this residual is kept.
 const RESIDUAL_FLOOR_M: f64 = 3e-4;
 const ORDER_PRICE: f64 = 1.5;
 /// Costlier sets of reversed joints are one mirrored axis instead.

@@ -10,7 +10,7 @@ pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
 #[derive(Clone)]
 pub(super) struct SimultaneousSamples {
     pub xyz: Vec<Vec3>,
-    /// If decoded.
+    /// Rotations, if decoded.
     pub rotation: Option<Vec<Rotation>>,
     /// Positions of the inverse poses, if there are rotations.
     pub inverse_xyz: Option<Vec<Vec3>>,

@@ -331,7 +331,7 @@ fn explains(
     without_s: impl Fn(f64) -> f64,
     with_s: impl Fn(f64) -> f64,
 ) -> bool {
-    /// Of the excess residual.
+    /// Share of the excess residual.
     const MAX_RESIDUAL_RATIO: f64 = 0.5;
     /// Minimum excess relative to the noise.
     const MAX_REMAINING_SHARE: f64 = 0.1;

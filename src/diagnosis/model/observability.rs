@@ -17,7 +17,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Of the reference motion that excites everything observable.
+/// Configurations of the reference motion, which excites everything observable.
 const CONFIGURATIONS: usize = 200;
 const STEP_S: f64 = 0.1;
 /// Smaller shares of that motion's largest eigenvalue are not observable in any log.

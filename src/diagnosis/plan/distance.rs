@@ -30,7 +30,7 @@ pub struct Clearances {
     pub clear_m: f64,
     /// Floor height in the base.
     pub floor_m: Option<f64>,
-    /// If any.
+    /// Visibility of the target, if any.
     pub view: Option<TargetVisibility>,
     /// Segments, with the minimum distance between surfaces, m.
     pairs: Vec<(usize, usize, f64)>,

@@ -31,7 +31,7 @@ impl FourierMotion {
         Self { around, seconds, rest_s, harmonics, sin: none.clone(), cos: none }
     }
 
-    /// Including rests.
+    /// Duration, including rests.
     pub fn length_s(&self) -> f64 {
         self.seconds + 2.0 * self.rest_s
     }

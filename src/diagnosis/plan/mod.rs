@@ -104,7 +104,7 @@ pub struct PlanRequirements<'a> {
     pub margins: &'a [JointMargins],
     /// Including rests.
     pub seconds: f64,
-    /// What to estimate.
+    /// Quantities to estimate.
     pub purpose: Purpose,
     /// Its measurement.
     pub sensing: Sensing,

@@ -38,12 +38,12 @@ pub enum PlannedQuantity {
     ZeroBesideLinks(usize),
     /// Tip position of the calibrated model, rms m.
     FkPosition {
-        /// Over the workspace, not the motion.
+        /// Whether over the workspace instead of the motion.
         everywhere: bool,
     },
     /// Tip rotation, rms rad.
     FkRotation {
-        /// Over the workspace.
+        /// Whether over the workspace.
         everywhere: bool,
     },
     /// Latency, s.

@@ -130,7 +130,7 @@ struct MotionSearch<'a> {
 }
 
 impl MotionSearch<'_> {
-    /// Within the limits.
+    /// Random motion within the limits.
     fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
         let Self { task, seconds, rest_s, harmonics } = *self;
         let mut series = FourierMotion::at_rest(task.around, seconds, rest_s, harmonics);

@@ -13,9 +13,9 @@ use nalgebra::DVector;
 
 /// For the link frames.
 const MAX_SAMPLES: usize = 1000;
-/// Of the cross-validation.
+/// Cross-validation folds.
 const FOLDS: usize = 4;
-/// Fewer if noise is correlated for longer.
+/// Fewer folds if noise is correlated for longer.
 const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
 /// Below this the correlation is chance, for 95 % of chance correlations even with few blocks.
 const CHANCE_STD_ERRORS: f64 = 2.0;

@@ -19,7 +19,7 @@ use ground::stream::{JointTrack, Orientations};
 
 /// Defines the size of an error.
 const ERROR_QUANTILE: f64 = 0.95;
-/// Of the moving run.
+/// Parts of the moving run.
 const MAX_PARTS: usize = 10;
 /// Shorter runs have fewer parts.
 const MIN_PART_SAMPLES: usize = 20;
@@ -28,7 +28,7 @@ const MIN_SAMPLES: usize = 8;
 const MIN_MOVING_SAMPLES: usize = 10;
 /// Rms of the tip's points.
 const MAX_REST_SPREAD_M: f64 = 2e-3;
-/// Of the joints, rad or m: 3°, as for joint zeros.
+/// Joint range, rad or m: 3°, as for joint zeros.
 const MAX_SINGLE_CONFIGURATION_RANGE: f64 = 0.05;
 /// Relative to the motion's correlation time.
 const MAX_NOISE_SPAN_SHARE: f64 = 0.25;

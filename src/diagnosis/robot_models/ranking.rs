@@ -78,7 +78,7 @@ impl FitAssumption {
         }
     }
 
-    /// Without latency and tool.
+    /// Parameter count, without latency and tool.
     fn parameters(self) -> usize {
         match self {
             FitAssumption::Nothing | FitAssumption::Tool => 0,
@@ -311,7 +311,7 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
-    /// With poses and joints as logged.
+    /// Fits to poses and joints as logged.
     fn faulty_fits(&self) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let zeros = (0..dof)
@@ -532,7 +532,7 @@ pub(crate) fn extent(xyz: &[Vec3]) -> f64 {
     rms_of_most(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
 }
 
-/// Over the smallest 90 %.
+/// Rms of the smallest 90 %.
 fn rms_of_most(mut squares: Vec<f64>) -> f64 {
     squares.sort_by(f64::total_cmp);
     let kept = (9 * squares.len()).div_ceil(10);
@@ -541,16 +541,16 @@ fn rms_of_most(mut squares: Vec<f64>) -> f64 {
 
 #[derive(Clone, Copy)]
 enum ToolPrior {
-    /// Flat.
+    /// Flat prior.
     None,
-    /// On the flange axis, up to link deviations.
+    /// Tool on the flange axis, up to link deviations.
     AlongAxis,
-    /// Zero, up to link deviations.
+    /// Zero tool, up to link deviations.
     Deviation,
 }
 
 impl ToolPrior {
-    /// Relative to the rms residual.
+    /// Weights relative to the rms residual.
     fn weights(self) -> Vec3 {
         let each = RESIDUAL_FLOOR_M / DEVIATION_PRIOR_M / MAX_EFFECTIVE_SAMPLES.sqrt();
         match self {
@@ -607,7 +607,7 @@ impl<'a> ChainState<'a> {
         true
     }
 
-    /// In the stream's reference frame.
+    /// Tip in the stream's reference frame.
     fn tip(&self, guess: &FittedParameters) -> Vec3 {
         (guess.reference * (self.pose * Point3::from(guess.tool))).coords
     }

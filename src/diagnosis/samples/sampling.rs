@@ -82,7 +82,7 @@ pub(crate) fn slow_samples(
     (rows, fk)
 }
 
-/// Of velocity noise, for a moving joint.
+/// Multiple of the velocity noise for a moving joint.
 pub(crate) const REST_SIGMAS: f64 = 5.0;
 
 /// Speed below which each joint rests: five times the velocity noise, at least 0.2 mrad/s. Median second

@@ -45,7 +45,7 @@ const MAX_ZEROS: usize = 4;
 pub(crate) const MAX_DEVIATION_SAMPLES: usize = 1000;
 /// Zeros of several degrees are nonlinear.
 const LINEARIZATION_ROUNDS: usize = 4;
-/// Of the Student's t prior: how similar the sizes are.
+/// Degrees of freedom of the Student's t prior: similarity of the sizes.
 const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Rounds, and the change of twice the log-likelihood at convergence.
 const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
@@ -197,7 +197,7 @@ struct DeviationModel {
     kinds: Vec<DeviationParameter>,
     /// In the chain.
     joints: usize,
-    /// Of the noise estimate.
+    /// Degrees of freedom of the noise estimate.
     dof: f64,
 }
 
@@ -205,7 +205,7 @@ struct DeviationModel {
 struct DeviationFit {
     /// Joints whose zeros are fixed effects.
     zeros: Vec<usize>,
-    /// Per group, m.
+    /// Size per group, m.
     sizes_m: Vec<f64>,
     /// Twice the log-likelihood, up to a common constant.
     evidence: f64,

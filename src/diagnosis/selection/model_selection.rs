@@ -56,7 +56,7 @@ impl Cause {
     }
 }
 
-/// Ascending.
+/// Parameters in ascending order.
 fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
     let mut parameters: Vec<usize> =
         causes.iter().flat_map(|cause| cause.parameters(state)).collect();
@@ -76,9 +76,9 @@ pub(crate) struct Linearized {
 
 struct FreeFit {
     parameters: Vec<usize>,
-    /// Of each score on each parameter.
+    /// Influence of each score on each parameter.
     influence: DMatrix<f64>,
-    /// Under correlated noise.
+    /// Covariance under correlated noise.
     covariance: DMatrix<f64>,
     step: DVector<f64>,
 }
@@ -390,7 +390,7 @@ pub(crate) fn select_model(
     SelectedModel { state, causes, linear }
 }
 
-/// Below the resolution of any estimate.
+/// Whether the step is below the resolution of any estimate.
 fn is_negligible(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
@@ -427,7 +427,7 @@ pub(crate) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedMod
 }
 
 impl SelectedModel {
-    /// By stream and residual kind (positions, rotations).
+    /// Noise per stream and residual kind (positions, rotations).
     pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams

@@ -110,11 +110,11 @@ pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
 /// Maximum a posteriori changes of link frames.
 struct LinkFrameChanges {
     samples: usize,
-    /// After these changes.
+    /// Weights after these changes.
     weights: Vec<Weight>,
     /// Complexity penalty, as a squared deviation.
     price: f64,
-    /// As in [`link_frames`].
+    /// Changes in the order of [`link_frames`].
     step: DVector<f64>,
 }
 

@@ -6,9 +6,9 @@ use crate::frames::constant_frames::tool_start;
 use crate::model::measurement::{PoseObservations, StreamState};
 use ground::geometry::Pose;
 
-/// The tool may have this multiple of the base's residual, …
+/// The tool may have this multiple of the base's residual.
 const MAX_RESIDUAL_RATIO: f64 = 1.5;
-/// … or exceed it by this, m and rad: the effect of typical link deviations.
+/// It may also exceed the base's by this, m and rad: the effect of typical link deviations.
 const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
 
 /// Replaces each tuned reference by a tool if that fits as well, on about `most` samples per stream.

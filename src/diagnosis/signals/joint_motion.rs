@@ -63,7 +63,7 @@ pub fn speed_violation_from_positions(
     const NOISE_SHARE_OF_LIMIT: f64 = 0.02;
     /// Rarely exceeded by noise.
     const NOISE_SIGMAS: f64 = 4.0;
-    /// Of normal deviations.
+    /// Share of normal deviations.
     const ONE_SIGMA_SHARE: f64 = 0.68;
     /// Stamp jitter remaining after a median of 17: 1.25 / √17.
     const JITTER_SHARE: f64 = 0.3;
@@ -185,7 +185,7 @@ pub struct PeakAcceleration {
 
 /// Not reached by noise in a million windows.
 const MAX_NOISE_SIGMAS: f64 = 6.0;
-/// Of an abrupt stop.
+/// Duration of an abrupt stop.
 const MAX_STOP_S: f64 = 0.1;
 /// As a share of window length times fitted acceleration. A speed step amid a window gives 0.53, because
 /// the fitted parabola's second derivative is 15/8 of step over length; a step near its ends gives less.
@@ -444,12 +444,12 @@ impl Fit {
         Self { half, series, weights }
     }
 
-    /// For white noise of unit standard deviation.
+    /// Output for white noise of unit standard deviation.
     fn gain(&self) -> f64 {
         self.weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt()
     }
 
-    /// For errors of at most 1.
+    /// Output for errors of at most 1.
     fn most(&self) -> f64 {
         self.weights.iter().map(|weight| weight.abs()).sum()
     }
@@ -483,7 +483,7 @@ impl Fit {
         })
     }
 
-    /// At consecutive rows from `first`.
+    /// Accelerations at consecutive rows from `first`.
     fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
         let count = accelerations.len();
         let beside = |place: usize| &values[first - self.half + place..][..count];

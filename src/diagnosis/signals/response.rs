@@ -427,9 +427,9 @@ impl ResponseChanges {
     ) -> (f64, f64, f64) {
         /// Unexplained share relative to a pure delay.
         const MAX_LOW_PASS_RATIO: f64 = 0.75;
-        /// Of the unexplained share.
+        /// Gain in the unexplained share.
         const MIN_GAIN: f64 = 1e-6;
-        /// Of the whole delay.
+        /// Share of the whole delay.
         const MIN_LOW_PASS_SHARE: f64 = 0.2;
         const MIN_TIME_CONSTANT_S: f64 = 2e-3;
         const TIME_CONSTANT_STEPS: usize = 24;

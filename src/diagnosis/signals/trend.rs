@@ -46,7 +46,7 @@ pub struct TrendStep {
 /// Minimum number of runs for a trend.
 pub const MIN_RUNS: usize = 4;
 
-/// Of a step to the line; large because the position is selected.
+/// Likelihood ratio of a step to the line; large because the position is selected.
 const MIN_STEP_LOG_RATIO: f64 = 5.0;
 /// In one pass over the runs.
 const MAX_FITS: usize = 128;
@@ -162,7 +162,7 @@ impl LineFit {
     }
 }
 
-/// With a known spread.
+/// Fit with a known spread.
 struct WeightedFit {
     slope: f64,
     slope_variance: f64,

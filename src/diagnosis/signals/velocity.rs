@@ -135,7 +135,7 @@ struct Noise {
 }
 
 impl Noise {
-    /// Of integral minus position change; `moved` is the mean squared change.
+    /// Variance of integral minus position change; `moved` is the mean squared change.
     fn window_variance(&self, window_s: f64, moved: f64) -> f64 {
         let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
         2.0 * self.position + self.velocity * window_s + by_stamps + self.between
@@ -154,7 +154,7 @@ struct VelocityWindows {
 
 impl VelocityWindows {
     fn from_samples(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
-        /// Of a moving joint, rad or m.
+        /// Travel of a moving joint, rad or m.
         const MIN_TRAVEL: f64 = 5e-3;
         const MIN_WINDOWS: usize = 20;
         /// Windows grow until this noise-to-change ratio.
@@ -243,9 +243,9 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
-/// From the first sample.
+/// Integral from the first sample.
 struct Integral {
-    /// By cubic and linear interpolation.
+    /// Values by cubic and by linear interpolation.
     at: Vec<[f64; 2]>,
 }
 
@@ -310,7 +310,7 @@ fn shape(
 ) -> VelocityShape {
     /// Rms relative to the derivatives.
     const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
-    /// Of the squared error after a cause.
+    /// Share of the squared error after a cause.
     const MAX_REMAINING_SHARE: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();

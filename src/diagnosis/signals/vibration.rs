@@ -115,7 +115,7 @@ pub fn estimate_vibration(
     strongest.ok_or(VibrationFailure::Uneven)
 }
 
-/// By the cubic through the four nearest samples.
+/// Interpolates with the cubic through the four nearest samples.
 fn resample_evenly(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
     const INTERPOLATION_POINTS: usize = 4;
     let (count, first_s, last_s) = (t_s.len(), t_s[0], t_s[t_s.len() - 1]);
@@ -180,7 +180,7 @@ fn period(t_s: &[f64]) -> Option<f64> {
     (period_s > 0.0).then_some(period_s)
 }
 
-/// Of the power of three axes of noise: χ² with six degrees of freedom.
+/// Ratio for the power of three axes of noise: χ² with six degrees of freedom.
 const MEDIAN_TO_MEAN_POWER: f64 = 0.891;
 
 struct Spectrum {
@@ -307,7 +307,7 @@ fn remove_step(path: &mut [Vec3]) {
     }
 }
 
-/// By orthogonal Legendre polynomials.
+/// Uses orthogonal Legendre polynomials.
 fn remove_parabola(values: &mut [f64]) {
     let middle = (values.len() as f64 - 1.0) / 2.0;
     let count = values.len() as f64;

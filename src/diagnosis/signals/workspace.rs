@@ -8,9 +8,9 @@ use ground::robot::{Chain, JointKind, Limits};
 
 /// Edge of a cell, m.
 pub const CELL_SIZE_M: f64 = 0.02;
-/// Of distinct orientations, rad.
+/// Angle between distinct orientations, rad.
 pub const MIN_ORIENTATION_DIFFERENCE_RAD: f64 = 15.0 * PI / 180.0;
-/// Of a joint in distinct configurations, rad or m.
+/// Joint difference of distinct configurations, rad or m.
 pub const MIN_CONFIGURATION_DIFFERENCE: f64 = 0.35;
 const RANGE_BINS: usize = 72;
 const MAX_SAMPLE_S: f64 = 1.0;
@@ -95,7 +95,7 @@ pub struct ReachedPose {
 /// Cells and poses that a tip reached.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Workspace {
-    /// By index along x, y, z of the base. Cell `i` extends from `i · CELL_SIZE_M` to `(i + 1) ·
+    /// Keyed by index along x, y, z of the base. Cell `i` extends from `i · CELL_SIZE_M` to `(i + 1) ·
     /// CELL_SIZE_M`.
     pub cells: BTreeMap<[i32; 3], ReachCell>,
     /// Distinct poses in time order. Within a cell they differ by [`MIN_ORIENTATION_DIFFERENCE_RAD`] or by

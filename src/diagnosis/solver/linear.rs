@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 pub(crate) struct Linear {
     /// Number of parameters.
     pub width: usize,
-    /// By kind and sample.
+    /// Residuals by kind and sample.
     pub residual: Vec<Vec<[f64; 3]>>,
     /// Minimum standard deviation of each kind, in its unit.
     floor: Vec<f64>,
@@ -358,7 +358,7 @@ struct Score {
     lasting: Vec<f64>,
 }
 
-/// Symmetric.
+/// Adds symmetrically.
 fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
     matrix[(row, column)] += value;
     if row != column {
@@ -396,7 +396,7 @@ pub(crate) struct Normal {
 }
 
 impl Normal {
-    /// Without samples.
+    /// Equations without samples.
     pub fn zeros(width: usize) -> Self {
         Self {
             matrix: DMatrix::zeros(width, width),

@@ -6,7 +6,7 @@
 /// Noise of one kind of residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Noise {
-    /// Of one component, in the residual's unit.
+    /// Standard deviation of one component, in the residual's unit.
     pub sigma: f64,
     /// Autoregressive share of the variance, 0 to 1.
     pub share: f64,

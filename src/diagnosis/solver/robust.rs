@@ -38,7 +38,7 @@ pub(crate) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Of one component, from the median magnitude.
+/// Standard deviation of one component, from the median magnitude.
 pub(crate) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
     let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
     STD_DEV_PER_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)

@@ -190,9 +190,9 @@ impl Misread<LengthScale> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Units {
-    /// Of positions.
+    /// Length unit.
     pub length: Option<LengthScale>,
-    /// Of angles.
+    /// Angle unit.
     pub angle: Option<AngleUnit>,
 }
 

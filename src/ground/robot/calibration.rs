@@ -19,7 +19,7 @@ use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
 
-/// In the order of [`BLOCKS`].
+/// Joint names in the order of [`BLOCKS`].
 const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",

@@ -196,7 +196,7 @@ impl Chain {
         self.joint_names.len()
     }
 
-    /// From base to tip.
+    /// Joint names from base to tip.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }

@@ -119,7 +119,7 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// What the user can do.
+    /// Suggested action.
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Unreadable(_) => "check that it exists and is a URDF or a TOML file",

@@ -138,12 +138,12 @@ impl Robot {
         self.text.as_deref()
     }
 
-    /// In file order.
+    /// Links in file order.
     pub fn links(&self) -> impl Iterator<Item = LinkId> + '_ {
         (0..self.links.len()).map(LinkId)
     }
 
-    /// In file order.
+    /// Joints in file order.
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
@@ -296,12 +296,12 @@ impl Robot {
 /// A joint on a path through the tree.
 pub(super) struct PathStep<'a> {
     pub joint: &'a Joint,
-    /// From child to parent.
+    /// Whether it leads from child to parent.
     pub upwards: bool,
 }
 
 impl PathStep<'_> {
-    /// At position zero.
+    /// Transform at position zero.
     pub(super) fn fixed_part(&self) -> Pose {
         if self.upwards {
             self.joint.parent_from_joint.inverse()

@@ -15,7 +15,7 @@ use crate::geometry::{
     Convention, Pose, angle_between, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
 
-/// Of the edited origins, m and rad.
+/// Resolution of the edited origins, m and rad.
 const WRITTEN: f64 = 1e-9;
 
 /// Error of editing a model's text.

@@ -27,7 +27,7 @@ pub enum Shape {
     Mesh {
         /// Such as `package://ur_description/meshes/base.dae`.
         uri: String,
-        /// Of x, y and z.
+        /// Scale along x, y and z.
         scale: [f64; 3],
     },
     /// Edge lengths along x, y and z, m.

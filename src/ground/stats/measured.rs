@@ -13,7 +13,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Of the interval with this coverage (Student's t).
+    /// Half-width of the interval with this coverage (Student's t).
     pub fn half_width(&self, confidence: f64) -> f64 {
         if !self.std_error.is_finite() {
             return f64::INFINITY;
@@ -38,7 +38,7 @@ impl Measured {
 pub struct MeasuredLength {
     /// Its interval includes zero unless zero is rejected.
     pub norm: Measured,
-    /// For all components being zero.
+    /// Probability of such values if all components are zero.
     pub p_value: f64,
 }
 

@@ -136,7 +136,7 @@ pub enum Orientations {
     Rotations(Vec<Rotation>),
     /// Three numbers per sample, undeclared convention.
     Numbers(Vec<[f64; 3]>),
-    /// Never set, with their number.
+    /// Number of orientations, none ever set.
     Unset(usize),
 }
 
@@ -184,9 +184,9 @@ impl PoseTrack {
 /// Declared units, already applied to the stream; they may be wrong.
 #[derive(Clone, Debug, Default)]
 pub struct DeclaredUnits {
-    /// Of positions: m or mm.
+    /// Length unit: m or mm.
     pub length: LengthScale,
-    /// Of angles.
+    /// Angle unit.
     pub angle: AngleUnit,
     /// Orientations in the other unit; `None` without angles.
     pub in_other_angles: Option<Vec<Rotation>>,

@@ -58,7 +58,7 @@ fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     places.collect()
 }
 
-/// By extension, because most formats have no signature, with a short check of the content.
+/// Uses the extension, because most formats have no signature, and checks the content briefly.
 fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
     let kind = place.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let begins_with = |mark: &str| {

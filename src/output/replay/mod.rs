@@ -103,7 +103,7 @@ impl<'a> Replay<'a> {
         named.or(self.arms.first())
     }
 
-    /// Of the run if the finding concerns all of it.
+    /// Span of the finding, or else of the run.
     fn span_of(&self, finding: &Finding) -> (Stamp, Stamp) {
         let (start, end) = (finding.start_ns, finding.end_ns);
         (start.unwrap_or(self.span.0), end.unwrap_or(self.span.1))

@@ -162,7 +162,7 @@ fn errors(
 }
 
 pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
-    /// Of an arrow, as a fraction of the arm's reach.
+    /// Length of an arrow, as a fraction of the arm's reach.
     const LONGEST: f64 = 0.25;
     /// Smallest magnified error, m.
     const WORTH_M: f64 = 1e-3;

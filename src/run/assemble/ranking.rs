@@ -133,7 +133,7 @@ impl ByPoses<'_> {
         if own.fits && own.way.assumption == FitAssumption::Nothing && !own.way.is_misinterpreted {
             return None;
         }
-        // The other DH convention of its own table is ORD007, not another arm.
+        // The other DH convention of the same table is ORD007, not another arm.
         if let Some(robot) = model.robot.under_other_convention() {
             let ranking = self.ranking(&[&Model { robot, ..model.clone() }]);
             let turned = ranking.as_ref().and_then(|ranking| ranking.standings.first());

@@ -138,7 +138,7 @@ impl<'a> Search<'a> {
             else {
                 break;
             };
-            // Of several points on the tool, prefer the one nearest to the tip.
+            // Prefer the point on the tool that is nearest to the tip.
             const NEARER_M: f64 = 0.01;
             let is_point = |other: &&ColumnMapping| {
                 other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m

@@ -32,7 +32,7 @@ pub struct SharedColumns {
 /// One identified group of columns.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SharedRow {
-    /// What the columns are.
+    /// Meaning of the columns.
     pub is: String,
     /// The columns, in `[columns]` syntax.
     pub columns: Vec<String>,

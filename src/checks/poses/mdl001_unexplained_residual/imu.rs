@@ -35,7 +35,7 @@ pub fn judge(
     }
 }
 
-/// By orientation, gyro and measured gravity. The orientation is filtered, so only the error threshold
+/// Rest by orientation, gyro and measured gravity. The orientation is filtered, so only the error threshold
 /// applies.
 fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
     /// Gyro residual over the arm's rate.

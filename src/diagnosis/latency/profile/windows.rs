@@ -117,7 +117,7 @@ pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<
     std_error_s.is_finite().then_some(LatencyWindow { t_s, delta_s, std_error_s })
 }
 
-/// Relative to their best line.
+/// χ² relative to the best line.
 pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
     let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
     let mean = |of: &dyn Fn(&LatencyWindow) -> f64| {
@@ -150,7 +150,7 @@ pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measur
     (levels, chi2)
 }
 
-/// Where the latency steps. The window with the step lies on neither level and increases the χ² of both.
+/// Positions of latency steps. The window with the step fits neither level and increases the χ² of both.
 pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
     let mut splits: Vec<usize> = Vec::new();
     while splits.len() < MAX_STEPS {

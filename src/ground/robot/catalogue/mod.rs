@@ -36,9 +36,9 @@ struct Vendor {
 /// Catalogue arm whose joint names match a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// With its catalogue names.
+    /// Robot with its catalogue names.
     pub robot: &'static Robot,
-    /// To the log's names.
+    /// Mapping to the log's names.
     pub names: NameMatch,
 }
 
