@@ -18,7 +18,7 @@ SHORT = 500  # words that a room counts as at least, so a short page may contain
 SKIPPED = {"target", "node_modules", "seeds", "corpus", "snapshots", "CHANGELOG.md"}
 # Rooms above LIMIT. Lower an entry when its room improves; never raise one.
 ALLOWED = {
-    "docs": 32, "docs/datasets.md": 51, "docs/real-logs.md": 7, "docs/rules": 9, "fixtures": 8,
+    "docs": 32, "docs/real-logs.md": 7, "docs/rules": 9, "fixtures": 8,
 }
 
 PHRASES = r"""what (?:is|was|are|were|it|they|an?|the|no|all|has|had|comes|goes|remains|else)
