@@ -408,8 +408,8 @@ fn answers(report: &Report) -> BTreeSet<String> {
     };
     let mut answers = BTreeSet::from([format!("{status}")]);
     for name in ["json", "text", "markdown", "html"] {
-        let format = Format::named(name).expect("a format");
-        if format.is_pictured() && report.figures.is_none() {
+        let format = Format::from_name(name).expect("a format");
+        if format.has_pictures() && report.figures.is_none() {
             continue;
         }
         let mut written = Vec::new();

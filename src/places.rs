@@ -11,7 +11,7 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::config::FILE_NAME;
 use crate::log;
-use crate::report::{Trouble, TroubleKind, is_descriptor, replaceable};
+use crate::report::{Trouble, TroubleKind, is_descriptor, resolve_local_link};
 
 /// Files and folders of a call.
 #[derive(Clone, Debug, Default)]
@@ -281,7 +281,7 @@ impl Place {
             (Kind::File, Some(true)) => return Err("it is a folder".to_owned()),
             (Kind::Folder | Kind::Own, Some(false)) => return Err("it is not a folder".to_owned()),
             (Kind::File, Some(false)) => {
-                replaceable(&self.given).map_err(|error| error.to_string())?;
+                resolve_local_link(&self.given).map_err(|error| error.to_string())?;
             }
             _ => {}
         }

@@ -13,7 +13,7 @@ use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
 use crate::log;
 use crate::places::Places;
-use crate::report::{PlanOf, Trouble, TroubleKind, plan_around};
+use crate::report::{PlanInputs, Trouble, TroubleKind, plan_command};
 use crate::robot::Robot;
 use crate::run::{Arm, PoseSource, PoseSourceKind, Run, robot_of};
 use crate::stream::JointTrack;
@@ -169,14 +169,14 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     let chain = drawing.chain(base?, tip?).ok()?;
     let given = options.run.robots.first().map(|given| given.model.clone());
     let name = given.or_else(|| drawing.text().is_none().then(|| drawing.name.clone()));
-    let call = plan_around(&PlanOf {
+    let call = plan_command(&PlanInputs {
         robot: drawing,
         chain: &chain,
         joints: &stream.joints,
         columns: &stream.columns,
         model: name.and_then(|name| Some((name.clone(), robot_of(&name).ok()?))),
         log: &stream.log,
-        in_log: String::new(),
+        log_options: String::new(),
     })?;
     let outside = if stream.witness == PoseSourceKind::External { " --outside" } else { "" };
     Some(format!("{call} --for calibration{outside}"))

@@ -13,8 +13,8 @@ use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, 
 use crate::log::{Extent, Log, Loss};
 use crate::places::Places;
 use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, plans,
-    robots, streams, tells_hand_eye,
+    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, has_decided_hand_eye,
+    join_segments, plans, robot_rows, stream_rows, workspace_coverage,
 };
 use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
 
@@ -162,8 +162,8 @@ impl Audited {
     pub(crate) fn figures(&self) -> Figures {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
-        let drawn = figures(&self.run, &self.evidence, corrected, &self.report.findings);
-        Figures { of_longest_segment: self.is_part, ..drawn }
+        let drawn = build_figures(&self.run, &self.evidence, corrected, &self.report.findings);
+        Figures { is_longest_segment: self.is_part, ..drawn }
     }
 
     /// The report alone. Columns are freed in the background: for a long log that takes as long as writing
@@ -215,8 +215,8 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
         }
     };
     let streams = match parts {
-        [only] => streams(&only.run),
-        segments => joined(segments.iter().flat_map(|segment| streams(&segment.run))),
+        [only] => stream_rows(&only.run),
+        segments => join_segments(segments.iter().flat_map(|segment| stream_rows(&segment.run))),
     };
     if let Some(config) = &options.config {
         let row = |note: String| NoteRow { path: config.clone(), note };
@@ -227,9 +227,14 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
         });
         read.summary.notes.extend(unused);
     }
-    let workspace = coverage(&main.run, &evaluation);
-    let mut report =
-        Report::new(read.summary, robots(&main.run), streams, evaluation, options.policy.fail_on);
+    let workspace = workspace_coverage(&main.run, &evaluation);
+    let mut report = Report::new(
+        read.summary,
+        robot_rows(&main.run),
+        streams,
+        evaluation,
+        options.policy.fail_on,
+    );
     report.workspace = workspace;
     report.thresholds = options.policy.rules.thresholds.clone();
     report.plans = plans(
@@ -240,9 +245,11 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
         &options.run,
         &options.logs,
     );
-    report.fails_open = options.policy.fail_on_inconclusive;
+    report.fails_if_inconclusive = options.policy.fail_on_inconclusive;
     match &main.run.no_arm {
-        Some(error) if options.policy.rules.needs_model() && !tells_hand_eye(&report.checks) => {
+        Some(error)
+            if options.policy.rules.needs_model() && !has_decided_hand_eye(&report.checks) =>
+        {
             report.with_trouble(error.into())
         }
         _ => report,
@@ -279,5 +286,5 @@ impl Part {
 }
 
 pub(crate) fn summary(run: &Run, read: Read) -> Report {
-    Report::of_log(read.summary, robots(run), streams(run))
+    Report::from_log(read.summary, robot_rows(run), stream_rows(run))
 }

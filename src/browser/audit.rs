@@ -45,11 +45,11 @@ pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<An
         Ok((poseaudit::audit(&options)?, words))
     });
     let report = match audited {
-        Err(trouble) => Report::of_trouble(trouble),
+        Err(trouble) => Report::from_trouble(trouble),
         Ok((audited, words)) => {
             progress.set_activity("drawing");
             let Audited { report, .. } = audited.with_figures();
-            report.called(&words)
+            report.with_command_line(&words)
         }
     };
     Ok(Answer {
@@ -62,7 +62,7 @@ pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<An
 
 fn written(report: &Report, format: &str) -> String {
     let mut bytes = Vec::new();
-    let done = Format::named(format).map(|format| format.write(report, &mut bytes));
+    let done = Format::from_name(format).map(|format| format.write(report, &mut bytes));
     debug_assert!(matches!(done, Some(Ok(()))), "memory takes every report");
     String::from_utf8_lossy(&bytes).into_owned()
 }
@@ -73,7 +73,7 @@ fn status(report: &Report) -> u8 {
         (Some(Trouble { kind: TroubleKind::Call, .. }), _) => 2,
         (Some(Trouble { kind: TroubleKind::Log, .. }), _) => 3,
         (None, Verdict::Fail) => 1,
-        (None, Verdict::Inconclusive) => u8::from(report.fails_open),
+        (None, Verdict::Inconclusive) => u8::from(report.fails_if_inconclusive),
         (None, Verdict::Pass) => 0,
     }
 }

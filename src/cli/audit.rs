@@ -129,7 +129,7 @@ impl Args {
             true => statistics::emit(report, &self.reports),
             false => self.reports.emit(report),
         };
-        let baseline_written = match (&self.write_baseline, Format::named("json")) {
+        let baseline_written = match (&self.write_baseline, Format::from_name("json")) {
             (Some(path), _) if report.error.is_some() => {
                 let what = "not written: a log that could not be audited cannot be a baseline";
                 Err(misuse(path.display().to_string(), what, "see the error of the audit"))
@@ -186,7 +186,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     };
     let (report, unwritten) = match audited {
         Err(trouble) if !args.reports.has_trouble_format() => return Err(trouble),
-        Err(trouble) => (Report::of_trouble(trouble), Vec::new()),
+        Err(trouble) => (Report::from_trouble(trouble), Vec::new()),
         Ok(audited) => {
             let are_pictured = args.reports.has_pictures();
             let mut audited = if are_pictured { audited.with_figures() } else { audited };
@@ -194,7 +194,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             (audited.into_report(), unwritten)
         }
     };
-    let report = report.called(&call_without_outputs());
+    let report = report.with_command_line(&call_without_outputs());
     // Even if another output failed.
     let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
@@ -206,7 +206,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         view::open(viewer, recording)?;
     }
     let outcome = Outcome::from(&report);
-    let open = report.not_concluded(&required);
+    let open = report.inconclusive_rules(&required);
     if outcome == Outcome::Clean && !open.is_empty() {
         output::error(format_args!("--require {}: inconclusive", open.join(",")));
         return Ok(Outcome::Findings);

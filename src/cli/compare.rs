@@ -101,7 +101,7 @@ fn load_report(path: &Path, side: Side, options: &Options) -> Result<Report, Tro
     });
     match audited {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
-            Ok(Report::of_trouble(trouble))
+            Ok(Report::from_trouble(trouble))
         }
         // An unreadable OLD cannot be a baseline, and other files are invalid calls.
         Err(trouble) => Err(Trouble { kind: TroubleKind::Call, ..trouble }),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::output::tables::{Configurations, TableError, kinematics_frame, write_frame};
 use poseaudit::places::Places;
-use poseaudit::report::{Trouble, foreign};
+use poseaudit::report::{Trouble, sanitize_display};
 use poseaudit::robot::{Chain, Robot};
 use poseaudit::run::robot_of;
 use serde_json::json;
@@ -164,7 +164,7 @@ pub(super) fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
 
 fn write_text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let (name, base, tip) = (&robot.name, chain.base_name(), chain.tip_name());
-    writeln!(out, "{}", foreign(format_args!("{name}: {base} → {tip}")))?;
+    writeln!(out, "{}", sanitize_display(format_args!("{name}: {base} → {tip}")))?;
     write_pose(pose, out)
 }
 

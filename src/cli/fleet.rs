@@ -311,9 +311,9 @@ impl<'a> Summary<'a> {
             writeln!(to, "{count} {how}")?;
         }
         for failure in errors.iter().take(MAX_LISTED_FAILURES) {
-            let path = poseaudit::report::tame(&failure.path);
+            let path = poseaudit::report::sanitize(&failure.path);
             let what = failure.what.as_deref().unwrap_or_default();
-            writeln!(to, "  {path}: {}", poseaudit::report::tame(what))?;
+            writeln!(to, "  {path}: {}", poseaudit::report::sanitize(what))?;
         }
         if errors.len() > MAX_LISTED_FAILURES {
             writeln!(to, "  and {} more", errors.len() - MAX_LISTED_FAILURES)?;

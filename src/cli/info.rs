@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use comfy_table::{CellAlignment, Table};
 use poseaudit::config::Config;
 use poseaudit::places::Places;
-use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, foreign, tame};
+use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, sanitize, sanitize_display};
 use poseaudit::time::seconds;
 
 use super::progress::with_progress;
@@ -51,19 +51,25 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let LogSummary { files, notes, messages, duration_s, .. } = &report.log;
     for file in files {
-        let (path, container, bytes) = (foreign(file.path.display()), file.container, file.bytes);
+        let (path, container, bytes) =
+            (sanitize_display(file.path.display()), file.container, file.bytes);
         let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
         writeln!(out, "{path}: {container}, {bytes} bytes{fetched}, checksums: {}", file.crc)?;
     }
     for note in notes {
-        writeln!(out, "note: {}: {}", foreign(note.path.display()), foreign(&note.note))?;
+        writeln!(
+            out,
+            "note: {}: {}",
+            sanitize_display(note.path.display()),
+            sanitize_display(&note.note)
+        )?;
     }
     writeln!(out, "{:.1} s, {messages} messages", duration_s.unwrap_or(0.0))?;
     for robot in &report.robots {
         let joints = robot.joints.join(", ");
         let (name, base, tip, source) = (&robot.name, &robot.base, &robot.tip, &robot.source);
         let line = format!("{name}, {base} → {tip}, from {source}: {joints}");
-        writeln!(out, "{}", foreign(line))?;
+        writeln!(out, "{}", sanitize_display(line))?;
     }
     writeln!(out, "\n{}", stream_table(&report.streams).trim_fmt())
 }
@@ -86,7 +92,7 @@ fn stream_table(streams: &[StreamRow]) -> Table {
                 span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),
                 stream.reason.clone(),
             ]
-            .map(|cell| tame(&cell).into_owned()),
+            .map(|cell| sanitize(&cell).into_owned()),
         );
     }
     for number in COUNT_COLUMN..=SPAN_COLUMN {

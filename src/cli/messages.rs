@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use anstream::ColorChoice;
 use anstyle::Style;
 use clap::ValueEnum;
-use poseaudit::report::tame;
+use poseaudit::report::sanitize;
 
 /// Options for verbosity and colour, shared by all commands.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -87,5 +87,5 @@ pub fn print_detail(label: &str, what: impl FnOnce() -> String) {
 }
 
 fn print_line(label: &str, what: &str) {
-    anstream::eprintln!("{LABEL}{label}{LABEL:#} {}", tame(what));
+    anstream::eprintln!("{LABEL}{label}{LABEL:#} {}", sanitize(what));
 }

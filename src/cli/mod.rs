@@ -60,7 +60,7 @@ impl From<&Report> for Outcome {
         match (&report.error, report.verdict) {
             (Some(trouble), _) => trouble.kind.into(),
             (None, Verdict::Fail) => Outcome::Findings,
-            (None, Verdict::Inconclusive) if report.fails_open => Outcome::Findings,
+            (None, Verdict::Inconclusive) if report.fails_if_inconclusive => Outcome::Findings,
             (None, Verdict::Pass | Verdict::Inconclusive) => Outcome::Clean,
         }
     }

@@ -9,7 +9,7 @@ use anstream::{AutoStream, StripStream};
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use comfy_table::{Table, presets};
-use poseaudit::report::{Trouble, tame, upright, write_whole};
+use poseaudit::report::{Trouble, escape_direction, sanitize, write_whole};
 
 use super::messages;
 
@@ -28,14 +28,14 @@ const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
 pub fn error(what: impl Display) {
-    anstream::eprintln!("{ERROR}error:{ERROR:#} {}", tame(&what.to_string()));
+    anstream::eprintln!("{ERROR}error:{ERROR:#} {}", sanitize(&what.to_string()));
 }
 
 pub fn warning(what: impl Display) {
     if messages::is_quiet() {
         return;
     }
-    anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
+    anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", sanitize(&what.to_string()));
 }
 
 /// Table without borders.
@@ -71,7 +71,7 @@ pub fn emit(
         let mut text = Vec::new();
         write(&mut text)?;
         match std::str::from_utf8(&text) {
-            Ok(text) => out.write_all(upright(text).as_bytes()),
+            Ok(text) => out.write_all(escape_direction(text).as_bytes()),
             Err(_) => out.write_all(&text),
         }
     })

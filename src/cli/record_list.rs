@@ -9,7 +9,7 @@ use std::sync::LazyLock;
 use poseaudit::Options;
 use poseaudit::log::is_url;
 use poseaudit::places::Places;
-use poseaudit::report::{Report, Trouble, tame};
+use poseaudit::report::{Report, Trouble, sanitize};
 use poseaudit::robot::{Robot, catalogue};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -175,13 +175,17 @@ impl Source {
         match self {
             Source::Log(report) => {
                 let names = report.log.files.iter().map(|file| file.path.display().to_string());
-                writeln!(out, "log            {}", tame(&names.collect::<Vec<_>>().join(", ")))?;
+                writeln!(
+                    out,
+                    "log            {}",
+                    sanitize(&names.collect::<Vec<_>>().join(", "))
+                )?;
             }
             Source::Arm(robot) => {
                 let maker =
                     robot.provenance.as_ref().map(|it| format!(", {} {}", it.vendor, it.model));
                 let name = format!("{}{}", robot.name, maker.unwrap_or_default());
-                writeln!(out, "robot          {}", tame(&name))?;
+                writeln!(out, "robot          {}", sanitize(&name))?;
                 for driver in self.drivers() {
                     writeln!(out, "topics of      {} ({})", driver.name, driver.source)?;
                 }
@@ -197,7 +201,7 @@ impl Source {
             writeln!(out, "\n{}", answer.question.text)?;
             writeln!(out, "  rules        {}", answer.question.rules.join(", "))?;
             for topic in &answer.topics {
-                let (name, kind) = (tame(&topic.topic), tame(&topic.type_name));
+                let (name, kind) = (sanitize(&topic.topic), sanitize(&topic.type_name));
                 writeln!(out, "  {:<13}{name} ({kind})", topic.role)?;
             }
             if answer.question.needs.is_empty() {
@@ -207,7 +211,7 @@ impl Source {
                 writeln!(out, "  missing      {}", need.description())?;
             }
         }
-        writeln!(out, "\nrecord         {}", tame(&command(answers)))?;
+        writeln!(out, "\nrecord         {}", sanitize(&command(answers)))?;
         let motion = "30 s or more in which every joint moves by 30° or more, one after another";
         writeln!(out, "motion         {motion}; `poseaudit plan` writes one")
     }

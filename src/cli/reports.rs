@@ -28,7 +28,8 @@ pub struct ReportOptions {
 
 pub fn format() -> impl TypedValueParser<Value = &'static Format> {
     let names = FORMATS.iter().map(|format| PossibleValue::new(format.name).help(format.about));
-    PossibleValuesParser::new(names).try_map(|name| Format::named(&name).ok_or("no such format"))
+    PossibleValuesParser::new(names)
+        .try_map(|name| Format::from_name(&name).ok_or("no such format"))
 }
 
 /// Writes to the file at `path`, or to stdout.
@@ -83,7 +84,7 @@ impl ReportOptions {
 
     /// Whether a format has pictures.
     pub fn has_pictures(&self) -> bool {
-        self.formats.iter().any(|format| format.is_pictured())
+        self.formats.iter().any(|format| format.has_pictures())
     }
 
     /// Writes every format.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::checks::{self, Threshold};
 use crate::finding::{CheckRow, Unit};
-use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
+use crate::report::{Report, RobotRow, StreamRow, quote_line, sanitize};
 use crate::robot::catalogue;
 use crate::run::RoleSetting;
 
@@ -74,7 +74,7 @@ impl Template {
             [] => self.unset("robot", "\"my_arm.urdf\"", "no arm was found"),
             several => {
                 for robot in several {
-                    self.unset("robot", &quoted(&robot.name), &robot.source);
+                    self.unset("robot", &quote_line(&robot.name), &robot.source);
                 }
                 self.line("# For several arms, a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
             }
@@ -93,13 +93,13 @@ impl Template {
 
     fn robot(&mut self, RobotRow { name, source, base, tip, .. }: &RobotRow) {
         match source.starts_with("the catalogue") && catalogue::find(name).is_some() {
-            true => self.set("robot", &quoted(name), source),
-            false => self.unset("robot", &quoted(name), source),
+            true => self.set("robot", &quote_line(name), source),
+            false => self.unset("robot", &quote_line(name), source),
         }
-        self.set("base", &quoted(base), "first link of the chain");
+        self.set("base", &quote_line(base), "first link of the chain");
         self.unset(
             "tip",
-            &quoted(tip),
+            &quote_line(tip),
             "last link of the chain; if set, an offset from it is a fault",
         );
     }
@@ -125,7 +125,7 @@ impl Template {
             "\n# Contents of the columns. Columns identified by name are comments.\n[columns]",
         );
         match &report.log.time_column {
-            Some(column) => self.set("time", &quoted(column), "by its numbers"),
+            Some(column) => self.set("time", &quote_line(column), "by its numbers"),
             None => {
                 self.unset("time", "\"timestamp\"", "or rate_hz = 50, if there is no time column");
             }
@@ -134,16 +134,16 @@ impl Template {
         for stream in told() {
             let (arm, key) = stream.topic.rsplit_once('/').unwrap_or(("", &stream.topic));
             let value = match stream.columns.as_slice() {
-                [only] => quoted(only),
+                [only] => quote_line(only),
                 several => {
-                    let all: Vec<String> = several.iter().map(|name| quoted(name)).collect();
+                    let all: Vec<String> = several.iter().map(|name| quote_line(name)).collect();
                     format!("[{}]", all.join(", "))
                 }
             };
             let by_names = ["by name", "by the name"].iter().any(|by| stream.reason.contains(by));
             if COLUMN_KEYS.contains(&key) && !by_names {
                 if arm != last {
-                    let _ = writeln!(self.0, "\n[columns.arm.{}]", quoted(arm));
+                    let _ = writeln!(self.0, "\n[columns.arm.{}]", quote_line(arm));
                     last = arm;
                 }
                 self.set(key, &value, "");
@@ -176,7 +176,7 @@ impl Template {
                 Some(role) if role != RoleSetting::Ignored => self.stream(report, stream, role),
                 _ => {
                     let _ = writeln!(self.0, "# {}: {}", stream.role, one_line(&stream.reason));
-                    let _ = writeln!(self.0, "# [stream.{}]", quoted(&stream.topic));
+                    let _ = writeln!(self.0, "# [stream.{}]", quote_line(&stream.topic));
                     self.unset("role", "\"pose\"", "if it is one");
                 }
             }
@@ -186,8 +186,8 @@ impl Template {
     fn stream(&mut self, report: &Report, stream: &StreamRow, role: RoleSetting) {
         let name = role.name();
         let _ = writeln!(self.0, "# {}", one_line(&stream.reason));
-        let _ = writeln!(self.0, "[stream.{}]", quoted(&stream.topic));
-        self.set("role", &quoted(name), "");
+        let _ = writeln!(self.0, "[stream.{}]", quote_line(&stream.topic));
+        self.set("role", &quote_line(name), "");
         let is_expected = matches!(
             role,
             RoleSetting::Joints | RoleSetting::Pose | RoleSetting::Tf | RoleSetting::Imu
@@ -199,14 +199,14 @@ impl Template {
             return;
         }
         if let Some(witness) = stream.witness {
-            self.set("witness", &quoted(witness), "");
+            self.set("witness", &quote_line(witness), "");
         }
         let frame = stream.frame_id.as_ref().or(stream.reference.as_ref());
         if let Some(frame) = frame {
-            self.unset("frame", &quoted(frame), "reference frame of its poses");
+            self.unset("frame", &quote_line(frame), "reference frame of its poses");
         }
         if let Some(link) = &stream.link {
-            self.unset("link", &quoted(link), "if set, an offset from it is a fault");
+            self.unset("link", &quote_line(link), "if set, an offset from it is a fault");
         }
         let is_its = |row: &&CheckRow| row.subject.topic.as_ref() == Some(&stream.topic);
         let mut rows = report.checks.iter().filter(is_its);
@@ -216,7 +216,7 @@ impl Template {
             None if stream.type_name.contains("Array") => "rotvec",
             None => "quat:xyzw",
         };
-        self.unset("convention", &quoted(coding), "if set, what contradicts it is a fault");
+        self.unset("convention", &quote_line(coding), "if set, what contradicts it is a fault");
         self.unset("units", "[\"m\", \"rad\"]", "with a convention or a vendor");
         self.unset("vendor", "\"ur\"", "or kuka, fanuc, abb, …: convention and units of a vendor");
     }
@@ -235,7 +235,7 @@ impl Template {
             let _ = writeln!(self.0, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
             let thresholds = rule.grade.thresholds();
             if thresholds.is_empty() {
-                let _ = writeln!(self.0, "# severity = {}", quoted(&rule.grade.to_string()));
+                let _ = writeln!(self.0, "# severity = {}", quote_line(&rule.grade.to_string()));
             } else {
                 self.unset("warning", &amounts(thresholds, |threshold| threshold.warning), "");
                 self.unset("error", &amounts(thresholds, |threshold| threshold.error), "");
@@ -259,7 +259,7 @@ fn amounts(thresholds: &[Threshold], of: fn(&Threshold) -> f64) -> String {
 fn amount(unit: Unit, value: f64) -> String {
     match unit {
         Unit::One => format!("{value}"),
-        unit => quoted(&unit.show(value)),
+        unit => quote_line(&unit.show(value)),
     }
 }
 
@@ -273,7 +273,7 @@ fn rounded(rate_hz: f64) -> String {
 
 /// Removes line breaks and control characters.
 fn one_line(text: &str) -> String {
-    tame(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
+    sanitize(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }
 
 fn name_of(path: &Path) -> String {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::corrections_file::Corrections;
-use crate::report::{Report, quoted};
+use crate::report::{Report, quote_line};
 use crate::run::{Role, Run};
 use crate::stream::Columns;
 
@@ -74,11 +74,11 @@ impl ColumnCorrections {
                 .iter()
                 .map(|(number, [factor, offset])| format!("{number}: ({factor:?}, {offset:?})"))
                 .collect();
-            let _ = writeln!(text, "    {}: {{{}}},", quoted(column), all.join(", "));
+            let _ = writeln!(text, "    {}: {{{}}},", quote_line(column), all.join(", "));
         }
         text += "}\n\n# Column: latency in s.\nLATE_S = {\n";
         for (column, latency_s) in &self.latency_s {
-            let _ = writeln!(text, "    {}: {latency_s:?},", quoted(column));
+            let _ = writeln!(text, "    {}: {latency_s:?},", quote_line(column));
         }
         Some(text + "}\n" + MODULE_FUNCTIONS)
     }

@@ -10,8 +10,8 @@ use super::collect::{
 use super::corrections_file::JointCorrection;
 use super::frames::{escape_xml, model_stem};
 use crate::geometry::CodeLine;
-use crate::report::markdown::prose;
-use crate::report::{quoted, tame};
+use crate::report::markdown::escape_prose;
+use crate::report::{quote_line, sanitize};
 
 /// Index of the other files.
 const INDEX: &str = "corrections.md";
@@ -60,7 +60,7 @@ impl CorrectionPlan {
             text += "| finding | correction | in |\n|---|---|---|\n";
             for corrected in &self.corrected {
                 let CorrectedFinding { finding, what, .. } = corrected;
-                let (finding, what) = (prose(finding), prose(what));
+                let (finding, what) = (escape_prose(finding), escape_prose(what));
                 let _ = writeln!(
                     text,
                     "| {finding} | {what} | {} |",
@@ -71,7 +71,12 @@ impl CorrectionPlan {
         if !self.uncorrected.is_empty() {
             text += "\n## Not in these files\n\n";
             for finding in &self.uncorrected {
-                let _ = writeln!(text, "- {}: {}", prose(&finding.finding), prose(&finding.why));
+                let _ = writeln!(
+                    text,
+                    "- {}: {}",
+                    escape_prose(&finding.finding),
+                    escape_prose(&finding.why)
+                );
             }
         }
         text += "\n## The files\n\n";
@@ -88,7 +93,7 @@ impl CorrectionPlan {
                 unpatched model, so FRM001 will report it.\n";
         }
         for why in &self.unpatched {
-            let why = prose(why);
+            let why = escape_prose(why);
             let _ = writeln!(text, "\nNo patched model of {why}. `{OFFSETS}` holds the offsets.");
         }
         text
@@ -146,9 +151,9 @@ joints:
         for joint in &self.corrections.joints {
             let JointCorrection { name, robot, factor, factor_ci95, offset_rad, offset_m, ci95 } =
                 joint;
-            let _ = writeln!(text, "  {}:", quoted(name));
+            let _ = writeln!(text, "  {}:", quote_line(name));
             if let Some(robot) = robot {
-                let _ = writeln!(text, "    robot: {}", quoted(robot));
+                let _ = writeln!(text, "    robot: {}", quote_line(robot));
             }
             for (key, offset) in
                 [("factor", factor), ("offset_rad", offset_rad), ("offset_m", offset_m)]
@@ -177,7 +182,7 @@ topics:
         let mut is_any = false;
         for topic in late {
             is_any = true;
-            let _ = writeln!(text, "  {}:", quoted(&topic.name));
+            let _ = writeln!(text, "  {}:", quote_line(&topic.name));
             if let Some(latency_s) = topic.latency_s {
                 let _ = writeln!(text, "    latency_s: {latency_s}");
                 push_interval(&mut text, "ci95", topic.latency_ci95);
@@ -198,7 +203,7 @@ topics:
         let mut text =
             "# Conventions\n\nChange only the line that converts numbers to poses.\n".to_owned();
         for coded in &self.decodings {
-            let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
+            let [finding, what] = [&coded.finding, &coded.what].map(|text| escape_prose(text));
             let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
             for CodeLine { library, line } in coded.lines.iter().flatten() {
                 let _ = writeln!(text, "- {library}: `{line}`");
@@ -214,7 +219,7 @@ topics:
         let mut text = "#!/bin/sh\n# Static frames for tf2_ros; one process each.\n".to_owned();
         for frame in &self.frames {
             let comment = format!("{}: {}", frame.finding, frame.comment);
-            let comment = tame(&comment);
+            let comment = sanitize(&comment);
             let _ = write!(text, "\n# {comment}\n{} &\n", frame.command());
         }
         text += "\nwait\n";

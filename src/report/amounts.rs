@@ -1,26 +1,35 @@
 use crate::finding::{Estimate, Unit};
 
 /// In everyday units with the 95 % interval. An encoding shows the actual and the assumed one.
-pub(crate) fn shown(estimate: &Estimate) -> String {
+pub(crate) fn format_estimate(estimate: &Estimate) -> String {
     match estimate {
-        Estimate::Scalar { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
+        Estimate::Scalar { name, value, unit, ci95, .. } => {
+            format_amount(unit, name, *value, *ci95)
+        }
         Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
-            let length = of_unit(unit, name, *value, *ci95);
-            let angle = of_unit(Unit::Radian.symbol(), name, rotation.value, rotation.ci95);
+            let length = format_amount(unit, name, *value, *ci95);
+            let angle = format_amount(Unit::Radian.symbol(), name, rotation.value, rotation.ci95);
             format!("{length}; {angle}")
         }
-        Estimate::Convention { is, read_as, .. } => reading(is, read_as),
-        Estimate::Slip { is, read_as, .. } => reading(is, read_as),
-        Estimate::Order { is, read_as, .. } => reading(&is.join(", "), &read_as.join(", ")),
+        Estimate::Convention { is, read_as, .. } => format_interpretation(is, read_as),
+        Estimate::Slip { is, read_as, .. } => format_interpretation(is, read_as),
+        Estimate::Order { is, read_as, .. } => {
+            format_interpretation(&is.join(", "), &read_as.join(", "))
+        }
     }
 }
 
-pub(crate) fn reading(is: &str, read_as: &str) -> String {
+pub(crate) fn format_interpretation(is: &str, read_as: &str) -> String {
     format!("{is} read as {read_as}")
 }
 
 /// `15.0 ± 0.2 ms`. Symbols without a [`Unit`] are appended as they are.
-pub(crate) fn of_unit(symbol: &str, name: &str, value: f64, ci95: Option<[f64; 2]>) -> String {
+pub(crate) fn format_amount(
+    symbol: &str,
+    name: &str,
+    value: f64,
+    ci95: Option<[f64; 2]>,
+) -> String {
     match (Unit::from_symbol(symbol, name), ci95) {
         // The lower end of a length is clipped at zero.
         (Some(unit), Some([_, high])) => unit.show_interval(value, high - value, false),
@@ -34,10 +43,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn amounts_stand_in_everyday_units_with_half_their_interval() {
-        assert_eq!(of_unit("s", "latency", 0.015, Some([0.014, 0.016])), "15 ± 1 ms");
-        assert_eq!(of_unit("rad/s", "gyro bias", 1f64.to_radians(), None), "1 °/s");
-        assert_eq!(of_unit("rad/s", "yaw drift", 1f64.to_radians() / 60.0, None), "1 °/min");
-        assert_eq!(of_unit("Hz", "rate", 20.0, None), "20.000 Hz");
+    fn amounts_have_everyday_units_and_half_widths() {
+        assert_eq!(format_amount("s", "latency", 0.015, Some([0.014, 0.016])), "15 ± 1 ms");
+        assert_eq!(format_amount("rad/s", "gyro bias", 1f64.to_radians(), None), "1 °/s");
+        assert_eq!(format_amount("rad/s", "yaw drift", 1f64.to_radians() / 60.0, None), "1 °/min");
+        assert_eq!(format_amount("Hz", "rate", 20.0, None), "20.000 Hz");
     }
 }

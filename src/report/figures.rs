@@ -10,13 +10,13 @@ pub struct Figures {
     /// Run duration, s.
     pub duration_s: f64,
     /// Only the longest segment: the clock was reset.
-    pub of_longest_segment: bool,
+    pub is_longest_segment: bool,
     /// Pose streams and /tf.
     pub poses: Vec<PoseFigure>,
     /// IMUs.
     pub imus: Vec<ImuFigure>,
     /// With the finding's index in the report.
-    pub own: Vec<(usize, Own)>,
+    pub of_findings: Vec<(usize, FindingFigure)>,
     /// Origin of all times.
     pub start: Option<Stamp>,
     /// One row per stream.
@@ -27,9 +27,9 @@ pub struct Figures {
 
 /// Plot for one finding.
 #[derive(Clone, Debug)]
-pub enum Own {
+pub enum FindingFigure {
     /// Vibration.
-    Shake {
+    Vibration {
         /// Hz and rms in m.
         spectrum: Vec<[f64; 2]>,
         /// Time and position along the axis with most motion, m.
@@ -38,11 +38,11 @@ pub enum Own {
     /// Hand-eye closure.
     HandEye {
         /// Time and closure error of each view, m and rad.
-        each: Vec<[f64; 3]>,
+        closures: Vec<[f64; 3]>,
         /// Directions of the target, rad about two axes normal to the mean direction.
-        views: Vec<[f64; 2]>,
+        directions: Vec<[f64; 2]>,
         /// Target in the camera frame, m.
-        seen: Vec<[f64; 3]>,
+        positions: Vec<[f64; 3]>,
     },
     /// Commanded line: position along it in m, deviation in m and rad.
     Line {
@@ -52,15 +52,15 @@ pub enum Own {
         command: Vec<[f64; 3]>,
     },
     /// Rest positions and goals, m in the base frame.
-    Rests(Vec<[[f64; 3]; 2]>),
+    RestErrors(Vec<[[f64; 3]; 2]>),
     /// Time and deviation from a valid rotation.
-    Norms(Vec<[f64; 2]>),
+    RotationNorms(Vec<[f64; 2]>),
     /// Axes of an IMU in its link, as matrix columns.
     ImuAxes {
         /// Link.
         link: String,
         /// Estimated from the motion.
-        found: [[f64; 3]; 3],
+        estimated: [[f64; 3]; 3],
         /// From the log's frames.
         logged: Option<[[f64; 3]; 3]>,
     },
@@ -69,7 +69,7 @@ pub enum Own {
         /// Time and rates, rad/s.
         rates: Vec<[f64; 4]>,
         /// Only samples at rest.
-        at_rest: bool,
+        is_at_rest: bool,
         /// Estimated bias, rad/s.
         bias: Option<[f64; 3]>,
     },
@@ -85,7 +85,7 @@ pub struct JointFigure {
     /// Name.
     pub joint: String,
     /// Prismatic.
-    pub slides: bool,
+    pub is_prismatic: bool,
     /// s.
     pub t_s: Vec<f64>,
     /// Positions.
@@ -93,11 +93,11 @@ pub struct JointFigure {
     /// Recorded velocity; may be empty.
     pub velocity: Vec<f64>,
     /// Velocity from positions.
-    pub rate: Vec<f64>,
+    pub differentiated: Vec<f64>,
     /// Lower and upper.
     pub limits: [Option<f64>; 2],
     /// Speed limit.
-    pub top_speed: Option<f64>,
+    pub max_speed: Option<f64>,
 }
 
 /// One entry per sample. `before_…` is empty if the log does not connect the stream's frame to the arm.
@@ -124,11 +124,11 @@ pub struct PoseFigure {
     /// FK in the reference frame, m.
     pub at_m: Vec<[f64; 3]>,
     /// Residual around the estimate: latency in s, rms m, rms rad.
-    pub left_by_latency: Vec<[f64; 3]>,
+    pub residual_by_latency: Vec<[f64; 3]>,
     /// Latency profile.
-    pub latency_course: Vec<CoursePoint>,
+    pub latency_profile: Vec<LatencyProfilePoint>,
     /// One score per rotation encoding.
-    pub readings: Vec<ReadingScore>,
+    pub encodings: Vec<EncodingScore>,
 }
 
 /// One IMU.
@@ -145,29 +145,29 @@ pub struct ImuFigure {
     /// Angular speed against FK's: latency in s, correlation.
     pub correlation_by_latency: Vec<[f64; 2]>,
     /// Latency profile.
-    pub latency_course: Vec<CoursePoint>,
+    pub latency_profile: Vec<LatencyProfilePoint>,
     /// One score per rotation encoding.
-    pub readings: Vec<ReadingScore>,
+    pub encodings: Vec<EncodingScore>,
 }
 
 /// Latency in a window of about a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CoursePoint {
+pub struct LatencyProfilePoint {
     /// Window middle, s.
     pub t_s: f64,
     /// Latency relative to the whole run's, s.
-    pub beyond_s: f64,
+    pub deviation_s: f64,
     /// Half-width of the 95 % interval, s.
     pub half_width_s: f64,
 }
 
 /// Residual of one rotation encoding.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ReadingScore {
+pub struct EncodingScore {
     /// Hypothetical actual encoding.
-    pub is: String,
+    pub actual: String,
     /// Assumed encoding.
-    pub read_as: String,
+    pub assumed: String,
     /// The stream as logged.
     pub is_as_logged: bool,
     /// Selected by the audit.
@@ -192,14 +192,14 @@ pub struct TimelineRow {
     /// Unusable samples.
     pub dropped: u64,
     /// Longest gaps, in time order.
-    pub silences: Vec<Silence>,
+    pub gaps: Vec<StreamGap>,
     /// Number of other gaps.
-    pub silences_left_out: usize,
+    pub omitted_gaps: usize,
 }
 
 /// Gap in a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Silence {
+pub struct StreamGap {
     /// Start and end, s.
     pub span_s: [f64; 2],
     /// Samples, at the stream's period.
@@ -223,7 +223,7 @@ pub enum FrameEdgeKind {
     /// Published repeatedly.
     Moving,
     /// Published as static.
-    Still,
+    Static,
     /// Fixed joint of the model, not published.
     Model,
 }

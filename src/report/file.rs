@@ -14,7 +14,7 @@ pub fn write_whole<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
-    let path = replaceable(path)?;
+    let path = resolve_local_link(path)?;
     if path.exists() && (!path.is_file() || is_descriptor(&path)) {
         return write(&path);
     }
@@ -39,7 +39,7 @@ pub fn write_whole<E: From<io::Error>>(
 ///
 /// # Errors
 /// If the link points outside its folder, or if the file is read-only.
-pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
+pub(crate) fn resolve_local_link(path: &Path) -> io::Result<PathBuf> {
     let Ok(target) = fs::canonicalize(path) else { return Ok(path.to_owned()) };
     if is_descriptor(path) {
         return Ok(path.to_owned());
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_that_is_not_finished_leaves_the_old_one() {
+    fn an_incomplete_write_keeps_the_old_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/report.json");
         write_whole(&path, |staged| fs::write(staged, "old")).unwrap();
@@ -99,7 +99,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_link_stays_and_others_may_read_the_file() {
+    fn a_link_is_kept_and_the_file_is_readable_by_others() {
         use std::os::unix::fs::{PermissionsExt, symlink};
         let folder = tempfile::tempdir().unwrap();
         let [file, link, plain] = ["file", "link", "plain"].map(|name| folder.path().join(name));
@@ -118,7 +118,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn neither_what_a_link_leads_to_elsewhere_nor_what_is_read_only_is_replaced() {
+    fn targets_of_foreign_links_and_read_only_files_are_kept() {
         use std::os::unix::fs::{PermissionsExt, symlink};
         let folder = tempfile::tempdir().unwrap();
         let [file, link] = ["file", "other/link"].map(|name| folder.path().join(name));
@@ -139,7 +139,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn what_is_no_regular_file_stays_what_it_is() {
+    fn special_files_are_not_replaced() {
         write_whole(Path::new("/dev/null"), |path| fs::write(path, "text")).unwrap();
         assert!(!Path::new("/dev/null").is_file());
     }

@@ -63,7 +63,7 @@ impl Format {
     }
 
     /// Format with this name.
-    pub fn named(name: &str) -> Option<&'static Format> {
+    pub fn from_name(name: &str) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.name == name)
     }
 
@@ -73,7 +73,7 @@ impl Format {
     }
 
     /// Shows [`Report::figures`].
-    pub fn is_pictured(&self) -> bool {
+    pub fn has_pictures(&self) -> bool {
         matches!(self.name, "html" | "text")
     }
 

@@ -9,30 +9,37 @@ use crate::finding::{Finding, Severity};
 
 /// Writes an annotation per finding, and one for the verdict.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    let says = Outline::of(report);
+    let outline = Outline::new(report);
     let file = report.log.files.first().map(|file| file.path.display().to_string());
     for finding in &report.findings {
-        let subject = says.subject(&finding.subject);
+        let subject = outline.subject(&finding.subject);
         let title = match subject.as_str() {
             "" => format!("{} {}", finding.code, finding.title),
             subject => format!("{} {subject}: {}", finding.code, finding.title),
         };
-        command(out, level(finding.severity), file.as_deref(), &title, &message(&says, finding))?;
+        command(
+            out,
+            level(finding.severity),
+            file.as_deref(),
+            &title,
+            &message(&outline, finding),
+        )?;
     }
     if let Some(trouble) = &report.error {
         let text = format!("{}: {}\nfix: {}", trouble.place, trouble.what, trouble.remedy);
-        let file = report.file_in_trouble().map(|file| file.display().to_string());
+        let file = report.main_file().map(|file| file.display().to_string());
         return command(out, "error", file.as_deref(), "poseaudit: no audit", &text);
     }
     let verdict = format!("poseaudit: {}", report.verdict);
-    let ignored = says.ignored().into_iter().map(|known| format!("ignored: {known}")).collect();
-    let lines = [vec![says.why()], says.open_lines(), ignored].concat();
+    let ignored =
+        outline.ignored_findings().into_iter().map(|known| format!("ignored: {known}")).collect();
+    let lines = [vec![outline.verdict_reason()], outline.inconclusive_lines(), ignored].concat();
     command(out, "notice", file.as_deref(), &verdict, &lines.join("\n"))
 }
 
-fn message(says: &Outline, finding: &Finding) -> String {
+fn message(outline: &Outline, finding: &Finding) -> String {
     let fix = format!("fix: {}", finding.fix);
-    [vec![finding.message.clone()], says.about(finding), vec![fix]].concat().join("\n")
+    [vec![finding.message.clone()], outline.finding_notes(finding), vec![fix]].concat().join("\n")
 }
 
 fn level(severity: Severity) -> &'static str {
@@ -70,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_cannot_end_a_property_or_begin_a_command() {
+    fn names_are_escaped_in_properties_and_commands() {
         let hostile = "50 %, a:b\r\n::error::no";
         let mut out = Vec::new();
         command(&mut out, "warning", Some("a,b.mcap"), hostile, hostile).expect("a text");

@@ -96,14 +96,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_estimate_is_read_back(estimate in any_estimate()) {
+        fn every_estimate_round_trips(estimate in any_estimate()) {
             let text = serde_json::to_string(&estimate).expect("JSON");
             prop_assert_eq!(serde_json::from_str::<Estimate>(&text).expect("an estimate"), estimate);
         }
     }
 
     #[test]
-    fn what_is_not_finite_is_read_back_as_no_number() {
+    fn non_finite_numbers_are_read_back_as_nan() {
         let text = r#"{"name":"latency","value":null,"unit":"s","ci95":null}"#;
         let read: Estimate = serde_json::from_str(text).expect("an estimate");
         assert!(read.value().expect("a number").is_nan());

@@ -16,7 +16,7 @@ use crate::finding::{CheckRow, Finding, Status};
 /// # Errors
 /// If `out` cannot be written.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    let says = Outline::of(report);
+    let outline = Outline::new(report);
     let mut tests = quick_junit::Report::new("poseaudit");
     if let Some(trouble) = &report.error {
         let mut status = TestCaseStatus::non_success(NonSuccessKind::Error);
@@ -27,17 +27,19 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     for rows in report.checks.chunk_by(|a, b| a.code == b.code) {
         let cases = rows.iter().map(|row| {
             let class = format!("poseaudit.{}", row.code);
-            let subject = says.subject(&row.subject);
+            let subject = outline.subject(&row.subject);
             let name = if subject.is_empty() { row.name } else { &subject };
             let found: Vec<&Finding> = report
                 .findings
                 .iter()
                 .filter(|finding| finding.code == row.code && finding.subject == row.subject)
                 .collect();
-            let mut case = case(&class, name, outcome(report, &says, row, &found));
+            let mut case = case(&class, name, outcome(report, &outline, row, &found));
             let said = match (row.status, &row.reason) {
                 (Status::Pass, Some(remark)) => Some(remark.clone()),
-                (Status::Fail, _) if !fails(report, &found) => Some(words(&says, &found)),
+                (Status::Fail, _) if !has_failing_finding(report, &found) => {
+                    Some(describe_findings(&outline, &found))
+                }
                 _ => None,
             };
             if let Some(said) = said {
@@ -67,36 +69,41 @@ fn case(class: &str, name: &str, status: TestCaseStatus) -> TestCase {
     case
 }
 
-fn outcome(report: &Report, says: &Outline, row: &CheckRow, found: &[&Finding]) -> TestCaseStatus {
+fn outcome(
+    report: &Report,
+    outline: &Outline,
+    row: &CheckRow,
+    found: &[&Finding],
+) -> TestCaseStatus {
     let reason = row.reason.as_deref().unwrap_or_default();
     match (row.status, found) {
-        (Status::Fail, [first, ..]) if fails(report, found) => {
+        (Status::Fail, [first, ..]) if has_failing_finding(report, found) => {
             let mut status = TestCaseStatus::non_success(NonSuccessKind::Failure);
             status.set_message(&*first.message).set_type(first.severity.name());
-            status.set_description(words(says, found));
+            status.set_description(describe_findings(outline, found));
             status
         }
         (Status::Pass | Status::Fail, _) => TestCaseStatus::success(),
-        (Status::Inconclusive, _) => skipped(format!("inconclusive: {reason}")),
-        (Status::Skipped, _) => skipped(format!("skipped: {reason}")),
+        (Status::Inconclusive, _) => skipped_status(format!("inconclusive: {reason}")),
+        (Status::Skipped, _) => skipped_status(format!("skipped: {reason}")),
     }
 }
 
-fn fails(report: &Report, found: &[&Finding]) -> bool {
+fn has_failing_finding(report: &Report, found: &[&Finding]) -> bool {
     found.iter().any(|finding| report.fails_on(finding.severity))
 }
 
-fn skipped(why: String) -> TestCaseStatus {
+fn skipped_status(why: String) -> TestCaseStatus {
     let mut status = TestCaseStatus::skipped();
     status.set_message(why);
     status
 }
 
-fn words(says: &Outline, found: &[&Finding]) -> String {
+fn describe_findings(outline: &Outline, found: &[&Finding]) -> String {
     let blocks = found.iter().map(|finding| {
         let head = format!("{}: {}", finding.severity.name(), finding.message);
         let fix = format!("fix: {}", finding.fix);
-        [vec![head], says.about(finding), vec![fix]].concat().join("\n")
+        [vec![head], outline.finding_notes(finding), vec![fix]].concat().join("\n")
     });
     blocks.collect::<Vec<_>>().join("\n\n")
 }

@@ -4,9 +4,9 @@
 
 use std::io::{self, Write};
 
-use super::amounts::shown;
+use super::amounts::format_estimate;
 use super::outline::Outline;
-use super::{Report, Verdict, upright};
+use super::{Report, Verdict, escape_direction};
 use crate::finding::Finding;
 
 /// Writes the report.
@@ -14,90 +14,114 @@ use crate::finding::Finding;
 /// # Errors
 /// If `out` cannot be written.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    let says = Outline::of(report);
+    let outline = Outline::new(report);
     match &report.error {
         Some(trouble) => {
             writeln!(out, "### poseaudit: no audit\n")?;
-            writeln!(out, "{}: {}\n", code(&trouble.place), prose(&trouble.what))?;
-            writeln!(out, "**Fix**: {}\n", prose(&trouble.remedy))?;
+            writeln!(out, "{}: {}\n", inline_code(&trouble.place), escape_prose(&trouble.what))?;
+            writeln!(out, "**Fix**: {}\n", escape_prose(&trouble.remedy))?;
         }
-        None => writeln!(out, "### poseaudit: {}, {}\n", report.verdict, prose(&says.why()))?,
+        None => writeln!(
+            out,
+            "### poseaudit: {}, {}\n",
+            report.verdict,
+            escape_prose(&outline.verdict_reason())
+        )?,
     }
-    header(report, &says, out)?;
-    findings(report, &says, out)?;
+    header(report, &outline, out)?;
+    findings(report, &outline, out)?;
     // Without findings, the inconclusive checks matter most.
-    folded("Inconclusive", says.open_lines(), report.verdict == Verdict::Inconclusive, out)?;
-    folded("Ignored", says.ignored(), true, out)?;
-    folded("Passed", says.passed().lines(), false, out)?;
-    folded("Skipped", says.skipped(), false, out)
+    write_details(
+        "Inconclusive",
+        outline.inconclusive_lines(),
+        report.verdict == Verdict::Inconclusive,
+        out,
+    )?;
+    write_details("Ignored", outline.ignored_findings(), true, out)?;
+    write_details("Passed", outline.passed_checks().lines(), false, out)?;
+    write_details("Skipped", outline.skipped_checks(), false, out)
 }
 
-fn header(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<()> {
-    let files = report.log.files.iter().map(|file| code(&file.path.display().to_string()));
+fn header(report: &Report, outline: &Outline, out: &mut dyn Write) -> io::Result<()> {
+    let files = report.log.files.iter().map(|file| inline_code(&file.path.display().to_string()));
     let files: Vec<String> = files.collect();
     let robots = report.robots.iter().map(|robot| {
-        format!("{}, {} → {}", code(&robot.name), code(&robot.base), code(&robot.tip))
+        format!(
+            "{}, {} → {}",
+            inline_code(&robot.name),
+            inline_code(&robot.base),
+            inline_code(&robot.tip)
+        )
     });
-    let line: Vec<String> = files.into_iter().chain(says.extent()).chain(robots).collect();
+    let line: Vec<String> = files.into_iter().chain(outline.extent()).chain(robots).collect();
     if !line.is_empty() {
         writeln!(out, "{}\n", line.join(" · "))?;
     }
     for note in &report.log.notes {
-        let path = code(&note.path.display().to_string());
-        writeln!(out, "> {path}: {}\n", prose(&note.note))?;
+        let path = inline_code(&note.path.display().to_string());
+        writeln!(out, "> {path}: {}\n", escape_prose(&note.note))?;
     }
     Ok(())
 }
 
-fn findings(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<()> {
+fn findings(report: &Report, outline: &Outline, out: &mut dyn Write) -> io::Result<()> {
     if report.findings.is_empty() {
         return Ok(());
     }
     writeln!(out, "| | where | what | amount ± 95 % | fix |")?;
     writeln!(out, "|---|---|---|---|---|")?;
     for finding in &report.findings {
-        let subject = says.subject(&finding.subject);
-        let subject = if subject.is_empty() { "the run".to_owned() } else { code(&subject) };
-        let amount = finding.estimate.as_ref().map_or(String::new(), |it| prose(&shown(it)));
-        let what = what(finding, says);
-        let (level, rule, fix) = (finding.severity.name(), finding.code, prose(&finding.fix));
+        let subject = outline.subject(&finding.subject);
+        let subject = if subject.is_empty() { "the run".to_owned() } else { inline_code(&subject) };
+        let amount = finding
+            .estimate
+            .as_ref()
+            .map_or(String::new(), |it| escape_prose(&format_estimate(it)));
+        let what = finding_text(finding, outline);
+        let (level, rule, fix) =
+            (finding.severity.name(), finding.code, escape_prose(&finding.fix));
         writeln!(out, "| **{level}** {rule} | {subject} | {what} | {amount} | {fix} |")?;
     }
     writeln!(out)
 }
 
 /// Message with effect and confounders.
-fn what(finding: &Finding, says: &Outline) -> String {
-    let lines = std::iter::once(finding.message.clone()).chain(says.about(finding));
-    lines.map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
+fn finding_text(finding: &Finding, outline: &Outline) -> String {
+    let lines = std::iter::once(finding.message.clone()).chain(outline.finding_notes(finding));
+    lines.map(|line| escape_prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
 /// Collapsible section.
-fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> io::Result<()> {
+fn write_details(
+    title: &str,
+    lines: Vec<String>,
+    open: bool,
+    out: &mut dyn Write,
+) -> io::Result<()> {
     if lines.is_empty() {
         return Ok(());
     }
     let open = if open { " open" } else { "" };
     writeln!(out, "<details{open}><summary>{title}</summary>\n")?;
     for line in lines {
-        writeln!(out, "- {}", prose(&line))?;
+        writeln!(out, "- {}", escape_prose(&line))?;
     }
     writeln!(out, "\n</details>\n")
 }
 
 /// Inline code.
-pub(crate) fn code(name: &str) -> String {
+pub(crate) fn inline_code(name: &str) -> String {
     let is_tame = |c: char| c.is_ascii_alphanumeric() || "/_-. :,+=()".contains(c);
     let is_padded = name.starts_with(' ') || name.ends_with(' ');
     if !name.is_empty() && !is_padded && name.chars().all(is_tame) {
         return format!("`{name}`");
     }
-    format!("<code>{}</code>", prose(name))
+    format!("<code>{}</code>", escape_prose(name))
 }
 
 /// No character keeps a meaning in Markdown or HTML.
-pub(crate) fn prose(text: &str) -> String {
-    let text = upright(text);
+pub(crate) fn escape_prose(text: &str) -> String {
+    let text = escape_direction(text);
     let mut escaped = String::with_capacity(text.len());
     let mut before = ' ';
     let mut rest = text.chars().peekable();

@@ -3,7 +3,7 @@
 
 pub(crate) mod amounts;
 pub mod compare;
-mod drawn;
+mod figure_builder;
 pub mod figures;
 mod file;
 mod format;
@@ -11,14 +11,14 @@ pub mod github;
 pub mod html;
 pub mod json;
 pub mod junit;
-mod kept;
 pub mod markdown;
 pub(crate) mod outline;
 mod plans;
 mod rows;
+mod sanitize;
 pub mod sarif;
-mod spark;
-mod tame;
+mod sparkline;
+mod stored;
 pub mod text;
 mod trouble;
 mod workspace;
@@ -33,19 +33,19 @@ use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
 use crate::finding::{CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, word};
 use crate::time::Stamp;
 
-pub(crate) use drawn::figures;
+pub(crate) use figure_builder::build_figures;
 pub use figures::Figures;
 pub use file::write_whole;
-pub(crate) use file::{is_descriptor, replaceable};
+pub(crate) use file::{is_descriptor, resolve_local_link};
 pub use format::{FORMATS, Format};
 pub use plans::PlanRow;
-pub(crate) use plans::{PlanOf, plan_around, plans};
+pub(crate) use plans::{PlanInputs, plan_command, plans};
 pub use rows::{RobotRow, StreamRow};
-pub(crate) use rows::{joined, robots, streams};
-pub(crate) use tame::quoted;
-pub use tame::{foreign, tame, upright};
+pub(crate) use rows::{join_segments, robot_rows, stream_rows};
+pub(crate) use sanitize::quote_line;
+pub use sanitize::{escape_direction, sanitize, sanitize_display};
 pub use trouble::{Trouble, TroubleKind};
-pub(crate) use workspace::{ArmWorkspace, coverage, reached};
+pub(crate) use workspace::{ArmWorkspace, reached_workspaces, workspace_coverage};
 pub use workspace::{JointCoverage, WorkspaceRow};
 
 /// Schema of the JSON report.
@@ -91,13 +91,13 @@ pub struct Report {
     pub plans: Vec<PlanRow>,
     /// Shell command that created it.
     #[serde(skip)]
-    call: Option<String>,
+    command_line: Option<String>,
     /// Lowest severity that fails the run; `None` for none.
     #[serde(skip)]
     fail_on: Option<Severity>,
     /// An inconclusive verdict fails the run.
     #[serde(skip)]
-    pub fails_open: bool,
+    pub fails_if_inconclusive: bool,
     /// If requested.
     #[serde(skip)]
     pub figures: Option<Figures>,
@@ -199,7 +199,7 @@ impl Report {
     ) -> Self {
         let Evaluation { checks, findings, ignored, observability } = evaluation;
         let verdict = verdict(&checks, &findings, fail_on);
-        let trouble = nothing_evaluated(&log, &checks);
+        let trouble = no_evaluation_trouble(&log, &checks);
         let report = Self {
             verdict,
             log,
@@ -219,29 +219,29 @@ impl Report {
     }
 
     /// Writes a recording of the same audit.
-    fn replay(&self) -> String {
-        let call = self.call.clone().unwrap_or_else(|| {
+    fn replay_command(&self) -> String {
+        let call = self.command_line.clone().unwrap_or_else(|| {
             let logs = self.log.files.iter().map(|file| file.path.display().to_string());
-            let logs: Vec<String> = logs.map(|log| tame::shell_word(&log)).collect();
+            let logs: Vec<String> = logs.map(|log| sanitize::quote_for_shell(&log)).collect();
             format!("poseaudit audit {}", logs.join(" "))
         });
         format!("{call} --rrd run.rrd")
     }
 
     /// Stores the command line.
-    pub fn called(mut self, words: &[String]) -> Self {
-        let words: Vec<String> = words.iter().map(|word| tame::shell_word(word)).collect();
-        self.call = Some(words.join(" "));
+    pub fn with_command_line(mut self, words: &[String]) -> Self {
+        let words: Vec<String> = words.iter().map(|word| sanitize::quote_for_shell(word)).collect();
+        self.command_line = Some(words.join(" "));
         self
     }
 
     /// Report without any evaluation.
-    pub fn of_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
+    pub fn from_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
         Self { log, robots, streams, ..Self::empty() }
     }
 
     /// Report with only an error.
-    pub fn of_trouble(trouble: Trouble) -> Self {
+    pub fn from_trouble(trouble: Trouble) -> Self {
         Self { error: Some(trouble), ..Self::empty() }
     }
 
@@ -270,17 +270,17 @@ impl Report {
             workspace: Vec::new(),
             plans: Vec::new(),
             fail_on: None,
-            call: None,
-            fails_open: false,
+            command_line: None,
+            fails_if_inconclusive: false,
             figures: None,
             thresholds: Thresholds::default(),
         }
     }
 
     /// `None` if the rule has no amount in `unit`.
-    pub(crate) fn warns_from(&self, rule: &Rule, unit: Unit) -> Option<f64> {
-        let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
-        Some(self.thresholds.threshold(rule, *own).warning)
+    pub(crate) fn warning_threshold(&self, rule: &Rule, unit: Unit) -> Option<f64> {
+        let threshold = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
+        Some(self.thresholds.threshold(rule, *threshold).warning)
     }
 
     /// A finding of this severity fails the run.
@@ -294,14 +294,14 @@ impl Report {
     }
 
     /// The log's first file, else the unreadable one.
-    fn file_in_trouble(&self) -> Option<&Path> {
+    fn main_file(&self) -> Option<&Path> {
         let first = self.log.files.first().map(|file| file.path.as_path());
         let of_log = self.error.as_ref().filter(|trouble| trouble.kind == TroubleKind::Log);
         first.or_else(|| of_log.map(|trouble| Path::new(&trouble.place)))
     }
 
     /// Rules in `required` that decided nothing, or left a decidable subject inconclusive.
-    pub fn not_concluded(&self, required: &[checks::Selector]) -> Vec<&'static str> {
+    pub fn inconclusive_rules(&self, required: &[checks::Selector]) -> Vec<&'static str> {
         let rules = checks::registry().iter().map(|rule| rule.code);
         let required = rules.filter(|code| required.iter().any(|selector| selector.matches(code)));
         required
@@ -317,11 +317,11 @@ impl Report {
 }
 
 /// Error if rules about an arm were requested and none found its input.
-fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
+fn no_evaluation_trouble(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
     let is_evaluated = |row: &&CheckRow| row.status != Status::Skipped || row.is_exempt;
-    if about_arm.iter().any(is_evaluated) || tells_hand_eye(checks) {
+    if about_arm.iter().any(is_evaluated) || has_decided_hand_eye(checks) {
         return None;
     }
     let why = about_arm.first()?.reason.as_deref().unwrap_or_default();
@@ -335,7 +335,7 @@ fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
 }
 
 /// A hand-eye check does not require an arm.
-pub(crate) fn tells_hand_eye(checks: &[CheckRow]) -> bool {
+pub(crate) fn has_decided_hand_eye(checks: &[CheckRow]) -> bool {
     checks.iter().any(|row| row.code.starts_with("HEC") && row.status.is_decided())
 }
 
@@ -354,16 +354,17 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
-        let asked = rows.filter(|row| row.status != Status::Skipped && !row.is_indistinguishable);
-        let (derived, witnesses): (Vec<&CheckRow>, Vec<&CheckRow>) =
-            asked.partition(|row| row.evidence.contains_key(checks::DERIVED));
+        let evaluated =
+            rows.filter(|row| row.status != Status::Skipped && !row.is_indistinguishable);
+        let (derived, independent): (Vec<&CheckRow>, Vec<&CheckRow>) =
+            evaluated.partition(|row| row.evidence.contains_key(checks::DERIVED));
         // A stream derived from the joint states is not independent evidence.
-        let asked = if witnesses.is_empty() { derived } else { witnesses };
-        let is_hidden = |row: &&CheckRow| row.evidence.contains_key(checks::UNKNOWN_WORLD);
-        if asked.iter().any(is_hidden) {
+        let evaluated = if independent.is_empty() { derived } else { independent };
+        let has_unknown_world = |row: &&CheckRow| row.evidence.contains_key(checks::UNKNOWN_WORLD);
+        if evaluated.iter().any(has_unknown_world) {
             return true;
         }
-        let decided: Vec<bool> = asked.iter().map(|row| row.status.is_decided()).collect();
+        let decided: Vec<bool> = evaluated.iter().map(|row| row.status.is_decided()).collect();
         match rule.is_residual_check() {
             true => decided.contains(&false),
             false => !decided.is_empty() && !decided.contains(&true),
@@ -382,7 +383,7 @@ impl Verdict {
     }
 
     /// Verdict with this name.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
         all.into_iter().find(|verdict| verdict.name() == name)
     }
@@ -429,7 +430,7 @@ mod tests {
         let one_decided = vec![row("LAT001", open, false), row("LAT001", decided, false)];
         assert_eq!(verdict_of(one_decided), Verdict::Pass);
         let known = CheckRow { is_exempt: true, ..row("LAT001", Status::Skipped, false) };
-        assert_eq!(nothing_evaluated(&LogSummary::default(), &[known]), None);
+        assert_eq!(no_evaluation_trouble(&LogSummary::default(), &[known]), None);
         let skipped = vec![row("LAT001", Status::Skipped, false)];
         assert_eq!(verdict_of(skipped.clone()), Verdict::Pass);
         let evaluation = Evaluation { checks: skipped, ..Evaluation::default() };
@@ -452,7 +453,7 @@ mod tests {
                 Evaluation { checks, ..Evaluation::default() },
                 None,
             )
-            .not_concluded(&required)
+            .inconclusive_rules(&required)
         };
         let pass = row("LAT001", Status::Pass, false);
         assert!(not_concluded(vec![pass.clone()]).is_empty());

@@ -1,6 +1,6 @@
 //! Text shared by all human-readable formats.
 
-mod open;
+mod inconclusive;
 mod passed;
 
 use std::collections::BTreeSet;
@@ -10,41 +10,41 @@ use crate::finding::{
     Alternative, CheckRow, Estimate, Finding, IgnoredFinding, Severity, Status, Subject, Unit,
 };
 
-pub(crate) use passed::{Bound, Passed};
+pub(crate) use passed::{AmountBound, PassedChecks};
 
 pub(crate) struct Outline<'a> {
     report: &'a Report,
     /// Whether there are several, so subjects must include the robot.
-    robots: bool,
+    has_several_robots: bool,
 }
 
-struct Outcomes<'a> {
+struct RuleRows<'a> {
     /// Passed without a remark.
-    plain: Vec<&'a CheckRow>,
+    passed: Vec<&'a CheckRow>,
     /// Passed with a remark.
-    remarked: Vec<&'a CheckRow>,
-    asked: usize,
+    passed_with_remark: Vec<&'a CheckRow>,
+    evaluated: usize,
 }
 
 impl<'a> Outline<'a> {
-    pub fn of(report: &'a Report) -> Self {
-        Self { report, robots: report.robots.len() > 1 }
+    pub fn new(report: &'a Report) -> Self {
+        Self { report, has_several_robots: report.robots.len() > 1 }
     }
 
     /// `2 errors; 46 checks passed, 3 inconclusive`.
-    pub fn why(&self) -> String {
-        let counts = self.checks_counted();
+    pub fn verdict_reason(&self) -> String {
+        let counts = self.check_counts();
         match self.report.verdict {
             Verdict::Pass if self.report.findings.is_empty() => {
                 format!("no problems found ({counts})")
             }
-            Verdict::Pass | Verdict::Fail => format!("{}; {counts}", self.counts()),
-            Verdict::Inconclusive => format!("not decided: {}; {counts}", self.undecided()),
+            Verdict::Pass | Verdict::Fail => format!("{}; {counts}", self.finding_counts()),
+            Verdict::Inconclusive => format!("not decided: {}; {counts}", self.undecided_text()),
         }
     }
 
     /// `46 checks passed, 3 inconclusive, 1 finding ignored`.
-    fn checks_counted(&self) -> String {
+    fn check_counts(&self) -> String {
         let count =
             |status: Status| self.report.checks.iter().filter(|row| row.status == status).count();
         let passed = count(Status::Pass);
@@ -65,7 +65,7 @@ impl<'a> Outline<'a> {
     }
 
     /// `3 errors, 1 warning`.
-    fn counts(&self) -> String {
+    fn finding_counts(&self) -> String {
         let severities = [Severity::Error, Severity::Warning, Severity::Info];
         let counts = severities.into_iter().filter_map(|severity| {
             let findings = self.report.findings.iter();
@@ -79,7 +79,7 @@ impl<'a> Outline<'a> {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    fn undecided(&self) -> String {
+    fn undecided_text(&self) -> String {
         let named =
             undecided(&self.report.checks).map(|rule| format!("{} ({})", rule.code, rule.name));
         named.collect::<Vec<_>>().join(", ")
@@ -91,11 +91,11 @@ impl<'a> Outline<'a> {
         let topics = self.report.streams.iter().map(|stream| stream.topic.as_str());
         let topics = topics.collect::<BTreeSet<_>>().len();
         let duration_s = log.duration_s?;
-        Some(format!("{duration_s:.1} s, {} messages, {topics} topics", grouped(log.messages)))
+        Some(format!("{duration_s:.1} s, {} messages, {topics} topics", group_digits(log.messages)))
     }
 
     pub fn subject(&self, subject: &Subject) -> String {
-        subject.label_among(self.robots)
+        subject.label_among(self.has_several_robots)
     }
 
     /// Combines all joints of an arm.
@@ -107,7 +107,11 @@ impl<'a> Outline<'a> {
             let joints: BTreeSet<&str> =
                 rows.iter().filter(|row| is_its(row)).map(|row| row.subject.label()).collect();
             if joints.len() == robot.joints.len() {
-                let of = if self.robots { format!(" of {}", robot.name) } else { String::new() };
+                let of = if self.has_several_robots {
+                    format!(" of {}", robot.name)
+                } else {
+                    String::new()
+                };
                 said.push(format!("all {} joints{of}", joints.len()));
                 rows.retain(|row| !is_its(row));
             }
@@ -117,7 +121,7 @@ impl<'a> Outline<'a> {
     }
 
     /// ` on /pose, /tf`. Empty for the whole run.
-    fn on(&self, rows: &[&CheckRow]) -> String {
+    fn subject_suffix(&self, rows: &[&CheckRow]) -> String {
         match self.subjects(rows) {
             none if none.is_empty() => String::new(),
             subjects => format!(" on {subjects}"),
@@ -125,17 +129,17 @@ impl<'a> Outline<'a> {
     }
 
     /// Effect of the fault, meaning of the amount, and confounders.
-    pub fn about(&self, finding: &Finding) -> Vec<String> {
+    pub fn finding_notes(&self, finding: &Finding) -> Vec<String> {
         let evidence = &finding.evidence;
         let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
-        let others = self.cannot_be_told_from(&evidence.indistinguishable);
+        let others = self.confounder_text(&evidence.indistinguishable);
         [evidence.effect.clone(), meaning.map(str::to_owned), others]
             .into_iter()
             .flatten()
             .collect()
     }
 
-    fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
+    fn confounder_text(&self, others: &[Alternative]) -> Option<String> {
         let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
         (!others.is_empty()).then(|| format!("equally likely: {}", others.join(", ")))
     }
@@ -154,7 +158,7 @@ impl<'a> Outline<'a> {
     }
 
     /// Parameters observable only in combination, one line per motion that would separate them.
-    pub fn cannot_show(&self) -> Vec<String> {
+    pub fn unobservable_parameters(&self) -> Vec<String> {
         let streams = self.report.observability.iter();
         let lines = streams
             .flat_map(|stream| stream.combined.iter().map(|one| one.sentence(&stream.topic)));
@@ -162,7 +166,7 @@ impl<'a> Outline<'a> {
     }
 
     /// One line each, with the reason.
-    pub fn ignored(&self) -> Vec<String> {
+    pub fn ignored_findings(&self) -> Vec<String> {
         let said = self.report.ignored.iter().map(|IgnoredFinding { finding, reason, place }| {
             let (code, subject) = (finding.code, self.subject(&finding.subject));
             let on = if subject.is_empty() { String::new() } else { format!(" on {subject}") };
@@ -172,11 +176,11 @@ impl<'a> Outline<'a> {
     }
 
     /// Table columns, one line per reason.
-    pub fn unused(&self) -> Vec<String> {
+    pub fn unused_columns(&self) -> Vec<String> {
         let is_of_table = |row: &&StreamRow| !row.columns.is_empty() || row.type_name == "unread";
         let is_unused = |row: &&StreamRow| ["ignored", "unassigned"].contains(&row.role);
         let rows = self.report.streams.iter().filter(is_of_table).filter(is_unused);
-        let groups = grouped_by(rows, |row| row.reason.as_str()).into_iter();
+        let groups = group_by_key(rows, |row| row.reason.as_str()).into_iter();
         let lines = groups.map(|(reason, rows)| {
             let names = |row: &&StreamRow| match row.columns.as_slice() {
                 [] | [_] => row.topic.clone(),
@@ -189,7 +193,7 @@ impl<'a> Outline<'a> {
     }
 
     /// One line per reason.
-    pub fn skipped(&self) -> Vec<String> {
+    pub fn skipped_checks(&self) -> Vec<String> {
         let is_said = |row: &&CheckRow| {
             let mut known = self.report.ignored.iter().map(|known| &known.finding);
             known.any(|it| it.code == row.code && it.subject == row.subject)
@@ -197,12 +201,12 @@ impl<'a> Outline<'a> {
         let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
         let rows = rows.filter(|row| !is_said(row));
         let said = self.report.error.as_ref().map(|trouble| trouble.what.as_str());
-        let groups = grouped_by(rows, |row| row.reason.as_deref()).into_iter();
+        let groups = group_by_key(rows, |row| row.reason.as_deref()).into_iter();
         let lines = groups.map(|(reason, rows)| {
             let mut codes: Vec<&str> = rows.iter().map(|row| row.code).collect();
             codes.dedup();
             let reason = if reason == said { "as said above" } else { reason.unwrap_or_default() };
-            format!("{}: {reason}", ranges(&codes).join(", "))
+            format!("{}: {reason}", code_ranges(&codes).join(", "))
         });
         lines.collect()
     }
@@ -224,7 +228,7 @@ fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
 }
 
 /// Groups of three digits.
-fn grouped(count: u64) -> String {
+fn group_digits(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
     for (place, digit) in digits.chars().enumerate() {
@@ -236,7 +240,7 @@ fn grouped(count: u64) -> String {
     text
 }
 
-fn grouped_by<'a, R, K: PartialEq>(
+fn group_by_key<'a, R, K: PartialEq>(
     rows: impl Iterator<Item = &'a R>,
     key: impl Fn(&'a R) -> K,
 ) -> Vec<(K, Vec<&'a R>)> {
@@ -252,7 +256,7 @@ fn grouped_by<'a, R, K: PartialEq>(
 }
 
 /// `ORD002–005` for three or more codes.
-fn ranges(codes: &[&str]) -> Vec<String> {
+fn code_ranges(codes: &[&str]) -> Vec<String> {
     let split = |code: &str| -> Option<(String, u32)> {
         let (family, number) = code.split_at_checked(3)?;
         Some((family.to_owned(), number.parse().ok()?))
@@ -276,13 +280,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_are_read_in_threes() {
-        assert_eq!(["1", "999", "20 001", "1 234 567"], [1, 999, 20_001, 1_234_567].map(grouped));
+    fn digits_are_grouped_in_threes() {
+        assert_eq!(
+            ["1", "999", "20 001", "1 234 567"],
+            [1, 999, 20_001, 1_234_567].map(group_digits)
+        );
     }
 
     #[test]
-    fn runs_of_codes_are_short() {
+    fn consecutive_codes_become_ranges() {
         let codes = ["FRM001", "FRM002", "ORD002", "ORD003", "ORD004", "ORD005", "ORD008"];
-        assert_eq!(ranges(&codes), ["FRM001", "FRM002", "ORD002–005", "ORD008"]);
+        assert_eq!(code_ranges(&codes), ["FRM001", "FRM002", "ORD002–005", "ORD008"]);
     }
 }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::tame::shell_word;
-use super::workspace::is_misread;
+use super::sanitize::quote_for_shell;
+use super::workspace::has_misinterpreted_joints;
 use crate::checks::resolving_motion;
 use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
@@ -39,7 +39,7 @@ pub(crate) fn plans(
     logs: &[PathBuf],
 ) -> Vec<PlanRow> {
     let mut plans: Vec<PlanRow> = Vec::new();
-    for arm in run.arms.iter().filter(|arm| !is_misread(arm, findings)) {
+    for arm in run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, findings)) {
         let own = evidence.robots.iter().find(|own| own.name == arm.name);
         let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
         let own_witness = own.map(ArmEvidence::pose_source_kind);
@@ -53,7 +53,7 @@ pub(crate) fn plans(
         if open.is_empty() {
             continue;
         }
-        let Some(call) = call(run, arm, options, logs) else { continue };
+        let Some(call) = plan_call(run, arm, options, logs) else { continue };
         for purpose in Purpose::ALL {
             let own = open.iter().filter(|(_, settles)| *settles == purpose);
             let mut codes: Vec<String> = own.map(|(code, _)| (*code).to_owned()).collect();
@@ -74,25 +74,25 @@ pub(crate) fn plans(
 
 /// Without the purpose. `None` if no readable source has the arm's model, or if the log has no
 /// configuration within the limits.
-fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
+fn plan_call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
     let own = |name: &str, given: &Option<String>| {
-        given.as_ref().map_or(String::new(), |given| option(name, given))
+        given.as_ref().map_or(String::new(), |given| format_option(name, given))
     };
     let (base, tip) = (own("base", &options.base), own("tip", &options.tip));
-    let which = if run.arms.len() > 1 { option("arm", &arm.name) } else { String::new() };
-    let of = PlanOf {
+    let which = if run.arms.len() > 1 { format_option("arm", &arm.name) } else { String::new() };
+    let inputs = PlanInputs {
         robot: &arm.robot,
         chain: &arm.chain,
         joints: &arm.joints,
         columns: &arm.columns,
         model: model(arm, options),
         log: logs.first()?,
-        in_log: format!("{which}{base}{tip}"),
+        log_options: format!("{which}{base}{tip}"),
     };
-    plan_around(&of).filter(|_| of.model.is_some() || logs.len() == 1)
+    plan_command(&inputs).filter(|_| inputs.model.is_some() || logs.len() == 1)
 }
 
-pub(crate) struct PlanOf<'a> {
+pub(crate) struct PlanInputs<'a> {
     pub robot: &'a Robot,
     pub chain: &'a Chain,
     pub joints: &'a JointTrack,
@@ -100,29 +100,31 @@ pub(crate) struct PlanOf<'a> {
     /// Name or file for `plan`, and the model. `None` to use the log.
     pub model: Option<(String, Robot)>,
     pub log: &'a Path,
-    pub in_log: String,
+    pub log_options: String,
 }
 
 /// Around a configuration in the joint states. `None` if none is within the limits.
-pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
-    let around: Vec<String> =
-        posture(of.joints, of.columns, of.chain)?.iter().map(|q| shown(*q)).collect();
+pub(crate) fn plan_command(inputs: &PlanInputs<'_>) -> Option<String> {
+    let around: Vec<String> = start_configuration(inputs.joints, inputs.columns, inputs.chain)?
+        .iter()
+        .map(|q| format_position(*q))
+        .collect();
     let around = around.join(",");
-    let Some((model, robot)) = &of.model else {
-        let log = shell_word(&of.log.display().to_string());
-        return Some(format!("poseaudit plan {log}{} --around={around}", of.in_log));
+    let Some((model, robot)) = &inputs.model else {
+        let log = quote_for_shell(&inputs.log.display().to_string());
+        return Some(format!("poseaudit plan {log}{} --around={around}", inputs.log_options));
     };
     // Names are the log's; the order is the model's.
-    let named = |name: &str| Some(robot.link_name(of.robot.link(name)?).to_owned());
-    let (base, tip) = (named(of.chain.base_name())?, named(of.chain.tip_name())?);
-    let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
-    let usual_base = robot.link_name(usual_base.unwrap_or_else(|| robot.root()));
-    let usual_tip = robot.default_tip.as_deref().and_then(|name| robot.link(name));
-    let usual_tip = usual_tip.or_else(|| robot.leaf_links().last());
-    let base = if base == usual_base { String::new() } else { option("base", &base) };
-    let is_usual = usual_tip.is_some_and(|usual| robot.link_name(usual) == tip);
-    let tip = if is_usual { String::new() } else { option("tip", &tip) };
-    Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(model)))
+    let named = |name: &str| Some(robot.link_name(inputs.robot.link(name)?).to_owned());
+    let (base, tip) = (named(inputs.chain.base_name())?, named(inputs.chain.tip_name())?);
+    let default_base_link = robot.default_base.as_deref().and_then(|name| robot.link(name));
+    let default_base_link = robot.link_name(default_base_link.unwrap_or_else(|| robot.root()));
+    let default_tip_link = robot.default_tip.as_deref().and_then(|name| robot.link(name));
+    let default_tip_link = default_tip_link.or_else(|| robot.leaf_links().last());
+    let base = if base == default_base_link { String::new() } else { format_option("base", &base) };
+    let is_default_tip = default_tip_link.is_some_and(|link| robot.link_name(link) == tip);
+    let tip = if is_default_tip { String::new() } else { format_option("tip", &tip) };
+    Some(format!("poseaudit plan {}{base}{tip} --around={around}", quote_for_shell(model)))
 }
 
 /// Model by name or file, if the log does not contain it.
@@ -142,9 +144,9 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
 
 /// Closest to the middle of each joint's positions, within the limits. Removes whole turns that the limits
 /// do not allow.
-fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<f64>> {
-    const ENOUGH: usize = 20_000;
-    let rows = || (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1));
+fn start_configuration(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<f64>> {
+    const MAX_ROWS: usize = 20_000;
+    let rows = || (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1));
     let middle = |&at: &usize| {
         let mut own: Vec<f64> = rows().map(|row| joints.row(row)[at]).collect();
         crate::stats::median(&mut own)
@@ -156,16 +158,16 @@ fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<
     };
     let nearest = rows().min_by(|&a, &b| off(a).total_cmp(&off(b)))?;
     let q: Vec<f64> = columns.iter().map(|&at| joints.row(nearest)[at]).collect();
-    within(chain, q)
+    unwrap_into_limits(chain, q)
 }
 
-fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
+fn unwrap_into_limits(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     use std::f64::consts::TAU;
     /// Rounding of displayed values.
-    const ROUNDING: f64 = 1e-3;
+    const ROUNDING_RAD: f64 = 1e-3;
     for ((q, kind), limits) in q.iter_mut().zip(chain.joint_kinds()).zip(chain.limits()) {
-        let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING;
-        let high = limits.upper.unwrap_or(f64::INFINITY) - ROUNDING;
+        let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING_RAD;
+        let high = limits.upper.unwrap_or(f64::INFINITY) - ROUNDING_RAD;
         if *kind != JointKind::Prismatic && *q > high {
             *q -= TAU * ((*q - high) / TAU).ceil();
         } else if *kind != JointKind::Prismatic && *q < low {
@@ -178,14 +180,14 @@ fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     Some(q)
 }
 
-fn shown(q: f64) -> String {
+fn format_position(q: f64) -> String {
     let text = format!("{:.3}", q);
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-fn option(name: &str, value: &str) -> String {
-    format!(" --{name} {}", shell_word(value))
+fn format_option(name: &str, value: &str) -> String {
+    format!(" --{name} {}", quote_for_shell(value))
 }
 
 #[cfg(test)]
@@ -195,25 +197,29 @@ mod tests {
     use std::f64::consts::TAU;
 
     #[test]
-    fn a_posture_beyond_its_limits_is_turned_back_or_none() {
+    fn a_configuration_beyond_limits_is_unwrapped_or_rejected() {
         let robot = catalogue::find("ur5e").expect("it is in the catalogue");
         let link = |name| robot.link(name).expect("a link");
         let chain = robot.chain(link("base"), link("tool0")).expect("a chain");
         let q = vec![TAU + 0.5, -1.0, 1.0, 0.0, 0.0, -TAU - 0.25];
-        let turned = within(&chain, q).expect("a posture");
+        let turned = unwrap_into_limits(&chain, q).expect("a posture");
         assert!((turned[0] - 0.5).abs() < 1e-12 && (turned[5] + 0.25).abs() < 1e-12, "{turned:?}");
         // The elbow's range is less than a turn: slightly more than half a turn is equivalent to the other
         // side.
-        let folded = within(&chain, vec![0.0, 0.0, 3.5, 0.0, 0.0, 0.0]).expect("a posture");
+        let folded =
+            unwrap_into_limits(&chain, vec![0.0, 0.0, 3.5, 0.0, 0.0, 0.0]).expect("a posture");
         assert!((folded[2] - 3.5 + TAU).abs() < 1e-12, "{folded:?}");
         let at_its_end = vec![0.0, 0.0, std::f64::consts::PI, 0.0, 0.0, 0.0];
-        assert_eq!(within(&chain, at_its_end), None);
+        assert_eq!(unwrap_into_limits(&chain, at_its_end), None);
     }
 
     #[test]
-    fn numbers_are_short_and_words_are_one_to_a_shell() {
-        assert_eq!([0.0, -0.0001, 1.5, -1.5706, 2.0].map(shown), ["0", "0", "1.5", "-1.571", "2"]);
-        let quoted = ["run.mcap", "my run.mcap", "it's", "$(x)", ""].map(shell_word);
+    fn numbers_are_short_and_words_are_quoted_for_the_shell() {
+        assert_eq!(
+            [0.0, -0.0001, 1.5, -1.5706, 2.0].map(format_position),
+            ["0", "0", "1.5", "-1.571", "2"]
+        );
+        let quoted = ["run.mcap", "my run.mcap", "it's", "$(x)", ""].map(quote_for_shell);
         assert_eq!(quoted, ["run.mcap", "'my run.mcap'", "'it'\\''s'", "'$(x)'", "''"]);
     }
 }

@@ -70,7 +70,7 @@ pub struct StreamRow {
 }
 
 /// One row per stream of all segments.
-pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
+pub(crate) fn join_segments(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     let mut joined: Vec<StreamRow> = Vec::new();
     for row in rows {
         let is_same = |other: &&mut StreamRow| {
@@ -93,7 +93,7 @@ pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     joined
 }
 
-pub(crate) fn robots(run: &Run) -> Vec<RobotRow> {
+pub(crate) fn robot_rows(run: &Run) -> Vec<RobotRow> {
     let row = |arm: &Arm| RobotRow {
         name: arm.name.clone(),
         source: arm.found.clone(),
@@ -104,7 +104,7 @@ pub(crate) fn robots(run: &Run) -> Vec<RobotRow> {
     run.arms.iter().map(row).collect()
 }
 
-pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
+pub(crate) fn stream_rows(run: &Run) -> Vec<StreamRow> {
     let named = |text: &String| (!text.is_empty()).then(|| text.clone());
     let rows = run.streams.iter().map(|stream| StreamRow {
         topic: stream.topic.clone(),

@@ -34,7 +34,7 @@ fn log(report: &Report) -> Value {
         })
     });
     let found = report.findings.iter().map(|finding| result(report, finding));
-    let results = found.chain(report.ignored.iter().map(|known| suppressed(report, known)));
+    let results = found.chain(report.ignored.iter().map(|known| suppressed_result(report, known)));
     json!({
         "$schema": SCHEMA,
         "version": "2.1.0",
@@ -75,8 +75,8 @@ fn descriptor(rule: &Rule) -> Value {
     json!({
         "id": rule.code,
         "name": rule.name,
-        "shortDescription": said(&format!("{}.", rule.summary())),
-        "fullDescription": said(&format!("{}. Severity: {}.", rule.summary(), rule.grade)),
+        "shortDescription": escaped_message(&format!("{}.", rule.summary())),
+        "fullDescription": escaped_message(&format!("{}. Severity: {}.", rule.summary(), rule.grade)),
         "help": { "text": plain.join("\n"), "markdown": doc },
         "defaultConfiguration": { "level": level(gravest) },
         "properties": { "tags": ["robotics", rule.family()] },
@@ -87,35 +87,35 @@ fn descriptor(rule: &Rule) -> Value {
 fn notifications(report: &Report) -> Vec<Value> {
     let trouble = report.error.iter().map(|trouble| {
         let locations =
-            report.file_in_trouble().map(|file| json!({ "physicalLocation": physical(file) }));
+            report.main_file().map(|file| json!({ "physicalLocation": physical_location(file) }));
         json!({
             "level": "error",
-            "message": said(&trouble.to_string()),
+            "message": escaped_message(&trouble.to_string()),
             "locations": locations.into_iter().collect::<Vec<_>>(),
         })
     });
-    let says = Outline::of(report);
+    let outline = Outline::new(report);
     let open = report.checks.iter().filter(|row| row.status == Status::Inconclusive);
     let open = open.map(|row| {
-        let subject = says.subject(&row.subject);
+        let subject = outline.subject(&row.subject);
         let reason = row.reason.as_deref().unwrap_or_default();
         let text = format!("{} on {subject} is inconclusive: {reason}", row.code);
         json!({
             "level": "note",
-            "message": said(&text),
-            "associatedRule": { "id": row.code, "index": index(row.code) },
+            "message": escaped_message(&text),
+            "associatedRule": { "id": row.code, "index": rule_index(row.code) },
         })
     });
     trouble.chain(open).collect()
 }
 
 fn result(report: &Report, finding: &Finding) -> Value {
-    let cause = cause(report, finding);
+    let cause = fingerprint(report, finding);
     let mut location = Map::new();
     if let Some(file) = report.log.files.first() {
-        location.insert("physicalLocation".to_owned(), physical(&file.path));
+        location.insert("physicalLocation".to_owned(), physical_location(&file.path));
     }
-    let logical = logical(&finding.subject);
+    let logical = logical_locations(&finding.subject);
     if !logical.is_empty() {
         location.insert("logicalLocations".to_owned(), logical.into());
     }
@@ -123,9 +123,9 @@ fn result(report: &Report, finding: &Finding) -> Value {
     let stamp = |stamp: Option<crate::time::Stamp>| stamp.map(|stamp| stamp.to_string());
     json!({
         "ruleId": finding.code,
-        "ruleIndex": index(finding.code),
+        "ruleIndex": rule_index(finding.code),
         "level": level(finding.severity),
-        "message": said(&message(report, finding)),
+        "message": escaped_message(&message(report, finding)),
         "locations": locations,
         // GitHub uses the second one.
         "partialFingerprints": { "cause/v1": cause, "primaryLocationLineHash": cause },
@@ -139,7 +139,7 @@ fn result(report: &Report, finding: &Finding) -> Value {
     })
 }
 
-fn suppressed(report: &Report, known: &IgnoredFinding) -> Value {
+fn suppressed_result(report: &Report, known: &IgnoredFinding) -> Value {
     let mut result = result(report, &known.finding);
     let justification = format!("{} ({})", known.reason, known.place);
     result["suppressions"] = json!([{ "kind": "external", "justification": justification }]);
@@ -147,10 +147,10 @@ fn suppressed(report: &Report, known: &IgnoredFinding) -> Value {
 }
 
 fn message(report: &Report, finding: &Finding) -> String {
-    let says = Outline::of(report);
-    let subject = says.subject(&finding.subject);
+    let outline = Outline::new(report);
+    let subject = outline.subject(&finding.subject);
     let subject = if subject.is_empty() { subject } else { format!("{subject}: ") };
-    let about = match says.about(finding).as_slice() {
+    let about = match outline.finding_notes(finding).as_slice() {
         [] => String::new(),
         lines => format!(" ({})", lines.join("; ")),
     };
@@ -158,7 +158,7 @@ fn message(report: &Report, finding: &Finding) -> String {
 }
 
 /// Escapes placeholders and links (SARIF 2.1.0, §3.11.5 and §3.11.6): names in a log may look like either.
-fn said(text: &str) -> Value {
+fn escaped_message(text: &str) -> Value {
     let mut text = text.replace('{', "{{").replace('}', "}}");
     if text.contains("](") {
         text = text.replace('[', "\\[").replace(']', "\\]");
@@ -166,12 +166,12 @@ fn said(text: &str) -> Value {
     json!({ "text": text })
 }
 
-fn index(code: &str) -> Option<usize> {
+fn rule_index(code: &str) -> Option<usize> {
     checks::registry().iter().position(|rule| rule.code == code)
 }
 
 /// Stable between runs: rule and subject, without amounts and file names.
-fn cause(report: &Report, finding: &Finding) -> String {
+fn fingerprint(report: &Report, finding: &Finding) -> String {
     let is_file = |name: &str| report.log.files.iter().any(|file| file.path == Path::new(name));
     let parts = finding.subject.parts().map(|(kind, name)| {
         if is_file(name) { " the log".to_owned() } else { format!(" {kind}={name}") }
@@ -180,11 +180,11 @@ fn cause(report: &Report, finding: &Finding) -> String {
 }
 
 /// Logs have no lines, but viewers require one.
-fn physical(path: &Path) -> Value {
+fn physical_location(path: &Path) -> Value {
     json!({ "artifactLocation": { "uri": uri(path) }, "region": { "startLine": 1 } })
 }
 
-fn logical(subject: &Subject) -> Vec<Value> {
+fn logical_locations(subject: &Subject) -> Vec<Value> {
     let places = subject
         .parts()
         .map(|(kind, name)| json!({ "name": name, "fullyQualifiedName": name, "kind": kind }));
@@ -223,10 +223,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_looks_like_a_placeholder_or_a_link_is_text() {
-        assert_eq!(said("/a{0}/pose is late")["text"], "/a{{0}}/pose is late");
-        assert_eq!(said("/[here](1) is late")["text"], r"/\[here\](1) is late");
-        assert_eq!(said("part [2] (of 3)")["text"], "part [2] (of 3)");
+    fn placeholders_and_links_are_escaped() {
+        assert_eq!(escaped_message("/a{0}/pose is late")["text"], "/a{{0}}/pose is late");
+        assert_eq!(escaped_message("/[here](1) is late")["text"], r"/\[here\](1) is late");
+        assert_eq!(escaped_message("part [2] (of 3)")["text"], "part [2] (of 3)");
     }
 
     #[test]

@@ -7,15 +7,15 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
-use super::outline::{Bound, Outline};
-use super::{JointCoverage, Report, Verdict, WorkspaceRow, spark, tame};
+use super::outline::{AmountBound, Outline};
+use super::{JointCoverage, Report, Verdict, WorkspaceRow, sanitize, sparkline};
 use crate::finding::{Finding, Severity};
 
-const LABEL: usize = 16;
+const LABEL_WIDTH: usize = 16;
 
 /// Line width on a terminal.
-const NARROWEST: usize = 60;
-const WIDEST: usize = 120;
+const MIN_WIDTH: usize = 60;
+const MAX_WIDTH: usize = 120;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 const WARNING: Style = AnsiColor::Yellow.on_default().bold();
@@ -26,30 +26,30 @@ const QUIET: Style = Style::new().dimmed();
 
 /// Writes one line per statement, so that it can be searched.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
-    Page::of(report, None).write(out)
+    TextReport::new(report, None).write(out)
 }
 
 /// Writes the report for a terminal of this width. Lines wrap between words and are indented to the labels.
 pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io::Result<()> {
-    Page::of(report, Some(columns.clamp(NARROWEST, WIDEST))).write(out)
+    TextReport::new(report, Some(columns.clamp(MIN_WIDTH, MAX_WIDTH))).write(out)
 }
 
-struct Page<'a> {
+struct TextReport<'a> {
     report: &'a Report,
-    says: Outline<'a>,
+    outline: Outline<'a>,
     /// `None` disables wrapping.
     columns: Option<usize>,
 }
 
-impl<'a> Page<'a> {
-    fn of(report: &'a Report, columns: Option<usize>) -> Self {
-        Self { report, says: Outline::of(report), columns }
+impl<'a> TextReport<'a> {
+    fn new(report: &'a Report, columns: Option<usize>) -> Self {
+        Self { report, outline: Outline::new(report), columns }
     }
 
     fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         self.header(out)?;
         self.verdict(out)?;
-        self.block(out, QUIET, "over time", spark::over_time(self.report))?;
+        self.block(out, QUIET, "over time", sparkline::error_sparklines(self.report))?;
         for finding in &self.report.findings {
             writeln!(out)?;
             self.finding(finding, out)?;
@@ -57,18 +57,23 @@ impl<'a> Page<'a> {
         if !self.report.checks.is_empty() {
             writeln!(out)?;
         }
-        self.block(out, WARNING, "inconclusive", self.says.could_not_tell())?;
-        self.block(out, WARNING, "", self.says.cannot_show())?;
-        self.block(out, WARNING, "to settle", self.says.recipe().into_iter().collect())?;
-        for plan in self.says.plans() {
+        self.block(out, WARNING, "inconclusive", self.outline.inconclusive_by_action())?;
+        self.block(out, WARNING, "", self.outline.unobservable_parameters())?;
+        self.block(
+            out,
+            WARNING,
+            "to settle",
+            self.outline.recommended_motion().into_iter().collect(),
+        )?;
+        for plan in self.outline.plan_commands() {
             self.call(out, "", plan)?;
         }
-        self.block(out, WARNING, "ignored", self.says.ignored())?;
+        self.block(out, WARNING, "ignored", self.outline.ignored_findings())?;
         self.passed(out)?;
         let arms = self.report.workspace.iter().map(|arm| self.workspace(arm));
         self.block(out, QUIET, "workspace", arms.collect())?;
-        self.block(out, QUIET, "unused", self.says.unused())?;
-        self.block(out, QUIET, "skipped", self.says.skipped())?;
+        self.block(out, QUIET, "unused", self.outline.unused_columns())?;
+        self.block(out, QUIET, "skipped", self.outline.skipped_checks())?;
         self.hints(out)
     }
 
@@ -84,7 +89,7 @@ impl<'a> Page<'a> {
             let text = format!("{}: {}", note.path.display(), note.note);
             self.line(out, WARNING, "note", &text)?;
         }
-        if let Some(extent) = self.says.extent() {
+        if let Some(extent) = self.outline.extent() {
             self.line(out, STRONG, "", &extent)?;
         }
         for robot in &self.report.robots {
@@ -108,7 +113,7 @@ impl<'a> Page<'a> {
             Verdict::Pass => GOOD,
             Verdict::Inconclusive => WARNING,
         };
-        self.line(out, style, &self.report.verdict.to_string(), &self.says.why())
+        self.line(out, style, &self.report.verdict.to_string(), &self.outline.verdict_reason())
     }
 
     fn finding(&self, finding: &Finding, out: &mut dyn Write) -> io::Result<()> {
@@ -117,26 +122,26 @@ impl<'a> Page<'a> {
             Severity::Warning => WARNING,
             Severity::Info => INFO,
         };
-        let subject = self.says.subject(&finding.subject);
-        let subject = match tame(&subject) {
+        let subject = self.outline.subject(&finding.subject);
+        let subject = match sanitize(&subject) {
             whole if whole.is_empty() => String::new(),
             subject => format!("{STRONG}{subject}{STRONG:#}: "),
         };
         let label = format!("{} {}", finding.severity.name(), finding.code);
-        self.styled(out, style, &label, &format!("{subject}{}", tame(&finding.message)))?;
-        for line in self.says.about(finding) {
+        self.styled(out, style, &label, &format!("{subject}{}", sanitize(&finding.message)))?;
+        for line in self.outline.finding_notes(finding) {
             self.line(out, STRONG, "", &line)?;
         }
         self.styled(out, STRONG, "", &fix(&finding.fix))
     }
 
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
-        let passed = self.says.passed();
-        let bounds: Vec<String> = passed.bounds.iter().map(Bound::sentence).collect();
+        let passed = self.outline.passed_checks();
+        let bounds: Vec<String> = passed.bounds.iter().map(AmountBound::sentence).collect();
         // Without wrapping, grep finds one line per item.
         let bounds = if self.columns.is_some() { self.lists(&bounds, "; ") } else { bounds };
         let lists = bounds.into_iter().chain(self.lists(&passed.whole, ", "));
-        let texts = lists.chain(self.lists(&passed.parts, "; ")).chain(passed.remarks);
+        let texts = lists.chain(self.lists(&passed.partial, "; ")).chain(passed.remarks);
         self.block(out, GOOD, "passed", texts.collect())
     }
 
@@ -170,13 +175,13 @@ impl<'a> Page<'a> {
         };
         writeln!(out)?;
         self.call(out, "explain", &format!("poseaudit explain {}", first.code))?;
-        self.call(out, "replay", &self.report.replay())
+        self.call(out, "replay", &self.report.replay_command())
     }
 
     /// Never wraps, so that it can be copied.
     fn call(&self, out: &mut dyn Write, label: &str, call: &str) -> io::Result<()> {
-        let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
-        writeln!(out, "{QUIET}{label}{QUIET:#}{blanks}{}", tame(call))
+        let blanks = " ".repeat(LABEL_WIDTH.saturating_sub(label.chars().count()).max(1));
+        writeln!(out, "{QUIET}{label}{QUIET:#}{blanks}{}", sanitize(call))
     }
 
     fn block(
@@ -191,12 +196,12 @@ impl<'a> Page<'a> {
     }
 
     fn line(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
-        self.styled(out, style, label, &tame(text))
+        self.styled(out, style, label, &sanitize(text))
     }
 
-    /// Like [`Page::line`] for a sanitized text with styles.
+    /// Like [`TextReport::line`] for a sanitized text with styles.
     fn styled(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
-        let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
+        let blanks = LABEL_WIDTH.saturating_sub(label.chars().count()).max(1);
         let head = match label {
             "" => " ".repeat(blanks),
             _ => format!("{style}{label}{style:#}{}", " ".repeat(blanks)),
@@ -204,7 +209,7 @@ impl<'a> Page<'a> {
         let Some(columns) = self.columns else {
             return writeln!(out, "{head}{text}");
         };
-        let indent = " ".repeat(LABEL);
+        let indent = " ".repeat(LABEL_WIDTH);
         let options = Options::new(columns)
             .initial_indent(&head)
             .subsequent_indent(&indent)
@@ -221,7 +226,10 @@ impl<'a> Page<'a> {
         for item in items {
             match lines.last_mut() {
                 Some(last)
-                    if LABEL + last.chars().count() + separator.len() + item.chars().count()
+                    if LABEL_WIDTH
+                        + last.chars().count()
+                        + separator.len()
+                        + item.chars().count()
                         < width =>
                 {
                     last.push_str(separator);
@@ -235,7 +243,7 @@ impl<'a> Page<'a> {
 }
 
 fn fix(text: &str) -> String {
-    format!("{GOOD}fix{GOOD:#}  {}", tame(text))
+    format!("{GOOD}fix{GOOD:#}  {}", sanitize(text))
 }
 
 #[cfg(test)]
@@ -245,8 +253,8 @@ mod tests {
     use textwrap::core::display_width;
 
     #[test]
-    fn a_terminal_gets_lines_that_fit_and_all_the_words() {
-        let report = Report::of_trouble(Trouble {
+    fn terminal_lines_fit_and_no_word_is_lost() {
+        let report = Report::from_trouble(Trouble {
             kind: TroubleKind::Log,
             what: "nothing can be audited of what was recorded over there ".repeat(6),
             place: "a/folder/with a long name/and another/run.mcap".to_owned(),
@@ -254,7 +262,7 @@ mod tests {
         });
         let text = |columns: Option<usize>| {
             let mut out = Vec::new();
-            Page::of(&report, columns).write(&mut out).expect("a text");
+            TextReport::new(&report, columns).write(&mut out).expect("a text");
             String::from_utf8(out).expect("UTF-8")
         };
         let words =
@@ -265,7 +273,7 @@ mod tests {
             let broken = text(Some(columns));
             assert!(broken.lines().count() > 6, "{broken}");
             assert!(broken.lines().all(|line| display_width(line) <= columns), "{broken}");
-            assert!(broken.lines().skip(1).all(|line| line.starts_with(&" ".repeat(LABEL))));
+            assert!(broken.lines().skip(1).all(|line| line.starts_with(&" ".repeat(LABEL_WIDTH))));
             assert_eq!(words(&broken), words(&whole));
         }
     }

@@ -54,16 +54,16 @@ pub(crate) struct ArmWorkspace<'a> {
 }
 
 /// Also names inconclusive checks due to too little motion. Excludes arms with misinterpreted joint states.
-pub(crate) fn coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
-    let rows = run.arms.iter().filter(|arm| !is_misread(arm, &judged.findings));
+pub(crate) fn workspace_coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
+    let rows = run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, &judged.findings));
     rows.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
 }
 
 /// From all samples of the joint states.
-pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
-    let arms = run.arms.iter().filter(|arm| !is_misread(arm, findings));
+pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
+    let arms = run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, findings));
     let reached = arms.map(|arm| {
-        let rows = Rows::of(run, arm);
+        let rows = JointRows::new(run, arm);
         let workspace =
             Workspace::from_samples(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
         ArmWorkspace { robot: &arm.name, chain: &arm.chain, workspace }
@@ -72,7 +72,7 @@ pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspac
 }
 
 /// Unit or order of its joint states.
-pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
+pub(super) fn has_misinterpreted_joints(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm =
         |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
     findings.iter().filter(is_of_arm).any(|found| {
@@ -81,9 +81,9 @@ pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
 }
 
 fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRow> {
-    const ENOUGH: usize = 20_000;
-    let rows = Rows::of(run, arm);
-    let some = (0..rows.len()).step_by(rows.len().div_ceil(ENOUGH).max(1));
+    const MAX_ROWS: usize = 20_000;
+    let rows = JointRows::new(run, arm);
+    let some = (0..rows.len()).step_by(rows.len().div_ceil(MAX_ROWS).max(1));
     let (least, most) = reach_m(&arm.chain, some.map(|row| rows.at(row).1))?;
     let of_joint = |(joint, &column): (usize, &usize)| {
         let (name, kind) =
@@ -117,14 +117,14 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
 }
 
 /// All recorded samples if the joints share their messages, else the resampled track.
-struct Rows<'a> {
+struct JointRows<'a> {
     arm: &'a Arm,
     samples: Vec<JointSamples<'a>>,
     is_shared: bool,
 }
 
-impl<'a> Rows<'a> {
-    fn of(run: &'a Run, arm: &'a Arm) -> Self {
+impl<'a> JointRows<'a> {
+    fn new(run: &'a Run, arm: &'a Arm) -> Self {
         let samples = run.joint_samples(&arm.joint_facts);
         let is_shared = match samples.as_slice() {
             [first, others @ ..] => others.iter().all(|other| other.is_beside(first)),

@@ -77,7 +77,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
 /// `report` in the named format.
 pub fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
-    Format::named(format).expect("a format").write(report, &mut out).expect("a report");
+    Format::from_name(format).expect("a format").write(report, &mut out).expect("a report");
     String::from_utf8(out).expect("UTF-8")
 }
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use poseaudit::compare::{Comparison, Course, compare};
+use poseaudit::compare::{ChangeKind, Comparison, compare};
 use poseaudit::finding::{Estimate, Finding, Severity, Status};
 use poseaudit::report::{Report, Verdict};
 use serde_json::Value;
@@ -38,8 +38,8 @@ fn of<'a>(report: &'a mut Report, code: &str) -> &'a mut Finding {
     report.findings.iter_mut().find(|finding| finding.code == code).expect("a finding")
 }
 
-fn course(comparison: &Comparison, code: &str) -> Course {
-    comparison.causes.iter().find(|change| change.code == code).expect("a cause").course
+fn course(comparison: &Comparison, code: &str) -> ChangeKind {
+    comparison.causes.iter().find(|change| change.code == code).expect("a cause").kind
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_report_is_no_worse_than_itself() {
     let report = FAULTS.clone();
     let comparison = compare(&report, &report, WARNING);
     assert!(!comparison.regression && comparison.lost.is_empty());
-    assert!(comparison.causes.iter().all(|change| change.course == Course::Same));
+    assert!(comparison.causes.iter().all(|change| change.kind == ChangeKind::Same));
     assert_eq!(comparison.causes.len(), FAULTS.findings.len());
 }
 
@@ -76,42 +76,45 @@ fn a_report_is_no_worse_than_itself() {
 fn new_findings_fail_from_a_severity_and_resolved_ones_do_not() {
     let (sound, faulty) = (sound(), FAULTS.clone());
     let there = compare(&sound, &faulty, WARNING);
-    assert!(there.regression && there.causes.iter().all(|it| it.course == Course::Appeared));
+    assert!(there.regression && there.causes.iter().all(|it| it.kind == ChangeKind::Appeared));
     assert!(!compare(&sound, &faulty, None).regression);
     let mut milder = faulty.clone();
     milder.findings.iter_mut().for_each(|finding| finding.severity = Severity::Warning);
     assert!(compare(&sound, &milder, WARNING).regression);
     assert!(!compare(&sound, &milder, Some(Severity::Error)).regression);
     let back = compare(&faulty, &sound, WARNING);
-    assert!(!back.regression && back.causes.iter().all(|it| it.course == Course::Gone));
+    assert!(!back.regression && back.causes.iter().all(|it| it.kind == ChangeKind::Gone));
 }
 
 #[test]
 fn a_value_grows_only_beyond_both_intervals_and_by_a_tenth() {
     let old = late_by(15e-3, 1e-3);
     let cases = [
-        (20e-3, 1e-3, Course::Grew),
-        (20e-3, 5e-3, Course::Same),
-        (16e-3, 1e-6, Course::Same),
-        (10e-3, 1e-3, Course::Shrank),
-        (-15e-3, 1e-3, Course::Changed),
-        (-20e-3, 1e-3, Course::Grew),
+        (20e-3, 1e-3, ChangeKind::Grew),
+        (20e-3, 5e-3, ChangeKind::Same),
+        (16e-3, 1e-6, ChangeKind::Same),
+        (10e-3, 1e-3, ChangeKind::Shrank),
+        (-15e-3, 1e-3, ChangeKind::Changed),
+        (-20e-3, 1e-3, ChangeKind::Grew),
     ];
     for (value, half, expected) in cases {
         let comparison = compare(&old, &late_by(value, half), WARNING);
         assert_eq!(course(&comparison, "LAT001"), expected, "{value} ± {half}");
-        assert_eq!(comparison.regression, expected < Course::Same, "{value} ± {half}");
+        assert_eq!(comparison.regression, expected < ChangeKind::Same, "{value} ± {half}");
     }
     // Narrow intervals alone are not an increase: runs differ by more.
     let narrow = late_by(15e-3, 1e-7);
-    assert_eq!(course(&compare(&narrow, &late_by(15.2e-3, 1e-7), WARNING), "LAT001"), Course::Same);
+    assert_eq!(
+        course(&compare(&narrow, &late_by(15.2e-3, 1e-7), WARNING), "LAT001"),
+        ChangeKind::Same
+    );
 }
 
 #[test]
 fn a_higher_severity_counts_as_grown_and_another_misinterpretation_as_changed() {
     let mut old = FAULTS.clone();
     of(&mut old, "ZER001").severity = Severity::Warning;
-    assert_eq!(course(&compare(&old, &FAULTS.clone(), WARNING), "ZER001"), Course::Grew);
+    assert_eq!(course(&compare(&old, &FAULTS.clone(), WARNING), "ZER001"), ChangeKind::Grew);
     let reading = |is: &str| {
         let mut report = FAULTS.clone();
         let is = is.to_owned();
@@ -119,7 +122,7 @@ fn a_higher_severity_counts_as_grown_and_another_misinterpretation_as_changed() 
         report
     };
     let comparison = compare(&reading("rotvec"), &reading("euler:ZYX"), WARNING);
-    assert_eq!(course(&comparison, "ZER001"), Course::Changed);
+    assert_eq!(course(&comparison, "ZER001"), ChangeKind::Changed);
     assert!(comparison.regression);
 }
 
@@ -132,8 +135,8 @@ fn a_cause_that_became_inconclusive_is_not_gone() {
         row.reason = Some("the arm never moves".to_owned());
     }
     let comparison = compare(&faulty, &open, WARNING);
-    assert_eq!(course(&comparison, "LAT001"), Course::Untold);
-    assert_eq!(course(&comparison, "ZER001"), Course::Gone);
+    assert_eq!(course(&comparison, "LAT001"), ChangeKind::Undetermined);
+    assert_eq!(course(&comparison, "ZER001"), ChangeKind::Gone);
     assert!(!comparison.lost.is_empty() && comparison.lost.iter().all(|it| it.code == "LAT001"));
     assert!(!comparison.regression);
     open.verdict = Verdict::Inconclusive;
@@ -152,7 +155,7 @@ fn a_renamed_file_is_the_same_log() {
         report
     };
     let comparison = compare(&damaged("monday.mcap"), &damaged("tuesday.mcap"), WARNING);
-    assert_eq!(course(&comparison, "ING001"), Course::Same);
+    assert_eq!(course(&comparison, "ING001"), ChangeKind::Same);
 }
 
 #[test]

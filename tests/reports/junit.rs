@@ -100,7 +100,7 @@ fn undecided_checks_are_skipped_with_their_reason() {
 
 #[test]
 fn an_unaudited_log_is_a_junit_error() {
-    let report = Report::of_trouble(Trouble {
+    let report = Report::from_trouble(Trouble {
         kind: TroubleKind::Log,
         what: "the file is empty (0 bytes)".to_owned(),
         place: "empty.mcap".to_owned(),

@@ -13,7 +13,7 @@ fn audited(name: &str) -> Audited {
 
 fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
-    Format::named(format).expect("a format").write(report, &mut out).expect("a report");
+    Format::from_name(format).expect("a format").write(report, &mut out).expect("a report");
     // Without terminal styles.
     anstream::adapter::strip_str(&String::from_utf8(out).expect("UTF-8")).to_string()
 }

@@ -15,7 +15,7 @@ fn sarif(report: &Report) -> Value {
 }
 
 fn no_audit() -> Report {
-    Report::of_trouble(Trouble {
+    Report::from_trouble(Trouble {
         kind: TroubleKind::Log,
         what: "the file is empty (0 bytes)".to_owned(),
         place: HOSTILE.to_owned(),

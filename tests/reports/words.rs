@@ -48,7 +48,7 @@ fn reports_on_the_fixtures_use_no_forbidden_phrase() {
     for log in logs {
         let report = audit(&Options { logs: vec![log.clone()], ..Options::default() });
         let report = report.expect("a report").report;
-        for format in ["text", "html"].map(|name| Format::named(name).expect("a format")) {
+        for format in ["text", "html"].map(|name| Format::from_name(name).expect("a format")) {
             let mut out = Vec::new();
             format.write(&report, &mut out).expect("a report");
             let text = String::from_utf8(out).expect("UTF-8");

@@ -6,7 +6,7 @@ use poseaudit::diagnosis::plan::{
     ExpectedPrecision, JointRange, LimitKind, MotionPlan, geometric_mean, joint_ranges,
 };
 use poseaudit::finding::Unit;
-use poseaudit::report::foreign;
+use poseaudit::report::sanitize_display;
 use poseaudit::stream::JointTrack;
 
 use super::super::output::table;
@@ -96,7 +96,8 @@ fn write_heading(
     let (base, tip) = (chain.base_name(), chain.tip_name());
     let (first, last) = motion.span().unwrap_or_default();
     let purpose = task.purpose.name();
-    let (name, base, tip) = (foreign(&robot.name), foreign(base), foreign(tip));
+    let (name, base, tip) =
+        (sanitize_display(&robot.name), sanitize_display(base), sanitize_display(tip));
     writeln!(out, "{name}: {base} → {tip}, {:.1} s, for {purpose}", last - first)
 }
 

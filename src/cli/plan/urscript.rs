@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::FourierMotion;
 use poseaudit::report::Trouble;
-use poseaudit::report::foreign;
+use poseaudit::report::sanitize_display;
 use poseaudit::robot::Chain;
 
 use super::super::misuse;
@@ -52,7 +52,7 @@ pub fn write_program(
     writeln!(
         out,
         "# poseaudit plan: {}, {:.1} s, for {purpose}",
-        foreign(&arm.robot.name),
+        sanitize_display(&arm.robot.name),
         series.length_s()
     )?;
     writeln!(out, "# {COLLISION_WARNING}.")?;

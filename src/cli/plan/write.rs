@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use poseaudit::diagnosis::plan::{
     ExpectedPrecision, FourierMotion, MotionPlan, geometric_mean, joint_ranges,
 };
-use poseaudit::report::foreign;
+use poseaudit::report::sanitize_display;
 use poseaudit::stream::JointTrack;
 use serde_json::{Value, json};
 
@@ -146,7 +146,7 @@ pub fn write_yaml(arm: &PlannedArm, series: &FourierMotion, out: &mut dyn Write)
     writeln!(
         out,
         "# trajectory_msgs/JointTrajectory of poseaudit plan, for {}",
-        foreign(&arm.robot.name)
+        sanitize_display(&arm.robot.name)
     )?;
     writeln!(out, "# {COLLISION_WARNING}")?;
     writeln!(out, "# The arm must be in the start configuration at the beginning.")?;

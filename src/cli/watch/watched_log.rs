@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use poseaudit::finding::{Finding, Severity};
 use poseaudit::log::{self, Extent, Growth, Log, LogFollower};
-use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, tame};
+use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, sanitize};
 use poseaudit::{Audited, Options, audit, audit_read};
 use serde_json::json;
 
@@ -180,7 +180,7 @@ impl WatchedLog {
         let path = self.path.display().to_string();
         output::emit(None, |out| match self.settings.format {
             Format::Text => {
-                writeln!(out, "{}  restarted: earlier data discarded", tame(&path))
+                writeln!(out, "{}  restarted: earlier data discarded", sanitize(&path))
             }
             Format::Json => {
                 writeln!(
@@ -230,7 +230,7 @@ impl WatchedLog {
         sink: &mut RecordingSink,
     ) -> Result<(), Trouble> {
         match audited {
-            Err(trouble) => self.print_changes(&Report::of_trouble(trouble)).map(drop),
+            Err(trouble) => self.print_changes(&Report::from_trouble(trouble)).map(drop),
             Ok(mut audited) => match self.print_changes(&audited.report)? {
                 true => sink.write(&mut audited),
                 false => Ok(()),
@@ -252,7 +252,7 @@ impl WatchedLog {
         let before = std::mem::replace(&mut self.printed, current);
         let line = ChangeLine { log: self, previous: &before, report };
         output::emit(None, |out| match self.settings.format {
-            Format::Text => writeln!(out, "{}", tame(&line.text())),
+            Format::Text => writeln!(out, "{}", sanitize(&line.text())),
             Format::Json => writeln!(out, "{}", line.json()),
         })?;
         Ok(true)

@@ -174,7 +174,7 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
                 arm: label("arm")?,
                 robots: text("robots")?,
                 status: status.unwrap_or(Status::Unreadable),
-                verdict: text("verdict")?.and_then(|name| Verdict::named(&name)),
+                verdict: text("verdict")?.and_then(|name| Verdict::from_name(&name)),
                 start_ns: frame.stamp("start_ns", row)?,
                 episode: None,
                 path,

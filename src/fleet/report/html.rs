@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 use super::text::{head, how_often, totals};
 use super::{At, Course, DatasetRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::log::ESCAPED;
-use crate::report::html::{Plot, Role, Series, Style, percent, shell};
+use crate::report::html::{Plot, PlotSeries, PlotStyle, SeriesRole, css_percent, page_shell};
 
 const MOST_PLOTS: usize = 100;
 
@@ -75,7 +75,7 @@ fn page(report: &FleetReport) -> Markup {
             }
         }
     };
-    shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
+    page_shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
 }
 
 /// Found trends first.
@@ -95,25 +95,25 @@ fn plot(row: &TrendRow) -> Plot {
     };
     let x: Vec<f64> = row.points.iter().map(|point| point.at.since(first) / per).collect();
     let half = |ci95: [f64; 2]| 0.5 * (ci95[1] - ci95[0]) * factor;
-    let amounts = Series {
+    let amounts = PlotSeries {
         label: row.name.clone(),
-        role: Role::Amount,
+        role: SeriesRole::Amount,
         values: row.points.iter().map(|point| point.value * factor).collect(),
         half_widths: row.points.iter().map(|point| half(point.ci95)).collect(),
     };
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
     // A line does not describe a step.
-    let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| Series {
+    let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| PlotSeries {
         label: "line".to_owned(),
-        role: Role::Beside,
+        role: SeriesRole::Reference,
         values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
         half_widths: Vec::new(),
     });
     Plot {
         title: "Over time",
         robot: row.whose.robot.clone().unwrap_or_default(),
-        of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
-        says: match row.course.is_moving() {
+        stream: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
+        caption: match row.course.is_moving() {
             // The heading contains the summary.
             true => origin,
             false => format!("{}: {}. {origin}", row.course.name(), row.says()),
@@ -122,7 +122,7 @@ fn plot(row: &TrendRow) -> Plot {
         x_label,
         y_label,
         series: std::iter::once(amounts).chain(line).collect(),
-        style: Style::Curve,
+        style: PlotStyle::Curve,
         ..Plot::default()
     }
 }
@@ -153,7 +153,7 @@ fn article(id: &str, row: &TrendRow, plot: &Plot) -> Markup {
                 span .subject { (row.whose.arm_label()) " " (row.whose.part()) } " "
                 span .message { (row.says()) }
             }
-            div .proof { (plot.markup(id, Some(&plot.of), MOST_POINTS)) }
+            div .proof { (plot.markup(id, Some(&plot.stream), MOST_POINTS)) }
         }
     }
 }
@@ -211,7 +211,7 @@ fn matrix(report: &FleetReport) -> Markup {
                 @for code in &codes {
                     @match logs(code) {
                         Some(count) => {
-                            td .cell style={ "--share:" (percent(count as f64 / arm.logs.max(1) as f64)) } {
+                            td .cell style={ "--share:" (css_percent(count as f64 / arm.logs.max(1) as f64)) } {
                                 (count) span .quiet { " of " (arm.logs) }
                             }
                         }

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::text::{arm, head, how_often, totals};
 use super::{FindingRow, FleetReport};
-use crate::report::markdown::{code, prose};
+use crate::report::markdown::{escape_prose, inline_code};
 
 /// JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
@@ -15,23 +15,29 @@ const MOST_ROWS: usize = 20;
 /// If `out` cannot be written.
 pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     let word = if report.failing { "FAIL" } else { "PASS" };
-    writeln!(out, "## Pose audit: {word}\n\n{}\n", prose(&totals(report)))?;
+    writeln!(out, "## Pose audit: {word}\n\n{}\n", escape_prose(&totals(report)))?;
     for (label, said) in head(report) {
-        writeln!(out, "- {label}: {}", prose(&said))?;
+        writeln!(out, "- {label}: {}", escape_prose(&said))?;
     }
-    report.arms.iter().try_for_each(|row| writeln!(out, "- {}", prose(&arm(row))))?;
+    report.arms.iter().try_for_each(|row| writeln!(out, "- {}", escape_prose(&arm(row))))?;
     for dataset in &report.datasets {
         let lines = dataset.lines();
         let head = lines.first().map(String::as_str).unwrap_or_default();
-        writeln!(out, "\n### Columns of {}\n", prose(head))?;
+        writeln!(out, "\n### Columns of {}\n", escape_prose(head))?;
         if !dataset.columns.is_empty() {
             writeln!(out, "| what | columns | by |\n|---|---|---|")?;
         }
         for row in &dataset.columns {
-            let columns: Vec<String> = row.columns.iter().map(|name| code(name)).collect();
-            writeln!(out, "| {} | {} | {} |", prose(&row.is), columns.join(", "), prose(&row.why))?;
+            let columns: Vec<String> = row.columns.iter().map(|name| inline_code(name)).collect();
+            writeln!(
+                out,
+                "| {} | {} | {} |",
+                escape_prose(&row.is),
+                columns.join(", "),
+                escape_prose(&row.why)
+            )?;
         }
-        dataset.open.iter().try_for_each(|open| writeln!(out, "\n{}", prose(open)))?;
+        dataset.open.iter().try_for_each(|open| writeln!(out, "\n{}", escape_prose(open)))?;
     }
     if !report.findings.is_empty() {
         let head = "| severity | rule | subject | found | worst in | last in |";
@@ -42,7 +48,9 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "\n| not audited | why |\n|---|---|")?;
     }
     let mut errors = report.errors.iter().take(MOST_ROWS);
-    errors.try_for_each(|row| writeln!(out, "| {} | {} |", code(&row.path), prose(&row.what)))
+    errors.try_for_each(|row| {
+        writeln!(out, "| {} | {} |", inline_code(&row.path), escape_prose(&row.what))
+    })
 }
 
 fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
@@ -55,9 +63,9 @@ fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
         out,
         "| {severity} | {} | {} | {} | {} | {} |",
         row.code,
-        prose(&subject),
-        prose(&found),
-        code(worst),
-        code(&row.path)
+        escape_prose(&subject),
+        escape_prose(&found),
+        inline_code(worst),
+        inline_code(&row.path)
     )
 }

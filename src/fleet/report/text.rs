@@ -6,7 +6,7 @@ use anstyle::{AnsiColor, Style};
 
 use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::finding::Severity;
-use crate::report::tame;
+use crate::report::sanitize;
 
 /// Width of the label column.
 const LABEL: usize = 16;
@@ -150,5 +150,5 @@ fn rows<T>(
 
 fn line(out: &mut dyn Write, style: Style, label: &str, said: &str) -> io::Result<()> {
     let room = LABEL.saturating_sub(label.len()).max(1);
-    writeln!(out, "{style}{label}{style:#}{:room$}{}", "", tame(said))
+    writeln!(out, "{style}{label}{style:#}{:room$}{}", "", sanitize(said))
 }

@@ -88,7 +88,7 @@ pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     let answers = rows.filter_map(|(row, ((key, status), verdict))| {
         let answer = Answer {
             status: status.and_then(Status::named).unwrap_or(Status::Unreadable),
-            verdict: verdict.and_then(Verdict::named),
+            verdict: verdict.and_then(Verdict::from_name),
             errors: counts[0][row],
             warnings: counts[1][row],
             infos: counts[2][row],

@@ -6,7 +6,7 @@ use std::io;
 use crate::audit::Calibrated;
 use crate::diagnosis::CalibrationResidual;
 use crate::finding::Unit;
-use crate::report::foreign;
+use crate::report::sanitize_display;
 use crate::run::PoseSourceKind;
 
 /// Unobservable directions listed.
@@ -38,16 +38,19 @@ impl Calibrated {
     fn text(&self, files: &[String]) -> String {
         let found = &self.found;
         let mut text = String::new();
-        let name = foreign(&self.drawing.name);
+        let name = sanitize_display(&self.drawing.name);
         let _ = match &self.refused {
-            None => writeln!(text, "CALIBRATED  {name}: {}", foreign(self.subject())),
-            Some(why) => writeln!(text, "REFUSED     {name}: {}", foreign(why)),
+            None => writeln!(text, "CALIBRATED  {name}: {}", sanitize_display(self.subject())),
+            Some(why) => writeln!(text, "REFUSED     {name}: {}", sanitize_display(why)),
         };
         for (taken, stream) in self.streams.iter().zip(&found.streams) {
             let reading =
                 taken.reading.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
-            let (log, topic, tip) =
-                (foreign(taken.log.display()), foreign(&taken.topic), foreign(&taken.tip));
+            let (log, topic, tip) = (
+                sanitize_display(taken.log.display()),
+                sanitize_display(&taken.topic),
+                sanitize_display(&taken.tip),
+            );
             let _ = writeln!(
                 text,
                 "\n{log} {topic} ({}): {} poses of {tip} in {}{reading}",
@@ -56,7 +59,7 @@ impl Calibrated {
                 if stream.reference.is_some() {
                     "an unknown frame".to_owned()
                 } else {
-                    foreign(&taken.base)
+                    sanitize_display(&taken.base)
                 },
             );
             let line = |of: &CalibrationResidual| match taken.rotation_is_blind() {
@@ -79,7 +82,7 @@ impl Calibrated {
             }
         }
         for why in &self.left_out {
-            let _ = writeln!(text, "\nleft out: {}", foreign(why));
+            let _ = writeln!(text, "\nleft out: {}", sanitize_display(why));
         }
         if let Some(moved) = found.remaining_step {
             let _ = writeln!(
@@ -130,7 +133,7 @@ impl Calibrated {
         match files {
             [] => text += "\nnothing was written\n",
             files => {
-                let _ = writeln!(text, "\nwritten: {}", foreign(files.join(", ")));
+                let _ = writeln!(text, "\nwritten: {}", sanitize_display(files.join(", ")));
             }
         }
         text

@@ -65,10 +65,10 @@ struct Message {
 fn messages(audited: &Audited) -> Vec<Message> {
     let Audited { report, run, evidence, .. } = audited;
     let (start, end) = run.span.unwrap_or((run.origin, run.origin));
-    let says = Outline::of(report);
-    let verdict = format!("{}: {}", report.verdict, says.why());
+    let outline = Outline::new(report);
+    let verdict = format!("{}: {}", report.verdict, outline.verdict_reason());
     let mut messages = vec![log(start, 2, "verdict", &verdict)];
-    messages.extend(report.findings.iter().map(|finding| line(finding, &says, start)));
+    messages.extend(report.findings.iter().map(|finding| line(finding, &outline, start)));
     let streams = evidence.robots.iter().flat_map(|arm| &arm.poses);
     for stream in streams.filter(|stream| stream.reference_known) {
         messages.extend(scenes(stream, report, run.origin));
@@ -79,14 +79,14 @@ fn messages(audited: &Audited) -> Vec<Message> {
 }
 
 /// Log message at the finding's first stamp.
-fn line(finding: &Finding, says: &Outline<'_>, start: Stamp) -> Message {
+fn line(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Message {
     let level = match finding.severity {
         Severity::Info => 2,
         Severity::Warning => 3,
         Severity::Error => 4,
     };
-    let subject = says.subject(&finding.subject);
-    let about = says.about(finding).into_iter().map(|line| format!("\n{line}"));
+    let subject = outline.subject(&finding.subject);
+    let about = outline.finding_notes(finding).into_iter().map(|line| format!("\n{line}"));
     let about: String = about.collect();
     let text =
         format!("{} {subject}: {}{about}\nfix: {}", finding.code, finding.message, finding.fix);

@@ -12,7 +12,7 @@ use super::moments::Moments;
 use super::tape::{Tape, entity};
 use super::{Replay, ReplayArm, ReplayCause, layout, proofs};
 use crate::finding::{Finding, Severity};
-use crate::report::markdown::{code, prose};
+use crate::report::markdown::{escape_prose, inline_code};
 use crate::report::outline::Outline;
 use crate::time::Stamp;
 
@@ -36,17 +36,17 @@ pub(super) fn page(index: usize) -> EntityPath {
 
 /// Each finding at its first stamp, with its time span and page.
 pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
-    let says = Outline::of(replay.report);
+    let outline = Outline::new(replay.report);
     let mut on: BTreeMap<EntityPath, (Vec<Text>, Vec<Text>)> = BTreeMap::new();
     for (index, finding) in replay.report.findings.iter().enumerate() {
         let (start, end) = replay.span_of(finding);
-        let subject = says.subject(&finding.subject);
+        let subject = outline.subject(&finding.subject);
         let line = TextLog::new(format!("{}{}", heading(finding, &subject), finding.message))
             .with_level(level(finding.severity));
         // One column cannot hold different levels.
         tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
         let links = links(replay, index);
-        let text = format!("{}{}", markdown(finding, &says), linked(&links));
+        let text = format!("{}{}", markdown(finding, &outline), linked(&links));
         let text = TextDocument::new(text).with_media_type(MediaType::MARKDOWN);
         tape.still(&page(index), &text)?;
         for (_, entity) in links {
@@ -78,8 +78,9 @@ fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
 }
 
 fn linked(links: &[(String, EntityPath)]) -> String {
-    let links =
-        links.iter().map(|(title, path)| format!("[{}]({})", prose(title), recording_url(path)));
+    let links = links
+        .iter()
+        .map(|(title, path)| format!("[{}]({})", escape_prose(title), recording_url(path)));
     format!("\nSelect: {}\n", links.collect::<Vec<_>>().join(" · "))
 }
 
@@ -150,18 +151,18 @@ const fn rgb(severity: Severity) -> [u8; 3] {
 }
 
 /// Message, subject, amount and fix.
-pub(super) fn markdown(finding: &Finding, says: &Outline<'_>) -> String {
+pub(super) fn markdown(finding: &Finding, outline: &Outline<'_>) -> String {
     let Finding { code: rule, title, message, fix, .. } = finding;
-    let mut text = format!("### {} {rule} {}\n\n", finding.severity.name(), prose(title));
-    let subject = says.subject(&finding.subject);
+    let mut text = format!("### {} {rule} {}\n\n", finding.severity.name(), escape_prose(title));
+    let subject = outline.subject(&finding.subject);
     if !subject.is_empty() {
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "{}\n", code(&subject));
+        let _ = writeln!(text, "{}\n", inline_code(&subject));
     }
-    let _ = writeln!(text, "{}\n", prose(message));
-    for about in says.about(finding) {
-        let _ = writeln!(text, "- {}", prose(&about));
+    let _ = writeln!(text, "{}\n", escape_prose(message));
+    for about in outline.finding_notes(finding) {
+        let _ = writeln!(text, "- {}", escape_prose(&about));
     }
-    let _ = writeln!(text, "- **fix** {}\n", prose(fix));
+    let _ = writeln!(text, "- **fix** {}\n", escape_prose(fix));
     text
 }

@@ -8,7 +8,7 @@ use re_sdk_types::components::MediaType;
 
 use super::tape::{Tape, entity};
 use super::{MOST_ROWS, Replay, ReplayCause, findings};
-use crate::report::markdown::prose;
+use crate::report::markdown::escape_prose;
 use crate::report::outline::Outline;
 
 pub(super) fn report() -> EntityPath {
@@ -26,18 +26,19 @@ pub(super) fn write(
 
 fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
     let report = replay.report;
-    let says = Outline::of(report);
-    let mut page = format!("# {}\n\n{}\n\n", report.verdict, prose(&says.why()));
-    if let Some(extent) = says.extent() {
+    let outline = Outline::new(report);
+    let mut page =
+        format!("# {}\n\n{}\n\n", report.verdict, escape_prose(&outline.verdict_reason()));
+    if let Some(extent) = outline.extent() {
         page.push_str(&format!("{extent}\n\n"));
     }
     for finding in &report.findings {
-        page.push_str(&findings::markdown(finding, &says));
+        page.push_str(&findings::markdown(finding, &outline));
     }
-    list(&mut page, "Inconclusive", says.open_lines());
-    list(&mut page, "Ignored", says.ignored());
-    list(&mut page, "Passed", says.passed().lines());
-    list(&mut page, "Skipped", says.skipped());
+    list(&mut page, "Inconclusive", outline.inconclusive_lines());
+    list(&mut page, "Ignored", outline.ignored_findings());
+    list(&mut page, "Passed", outline.passed_checks().lines());
+    list(&mut page, "Skipped", outline.skipped_checks());
     let notes = report.log.notes.iter().map(|note| note.note.clone());
     list(&mut page, "Notes", notes.collect());
     list(&mut page, "In this recording", meshes.iter().cloned().chain(decimated(replay)).collect());
@@ -51,7 +52,7 @@ fn list(page: &mut String, title: &str, lines: Vec<String>) {
     // Writing to a string cannot fail.
     let _ = writeln!(page, "### {title}\n");
     for line in lines {
-        let _ = writeln!(page, "- {}", prose(&line));
+        let _ = writeln!(page, "- {}", escape_prose(&line));
     }
     page.push('\n');
 }

@@ -139,7 +139,7 @@ fn limits(
     let moments = tape.moments(arm, &stream.received, stamps.into_iter());
     for (quantity, unit) in [(Quantity::Position, Unit::Metre), (Quantity::Rotation, Unit::Radian)]
     {
-        let Some(limit) = report.warns_from(&MDL001, unit) else { continue };
+        let Some(limit) = report.warning_threshold(&MDL001, unit) else { continue };
         let path = quantity.of_topic(arm.name, stream.topic).join(&entity(&["limit"]));
         let label = format!("limit {}", unit.show(limit));
         proofs::limit(tape, &path, &moments, &label, limit * quantity.factor())?;

@@ -9,7 +9,7 @@ use super::{Replay, ReplayCause, findings};
 use crate::checks;
 use crate::finding::{Finding, Unit};
 use crate::report::Report;
-use crate::report::figures::Own;
+use crate::report::figures::FindingFigure;
 use crate::time::Stamp;
 
 const LIMIT_RGB: [u8; 3] = [230, 180, 80];
@@ -33,24 +33,28 @@ fn path(index: usize, name: &str) -> EntityPath {
 }
 
 pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
-    let own = report.figures.iter().flat_map(|figures| &figures.own);
+    let own = report.figures.iter().flat_map(|figures| &figures.of_findings);
     let own = own.filter(|(of, _)| *of == index);
     let view = |name: &str, title, kind| View { title, path: path(index, name), kind };
     let views = own.flat_map(|(_, own)| match own {
-        Own::Shake { .. } => vec![
+        FindingFigure::Vibration { .. } => vec![
             view("spectrum", "spectrum, mm rms over Hz", Kind::Bars),
             view("trace", "strongest vibration, mm", Kind::Series),
         ],
-        Own::HandEye { .. } => vec![
+        FindingFigure::HandEye { .. } => vec![
             view("distance", "residual of each view, mm", Kind::Series),
             view("views", "the target as the camera sees it", Kind::Space),
         ],
-        Own::Rests(_) => vec![view("rests", "goals and rests", Kind::Space)],
-        Own::Norms(_) => vec![view("norms", "deviation from a rotation", Kind::Series)],
-        Own::ImuAxes { .. } => vec![view("axes", "axes of the IMU in its link", Kind::Space)],
-        Own::Gyro { .. } => vec![view("gyro", "gyro, °/s", Kind::Series)],
-        Own::Joint(_) => vec![view("speed", "joint speed", Kind::Series)],
-        Own::Line { .. } | Own::Tilt(_) => Vec::new(),
+        FindingFigure::RestErrors(_) => vec![view("rests", "goals and rests", Kind::Space)],
+        FindingFigure::RotationNorms(_) => {
+            vec![view("norms", "deviation from a rotation", Kind::Series)]
+        }
+        FindingFigure::ImuAxes { .. } => {
+            vec![view("axes", "axes of the IMU in its link", Kind::Space)]
+        }
+        FindingFigure::Gyro { .. } => vec![view("gyro", "gyro, °/s", Kind::Series)],
+        FindingFigure::Joint(_) => vec![view("speed", "joint speed", Kind::Series)],
+        FindingFigure::Line { .. } | FindingFigure::Tilt(_) => Vec::new(),
     });
     views.collect()
 }
@@ -58,7 +62,7 @@ pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
 pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let Some(figures) = &replay.report.figures else { return Ok(()) };
     let start = figures.start.unwrap_or(replay.span.0);
-    for (index, own) in &figures.own {
+    for (index, own) in &figures.of_findings {
         let Some(finding) = replay.report.findings.get(*index) else { continue };
         let shown = Shown { tape, replay, finding, index: *index, start };
         shown.draw(own)?;
@@ -75,10 +79,10 @@ struct Shown<'a> {
 }
 
 impl Shown<'_> {
-    fn draw(&self, own: &Own) -> Result<(), ReplayCause> {
+    fn draw(&self, own: &FindingFigure) -> Result<(), ReplayCause> {
         let f32s = |at: &[f64; 3]| at.map(|part| part as f32);
         match own {
-            Own::Shake { spectrum, trace } => {
+            FindingFigure::Vibration { spectrum, trace } => {
                 let [hz, mm]: [Vec<f64>; 2] =
                     [0, 1].map(|part| spectrum.iter().map(|at| at[part]).collect());
                 let mm: Vec<f64> = mm.iter().map(|rms_m| rms_m * 1e3).collect();
@@ -88,7 +92,7 @@ impl Shown<'_> {
                 self.line("trace", "tip", "tip, mm", RGB[0], rows())?;
                 self.limits("trace", Unit::Metre, 1e3, true, rows())
             }
-            Own::HandEye { each, seen, .. } => {
+            FindingFigure::HandEye { closures: each, positions: seen, .. } => {
                 let rows = || each.iter().map(|at| (at[0], at[1] * 1e3));
                 self.line("distance", "view", "residual, mm", RGB[0], rows())?;
                 self.limits("distance", Unit::Metre, 1e3, false, rows())?;
@@ -99,7 +103,7 @@ impl Shown<'_> {
                 let length = seen.iter().map(|at| at[2].abs()).fold(0.0, f64::max).max(0.1) * 0.3;
                 self.axes(&root.join(&entity(&["camera"])), &unit_axes(length), "camera ")
             }
-            Own::Rests(gaps) => {
+            FindingFigure::RestErrors(gaps) => {
                 let root = path(self.index, "rests");
                 let points = |part: usize, rgb| {
                     Points3D::new(gaps.iter().map(|gap| f32s(&gap[part])))
@@ -109,12 +113,12 @@ impl Shown<'_> {
                 self.tape.still(&root.join(&entity(&["goals"])), &points(0, RGB[1]))?;
                 self.tape.still(&root.join(&entity(&["rests"])), &points(1, RGB[0]))
             }
-            Own::Norms(rows) => {
+            FindingFigure::RotationNorms(rows) => {
                 let rows = || rows.iter().map(|at| (at[0], at[1]));
                 self.line("norms", "deviation", "deviation", RGB[0], rows())?;
                 self.limits("norms", Unit::One, 1.0, false, rows())
             }
-            Own::ImuAxes { link, found, logged } => {
+            FindingFigure::ImuAxes { link, estimated: found, logged } => {
                 let root = path(self.index, "axes");
                 self.axes(&root.join(&entity(&["link"])), &unit_axes(1.0), &format!("{link} "))?;
                 let scaled =
@@ -124,7 +128,7 @@ impl Shown<'_> {
                 }
                 self.axes(&root.join(&entity(&["found"])), &scaled(found, 0.6), "by motion ")
             }
-            Own::Gyro { rates, .. } => {
+            FindingFigure::Gyro { rates, .. } => {
                 for (part, name) in ["x", "y", "z"].into_iter().enumerate() {
                     let rows = rates.iter().map(|at| (at[0], at[part + 1].to_degrees()));
                     self.line("gyro", name, name, RGB[part], rows)?;
@@ -132,8 +136,8 @@ impl Shown<'_> {
                 let rows = rates.iter().map(|at| (at[0], 0.0));
                 self.limits("gyro", Unit::GyroRate, 1f64.to_degrees(), true, rows)
             }
-            Own::Joint(joint) => {
-                let factor = if joint.slides { 1e3 } else { 1f64.to_degrees() };
+            FindingFigure::Joint(joint) => {
+                let factor = if joint.is_prismatic { 1e3 } else { 1f64.to_degrees() };
                 let rows = |values: &[f64]| -> Vec<(f64, f64)> {
                     joint
                         .t_s
@@ -154,11 +158,11 @@ impl Shown<'_> {
                     "by_positions",
                     "by positions",
                     RGB[1],
-                    rows(&joint.rate).into_iter(),
+                    rows(&joint.differentiated).into_iter(),
                 )?;
                 let ends =
-                    joint.top_speed.iter().flat_map(|limit| [limit * factor, -limit * factor]);
-                let span = rows(&joint.rate);
+                    joint.max_speed.iter().flat_map(|limit| [limit * factor, -limit * factor]);
+                let span = rows(&joint.differentiated);
                 for (at, limit) in ends.enumerate() {
                     let rows =
                         span.first().into_iter().chain(span.last()).map(|row| (row.0, limit));
@@ -166,7 +170,7 @@ impl Shown<'_> {
                 }
                 Ok(())
             }
-            Own::Line { .. } | Own::Tilt(_) => Ok(()),
+            FindingFigure::Line { .. } | FindingFigure::Tilt(_) => Ok(()),
         }
     }
 
@@ -195,7 +199,8 @@ impl Shown<'_> {
         rows: impl Iterator<Item = (f64, f64)>,
     ) -> Result<(), ReplayCause> {
         let rule = checks::find(self.finding.code).ok();
-        let Some(limit) = rule.and_then(|rule| self.replay.report.warns_from(rule, unit)) else {
+        let Some(limit) = rule.and_then(|rule| self.replay.report.warning_threshold(rule, unit))
+        else {
             return Ok(());
         };
         let times: Vec<f64> = rows.map(|row| row.0).collect();

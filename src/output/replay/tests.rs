@@ -12,7 +12,7 @@ use super::tape::entity;
 use super::*;
 use crate::diagnosis::AlignedSamples;
 use crate::finding::{Cause, Evidence, Severity, Subject};
-use crate::report::figures::{Figures, Own};
+use crate::report::figures::{Figures, FindingFigure};
 use crate::report::{Trouble, TroubleKind, Verdict};
 use crate::robot::catalogue;
 
@@ -77,7 +77,7 @@ fn report(verdict: Verdict, findings: Vec<Finding>) -> Report {
         place: String::new(),
         remedy: String::new(),
     };
-    let mut report = Report::of_trouble(trouble);
+    let mut report = Report::from_trouble(trouble);
     (report.verdict, report.error, report.findings) = (verdict, None, findings);
     report
 }
@@ -192,7 +192,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
     let mut report = report(Verdict::Fail, vec![shake]);
     let (spectrum, trace) = (vec![[10.0, 1e-3], [12.0, 2e-3]], vec![[0.1, 1e-3], [0.2, -1e-3]]);
     report.figures = Some(Figures {
-        own: vec![(0, Own::Shake { spectrum, trace })],
+        of_findings: vec![(0, FindingFigure::Vibration { spectrum, trace })],
         start: Some(ORIGIN),
         ..Figures::default()
     });

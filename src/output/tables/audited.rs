@@ -6,7 +6,7 @@ use super::{
 use crate::audit::Audited;
 use crate::places::Places;
 use crate::report::Trouble;
-use crate::report::reached;
+use crate::report::reached_workspaces;
 
 /// Tables in write order.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
@@ -33,7 +33,7 @@ impl Audited {
             let found = arm.poses_and_tf();
             found.map(move |of| (arm.name.as_str(), of.topic(), &of.diagnosis.aligned))
         });
-        let arms = reached(run, &report.findings);
+        let arms = reached_workspaces(run, &report.findings);
         let frames = [
             findings_frame(&report.findings),
             checks_frame(&report.checks),

@@ -3,22 +3,22 @@
 //! Causes are matched by rule and subject. An amount has changed if the two 95 % intervals do not overlap
 //! and it differs by a tenth or more: good logs' intervals are narrower than the differences between runs.
 
-mod words;
+mod format;
 
 use serde::Serialize;
 
 use crate::finding::{CheckRow, Estimate, Finding, Severity, Status, Subject, Word};
 use crate::report::{Report, Verdict};
 
-pub use words::{markdown, text};
+pub use format::{markdown, text};
 
 /// Minimum relative change of an amount.
-const MATERIAL: f64 = 0.1;
+const MIN_RELATIVE_CHANGE: f64 = 0.1;
 
 /// Change of a cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Course {
+pub enum ChangeKind {
     /// Not in the old report.
     Appeared,
     /// Larger or more severe.
@@ -30,7 +30,8 @@ pub enum Course {
     /// Smaller.
     Shrank,
     /// No longer found, but not decided either.
-    Untold,
+    #[serde(rename = "untold")]
+    Undetermined,
     /// The check passes.
     Gone,
 }
@@ -39,7 +40,8 @@ pub enum Course {
 #[derive(Clone, Debug, Serialize)]
 pub struct Change {
     /// Kind of change.
-    pub course: Course,
+    #[serde(rename = "course")]
+    pub kind: ChangeKind,
     /// It fails the comparison.
     pub regression: bool,
     /// Rule.
@@ -56,7 +58,7 @@ pub struct Change {
 
 /// Check that passed before and is now undecided.
 #[derive(Clone, Debug, Serialize)]
-pub struct Lost {
+pub struct LostCheck {
     /// Rule.
     pub code: Word,
     /// Subject.
@@ -80,7 +82,7 @@ pub struct Comparison {
     /// Regressions first.
     pub causes: Vec<Change>,
     /// No longer decided.
-    pub lost: Vec<Lost>,
+    pub lost: Vec<LostCheck>,
 }
 
 /// Compares two reports. Regressions are new, larger or different findings of severity `fail_on` or above,
@@ -89,11 +91,12 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
     let fails = |severity: Severity| fail_on.is_some_and(|least| severity >= least);
     let mut causes: Vec<Change> = Vec::new();
     for finding in causes_of(new) {
-        let before = same_cause(old, new, finding);
-        let course = before.map_or(Course::Appeared, |before| course(before, finding));
-        let is_worse = matches!(course, Course::Appeared | Course::Grew | Course::Changed);
+        let before = find_same_cause(old, new, finding);
+        let kind = before.map_or(ChangeKind::Appeared, |before| classify_change(before, finding));
+        let is_worse =
+            matches!(kind, ChangeKind::Appeared | ChangeKind::Grew | ChangeKind::Changed);
         causes.push(Change {
-            course,
+            kind,
             regression: is_worse && fails(finding.severity),
             code: finding.code,
             subject: finding.subject.clone(),
@@ -102,17 +105,17 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
             reason: None,
         });
     }
-    for finding in causes_of(old).filter(|finding| same_cause(new, old, finding).is_none()) {
+    for finding in causes_of(old).filter(|finding| find_same_cause(new, old, finding).is_none()) {
         // Some rules pass on the whole log and fail on a part.
-        let row = check(new, finding.code, &whom(old, &finding.subject))
-            .or_else(|| check(new, finding.code, &Subject::default()));
-        let (course, reason) = match row {
-            Some(row) if row.status == Status::Pass => (Course::Gone, None),
-            Some(row) => (Course::Untold, row.reason.clone()),
-            None => (Course::Untold, Some("the rule was not evaluated on it".to_owned())),
+        let row = find_check(new, finding.code, &comparable_subject(old, &finding.subject))
+            .or_else(|| find_check(new, finding.code, &Subject::default()));
+        let (kind, reason) = match row {
+            Some(row) if row.status == Status::Pass => (ChangeKind::Gone, None),
+            Some(row) => (ChangeKind::Undetermined, row.reason.clone()),
+            None => (ChangeKind::Undetermined, Some("the rule was not evaluated on it".to_owned())),
         };
         causes.push(Change {
-            course,
+            kind,
             regression: false,
             code: finding.code,
             subject: finding.subject.clone(),
@@ -121,7 +124,7 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
             reason,
         });
     }
-    causes.sort_by_key(|change| (!change.regression, change.course));
+    causes.sort_by_key(|change| (!change.regression, change.kind));
     let error = new.error.as_ref().filter(|_| old.error.is_none());
     let verdicts = [old.verdict, new.verdict];
     let is_open = verdicts == [Verdict::Pass, Verdict::Inconclusive];
@@ -131,7 +134,7 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
         regression: is_worse || causes.iter().any(|change| change.regression),
         verdicts,
         error: error.map(|trouble| trouble.what.clone()),
-        lost: lost(old, new),
+        lost: lost_checks(old, new),
         causes,
     }
 }
@@ -145,31 +148,32 @@ fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     })
 }
 
-fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option<&'a Finding> {
-    let subject = whom(its, &finding.subject);
-    let is_same =
-        |other: &&Finding| other.code == finding.code && whom(report, &other.subject) == subject;
+fn find_same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option<&'a Finding> {
+    let subject = comparable_subject(its, &finding.subject);
+    let is_same = |other: &&Finding| {
+        other.code == finding.code && comparable_subject(report, &other.subject) == subject
+    };
     report.findings.iter().find(is_same)
 }
 
 /// Subject without the log's file name.
-fn whom(report: &Report, subject: &Subject) -> Subject {
+fn comparable_subject(report: &Report, subject: &Subject) -> Subject {
     let is_file =
         |name: &String| report.log.files.iter().any(|file| file.path.to_str() == Some(name));
     let topic = subject.topic.clone();
     Subject { topic: topic.filter(|topic| !is_file(topic)), ..subject.clone() }
 }
 
-fn check<'a>(report: &'a Report, code: &str, subject: &Subject) -> Option<&'a CheckRow> {
+fn find_check<'a>(report: &'a Report, code: &str, subject: &Subject) -> Option<&'a CheckRow> {
     let mut rows = report.checks.iter();
-    rows.find(|row| row.code == code && &whom(report, &row.subject) == subject)
+    rows.find(|row| row.code == code && &comparable_subject(report, &row.subject) == subject)
 }
 
-fn lost(old: &Report, new: &Report) -> Vec<Lost> {
+fn lost_checks(old: &Report, new: &Report) -> Vec<LostCheck> {
     let passed = old.checks.iter().filter(|row| row.status == Status::Pass);
     let lost = passed.filter_map(|row| {
-        let now = check(new, row.code, &whom(old, &row.subject))?;
-        (!now.status.is_decided()).then(|| Lost {
+        let now = find_check(new, row.code, &comparable_subject(old, &row.subject))?;
+        (!now.status.is_decided()).then(|| LostCheck {
             code: row.code,
             subject: row.subject.clone(),
             status: now.status,
@@ -179,70 +183,75 @@ fn lost(old: &Report, new: &Report) -> Vec<Lost> {
     lost.collect()
 }
 
-fn course(old: &Finding, new: &Finding) -> Course {
+fn classify_change(old: &Finding, new: &Finding) -> ChangeKind {
     if new.severity > old.severity {
-        return Course::Grew;
+        return ChangeKind::Grew;
     }
     let amounts = match (&old.estimate, &new.estimate) {
-        (Some(old), Some(new)) => between(old, new),
-        _ => Course::Same,
+        (Some(old), Some(new)) => compare_estimates(old, new),
+        _ => ChangeKind::Same,
     };
     match amounts {
-        Course::Same if new.severity < old.severity => Course::Shrank,
-        course => course,
+        ChangeKind::Same if new.severity < old.severity => ChangeKind::Shrank,
+        kind => kind,
     }
 }
 
-fn between(old: &Estimate, new: &Estimate) -> Course {
+fn compare_estimates(old: &Estimate, new: &Estimate) -> ChangeKind {
     use Estimate::{Convention, Frame, Order, Scalar, Slip};
     let name = |estimate: &Estimate| match estimate {
         Scalar { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
         Slip { name, .. } | Order { name, .. } => *name,
     };
     if name(old) != name(new) {
-        return Course::Changed;
+        return ChangeKind::Changed;
     }
-    let course = |is_same| if is_same { Course::Same } else { Course::Changed };
+    let kind = |is_same| if is_same { ChangeKind::Same } else { ChangeKind::Changed };
     match (old, new) {
         (
             Scalar { unit, value, ci95, .. },
             Scalar { unit: now, value: new, ci95: new_ci95, .. },
-        ) if unit == now => amount(*value, *ci95, *new, *new_ci95),
+        ) if unit == now => compare_amounts(*value, *ci95, *new, *new_ci95),
         (
             Frame { value, ci95, rotation, .. },
             Frame { value: new, ci95: new_ci95, rotation: turned, .. },
         ) => {
-            let length = amount(*value, *ci95, *new, *new_ci95);
-            let angle = amount(rotation.value, rotation.ci95, turned.value, turned.ci95);
+            let length = compare_amounts(*value, *ci95, *new, *new_ci95);
+            let angle = compare_amounts(rotation.value, rotation.ci95, turned.value, turned.ci95);
             // Worse in one component is worse overall.
             match length.min(angle) {
-                Course::Same => length.max(angle),
-                course => course,
+                ChangeKind::Same => length.max(angle),
+                kind => kind,
             }
         }
         (Convention { is, read_as, .. }, Convention { is: now, read_as: new, .. }) => {
-            course((is, read_as) == (now, new))
+            kind((is, read_as) == (now, new))
         }
         (Slip { is, read_as, .. }, Slip { is: now, read_as: new, .. }) => {
-            course((is, read_as) == (now, new))
+            kind((is, read_as) == (now, new))
         }
         (Order { is, read_as, .. }, Order { is: now, read_as: new, .. }) => {
-            course((is, read_as) == (now, new))
+            kind((is, read_as) == (now, new))
         }
-        _ => Course::Changed,
+        _ => ChangeKind::Changed,
     }
 }
 
-fn amount(old: f64, old_ci95: Option<[f64; 2]>, new: f64, new_ci95: Option<[f64; 2]>) -> Course {
+fn compare_amounts(
+    old: f64,
+    old_ci95: Option<[f64; 2]>,
+    new: f64,
+    new_ci95: Option<[f64; 2]>,
+) -> ChangeKind {
     let half = |value: f64, ci95: Option<[f64; 2]>| {
         ci95.map_or(0.0, |[low, high]| (high - value).max(value - low))
     };
     let halves = half(old, old_ci95) + half(new, new_ci95);
-    let is_material = |change: f64| change > halves && change >= MATERIAL * old.abs();
+    let is_material = |change: f64| change > halves && change >= MIN_RELATIVE_CHANGE * old.abs();
     match new.abs() - old.abs() {
-        change if is_material(change) => Course::Grew,
-        change if is_material(-change) => Course::Shrank,
-        _ if old * new < 0.0 && is_material((new - old).abs()) => Course::Changed,
-        _ => Course::Same,
+        change if is_material(change) => ChangeKind::Grew,
+        change if is_material(-change) => ChangeKind::Shrank,
+        _ if old * new < 0.0 && is_material((new - old).abs()) => ChangeKind::Changed,
+        _ => ChangeKind::Same,
     }
 }

@@ -8,7 +8,7 @@ use crate::finding::Unit;
 pub struct Bars {
     pub title: String,
     /// One sentence.
-    pub says: String,
+    pub caption: String,
     pub bars: Vec<Bar>,
 }
 
@@ -17,7 +17,7 @@ pub struct Bar {
     pub label: String,
     pub value: f64,
     /// Formatted value.
-    pub shown: String,
+    pub text: String,
     /// Selected by the audit.
     pub is_best: bool,
 }
@@ -27,14 +27,14 @@ impl Bars {
         let most = self.bars.iter().map(|bar| bar.value).fold(f64::MIN_POSITIVE, f64::max);
         html! {
             figure .picture {
-                figcaption { strong { (self.title) } span .says { (self.says) } }
+                figcaption { strong { (self.title) } span .says { (self.caption) } }
                 table .bars {
                     tbody {
                         @for bar in &self.bars {
                             tr .best[bar.is_best] {
                                 th scope="row" { (bar.label) }
-                                td .bar { span style={ "width:" (percent(bar.value / most)) } {} }
-                                td .number { (bar.shown) }
+                                td .bar { span style={ "width:" (css_percent(bar.value / most)) } {} }
+                                td .number { (bar.text) }
                             }
                         }
                     }
@@ -49,7 +49,7 @@ impl Bars {
 pub struct Whiskers {
     pub title: String,
     /// One sentence.
-    pub says: String,
+    pub caption: String,
     pub rows: Vec<Whisker>,
 }
 
@@ -68,7 +68,7 @@ impl Whiskers {
     pub fn markup(&self) -> Markup {
         html! {
             figure .picture {
-                figcaption { strong { (self.title) } span .says { (self.says) } }
+                figcaption { strong { (self.title) } span .says { (self.caption) } }
                 table .bars .whiskers {
                     tbody {
                         @for row in &self.rows {
@@ -90,8 +90,8 @@ impl Whiskers {
     }
 
     fn track(&self, row: &Whisker, value: f64, interval: Option<[f64; 2]>, unit: Unit) -> Markup {
-        let full = self.full(unit);
-        let place = |at: f64| percent(0.5 + 0.5 * (at / full).clamp(-1.0, 1.0));
+        let full = self.half_axis(unit);
+        let place = |at: f64| css_percent(0.5 + 0.5 * (at / full).clamp(-1.0, 1.0));
         let [low, high] = interval.unwrap_or([value, value]);
         let width = 0.5 * ((high / full).clamp(-1.0, 1.0) - (low / full).clamp(-1.0, 1.0));
         html! {
@@ -99,25 +99,25 @@ impl Whiskers {
             @for at in row.limit.iter().flat_map(|limit| [-limit, *limit]).filter(|at| at.abs() <= full) {
                 i .limit title={ "limit " (unit.show(at.abs())) } style={ "left:" (place(at)) } {}
             }
-            i .whisker style={ "left:" (place(low)) ";width:" (percent(width)) } {}
+            i .whisker style={ "left:" (place(low)) ";width:" (css_percent(width)) } {}
             i .dot style={ "left:" (place(value)) } {}
         }
     }
 
     /// Half the axis. Contains every amount, and the intervals unless they would make the amounts too
     /// small.
-    fn full(&self, unit: Unit) -> f64 {
+    fn half_axis(&self, unit: Unit) -> f64 {
         /// Maximum ratio of the half axis to the largest amount.
-        const LONGER: f64 = 3.0;
+        const MAX_INTERVAL_RATIO: f64 = 3.0;
         let alike = self.rows.iter().filter_map(|row| row.amount).filter(|(.., own)| *own == unit);
         let most = alike.clone().map(|(value, ..)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
         let ends = alike.filter_map(|(_, interval, _)| interval).flatten().map(f64::abs);
-        1.08 * ends.fold(most, f64::max).min(LONGER * most)
+        1.08 * ends.fold(most, f64::max).min(MAX_INTERVAL_RATIO * most)
     }
 }
 
 /// 0 if not finite.
-pub fn percent(share: f64) -> String {
+pub fn css_percent(share: f64) -> String {
     let share = if share.is_finite() { share } else { 0.0 };
     format!("{:.2}%", 100.0 * share)
 }

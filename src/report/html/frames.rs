@@ -8,10 +8,10 @@ use crate::report::figures::{Figures, FrameEdge, FrameEdgeKind};
 use crate::report::{RobotRow, StreamRow};
 
 /// Maximum depth; real arms are shallower.
-const DEEPEST: usize = 60;
+const MAX_DEPTH: usize = 60;
 
 pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
-    let tree = Tree::of(&figures.frames, robots);
+    let tree = FrameTree::from_edges(&figures.frames, robots);
     html! {
         @if !figures.frames.is_empty() {
             section #frames aria-labelledby="frames-title" {
@@ -35,7 +35,7 @@ pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
 }
 
 /// Frames of a row in the table of streams.
-pub fn of_stream(stream: &StreamRow) -> Markup {
+pub fn stream_frames(stream: &StreamRow) -> Markup {
     let parent = stream.frame_id.as_deref().or(stream.reference.as_deref());
     let child = stream.child_frame_id.as_deref().or(stream.link.as_deref());
     html! {
@@ -47,21 +47,21 @@ pub fn of_stream(stream: &StreamRow) -> Markup {
     }
 }
 
-struct Tree<'a> {
+struct FrameTree<'a> {
     children: BTreeMap<&'a str, Vec<&'a FrameEdge>>,
     parents: BTreeMap<&'a str, Vec<&'a str>>,
     /// In order of occurrence.
     frames: Vec<&'a str>,
-    named: BTreeSet<&'a str>,
+    robot_links: BTreeSet<&'a str>,
 }
 
-impl<'a> Tree<'a> {
-    fn of(edges: &'a [FrameEdge], robots: &'a [RobotRow]) -> Self {
+impl<'a> FrameTree<'a> {
+    fn from_edges(edges: &'a [FrameEdge], robots: &'a [RobotRow]) -> Self {
         let mut tree = Self {
             children: BTreeMap::new(),
             parents: BTreeMap::new(),
             frames: Vec::new(),
-            named: robots.iter().flat_map(|robot| [&*robot.base, &*robot.tip]).collect(),
+            robot_links: robots.iter().flat_map(|robot| [&*robot.base, &*robot.tip]).collect(),
         };
         let mut known = BTreeSet::new();
         for edge in edges {
@@ -94,12 +94,12 @@ impl<'a> Tree<'a> {
         drawn: &mut BTreeSet<&'a str>,
     ) -> Markup {
         let is_again = !drawn.insert(frame);
-        let children = self.children.get(frame).filter(|_| !is_again && depth < DEEPEST);
+        let children = self.children.get(frame).filter(|_| !is_again && depth < MAX_DEPTH);
         let parents = self.parents.get(frame).map_or(0, Vec::len);
         html! {
             li {
-                span .frame .named[self.named.contains(frame)] { (frame) }
-                @if let Some(edge) = edge { " " span .quiet { (kind(edge.kind)) } }
+                span .frame .named[self.robot_links.contains(frame)] { (frame) }
+                @if let Some(edge) = edge { " " span .quiet { (kind_name(edge.kind)) } }
                 @if parents > 1 { " " strong { (parents) " parents" } }
                 @if is_again { " " span .quiet { "as above" } }
                 @if let Some(children) = children {
@@ -114,10 +114,10 @@ impl<'a> Tree<'a> {
     }
 }
 
-const fn kind(kind: FrameEdgeKind) -> &'static str {
+const fn kind_name(kind: FrameEdgeKind) -> &'static str {
     match kind {
         FrameEdgeKind::Moving => "moving",
-        FrameEdgeKind::Still => "static",
+        FrameEdgeKind::Static => "static",
         FrameEdgeKind::Model => "only in the model",
     }
 }

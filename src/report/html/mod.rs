@@ -4,12 +4,12 @@
 //! `<`, and the content security policy allows only the two scripts below, by their hashes.
 
 mod bars;
+mod finding_plots;
 mod frames;
-mod parts;
 mod plane;
 mod plot;
-mod proof;
 mod rule;
+mod sections;
 #[cfg(test)]
 mod tests;
 mod timeline;
@@ -21,10 +21,10 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-pub(crate) use self::bars::percent;
-use self::parts::Parts;
-pub(crate) use self::plot::{Plot, Role, Series, Style};
-use self::proof::{Proof, proofs};
+pub(crate) use self::bars::css_percent;
+use self::finding_plots::{FindingPlots, plot_findings};
+pub(crate) use self::plot::{Plot, PlotSeries, PlotStyle, SeriesRole};
+use self::sections::PageSections;
 use super::outline::Outline;
 use super::{Report, Verdict};
 
@@ -35,10 +35,10 @@ const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
 /// Rows of all plots of a page.
-const MOST_ROWS: usize = 45_000;
+const MAX_ROWS: usize = 45_000;
 /// Minimum and maximum rows of one plot.
-const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
-const MOST_PLOTS: usize = 120;
+const MIN_MAX_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
+const MAX_PLOTS: usize = 120;
 
 /// Writes the report. All times and paths are from the log and the call, so equal reports have equal bytes.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
@@ -46,13 +46,19 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
 }
 
 fn page(report: &Report) -> Markup {
-    let outline = Outline::of(report);
-    let mut proofs = proofs(report);
-    let left_out = limit(&mut proofs);
-    let plots: usize = proofs.iter().map(|proof| proof.plots.len()).sum();
-    let [least, most] = MOST_ROWS_OF_PLOT;
-    let rows = (MOST_ROWS / plots.max(1)).clamp(least, most);
-    let parts = Parts { report, outline: &outline, proofs: &proofs, rows, left_out };
+    let outline = Outline::new(report);
+    let mut finding_plots = plot_findings(report);
+    let omitted_plots = limit_plots(&mut finding_plots);
+    let plots: usize = finding_plots.iter().map(|evidence| evidence.plots.len()).sum();
+    let [least, most] = MIN_MAX_ROWS_OF_PLOT;
+    let rows = (MAX_ROWS / plots.max(1)).clamp(least, most);
+    let parts = PageSections {
+        report,
+        outline: &outline,
+        finding_plots: &finding_plots,
+        rows,
+        omitted_plots,
+    };
     let title = format!("{} · {}", report.verdict, parts.name());
     let body = html! {
         a .skip href="#findings" { "Skip to the findings" }
@@ -63,21 +69,26 @@ fn page(report: &Report) -> Markup {
                 p .note { "The plots need JavaScript; their values are in the tables under them." }
             }
             (parts.findings())
-            (parts.rest())
+            (parts.details())
         }
         (parts.footer())
     };
-    shell(&title, verdict_class(report), &body, data(&proofs, rows))
+    page_shell(&title, verdict_class(report), &body, plot_data(&finding_plots, rows))
 }
 
 /// Self-contained page. Only the scripts that draw `plots` may run; `plots` maps ids in the body to
 /// [`Plot::json`].
-pub(crate) fn shell(title: &str, class: &str, body: &Markup, plots: Map<String, Value>) -> Markup {
+pub(crate) fn page_shell(
+    title: &str,
+    class: &str,
+    body: &Markup,
+    plots: Map<String, Value>,
+) -> Markup {
     let policy = format!(
         "default-src 'none'; style-src 'unsafe-inline'; script-src {} {}; base-uri 'none'; \
          form-action 'none'",
-        hash(UPLOT),
-        hash(SCRIPT)
+        script_hash(UPLOT),
+        script_hash(SCRIPT)
     );
     html! {
         (DOCTYPE)
@@ -93,7 +104,7 @@ pub(crate) fn shell(title: &str, class: &str, body: &Markup, plots: Map<String, 
             }
             body .(class) {
                 (body)
-                script #data type="application/json" { (PreEscaped(embedded(plots))) }
+                script #data type="application/json" { (PreEscaped(embed_json(plots))) }
                 script { (PreEscaped(UPLOT)) }
                 script { (PreEscaped(SCRIPT)) }
             }
@@ -114,32 +125,32 @@ fn plot_id(finding: usize, plot: usize) -> String {
     format!("plot-{}-{}", finding + 1, plot + 1)
 }
 
-/// Drops plots beyond [`MOST_PLOTS`]; returns their number.
-fn limit(proofs: &mut [Proof]) -> usize {
-    let (mut drawn, mut left_out) = (0, 0);
-    for proof in proofs {
-        let kept = proof.plots.len().min(MOST_PLOTS - drawn);
-        left_out += proof.plots.len() - kept;
-        proof.plots.truncate(kept);
+/// Drops plots beyond [`MAX_PLOTS`]; returns their number.
+fn limit_plots(finding_plots: &mut [FindingPlots]) -> usize {
+    let (mut drawn, mut omitted) = (0, 0);
+    for evidence in finding_plots {
+        let kept = evidence.plots.len().min(MAX_PLOTS - drawn);
+        omitted += evidence.plots.len() - kept;
+        evidence.plots.truncate(kept);
         drawn += kept;
     }
-    left_out
+    omitted
 }
 
-fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
-    let plots = proofs.iter().enumerate().flat_map(|(finding, proof)| {
-        let plots = proof.plots.iter().enumerate();
+fn plot_data(finding_plots: &[FindingPlots], rows: usize) -> Map<String, Value> {
+    let plots = finding_plots.iter().enumerate().flat_map(|(finding, evidence)| {
+        let plots = evidence.plots.iter().enumerate();
         plots.map(move |(plot, drawn)| (plot_id(finding, plot), drawn.json(rows)))
     });
     plots.collect()
 }
 
 /// Escapes `<`, so that no name can end the script element.
-fn embedded(plots: Map<String, Value>) -> String {
+fn embed_json(plots: Map<String, Value>) -> String {
     Value::Object(plots).to_string().replace('<', "\\u003c")
 }
 
 /// For the content security policy.
-fn hash(script: &str) -> String {
+fn script_hash(script: &str) -> String {
     format!("'sha256-{}'", BASE64_STANDARD.encode(Sha256::digest(script)))
 }

@@ -2,14 +2,14 @@
 
 use maud::{Markup, html};
 
-use super::plot::Role;
+use super::plot::SeriesRole;
 
 /// Equal scale on both axes.
 #[derive(Clone, Debug, Default)]
 pub struct Plane {
     pub title: String,
     /// One sentence, also the alternative text.
-    pub says: String,
+    pub caption: String,
     /// Names and units. Empty to draw none.
     pub axes: [&'static str; 2],
     pub dots: Vec<Dot>,
@@ -23,7 +23,7 @@ pub struct Dot {
     pub at: [f64; 2],
     /// 0 to 1.
     pub size: f64,
-    pub role: Role,
+    pub role: SeriesRole,
 }
 
 #[derive(Clone, Debug)]
@@ -31,21 +31,21 @@ pub struct Arrow {
     pub from: [f64; 2],
     pub to: [f64; 2],
     pub label: String,
-    pub role: Role,
+    pub role: SeriesRole,
 }
 
-const WIDTH: f64 = 420.0;
-const HEIGHT: f64 = 320.0;
+const WIDTH_PX: f64 = 420.0;
+const HEIGHT_PX: f64 = 320.0;
 /// For axes and numbers: left, right, top and bottom.
-const ROOM: [f64; 4] = [52.0, 14.0, 12.0, 40.0];
+const MARGINS_PX: [f64; 4] = [52.0, 14.0, 12.0, 40.0];
 
-struct Scale {
+struct PlaneScale {
     middle: [f64; 2],
     per_unit: f64,
 }
 
-impl Scale {
-    fn of(plane: &Plane) -> Option<Self> {
+impl PlaneScale {
+    fn fit(plane: &Plane) -> Option<Self> {
         let ends = plane.arrows.iter().flat_map(|arrow| [arrow.from, arrow.to]);
         let round = plane.limit.iter().flat_map(|(radius, _)| [[*radius; 2], [-radius; 2]]);
         let all = plane.dots.iter().map(|dot| dot.at).chain(ends);
@@ -56,17 +56,18 @@ impl Scale {
                 |pick: fn(f64, f64) -> f64, a: [f64; 2]| [pick(a[0], at[0]), pick(a[1], at[1])];
             (both(f64::min, low), both(f64::max, high))
         });
-        let inner = [WIDTH - ROOM[0] - ROOM[1], HEIGHT - ROOM[2] - ROOM[3]];
+        let inner =
+            [WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1], HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]];
         let spans = [high[0] - low[0], high[1] - low[1]];
         let per_unit = [0, 1].map(|axis| inner[axis] / (1.16 * spans[axis]).max(1e-12));
         let per_unit = per_unit[0].min(per_unit[1]);
         Some(Self { middle: [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])], per_unit })
     }
 
-    fn place(&self, at: [f64; 2]) -> [f64; 2] {
+    fn to_px(&self, at: [f64; 2]) -> [f64; 2] {
         let centre = [
-            ROOM[0] + 0.5 * (WIDTH - ROOM[0] - ROOM[1]),
-            ROOM[2] + 0.5 * (HEIGHT - ROOM[2] - ROOM[3]),
+            MARGINS_PX[0] + 0.5 * (WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1]),
+            MARGINS_PX[2] + 0.5 * (HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]),
         ];
         [
             centre[0] + (at[0] - self.middle[0]) * self.per_unit,
@@ -76,7 +77,11 @@ impl Scale {
 
     /// Round values within the picture.
     fn ticks(&self, axis: usize) -> Vec<f64> {
-        let inner = if axis == 0 { WIDTH - ROOM[0] - ROOM[1] } else { HEIGHT - ROOM[2] - ROOM[3] };
+        let inner = if axis == 0 {
+            WIDTH_PX - MARGINS_PX[0] - MARGINS_PX[1]
+        } else {
+            HEIGHT_PX - MARGINS_PX[2] - MARGINS_PX[3]
+        };
         let half = 0.5 * inner / self.per_unit;
         // About 70 px apart.
         let raw = 70.0 / self.per_unit;
@@ -95,22 +100,22 @@ impl Plane {
     }
 
     pub fn markup(&self) -> Markup {
-        let Some(scale) = Scale::of(self) else { return Markup::default() };
+        let Some(scale) = PlaneScale::fit(self) else { return Markup::default() };
         html! {
             figure .picture {
-                figcaption { strong { (self.title) } span .says { (self.says) } }
-                svg .plane viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img"
-                    aria-label={ (self.title) ". " (self.says) } {
+                figcaption { strong { (self.title) } span .says { (self.caption) } }
+                svg .plane viewBox={ "0 0 " (WIDTH_PX) " " (HEIGHT_PX) } role="img"
+                    aria-label={ (self.title) ". " (self.caption) } {
                     @if !self.axes[0].is_empty() { (self.grid(&scale)) }
                     @if let Some((radius, words)) = &self.limit {
-                        @let [x, y] = scale.place([0.0, 0.0]);
-                        circle .limit cx=(px(x)) cy=(px(y)) r=(px(radius * scale.per_unit)) {}
-                        @let [x, y] = scale.place([0.0, *radius]);
-                        text .limit x=(px(x)) y=(px(y - 4.0)) text-anchor="middle" { (words) }
+                        @let [x, y] = scale.to_px([0.0, 0.0]);
+                        circle .limit cx=(format_px(x)) cy=(format_px(y)) r=(format_px(radius * scale.per_unit)) {}
+                        @let [x, y] = scale.to_px([0.0, *radius]);
+                        text .limit x=(format_px(x)) y=(format_px(y - 4.0)) text-anchor="middle" { (words) }
                     }
                     @for dot in &self.dots {
-                        @let [x, y] = scale.place(dot.at);
-                        circle .dot .(dot.role.name()) cx=(px(x)) cy=(px(y)) r=(px(1.5 + 5.5 * dot.size)) {}
+                        @let [x, y] = scale.to_px(dot.at);
+                        circle .dot .(dot.role.name()) cx=(format_px(x)) cy=(format_px(y)) r=(format_px(1.5 + 5.5 * dot.size)) {}
                     }
                     @for arrow in &self.arrows { (arrow.markup(&scale)) }
                 }
@@ -118,32 +123,32 @@ impl Plane {
         }
     }
 
-    fn grid(&self, scale: &Scale) -> Markup {
-        let bottom = HEIGHT - ROOM[3];
+    fn grid(&self, scale: &PlaneScale) -> Markup {
+        let bottom = HEIGHT_PX - MARGINS_PX[3];
         html! {
             @for tick in scale.ticks(0) {
-                @let [x, _] = scale.place([tick, 0.0]);
-                line .grid x1=(px(x)) x2=(px(x)) y1=(px(ROOM[2])) y2=(px(bottom)) {}
-                text x=(px(x)) y=(px(bottom + 14.0)) text-anchor="middle" { (number(tick)) }
+                @let [x, _] = scale.to_px([tick, 0.0]);
+                line .grid x1=(format_px(x)) x2=(format_px(x)) y1=(format_px(MARGINS_PX[2])) y2=(format_px(bottom)) {}
+                text x=(format_px(x)) y=(format_px(bottom + 14.0)) text-anchor="middle" { (format_tick(tick)) }
             }
             @for tick in scale.ticks(1) {
-                @let [_, y] = scale.place([0.0, tick]);
-                line .grid x1=(px(ROOM[0])) x2=(px(WIDTH - ROOM[1])) y1=(px(y)) y2=(px(y)) {}
-                text x=(px(ROOM[0] - 5.0)) y=(px(y + 4.0)) text-anchor="end" { (number(tick)) }
+                @let [_, y] = scale.to_px([0.0, tick]);
+                line .grid x1=(format_px(MARGINS_PX[0])) x2=(format_px(WIDTH_PX - MARGINS_PX[1])) y1=(format_px(y)) y2=(format_px(y)) {}
+                text x=(format_px(MARGINS_PX[0] - 5.0)) y=(format_px(y + 4.0)) text-anchor="end" { (format_tick(tick)) }
             }
-            text x=(px(0.5 * (ROOM[0] + WIDTH - ROOM[1]))) y=(px(HEIGHT - 6.0)) text-anchor="middle" {
+            text x=(format_px(0.5 * (MARGINS_PX[0] + WIDTH_PX - MARGINS_PX[1]))) y=(format_px(HEIGHT_PX - 6.0)) text-anchor="middle" {
                 (self.axes[0])
             }
             text text-anchor="middle" transform={
-                "translate(12 " (px(0.5 * (ROOM[2] + bottom))) ") rotate(-90)"
+                "translate(12 " (format_px(0.5 * (MARGINS_PX[2] + bottom))) ") rotate(-90)"
             } { (self.axes[1]) }
         }
     }
 }
 
 impl Arrow {
-    fn markup(&self, scale: &Scale) -> Markup {
-        let (from, to) = (scale.place(self.from), scale.place(self.to));
+    fn markup(&self, scale: &PlaneScale) -> Markup {
+        let (from, to) = (scale.to_px(self.from), scale.to_px(self.to));
         let along = [to[0] - from[0], to[1] - from[1]];
         let length = along[0].hypot(along[1]).max(1e-9);
         let unit = along.map(|part| part / length);
@@ -151,7 +156,7 @@ impl Arrow {
         let wing = |side: f64| {
             let x = to[0] - head * (unit[0] - side * 0.5 * unit[1]);
             let y = to[1] - head * (unit[1] + side * 0.5 * unit[0]);
-            format!("{},{}", px(x), px(y))
+            format!("{},{}", format_px(x), format_px(y))
         };
         // Labels next to the tips of overlapping arrows stay readable.
         let is_left = unit[0] < -0.3;
@@ -159,21 +164,21 @@ impl Arrow {
         let anchor = if is_left { "end" } else { "start" };
         html! {
             g .(self.role.name()) {
-                line .arrow x1=(px(from[0])) y1=(px(from[1])) x2=(px(to[0])) y2=(px(to[1])) {}
-                polygon points={ (px(to[0])) "," (px(to[1])) " " (wing(1.0)) " " (wing(-1.0)) } {}
+                line .arrow x1=(format_px(from[0])) y1=(format_px(from[1])) x2=(format_px(to[0])) y2=(format_px(to[1])) {}
+                polygon points={ (format_px(to[0])) "," (format_px(to[1])) " " (wing(1.0)) " " (wing(-1.0)) } {}
                 @if !self.label.is_empty() {
-                    text x=(px(beyond[0])) y=(px(beyond[1])) text-anchor=(anchor) { (self.label) }
+                    text x=(format_px(beyond[0])) y=(format_px(beyond[1])) text-anchor=(anchor) { (self.label) }
                 }
             }
         }
     }
 }
 
-fn px(at: f64) -> String {
+fn format_px(at: f64) -> String {
     format!("{at:.1}")
 }
 
-fn number(tick: f64) -> String {
+fn format_tick(tick: f64) -> String {
     let shown = format!("{tick:.4}");
     let shown = shown.trim_end_matches('0').trim_end_matches('.');
     if shown == "-0" { "0".to_owned() } else { shown.to_owned() }
@@ -184,21 +189,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_of_a_plane_lies_within_its_picture_on_one_scale() {
-        let dot = |x: f64, y: f64| Dot { at: [x, y], size: 1.0, role: Role::Amount };
+    fn a_plane_fits_its_picture_at_one_scale() {
+        let dot = |x: f64, y: f64| Dot { at: [x, y], size: 1.0, role: SeriesRole::Amount };
         let plane = Plane {
             dots: vec![dot(-400.0, 3.0), dot(900.0, 80.0), dot(0.0, -20.0)],
             limit: Some((100.0, "limit".to_owned())),
             axes: ["x, mm", "y, mm"],
             ..Plane::default()
         };
-        let scale = Scale::of(&plane).expect("a scale");
+        let scale = PlaneScale::fit(&plane).expect("a scale");
         for at in plane.dots.iter().map(|dot| dot.at).chain([[0.0, 100.0], [0.0, -100.0]]) {
-            let [x, y] = scale.place(at);
-            assert!((ROOM[0]..=WIDTH - ROOM[1]).contains(&x), "{x}");
-            assert!((ROOM[2]..=HEIGHT - ROOM[3]).contains(&y), "{y}");
+            let [x, y] = scale.to_px(at);
+            assert!((MARGINS_PX[0]..=WIDTH_PX - MARGINS_PX[1]).contains(&x), "{x}");
+            assert!((MARGINS_PX[2]..=HEIGHT_PX - MARGINS_PX[3]).contains(&y), "{y}");
         }
-        let [a, b] = [scale.place([0.0, 0.0]), scale.place([10.0, 10.0])];
+        let [a, b] = [scale.to_px([0.0, 0.0]), scale.to_px([10.0, 10.0])];
         assert!(((b[0] - a[0]) - (a[1] - b[1])).abs() < 1e-9);
         assert!((2..=9).contains(&scale.ticks(0).len()), "{:?}", scale.ticks(0));
         assert!(Plane::default().markup().into_string().is_empty());
@@ -206,6 +211,6 @@ mod tests {
 
     #[test]
     fn numbers_on_axes_are_short() {
-        assert_eq!([0.5, -0.0, 200.0, 0.25].map(number), ["0.5", "0", "200", "0.25"]);
+        assert_eq!([0.5, -0.0, 200.0, 0.25].map(format_tick), ["0.5", "0", "200", "0.25"]);
     }
 }

@@ -5,44 +5,44 @@ use serde_json::{Value, json};
 
 use crate::stats::thin;
 
-const STRETCHES: usize = 20;
+const TABLE_ROWS: usize = 20;
 
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
     pub title: &'static str,
     pub robot: String,
     /// Plotted stream.
-    pub of: String,
+    pub stream: String,
     /// One sentence, also the alternative text.
-    pub says: String,
+    pub caption: String,
     /// Ascending.
     pub x: Vec<f64>,
     /// Name and unit.
     pub x_label: &'static str,
     /// Name and unit.
     pub y_label: &'static str,
-    pub series: Vec<Series>,
+    pub series: Vec<PlotSeries>,
     /// The vertical axis starts at zero.
     pub from_zero: bool,
-    pub mark: Option<Mark>,
-    pub limits: Vec<Limit>,
-    pub style: Style,
+    pub mark: Option<PlotMark>,
+    pub limits: Vec<PlotLimit>,
+    pub style: PlotStyle,
 }
 
 #[derive(Clone, Debug)]
-pub struct Limit {
+pub struct PlotLimit {
     /// In the unit of its axis.
     pub at: f64,
-    pub is_along: bool,
+    pub is_vertical: bool,
     /// Empty if another limit is labelled.
     pub label: String,
 }
 
 /// One value per `x`.
 #[derive(Clone, Debug)]
-pub struct Series {
+pub struct PlotSeries {
     pub label: String,
-    pub role: Role,
+    pub role: SeriesRole,
     pub values: Vec<f64>,
     /// Half-width of each value's interval; may be empty.
     pub half_widths: Vec<f64>,
@@ -50,7 +50,7 @@ pub struct Series {
 
 /// Determines the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub enum SeriesRole {
     /// As logged.
     Before,
     /// After correcting all findings.
@@ -58,25 +58,25 @@ pub enum Role {
     /// Measured amount.
     Amount,
     /// Reference of an amount, or a fitted line.
-    Beside,
+    Reference,
     /// Limit that varies.
     Limit,
 }
 
-impl Role {
+impl SeriesRole {
     pub const fn name(self) -> &'static str {
         match self {
-            Role::Before => "before",
-            Role::After => "after",
-            Role::Amount => "amount",
-            Role::Beside => "beside",
-            Role::Limit => "limit",
+            SeriesRole::Before => "before",
+            SeriesRole::After => "after",
+            SeriesRole::Amount => "amount",
+            SeriesRole::Reference => "beside",
+            SeriesRole::Limit => "limit",
         }
     }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Style {
+pub enum PlotStyle {
     /// Line with breaks at gaps of the log.
     #[default]
     Time,
@@ -86,7 +86,7 @@ pub enum Style {
 }
 
 #[derive(Clone, Debug)]
-pub struct Mark {
+pub struct PlotMark {
     pub at: f64,
     pub interval: Option<[f64; 2]>,
     pub label: String,
@@ -100,17 +100,17 @@ impl Plot {
     /// Placeholder of the plot, a note if it is thinned, and a table of its values. Names the stream unless
     /// it is `known` from the context.
     pub fn markup(&self, id: &str, known: Option<&str>, most_rows: usize) -> Markup {
-        let rows = self.kept(most_rows).len();
+        let rows = self.decimated_rows(most_rows).len();
         html! {
             figure .picture {
                 figcaption {
                     strong { (self.title) }
-                    @if known != Some(self.of.as_str()) { " " span .of { (self.of) } }
-                    span .says { (self.says) }
+                    @if known != Some(self.stream.as_str()) { " " span .of { (self.stream) } }
+                    span .says { (self.caption) }
                 }
                 p .unit aria-hidden="true" { (self.y_label) }
                 div .plot data-plot=(id) tabindex="0" role="img"
-                    aria-label={ (self.title) ", " (self.of) ". " (self.says) " Arrow keys read values out." } {}
+                    aria-label={ (self.title) ", " (self.stream) ". " (self.caption) " Arrow keys read values out." } {}
                 p .readout role="status" aria-live="polite" {}
                 @if rows < self.x.len() {
                     p .note {
@@ -126,80 +126,79 @@ impl Plot {
     }
 
     pub fn json(&self, most_rows: usize) -> Value {
-        let rows = self.kept(most_rows);
-        let longest = self.longest_step();
+        let rows = self.decimated_rows(most_rows);
+        let longest = self.max_step();
         let broken = |values: &[f64], round: fn(f64) -> f64| -> Vec<Value> {
             let mut all = Vec::with_capacity(rows.len());
             for (at, &row) in rows.iter().enumerate() {
-                if at > 0 && self.is_silence(rows[at - 1], row, longest) {
+                if at > 0 && self.is_gap(rows[at - 1], row, longest) {
                     all.push(Value::Null);
                 }
                 all.push(json!(round(values[row])));
             }
             all
         };
-        let mut x = broken(&self.x, to_place);
+        let mut x = broken(&self.x, round_to_decimals);
         // A null between two positions breaks the line.
         for at in 1..x.len().saturating_sub(1) {
             if let (true, Some(a), Some(b)) =
                 (x[at].is_null(), x[at - 1].as_f64(), x[at + 1].as_f64())
             {
-                x[at] = json!(to_place(0.5 * (a + b)));
+                x[at] = json!(round_to_decimals(0.5 * (a + b)));
             }
         }
         let series = self.series.iter().map(|series| {
             json!({
                 "label": series.label,
                 "role": series.role.name(),
-                "values": broken(&series.values, to_digits),
-                "half": broken_or_none(&series.half_widths, &broken),
+                "values": broken(&series.values, round_to_digits),
+                "half": half_widths_json(&series.half_widths, &broken),
             })
         });
         let mark = self
             .mark
             .as_ref()
             .map(|mark| json!({ "at": mark.at, "interval": mark.interval, "label": mark.label }));
-        let limits = self
-            .limits
-            .iter()
-            .map(|limit| json!({ "at": limit.at, "along": limit.is_along, "label": limit.label }));
+        let limits = self.limits.iter().map(
+            |limit| json!({ "at": limit.at, "along": limit.is_vertical, "label": limit.label }),
+        );
         json!({
             "x": x,
             "x_label": self.x_label,
             "y_label": self.y_label,
             "zero": self.from_zero,
-            "points": self.style == Style::Points,
+            "points": self.style == PlotStyle::Points,
             "mark": mark,
             "limits": limits.collect::<Vec<_>>(),
             "series": series.collect::<Vec<_>>(),
         })
     }
 
-    fn kept(&self, most_rows: usize) -> Vec<usize> {
+    fn decimated_rows(&self, most_rows: usize) -> Vec<usize> {
         let series: Vec<&[f64]> = self.series.iter().map(|one| one.values.as_slice()).collect();
         thin::extreme_rows(&series, most_rows)
     }
 
-    fn is_silence(&self, before: usize, after: usize, longest: f64) -> bool {
+    fn is_gap(&self, before: usize, after: usize, longest: f64) -> bool {
         // Rows in between may be omitted.
         let step = |row: usize| self.x[row + 1] - self.x[row];
-        self.style == Style::Time && (before..after).any(|row| step(row) > longest)
+        self.style == PlotStyle::Time && (before..after).any(|row| step(row) > longest)
     }
 
-    fn longest_step(&self) -> f64 {
+    fn max_step(&self) -> f64 {
         /// Share of the whole axis.
-        const SHARE: f64 = 0.02;
+        const MAX_STEP_RATIO: f64 = 0.02;
         /// Median steps: a larger fraction for a short stream.
-        const STEPS: f64 = 5.0;
+        const MAX_MEDIAN_STEPS: f64 = 5.0;
         let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
         let mut steps: Vec<f64> = self.x.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.sort_by(f64::total_cmp);
         let median = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
-        (SHARE * whole).max(STEPS * median)
+        (MAX_STEP_RATIO * whole).max(MAX_MEDIAN_STEPS * median)
     }
 
     fn table(&self) -> Markup {
-        let stretch = self.x.len().div_ceil(STRETCHES).max(1);
+        let stretch = self.x.len().div_ceil(TABLE_ROWS).max(1);
         let starts = (0..self.x.len()).step_by(stretch);
         let ranges: Vec<_> =
             starts.map(|start| start..(start + stretch).min(self.x.len())).collect();
@@ -207,9 +206,9 @@ impl Plot {
             let least = values.iter().copied().fold(f64::INFINITY, f64::min);
             let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             if least == most {
-                shown(least)
+                format_value(least)
             } else {
-                format!("{} – {}", shown(least), shown(most))
+                format!("{} – {}", format_value(least), format_value(most))
             }
         };
         html! {
@@ -240,25 +239,25 @@ impl Plot {
     }
 }
 
-fn broken_or_none(
+fn half_widths_json(
     half_widths: &[f64],
     broken: &impl Fn(&[f64], fn(f64) -> f64) -> Vec<Value>,
 ) -> Value {
-    if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, to_digits)) }
+    if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, round_to_digits)) }
 }
 
 /// Four decimals.
-fn to_place(value: f64) -> f64 {
+fn round_to_decimals(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
 /// Five digits.
-fn to_digits(value: f64) -> f64 {
+fn round_to_digits(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }
 
 /// Three digits; a dash if not finite.
-fn shown(value: f64) -> String {
+fn format_value(value: f64) -> String {
     if !value.is_finite() {
         return "–".to_owned();
     }
@@ -283,9 +282,9 @@ mod tests {
         let values = (0..rows).map(|row| if row == rows / 3 { 7.5 } else { 1.0 }).collect();
         Plot {
             x: (0..rows).map(step).collect(),
-            series: vec![Series {
+            series: vec![PlotSeries {
                 label: "error".to_owned(),
-                role: Role::Before,
+                role: SeriesRole::Before,
                 values,
                 half_widths: Vec::new(),
             }],
@@ -294,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_drawn_of_a_long_series_keeps_its_peak_and_says_so() {
+    fn a_long_series_is_decimated_and_keeps_its_peak() {
         let plot = plot(100_000, |row| row as f64 * 0.01);
         let json = plot.json(1000);
         let values = json["series"][0]["values"].as_array().expect("values");
@@ -305,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_series_is_one_line_but_for_its_silence() {
+    fn a_short_series_breaks_only_at_its_gap() {
         let breaks = |plot: Plot| {
             let json = plot.json(1000);
             let values = json["series"][0]["values"].as_array().expect("values");
@@ -316,12 +315,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_a_dash() {
-        assert_eq!([f64::NAN, f64::INFINITY, 1.5].map(shown), ["–", "–", "1.50"]);
+    fn non_finite_values_are_dashes() {
+        assert_eq!([f64::NAN, f64::INFINITY, 1.5].map(format_value), ["–", "–", "1.50"]);
     }
 
     #[test]
-    fn a_line_breaks_where_the_log_is_silent() {
+    fn a_line_breaks_at_gaps_of_the_log() {
         let silent = plot(200, |row| if row < 100 { row as f64 } else { row as f64 + 500.0 });
         let json = silent.json(1000);
         let values = json["series"][0]["values"].as_array().expect("values");
@@ -329,7 +328,7 @@ mod tests {
         let x: Vec<f64> =
             json["x"].as_array().expect("places").iter().filter_map(Value::as_f64).collect();
         assert!(x.len() == 201 && x.is_sorted(), "{}", x.len());
-        let curve = Plot { style: Style::Curve, ..silent };
+        let curve = Plot { style: PlotStyle::Curve, ..silent };
         assert_eq!(curve.json(1000)["x"].as_array().map(Vec::len), Some(200));
     }
 }

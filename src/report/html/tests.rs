@@ -1,12 +1,12 @@
 use serde_json::Value;
 
-use super::plot::{Plot, Role, Series};
+use super::plot::{Plot, PlotSeries, SeriesRole};
 use super::*;
 use crate::checks::{self, Evaluation};
 use crate::finding::{Cause, Evidence, Finding, Severity, Subject};
 use crate::geometry::{Convention, Misinterpretation, Pose, RotationError};
 use crate::report::figures::{
-    Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence, TimelineRow,
+    EncodingScore, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, StreamGap, TimelineRow,
 };
 use crate::report::{LogSummary, NoteRow, RobotRow, StreamRow};
 use crate::stats::Measured;
@@ -85,10 +85,10 @@ fn pose_figure(topic: &str, rows: usize) -> PoseFigure {
         after_m: wave(0.7),
         after_rad: wave(0.9),
         reach_m: wave(0.017),
-        left_by_latency: (0..120).map(|at| [f64::from(at) * 1e-3, 0.01, 0.02]).collect(),
-        readings: vec![ReadingScore {
-            is: "rotvec".to_owned(),
-            read_as: topic.to_owned(),
+        residual_by_latency: (0..120).map(|at| [f64::from(at) * 1e-3, 0.01, 0.02]).collect(),
+        encodings: vec![EncodingScore {
+            actual: "rotvec".to_owned(),
+            assumed: topic.to_owned(),
             is_as_logged: false,
             is_best: true,
             rms_rad: 0.1,
@@ -116,7 +116,7 @@ fn figures(rows: usize) -> Figures {
     }
 }
 
-fn written(report: &Report) -> String {
+fn render(report: &Report) -> String {
     let mut page = Vec::new();
     write(report, &mut page).expect("a page");
     String::from_utf8(page).expect("UTF-8")
@@ -131,7 +131,7 @@ fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
 
 #[test]
 fn the_page_loads_nothing() {
-    let page = written(&report(vec![finding("ORD001", POSE), finding("YAW001", IMU)], figures(50)));
+    let page = render(&report(vec![finding("ORD001", POSE), finding("YAW001", IMU)], figures(50)));
     let links = attributes(&page, "href");
     assert!(!links.is_empty() && links.iter().all(|link| link.starts_with('#')), "{links:?}");
     assert_eq!(attributes(&page, "src"), [""; 0]);
@@ -146,16 +146,16 @@ fn the_page_loads_nothing() {
 }
 
 #[test]
-fn every_link_leads_somewhere() {
+fn every_link_has_a_target() {
     let codes = ["ORD001", "LAT001", "TIM002", "FRM004", "ZER002"];
     let all = codes.map(|code| finding(code, POSE)).to_vec();
     let timeline = vec![TimelineRow { topic: POSE.to_owned(), ..TimelineRow::default() }];
     let frames = vec![FrameEdge {
         parent: "base".to_owned(),
         child: "tool".to_owned(),
-        kind: FrameEdgeKind::Still,
+        kind: FrameEdgeKind::Static,
     }];
-    let page = written(&report(all, Figures { timeline, frames, ..figures(50) }));
+    let page = render(&report(all, Figures { timeline, frames, ..figures(50) }));
     let ids = attributes(&page, "id");
     for link in attributes(&page, "href") {
         assert!(ids.contains(&&link[1..]), "{link}");
@@ -176,7 +176,7 @@ fn hostile_names_stay_text() {
         timeline: vec![TimelineRow {
             topic: HOSTILE.to_owned(),
             frame: Some(HOSTILE.to_owned()),
-            silences: vec![Silence { span_s: [0.1, 0.2], missing: 3 }],
+            gaps: vec![StreamGap { span_s: [0.1, 0.2], missing: 3 }],
             ..TimelineRow::default()
         }],
         frames: vec![FrameEdge {
@@ -209,7 +209,7 @@ fn hostile_names_stay_text() {
         joint_lines: Vec::new(),
     };
     report.streams = vec![row(HOSTILE)];
-    let page = written(&report);
+    let page = render(&report);
     assert!(!page.contains("<img") && page.contains("&lt;img"), "a name became an element");
     assert_eq!(page.matches("</script").count(), 3);
     assert_eq!(page.matches("<script").count(), 3);
@@ -219,22 +219,25 @@ fn hostile_names_stay_text() {
 fn hostile_names_stay_data() {
     let plot = Plot {
         x: vec![0.0, 1.0],
-        series: vec![Series {
+        series: vec![PlotSeries {
             label: HOSTILE.to_owned(),
-            role: Role::Amount,
+            role: SeriesRole::Amount,
             values: vec![1.0, 2.0],
             half_widths: Vec::new(),
         }],
         ..Plot::default()
     };
-    let data = embedded(data(&[Proof { plots: vec![plot], ..Proof::default() }], 100));
+    let data = embed_json(plot_data(
+        &[FindingPlots { plots: vec![plot], ..FindingPlots::default() }],
+        100,
+    ));
     assert!(!data.contains('<'), "{data}");
     let read: Value = serde_json::from_str(&data).expect("JSON");
     assert_eq!(read["plot-1-1"]["series"][0]["label"], HOSTILE);
 }
 
 #[test]
-fn scripts_end_where_they_should() {
+fn scripts_are_closed() {
     for script in [UPLOT, SCRIPT] {
         assert!(!script.contains("</script") && !script.contains("<!--"));
     }
@@ -245,7 +248,7 @@ fn scripts_end_where_they_should() {
 fn every_finding_of_every_rule_has_its_section() {
     let codes: Vec<&str> = checks::registry().iter().map(|rule| rule.code).collect();
     let findings = codes.iter().map(|code| finding(code, POSE)).collect();
-    let page = written(&report(findings, figures(50)));
+    let page = render(&report(findings, figures(50)));
     for (index, code) in codes.iter().enumerate() {
         let start = format!(" id=\"finding-{}\"", index + 1);
         let section = page.split(&start).nth(1).and_then(|rest| rest.split("</article>").next());
@@ -256,15 +259,15 @@ fn every_finding_of_every_rule_has_its_section() {
 }
 
 #[test]
-fn an_hour_fits_into_two_megabytes() {
+fn a_report_on_an_hour_is_below_two_megabytes() {
     let codes = ["ORD001", "LAT001", "LAT002", "ZER001", "ZER002", "FRM002", "MDL001", "TIM002"];
     let topics: Vec<String> = (0..12).map(|stream| format!("/arm/stream_{stream}/pose")).collect();
     let findings = topics.iter().flat_map(|topic| codes.map(|code| finding(code, topic))).collect();
     let silences = (0..60).map(|at| {
         let start_s = f64::from(at) * 59.123_456;
-        Silence { span_s: [start_s, start_s + 1.234_567], missing: 154 }
+        StreamGap { span_s: [start_s, start_s + 1.234_567], missing: 154 }
     });
-    let silences: Vec<Silence> = silences.collect();
+    let silences: Vec<StreamGap> = silences.collect();
     let figures = Figures {
         duration_s: 3600.0,
         poses: topics.iter().map(|topic| pose_figure(topic, 20_000)).collect(),
@@ -274,28 +277,28 @@ fn an_hour_fits_into_two_megabytes() {
             .map(|topic| TimelineRow {
                 topic: topic.clone(),
                 span_s: [0.0, 3600.0],
-                silences: silences.clone(),
+                gaps: silences.clone(),
                 ..TimelineRow::default()
             })
             .collect(),
         ..Figures::default()
     };
     let report = report(findings, figures);
-    let page = written(&report);
+    let page = render(&report);
     assert!(page.len() <= 2_000_000, "{} bytes", page.len());
     assert!(page.contains("min/max of"), "omitted samples must be mentioned");
-    assert_eq!(page, written(&report));
+    assert_eq!(page, render(&report));
 }
 
 #[test]
-fn a_report_without_a_run_is_a_page_too() {
+fn a_report_without_a_run_is_rendered() {
     let trouble = crate::report::Trouble {
         kind: crate::report::TroubleKind::Log,
         what: "no <joints>".to_owned(),
         place: "run.mcap".to_owned(),
         remedy: "record them".to_owned(),
     };
-    let page = written(&Report::of_trouble(trouble));
+    let page = render(&Report::from_trouble(trouble));
     assert!(page.contains("NO AUDIT") && page.contains("no &lt;joints&gt;"));
     assert!(!page.contains("<figure"));
 }

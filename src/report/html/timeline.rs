@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::bars::percent;
-use crate::report::figures::{Figures, Silence, TimelineRow};
+use super::bars::css_percent;
+use crate::report::figures::{Figures, StreamGap, TimelineRow};
 
 pub fn section(figures: &Figures) -> Markup {
     // Streams on another clock are elsewhere in time.
@@ -25,7 +25,7 @@ pub fn section(figures: &Figures) -> Markup {
                         }
                     }
                     tbody {
-                        @for row in &figures.timeline { (line(row, whole)) }
+                        @for row in &figures.timeline { (stream_row(row, whole)) }
                     }
                 }
             }
@@ -33,7 +33,7 @@ pub fn section(figures: &Figures) -> Markup {
     }
 }
 
-fn line(row: &TimelineRow, whole: f64) -> Markup {
+fn stream_row(row: &TimelineRow, whole: f64) -> Markup {
     let [start, end] = row.span_s;
     let place = |at: f64| (at / whole).clamp(0.0, 1.0);
     html! {
@@ -44,12 +44,12 @@ fn line(row: &TimelineRow, whole: f64) -> Markup {
             }
             td .bar {
                 i .span style={
-                    "left:" (percent(place(start))) ";width:" (percent(place(end) - place(start)))
+                    "left:" (css_percent(place(start))) ";width:" (css_percent(place(end) - place(start)))
                 } {}
-                @for silence in &row.silences {
-                    i .gap title=(gap(silence)) style={
-                        "left:" (percent(place(silence.span_s[0])))
-                        ";width:" (percent(place(silence.span_s[1]) - place(silence.span_s[0])))
+                @for gap in &row.gaps {
+                    i .gap title=(gap_text(gap)) style={
+                        "left:" (css_percent(place(gap.span_s[0])))
+                        ";width:" (css_percent(place(gap.span_s[1]) - place(gap.span_s[0])))
                     } {}
                 }
             }
@@ -57,13 +57,13 @@ fn line(row: &TimelineRow, whole: f64) -> Markup {
                 @if let Some(rate_hz) = row.rate_hz { (format!("{rate_hz:.0} Hz")) " " }
                 span .quiet { (row.count) @if row.count == 1 { " sample" } @else { " samples" } }
                 @if row.dropped > 0 { " " strong { (row.dropped) " unusable" } }
-                @let silences = row.silences.len() + row.silences_left_out;
-                @if let Some(longest) = longest(&row.silences) {
+                @let gaps = row.gaps.len() + row.omitted_gaps;
+                @if let Some(longest) = longest_gap(&row.gaps) {
                     " " span .quiet {
-                        (silences) @if silences == 1 { " gap" } @else { " gaps" }
+                        (gaps) @if gaps == 1 { " gap" } @else { " gaps" }
                         ", longest " (format!("{:.2} s", longest.span_s[1] - longest.span_s[0]))
-                        @if row.silences_left_out > 0 {
-                            ", the " (row.silences.len()) " longest are drawn"
+                        @if row.omitted_gaps > 0 {
+                            ", the " (row.gaps.len()) " longest are drawn"
                         }
                     }
                 }
@@ -72,12 +72,12 @@ fn line(row: &TimelineRow, whole: f64) -> Markup {
     }
 }
 
-fn gap(silence: &Silence) -> String {
-    let [start, end] = silence.span_s;
-    format!("+{start:.2} s to +{end:.2} s: {} missing", silence.missing)
+fn gap_text(gap: &StreamGap) -> String {
+    let [start, end] = gap.span_s;
+    format!("+{start:.2} s to +{end:.2} s: {} missing", gap.missing)
 }
 
-fn longest(silences: &[Silence]) -> Option<&Silence> {
-    let length_s = |silence: &Silence| silence.span_s[1] - silence.span_s[0];
-    silences.iter().max_by(|a, b| length_s(a).total_cmp(&length_s(b)))
+fn longest_gap(gaps: &[StreamGap]) -> Option<&StreamGap> {
+    let length_s = |gap: &StreamGap| gap.span_s[1] - gap.span_s[0];
+    gaps.iter().max_by(|a, b| length_s(a).total_cmp(&length_s(b)))
 }

@@ -1,58 +1,58 @@
 //! Data series of plots for single findings.
 
-use super::Clock;
+use super::RunClock;
 use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, vibration_path};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, RunEvidence, StreamEvidence};
 use crate::finding::{Cause, Finding, Picture, Subject};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
-use crate::report::figures::{JointFigure, Own};
+use crate::report::figures::{FindingFigure, JointFigure};
 use crate::run::{Arm, ImuSource, ReferenceContent, TargetSource};
 use crate::stream::JointTrack;
 
 /// Points per plane.
-const MOST_POINTS: usize = 400;
+const MAX_POINTS: usize = 400;
 /// Speed of a joint at rest, rad/s or m/s.
-const RESTS: f64 = 5e-3;
+const MAX_REST_SPEED: f64 = 5e-3;
 
 /// Plots, each with the index of its finding.
-pub(super) fn figures(
-    clock: &Clock,
+pub(super) fn finding_figures(
+    clock: &RunClock,
     facts: &RunEvidence,
     findings: &[Finding],
-) -> Vec<(usize, Own)> {
+) -> Vec<(usize, FindingFigure)> {
     let figure = |(index, finding): (usize, &Finding)| {
-        let sight = match finding.cause {
-            Cause::Pictured(sight) => sight,
+        let picture = match finding.cause {
+            Cause::Pictured(picture) => picture,
             Cause::ImuMount(_) => Picture::ImuAxes,
             Cause::CameraMount { .. } => Picture::HandEye,
             _ => return None,
         };
-        let found = Found { clock, facts, subject: &finding.subject };
-        Some((index, found.figure(sight)?))
+        let found = FigureSource { clock, facts, subject: &finding.subject };
+        Some((index, found.build(picture)?))
     };
     findings.iter().enumerate().filter_map(figure).collect()
 }
 
-struct Found<'a> {
-    clock: &'a Clock<'a>,
+struct FigureSource<'a> {
+    clock: &'a RunClock<'a>,
     facts: &'a RunEvidence,
     subject: &'a Subject,
 }
 
-impl<'a> Found<'a> {
-    fn figure(&self, sight: Picture) -> Option<Own> {
-        match sight {
-            Picture::Vibration => self.shake(),
+impl<'a> FigureSource<'a> {
+    fn build(&self, picture: Picture) -> Option<FindingFigure> {
+        match picture {
+            Picture::Vibration => self.vibration(),
             Picture::HandEye => self.hand_eye(),
             Picture::Line => self.line(),
-            Picture::RestError => self.rests(),
-            Picture::RotationNorm => self.norms(),
+            Picture::RestError => self.rest_errors(),
+            Picture::RotationNorm => self.rotation_norms(),
             Picture::ImuAxes => self.imu_axes(),
             Picture::Gyro => self.gyro(),
             Picture::Tilt => self.tilt(),
-            Picture::Joint => self.joint().map(Own::Joint),
+            Picture::Joint => self.joint().map(FindingFigure::Joint),
             Picture::Stream => None,
         }
     }
@@ -67,7 +67,7 @@ impl<'a> Found<'a> {
         self.subject.topic.as_deref().unwrap_or_default()
     }
 
-    fn shake(&self) -> Option<Own> {
+    fn vibration(&self) -> Option<FindingFigure> {
         let (arm, facts) = self.arm()?;
         let own = facts.vibrations.iter().find(|shake| shake.subject == *self.subject)?;
         let at_s = own.vibration.as_ref().ok()?.at_s;
@@ -79,21 +79,21 @@ impl<'a> Found<'a> {
             }
             None => {
                 let track = &arm.joints;
-                let tip = |row: usize| tip(arm, track, row).translation.vector;
+                let tip = |row: usize| tip_pose(arm, track, row).translation.vector;
                 vibration_path(&track.t_s, tip, at_s)
             }
         }?;
-        let trace = seen.trace.into_iter().map(|[t_s, m]| [self.clock.of_origin_s(t_s), m]);
-        Some(Own::Shake { spectrum: seen.spectrum, trace: trace.collect() })
+        let trace = seen.trace.into_iter().map(|[t_s, m]| [self.clock.seconds_from_origin(t_s), m]);
+        Some(FindingFigure::Vibration { spectrum: seen.spectrum, trace: trace.collect() })
     }
 
-    fn hand_eye(&self) -> Option<Own> {
+    fn hand_eye(&self) -> Option<FindingFigure> {
         let is_its = |of: &&HandEyeEvidence| of.topic == self.topic();
         let mut own = self.facts.hand_eyes.iter().filter(is_its);
         let found = own.clone().find(|of| of.subject() == *self.subject).or_else(|| own.next())?;
         let best = found.diagnosis.best();
         let each = best.map_or(&[][..], |best| best.closure.each.as_slice());
-        let each = each.iter().map(|&(t_s, m, rad)| [self.clock.of_origin_s(t_s), m, rad]);
+        let each = each.iter().map(|&(t_s, m, rad)| [self.clock.seconds_from_origin(t_s), m, rad]);
         let run = self.clock.run;
         let is_seen = |target: &&TargetSource| {
             let stream = &run.streams[target.stream];
@@ -101,9 +101,13 @@ impl<'a> Found<'a> {
         };
         let series = run.targets.iter().find(is_seen).map(|it| PoseSeries::from_track(&it.track));
         let poses = series.flatten().map_or_else(Vec::new, |series| series.poses);
-        let step = poses.len().div_ceil(MOST_POINTS).max(1);
+        let step = poses.len().div_ceil(MAX_POINTS).max(1);
         let seen = poses.iter().step_by(step).map(|pose| pose.translation.vector.into());
-        Some(Own::HandEye { each: each.collect(), views: views(&poses), seen: seen.collect() })
+        Some(FindingFigure::HandEye {
+            closures: each.collect(),
+            directions: view_directions(&poses),
+            positions: seen.collect(),
+        })
     }
 
     fn commands(&self) -> Option<(&'a ReferenceContent, &'a ReferenceDiagnosis)> {
@@ -117,9 +121,9 @@ impl<'a> Found<'a> {
         Some((source.content.as_ref().ok()?, own.diagnosis.as_ref().ok()?.as_ref().ok()?))
     }
 
-    fn line(&self) -> Option<Own> {
+    fn line(&self) -> Option<FindingFigure> {
         /// Time appended for the tip at the end of a line, s.
-        const LATER_S: f64 = 0.5;
+        const LAG_AFTER_END_S: f64 = 0.5;
         let (arm, _) = self.arm()?;
         let (content, found) = self.commands()?;
         let size = |line: &crate::diagnosis::CommandedLine| {
@@ -129,30 +133,32 @@ impl<'a> Found<'a> {
         };
         let line = found.lines.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
         let by_kinematics = PoseSeries::from_joints(&arm.joints, &arm.chain, &arm.columns);
-        let tip = beside_chord(&by_kinematics, line.from_s, line.to_s + LATER_S);
+        let tip = chord_deviation(&by_kinematics, line.from_s, line.to_s + LAG_AFTER_END_S);
         let command = match content {
             ReferenceContent::Poses { track, .. } => PoseSeries::from_track(track),
             ReferenceContent::Joints { .. } => None,
         };
-        let command = command.map(|series| beside_chord(&series, line.from_s, line.to_s));
-        Some(Own::Line { tip, command: command.unwrap_or_default() })
+        let command = command.map(|series| chord_deviation(&series, line.from_s, line.to_s));
+        Some(FindingFigure::Line { tip, command: command.unwrap_or_default() })
     }
 
-    fn rests(&self) -> Option<Own> {
+    fn rest_errors(&self) -> Option<FindingFigure> {
         let (_, found) = self.commands()?;
         let gaps = found.rest_errors.iter().find(|gaps| !gaps.is_empty())?;
         let both = |pose: &Pose| -> [f64; 3] { pose.translation.vector.into() };
-        Some(Own::Rests(
+        Some(FindingFigure::RestErrors(
             gaps.iter().map(|gap| [both(&gap.commanded), both(&gap.measured)]).collect(),
         ))
     }
 
-    fn norms(&self) -> Option<Own> {
+    fn rotation_norms(&self) -> Option<FindingFigure> {
         let mut own = self.facts.norms.iter().filter(|of| of.topic() == self.topic());
         let parts = own.next()?;
         let worst = parts.iter().max_by(|a, b| a.largest.total_cmp(&b.largest))?;
         let rows = self.clock.run.norm_defects(worst).into_iter();
-        Some(Own::Norms(rows.map(|(at, off)| [self.clock.of_stamp_s(at), off]).collect()))
+        Some(FindingFigure::RotationNorms(
+            rows.map(|(at, off)| [self.clock.seconds_of_stamp(at), off]).collect(),
+        ))
     }
 
     fn imu(&self) -> Option<(&'a Arm, &'a ImuSource, &'a StreamEvidence<ImuEvidence>)> {
@@ -161,48 +167,48 @@ impl<'a> Found<'a> {
         imus.find(|(_, of)| of.topic() == self.topic()).map(|(source, of)| (arm, source, of))
     }
 
-    fn imu_axes(&self) -> Option<Own> {
+    fn imu_axes(&self) -> Option<FindingFigure> {
         let (_, _, of) = self.imu()?;
         let columns = |rotation: Rotation| {
             [0, 1, 2].map(|axis| <[f64; 3]>::from(rotation * Vec3::ith(axis, 1.0)))
         };
-        Some(Own::ImuAxes {
+        Some(FindingFigure::ImuAxes {
             link: of.link.clone(),
-            found: columns(of.diagnosis.link_from_imu?),
+            estimated: columns(of.diagnosis.link_from_imu?),
             logged: of.link_from_imu.map(columns),
         })
     }
 
-    fn gyro(&self) -> Option<Own> {
+    fn gyro(&self) -> Option<FindingFigure> {
         /// Minimum samples at rest.
-        const ENOUGH: usize = 20;
+        const MIN_REST_SAMPLES: usize = 20;
         let (arm, source, of) = self.imu()?;
         let track = &source.track;
         let rate = |row: usize| {
             let [x, y, z] = <[f64; 3]>::from(track.gyro[row]);
-            [self.clock.of_origin_s(track.t_s[row]), x, y, z]
+            [self.clock.seconds_from_origin(track.t_s[row]), x, y, z]
         };
         let rows = 0..track.t_s.len().min(track.gyro.len());
-        let resting = at_rest(&arm.joints, &track.t_s);
+        let resting = are_at_rest(&arm.joints, &track.t_s);
         let rests: Vec<[f64; 4]> = rows.clone().filter(|&row| resting[row]).map(rate).collect();
-        let at_rest = rests.len() >= ENOUGH;
+        let at_rest = rests.len() >= MIN_REST_SAMPLES;
         let rates = if at_rest { rests } else { rows.map(rate).collect() };
         let bias = of.diagnosis.gyro_bias.as_ref().ok().map(|bias| bias.vector_rad_s.into());
-        Some(Own::Gyro { rates, at_rest, bias })
+        Some(FindingFigure::Gyro { rates, is_at_rest: at_rest, bias })
     }
 
-    fn tilt(&self) -> Option<Own> {
+    fn tilt(&self) -> Option<FindingFigure> {
         let (arm, source, _) = self.imu()?;
         let track = &source.track;
-        let resting = at_rest(&arm.joints, &track.t_s);
+        let resting = are_at_rest(&arm.joints, &track.t_s);
         let rows = 0..track.t_s.len().min(track.accel.len()).min(track.orientation.len());
         let rows: Vec<usize> = rows.filter(|&row| resting[row]).collect();
         let up = |&row: &usize| {
             let up = (track.orientation[row] * track.accel[row]).try_normalize(1e-9)?;
             Some([up.x.asin(), up.y.asin()])
         };
-        let step = rows.len().div_ceil(MOST_POINTS).max(1);
-        Some(Own::Tilt(rows.iter().step_by(step).filter_map(up).collect()))
+        let step = rows.len().div_ceil(MAX_POINTS).max(1);
+        Some(FindingFigure::Tilt(rows.iter().step_by(step).filter_map(up).collect()))
     }
 
     /// Joint of the subject, or the arm's first joint.
@@ -218,33 +224,34 @@ impl<'a> Found<'a> {
         let has_velocity = own.velocity.iter().any(|velocity| velocity.is_finite());
         Some(JointFigure {
             joint: joint.name.clone(),
-            slides: joint.is_prismatic,
-            t_s: own.t_s.iter().map(|&t_s| self.clock.of_origin_s(t_s)).collect(),
+            is_prismatic: joint.is_prismatic,
+            t_s: own.t_s.iter().map(|&t_s| self.clock.seconds_from_origin(t_s)).collect(),
             position: own.position.to_vec(),
             velocity: if has_velocity { own.velocity.to_vec() } else { Vec::new() },
-            rate: rates(&own.t_s, &own.position, WINDOW_S),
+            differentiated: rates(&own.t_s, &own.position, WINDOW_S),
             limits: [joint.limits.lower, joint.limits.upper],
-            top_speed: joint.limits.velocity,
+            max_speed: joint.limits.velocity,
         })
     }
 }
 
-fn tip(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
+fn tip_pose(arm: &Arm, track: &JointTrack, row: usize) -> Pose {
     let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
     arm.chain.forward(&q)
 }
 
-fn at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
+fn are_at_rest(joints: &JointTrack, t_s: &[f64]) -> Vec<bool> {
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let rests = |&t_s: &f64| {
-        joints.at(t_s, &mut cursor, &mut q, &mut qd) && qd.iter().all(|speed| speed.abs() < RESTS)
+        joints.at(t_s, &mut cursor, &mut q, &mut qd)
+            && qd.iter().all(|speed| speed.abs() < MAX_REST_SPEED)
     };
     t_s.iter().map(rests).collect()
 }
 
 /// As angles about two axes normal to the mean direction, rad.
-fn views(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
-    let step = camera_from_target.len().div_ceil(MOST_POINTS).max(1);
+fn view_directions(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
+    let step = camera_from_target.len().div_ceil(MAX_POINTS).max(1);
     let seen = camera_from_target.iter().step_by(step);
     let seen: Vec<Vec3> =
         seen.filter_map(|pose| pose.inverse().translation.vector.try_normalize(1e-9)).collect();
@@ -262,7 +269,7 @@ fn views(camera_from_target: &[Pose]) -> Vec<[f64; 2]> {
 
 /// Deviation of the poses between two times from the line and slerp between their ends: position along the
 /// line in m, deviations in m and rad.
-fn beside_chord(series: &PoseSeries, from_s: f64, to_s: f64) -> Vec<[f64; 3]> {
+fn chord_deviation(series: &PoseSeries, from_s: f64, to_s: f64) -> Vec<[f64; 3]> {
     let first = series.t_s.partition_point(|t_s| *t_s < from_s);
     let last = series.t_s.partition_point(|t_s| *t_s <= to_s);
     let poses = series.poses.get(first..last).unwrap_or_default();
@@ -289,7 +296,7 @@ mod tests {
     use crate::geometry::pose;
 
     #[test]
-    fn a_bow_shows_beside_its_chord_and_a_straight_way_does_not() {
+    fn a_bow_deviates_from_its_chord_and_a_line_does_not() {
         let way = |bow_m: f64| PoseSeries {
             t_s: (0..=10).map(f64::from).collect(),
             poses: (0..=10)
@@ -303,21 +310,21 @@ mod tests {
         };
         let most =
             |rows: &[[f64; 3]], part: usize| rows.iter().map(|row| row[part]).fold(0.0, f64::max);
-        let bowed = beside_chord(&way(0.01), 0.0, 10.0);
+        let bowed = chord_deviation(&way(0.01), 0.0, 10.0);
         assert!((most(&bowed, 1) - 0.01).abs() < 1e-9 && most(&bowed, 2) < 1e-7, "{bowed:?}");
         assert!((most(&bowed, 0) - 0.5).abs() < 1e-12 && bowed.len() == 11);
-        assert!(most(&beside_chord(&way(0.0), 0.0, 10.0), 1) < 1e-12);
-        assert!(beside_chord(&way(0.0), 20.0, 30.0).is_empty());
+        assert!(most(&chord_deviation(&way(0.0), 0.0, 10.0), 1) < 1e-12);
+        assert!(chord_deviation(&way(0.0), 20.0, 30.0).is_empty());
     }
 
     #[test]
-    fn views_lie_about_their_mean_by_the_angles_between_them() {
+    fn view_directions_are_angles_about_their_mean() {
         let from = |angle: f64| {
             let target_from_camera =
                 pose(Vec3::new(angle.sin(), 0.0, angle.cos()).into(), Rotation::identity());
             target_from_camera.inverse()
         };
-        let seen = views(&[from(-0.3), from(0.3)]);
+        let seen = view_directions(&[from(-0.3), from(0.3)]);
         let apart = ((seen[0][0] - seen[1][0]).powi(2) + (seen[0][1] - seen[1][1]).powi(2)).sqrt();
         assert!((apart - 0.6).abs() < 1e-9, "{seen:?}");
     }

@@ -1,43 +1,45 @@
 //! Plots specific to single findings.
 
-use super::{Case, Proof, both_signs, one_sided};
+use super::{FindingContext, FindingPlots, signed_limits, upper_limit};
 use crate::finding::{Estimate, Unit};
-use crate::report::figures::{JointFigure, Own};
+use crate::report::figures::{FindingFigure, JointFigure};
 use crate::report::html::plane::{Arrow, Dot, Plane};
-use crate::report::html::plot::{Limit, Mark, Plot, Role, Series, Style};
+use crate::report::html::plot::{Plot, PlotLimit, PlotMark, PlotSeries, PlotStyle, SeriesRole};
 
-impl Case<'_> {
+impl FindingContext<'_> {
     /// Adds nothing without data.
-    pub(super) fn add_own(&self, proof: &mut Proof) {
-        let own = self.figures.own.iter().filter(|(index, _)| *index == self.index);
+    pub(super) fn add_specific(&self, evidence: &mut FindingPlots) {
+        let own = self.figures.of_findings.iter().filter(|(index, _)| *index == self.index);
         for (_, own) in own {
             match own {
-                Own::Shake { spectrum, trace } => {
-                    proof.plots.extend([self.spectrum(spectrum), self.trace(trace)]);
+                FindingFigure::Vibration { spectrum, trace } => {
+                    evidence.plots.extend([self.spectrum(spectrum), self.trace(trace)]);
                 }
-                Own::HandEye { each, views, .. } => {
+                FindingFigure::HandEye { closures: each, directions: views, .. } => {
                     let [distance, angle] = self.closures(each);
-                    proof.plots.extend([distance, angle]);
-                    proof.planes.push(seen_from(views));
+                    evidence.plots.extend([distance, angle]);
+                    evidence.planes.push(view_directions(views));
                 }
-                Own::Line { tip, command } => {
+                FindingFigure::Line { tip, command } => {
                     let plots = [
-                        self.beside_line(tip, Unit::Metre),
-                        self.beside_line(tip, Unit::Radian),
+                        self.line_deviation(tip, Unit::Metre),
+                        self.line_deviation(tip, Unit::Radian),
                         self.command(command),
                     ];
-                    proof.plots.extend(plots.into_iter().filter(is_near_its_limit));
+                    evidence.plots.extend(plots.into_iter().filter(is_near_limit));
                 }
-                Own::Rests(gaps) => proof.planes.extend(self.rests(gaps)),
-                Own::Norms(rows) => proof.plots.push(self.norms(rows)),
-                Own::ImuAxes { link, found, logged } => {
-                    proof.planes.push(imu_axes(link, found, logged.as_ref()));
+                FindingFigure::RestErrors(gaps) => evidence.planes.extend(self.rest_errors(gaps)),
+                FindingFigure::RotationNorms(rows) => {
+                    evidence.plots.push(self.rotation_norms(rows))
                 }
-                Own::Gyro { rates, at_rest, bias } => {
-                    proof.plots.push(self.gyro(rates, *at_rest, *bias));
+                FindingFigure::ImuAxes { link, estimated: found, logged } => {
+                    evidence.planes.push(imu_axes(link, found, logged.as_ref()));
                 }
-                Own::Tilt(up) => proof.planes.push(self.tilt(up)),
-                Own::Joint(joint) => proof.plots.extend(self.joint(joint)),
+                FindingFigure::Gyro { rates, is_at_rest: at_rest, bias } => {
+                    evidence.plots.push(self.gyro(rates, *at_rest, *bias));
+                }
+                FindingFigure::Tilt(up) => evidence.planes.push(self.tilt(up)),
+                FindingFigure::Joint(joint) => evidence.plots.extend(self.joint(joint)),
             }
         }
     }
@@ -47,8 +49,8 @@ impl Case<'_> {
         Plot {
             title,
             robot: subject.robot.clone().unwrap_or_default(),
-            of: subject.topic.clone().or_else(|| subject.joint.clone()).unwrap_or_default(),
-            says: says.into(),
+            stream: subject.topic.clone().or_else(|| subject.joint.clone()).unwrap_or_default(),
+            caption: says.into(),
             x_label: axes[0],
             y_label: axes[1],
             ..Plot::default()
@@ -62,19 +64,20 @@ impl Case<'_> {
 
     fn spectrum(&self, spectrum: &[[f64; 2]]) -> Plot {
         let peak = self.evidence("frequency_hz");
-        let mark = peak.map(|at| Mark { at, interval: None, label: format!("peak {at:.1} Hz") });
-        let from = self.evidence("from_hz").map(|at| Limit {
+        let mark =
+            peak.map(|at| PlotMark { at, interval: None, label: format!("peak {at:.1} Hz") });
+        let from = self.evidence("from_hz").map(|at| PlotLimit {
             at,
-            is_along: true,
+            is_vertical: true,
             label: format!("counted above {at:.0} Hz"),
         });
         Plot {
             x: spectrum.iter().map(|at| at[0]).collect(),
-            series: vec![series("rms", Role::Amount, spectrum.iter().map(|at| at[1] * 1e3))],
+            series: vec![series("rms", SeriesRole::Amount, spectrum.iter().map(|at| at[1] * 1e3))],
             from_zero: true,
             mark,
             limits: from.into_iter().collect(),
-            style: Style::Curve,
+            style: PlotStyle::Curve,
             ..self.plot(
                 "Spectrum of the tip's path",
                 "Rms per bin over the second with the strongest vibration, all axes.",
@@ -86,9 +89,9 @@ impl Case<'_> {
     fn trace(&self, trace: &[[f64; 2]]) -> Plot {
         Plot {
             x: trace.iter().map(|at| at[0]).collect(),
-            series: vec![series("tip", Role::Before, trace.iter().map(|at| at[1] * 1e3))],
-            limits: both_signs(self.own_limit(Unit::Metre), Unit::Metre, 1e3),
-            style: Style::Curve,
+            series: vec![series("tip", SeriesRole::Before, trace.iter().map(|at| at[1] * 1e3))],
+            limits: signed_limits(self.warning_limit(Unit::Metre), Unit::Metre, 1e3),
+            style: PlotStyle::Curve,
             ..self.plot(
                 "Path during the strongest vibration",
                 "Deviation from a parabola along the axis with most motion; the limit applies to the rms.",
@@ -104,25 +107,33 @@ impl Case<'_> {
         ];
         parts.map(|(title, part, unit, label, factor)| Plot {
             x: each.iter().map(|at| at[0]).collect(),
-            series: vec![series("view", Role::Before, each.iter().map(|at| at[part] * factor))],
+            series: vec![series(
+                "view",
+                SeriesRole::Before,
+                each.iter().map(|at| at[part] * factor),
+            )],
             from_zero: true,
-            limits: one_sided(self.own_limit(unit), unit, factor),
-            style: Style::Points,
+            limits: upper_limit(self.warning_limit(unit), unit, factor),
+            style: PlotStyle::Points,
             ..self.plot(title, "Closure error of hand, camera and target.", ["time, s", label])
         })
     }
 
-    fn beside_line(&self, tip: &[[f64; 3]], unit: Unit) -> Plot {
+    fn line_deviation(&self, tip: &[[f64; 3]], unit: Unit) -> Plot {
         let (title, part, label, factor) = match unit {
             Unit::Metre => ("Deviation from the commanded line", 1, "mm", 1e3),
             _ => ("Deviation from slerp", 2, "°", 1f64.to_degrees()),
         };
         Plot {
             x: tip.iter().map(|at| at[0] * 1e3).collect(),
-            series: vec![series("tip by FK", Role::Before, tip.iter().map(|at| at[part] * factor))],
+            series: vec![series(
+                "tip by FK",
+                SeriesRole::Before,
+                tip.iter().map(|at| at[part] * factor),
+            )],
             from_zero: true,
-            limits: one_sided(self.own_limit(unit), unit, factor),
-            style: Style::Curve,
+            limits: upper_limit(self.warning_limit(unit), unit, factor),
+            style: PlotStyle::Curve,
             ..self.plot(
                 title,
                 "The worst line, compared with the straight line between its ends.",
@@ -135,10 +146,10 @@ impl Case<'_> {
         let angle = command.iter().map(|at| at[2].to_degrees());
         Plot {
             x: command.iter().map(|at| at[0] * 1e3).collect(),
-            series: vec![series("command", Role::Amount, angle)],
+            series: vec![series("command", SeriesRole::Amount, angle)],
             from_zero: true,
-            limits: one_sided(self.own_limit(Unit::Radian), Unit::Radian, 1f64.to_degrees()),
-            style: Style::Curve,
+            limits: upper_limit(self.warning_limit(Unit::Radian), Unit::Radian, 1f64.to_degrees()),
+            style: PlotStyle::Curve,
             ..self.plot(
                 "Commanded orientation vs. slerp",
                 "The command, compared with slerp between its ends.",
@@ -148,28 +159,33 @@ impl Case<'_> {
     }
 
     /// Rest positions relative to the goals, and a top view of both.
-    fn rests(&self, gaps: &[[[f64; 3]; 2]]) -> [Plane; 2] {
+    fn rest_errors(&self, gaps: &[[[f64; 3]; 2]]) -> [Plane; 2] {
         let off = |axes: [usize; 2]| {
             gaps.iter().map(move |[goal, rest]| axes.map(|axis| (rest[axis] - goal[axis]) * 1e3))
         };
-        let limit = self.own_limit(Unit::Metre);
+        let limit = self.warning_limit(Unit::Metre);
         let around = Plane {
             title: "Rest positions relative to goals".to_owned(),
-            says: "Measured − commanded, top view; goals at the centre.".to_owned(),
+            caption: "Measured − commanded, top view; goals at the centre.".to_owned(),
             axes: ["x, mm", "y, mm"],
             arrows: off([0, 1])
-                .map(|to| Arrow { from: [0.0; 2], to, label: String::new(), role: Role::Before })
+                .map(|to| Arrow {
+                    from: [0.0; 2],
+                    to,
+                    label: String::new(),
+                    role: SeriesRole::Before,
+                })
                 .collect(),
             limit: limit.map(|limit| (limit * 1e3, format!("limit {}", Unit::Metre.show(limit)))),
             ..Plane::default()
         };
         let place = |at: &[f64; 3]| [at[0], at[1]];
-        let dots = gaps
-            .iter()
-            .flat_map(|[goal, rest]| [(place(goal), Role::Beside), (place(rest), Role::Before)]);
+        let dots = gaps.iter().flat_map(|[goal, rest]| {
+            [(place(goal), SeriesRole::Reference), (place(rest), SeriesRole::Before)]
+        });
         let whole = Plane {
             title: "Goals and rests".to_owned(),
-            says: "Top view in the base frame: goals dark, rest positions red.".to_owned(),
+            caption: "Top view in the base frame: goals dark, rest positions red.".to_owned(),
             axes: ["x, m", "y, m"],
             dots: dots.map(|(at, role)| Dot { at, size: 0.5, role }).collect(),
             ..Plane::default()
@@ -177,12 +193,12 @@ impl Case<'_> {
         [around, whole]
     }
 
-    fn norms(&self, rows: &[[f64; 2]]) -> Plot {
+    fn rotation_norms(&self, rows: &[[f64; 2]]) -> Plot {
         Plot {
             x: rows.iter().map(|at| at[0]).collect(),
-            series: vec![series("defect", Role::Before, rows.iter().map(|at| at[1]))],
+            series: vec![series("defect", SeriesRole::Before, rows.iter().map(|at| at[1]))],
             from_zero: true,
-            limits: one_sided(self.own_limit(Unit::One), Unit::One, 1.0),
+            limits: upper_limit(self.warning_limit(Unit::One), Unit::One, 1.0),
             ..self.plot(
                 "Deviation from a rotation",
                 "Quaternion: deviation of the norm from 1. Matrix: deviation from orthonormality.",
@@ -192,8 +208,8 @@ impl Case<'_> {
     }
 
     fn gyro(&self, rates: &[[f64; 4]], at_rest: bool, bias: Option<[f64; 3]>) -> Plot {
-        let roles = [Role::Before, Role::After, Role::Amount];
-        let axis = |(part, role): (usize, Role)| {
+        let roles = [SeriesRole::Before, SeriesRole::After, SeriesRole::Amount];
+        let axis = |(part, role): (usize, SeriesRole)| {
             let found = bias.map_or(String::new(), |bias| {
                 format!(", bias {}", Unit::GyroRate.show_signed_within(bias[part], None))
             });
@@ -207,22 +223,26 @@ impl Case<'_> {
         Plot {
             x: rates.iter().map(|at| at[0]).collect(),
             series: roles.into_iter().enumerate().map(axis).collect(),
-            limits: both_signs(self.own_limit(Unit::GyroRate), Unit::GyroRate, 1f64.to_degrees()),
-            style: Style::Points,
+            limits: signed_limits(
+                self.warning_limit(Unit::GyroRate),
+                Unit::GyroRate,
+                1f64.to_degrees(),
+            ),
+            style: PlotStyle::Points,
             ..self.plot(if at_rest { "Gyro at rest" } else { "Gyro" }, says, ["time, s", "°/s"])
         }
     }
 
     fn tilt(&self, up: &[[f64; 2]]) -> Plane {
-        let limit = self.own_limit(Unit::Radian);
+        let limit = self.warning_limit(Unit::Radian);
         Plane {
             title: "Up direction by the accelerometer".to_owned(),
-            says: "In the world frame of the orientation, while the arm rests; level is at the centre."
+            caption: "In the world frame of the orientation, while the arm rests; level is at the centre."
                 .to_owned(),
             axes: ["towards x, °", "towards y, °"],
             dots: up
                 .iter()
-                .map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: Role::Before })
+                .map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: SeriesRole::Before })
                 .collect(),
             limit: limit
                 .map(|limit| (limit.to_degrees(), format!("limit {}", Unit::Radian.show(limit)))),
@@ -231,29 +251,36 @@ impl Case<'_> {
     }
 
     fn joint(&self, joint: &JointFigure) -> [Plot; 2] {
-        let factor = if joint.slides { 1e3 } else { 1f64.to_degrees() };
-        let [unit, rate] = if joint.slides { ["mm", "mm/s"] } else { ["°", "°/s"] };
-        let limit = |at: f64, label: &str| Limit {
+        let factor = if joint.is_prismatic { 1e3 } else { 1f64.to_degrees() };
+        let [unit, rate] = if joint.is_prismatic { ["mm", "mm/s"] } else { ["°", "°/s"] };
+        let limit = |at: f64, label: &str| PlotLimit {
             at: at * factor,
-            is_along: false,
+            is_vertical: false,
             label: label.to_owned(),
         };
         let ends = joint.limits.iter().flatten().map(|at| limit(*at, "limit"));
         let speed =
-            joint.top_speed.iter().flat_map(|at| [limit(*at, "speed limit"), limit(-at, "")]);
+            joint.max_speed.iter().flat_map(|at| [limit(*at, "speed limit"), limit(-at, "")]);
         let is_of_time =
             |key: &str| self.finding.evidence.more.get(key)?.as_str()?.parse::<i64>().ok();
         let start = self.figures.start.map_or(0, |start| start.nanos());
-        let mark = is_of_time("at_ns").map(|at| Mark {
+        let mark = is_of_time("at_ns").map(|at| PlotMark {
             at: crate::time::seconds(at - start),
             interval: None,
-            label: self.amount(),
+            label: self.amount_text(),
         });
         let velocity = (!joint.velocity.is_empty()).then(|| {
-            series("recorded velocity", Role::Before, joint.velocity.iter().map(|v| v * factor))
+            series(
+                "recorded velocity",
+                SeriesRole::Before,
+                joint.velocity.iter().map(|v| v * factor),
+            )
         });
-        let rates =
-            series("rate from the positions", Role::After, joint.rate.iter().map(|v| v * factor));
+        let rates = series(
+            "rate from the positions",
+            SeriesRole::After,
+            joint.differentiated.iter().map(|v| v * factor),
+        );
         let says = joint.joint.clone();
         [
             Plot {
@@ -261,7 +288,7 @@ impl Case<'_> {
                 series: velocity.into_iter().chain([rates]).collect(),
                 limits: speed.collect(),
                 mark: mark.clone(),
-                of: says.clone(),
+                stream: says.clone(),
                 ..self.plot(
                     "Joint speed",
                     "Recorded, and computed from the positions.",
@@ -272,19 +299,19 @@ impl Case<'_> {
                 x: joint.t_s.clone(),
                 series: vec![series(
                     "position",
-                    Role::Amount,
+                    SeriesRole::Amount,
                     joint.position.iter().map(|q| q * factor),
                 )],
                 limits: ends.collect(),
                 mark,
-                of: says,
+                stream: says,
                 ..self.plot("Joint position", "As recorded.", ["time, s", unit])
             },
         ]
     }
 
     /// Estimate of the finding.
-    fn amount(&self) -> String {
+    fn amount_text(&self) -> String {
         match &self.finding.estimate {
             Some(Estimate::Scalar { name, value, unit, .. }) => {
                 Unit::from_symbol(unit, name).map_or(String::new(), |unit| unit.show(*value))
@@ -295,26 +322,27 @@ impl Case<'_> {
 }
 
 /// Whether the values reach a tenth of the limit.
-fn is_near_its_limit(plot: &Plot) -> bool {
+fn is_near_limit(plot: &Plot) -> bool {
     let values = plot.series.iter().flat_map(|series| &series.values);
     let most = values.map(|value| value.abs()).fold(0.0, f64::max);
     plot.limits.iter().all(|limit| most >= 0.1 * limit.at)
 }
 
-fn series(label: &str, role: Role, values: impl Iterator<Item = f64>) -> Series {
-    Series { label: label.to_owned(), role, values: values.collect(), half_widths: Vec::new() }
+fn series(label: &str, role: SeriesRole, values: impl Iterator<Item = f64>) -> PlotSeries {
+    PlotSeries { label: label.to_owned(), role, values: values.collect(), half_widths: Vec::new() }
 }
 
-fn seen_from(views: &[[f64; 2]]) -> Plane {
+fn view_directions(views: &[[f64; 2]]) -> Plane {
     Plane {
         title: "Viewing directions".to_owned(),
-        says: "Directions from which the camera sees the target, relative to their mean. A good \
+        caption:
+            "Directions from which the camera sees the target, relative to their mean. A good \
                calibration spans 30° or more in both."
-            .to_owned(),
+                .to_owned(),
         axes: ["tilt, °", "tilt across, °"],
         dots: views
             .iter()
-            .map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: Role::Amount })
+            .map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: SeriesRole::Amount })
             .collect(),
         ..Plane::default()
     }
@@ -324,7 +352,7 @@ fn seen_from(views: &[[f64; 2]]) -> Plane {
 fn imu_axes(link: &str, found: &[[f64; 3]; 3], logged: Option<&[[f64; 3]; 3]>) -> Plane {
     // x points left and down, y right, z up.
     let place = |at: &[f64; 3]| [at[1] - 0.5 * at[0], at[2] - 0.35 * at[0]];
-    let axes = |columns: &[[f64; 3]; 3], size: f64, role: Role, prefix: &str| -> Vec<Arrow> {
+    let axes = |columns: &[[f64; 3]; 3], size: f64, role: SeriesRole, prefix: &str| -> Vec<Arrow> {
         let named = columns.iter().zip(["x", "y", "z"]);
         let arrow = named.map(|(axis, name)| Arrow {
             from: [0.0; 2],
@@ -335,12 +363,13 @@ fn imu_axes(link: &str, found: &[[f64; 3]; 3], logged: Option<&[[f64; 3]; 3]>) -
         arrow.collect()
     };
     let own = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let link_axes = axes(&own, 1.25, Role::Beside, &format!("{link} "));
-    let logged = logged.map_or_else(Vec::new, |logged| axes(logged, 0.95, Role::Before, "logged "));
+    let link_axes = axes(&own, 1.25, SeriesRole::Reference, &format!("{link} "));
+    let logged =
+        logged.map_or_else(Vec::new, |logged| axes(logged, 0.95, SeriesRole::Before, "logged "));
     Plane {
         title: "Axes of the IMU in its link".to_owned(),
-        says: "Dark: link. Red: IMU by the log's frames. Green: IMU by its motion.".to_owned(),
-        arrows: [link_axes, logged, axes(found, 0.65, Role::After, "imu ")].concat(),
+        caption: "Dark: link. Red: IMU by the log's frames. Green: IMU by its motion.".to_owned(),
+        arrows: [link_axes, logged, axes(found, 0.65, SeriesRole::After, "imu ")].concat(),
         ..Plane::default()
     }
 }

@@ -4,29 +4,29 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 
-use super::{Change, Comparison, Course, Lost};
+use super::{Change, ChangeKind, Comparison, LostCheck};
 use crate::finding::{Estimate, Finding, Subject};
-use crate::report::{amounts, markdown as md, tame};
+use crate::report::{amounts, markdown as md, sanitize};
 
-const LABEL: usize = 16;
+const LABEL_WIDTH: usize = 16;
 
-const THE_RUN: &str = "the run";
+const WHOLE_RUN: &str = "the run";
 
-const BAD: Style = AnsiColor::Red.on_default().bold();
+const REGRESSION: Style = AnsiColor::Red.on_default().bold();
 const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
 const GOOD: Style = AnsiColor::Green.on_default().bold();
 const QUIET: Style = Style::new().dimmed();
 
-impl Course {
+impl ChangeKind {
     const fn name(self) -> &'static str {
         match self {
-            Course::Appeared => "new",
-            Course::Grew => "worse",
-            Course::Changed => "changed",
-            Course::Same => "same",
-            Course::Shrank => "smaller",
-            Course::Untold => "inconclusive",
-            Course::Gone => "fixed",
+            ChangeKind::Appeared => "new",
+            ChangeKind::Grew => "worse",
+            ChangeKind::Changed => "changed",
+            ChangeKind::Same => "same",
+            ChangeKind::Shrank => "smaller",
+            ChangeKind::Undetermined => "inconclusive",
+            ChangeKind::Gone => "fixed",
         }
     }
 }
@@ -36,29 +36,29 @@ pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     let [old, new] = comparison.verdicts;
     line(out, Style::new().bold(), "verdict", &format!("{old} → {new}"))?;
     let (style, label) = match comparison.regression {
-        true => (BAD, "REGRESSION"),
+        true => (REGRESSION, "REGRESSION"),
         false => (GOOD, "NO REGRESSION"),
     };
-    line(out, style, label, &comparison.why())?;
+    line(out, style, label, &comparison.summary())?;
     if !comparison.causes.is_empty() {
         writeln!(out)?;
     }
     for change in &comparison.causes {
-        let style = match change.course {
-            _ if change.regression => BAD,
-            Course::Gone | Course::Shrank => GOOD,
-            Course::Same => QUIET,
+        let style = match change.kind {
+            _ if change.regression => REGRESSION,
+            ChangeKind::Gone | ChangeKind::Shrank => GOOD,
+            ChangeKind::Same => QUIET,
             _ => DOUBTFUL,
         };
-        let whom = comparison.whom(&change.subject);
-        let text = format!("{} {whom}: {}", change.code, change.words());
-        line(out, style, change.course.name(), &text)?;
+        let subject = comparison.subject_text(&change.subject);
+        let text = format!("{} {subject}: {}", change.code, change.text());
+        line(out, style, change.kind.name(), &text)?;
     }
     if !comparison.lost.is_empty() {
         writeln!(out)?;
     }
     for lost in &comparison.lost {
-        line(out, DOUBTFUL, "inconclusive", &comparison.lost_words(lost))?;
+        line(out, DOUBTFUL, "inconclusive", &comparison.lost_text(lost))?;
     }
     Ok(())
 }
@@ -67,20 +67,20 @@ pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
 pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     let title = if comparison.regression { "regression" } else { "no regression" };
     let [old, new] = comparison.verdicts;
-    writeln!(out, "### poseaudit: {title}, {}\n", md::prose(&comparison.why()))?;
+    writeln!(out, "### poseaudit: {title}, {}\n", md::escape_prose(&comparison.summary()))?;
     writeln!(out, "Verdict: {old} → {new}\n")?;
     if !comparison.causes.is_empty() {
         writeln!(out, "| | rule | where | what |\n|---|---|---|---|")?;
     }
     for change in &comparison.causes {
-        let course = change.course.name();
-        let course = if change.regression { format!("**{course}**") } else { course.to_owned() };
-        let whom = match comparison.whom(&change.subject) {
-            whom if whom == THE_RUN => whom,
-            name => md::code(&name),
+        let kind = change.kind.name();
+        let kind = if change.regression { format!("**{kind}**") } else { kind.to_owned() };
+        let subject = match comparison.subject_text(&change.subject) {
+            subject if subject == WHOLE_RUN => subject,
+            name => md::inline_code(&name),
         };
-        let what = md::prose(&change.words());
-        writeln!(out, "| {course} | {} | {whom} | {what} |", change.code)?;
+        let what = md::escape_prose(&change.text());
+        writeln!(out, "| {kind} | {} | {subject} | {what} |", change.code)?;
     }
     if !comparison.causes.is_empty() {
         writeln!(out)?;
@@ -88,7 +88,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
     if !comparison.lost.is_empty() {
         writeln!(out, "<details><summary>Passed before, inconclusive now</summary>\n")?;
         for lost in &comparison.lost {
-            writeln!(out, "- {}", md::prose(&comparison.lost_words(lost)))?;
+            writeln!(out, "- {}", md::escape_prose(&comparison.lost_text(lost)))?;
         }
         writeln!(out, "\n</details>")?;
     }
@@ -97,19 +97,19 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
 
 impl Comparison {
     /// `1 new, 2 fixed`, with other reasons for a regression.
-    fn why(&self) -> String {
+    fn summary(&self) -> String {
         let courses = [
-            Course::Appeared,
-            Course::Grew,
-            Course::Changed,
-            Course::Same,
-            Course::Shrank,
-            Course::Untold,
-            Course::Gone,
+            ChangeKind::Appeared,
+            ChangeKind::Grew,
+            ChangeKind::Changed,
+            ChangeKind::Same,
+            ChangeKind::Shrank,
+            ChangeKind::Undetermined,
+            ChangeKind::Gone,
         ];
-        let counts = courses.into_iter().filter_map(|course| {
-            let count = self.causes.iter().filter(|change| change.course == course).count();
-            (count > 0).then(|| format!("{count} {}", course.name()))
+        let counts = courses.into_iter().filter_map(|kind| {
+            let count = self.causes.iter().filter(|change| change.kind == kind).count();
+            (count > 0).then(|| format!("{count} {}", kind.name()))
         });
         let error = self.error.iter().map(|what| format!("the new log was not audited: {what}"));
         let lost = match self.lost.len() {
@@ -122,35 +122,35 @@ impl Comparison {
     }
 
     /// With the robot if there are several.
-    fn whom(&self, subject: &Subject) -> String {
+    fn subject_text(&self, subject: &Subject) -> String {
         let causes = self.causes.iter().map(|change| &change.subject);
         let subjects = causes.chain(self.lost.iter().map(|lost| &lost.subject));
         let mut robots = subjects.filter_map(|subject| subject.robot.as_deref());
         let first = robots.next();
         let several = robots.any(|robot| Some(robot) != first);
         match subject.label_among(several) {
-            whole if whole.is_empty() => THE_RUN.to_owned(),
+            whole if whole.is_empty() => WHOLE_RUN.to_owned(),
             label => label,
         }
     }
 
-    fn lost_words(&self, lost: &Lost) -> String {
-        let (code, whom) = (&lost.code, self.whom(&lost.subject));
+    fn lost_text(&self, lost: &LostCheck) -> String {
+        let (code, subject) = (&lost.code, self.subject_text(&lost.subject));
         let reason = lost.reason.as_deref().unwrap_or_default();
-        format!("{code} on {whom} passed, now {}: {reason}", lost.status.name())
+        format!("{code} on {subject} passed, now {}: {reason}", lost.status.name())
     }
 }
 
 impl Change {
-    fn words(&self) -> String {
+    fn text(&self) -> String {
         match (&self.old, &self.new) {
-            (Some(old), Some(new)) if self.course != Course::Same => {
-                format!("{} → {}", short(old), short(new))
+            (Some(old), Some(new)) if self.kind != ChangeKind::Same => {
+                format!("{} → {}", amount_or_message(old), amount_or_message(new))
             }
             (_, Some(new)) => format!("{} {}", new.severity.name(), new.message),
             (Some(old), None) => {
-                let now = match (self.course, &self.reason) {
-                    (Course::Gone, _) => "fixed".to_owned(),
+                let now = match (self.kind, &self.reason) {
+                    (ChangeKind::Gone, _) => "fixed".to_owned(),
                     (_, Some(reason)) => format!("now inconclusive: {reason}"),
                     (_, None) => "now inconclusive".to_owned(),
                 };
@@ -162,14 +162,14 @@ impl Change {
 }
 
 /// Amount of the finding, or else its message.
-fn short(finding: &Finding) -> String {
+fn amount_or_message(finding: &Finding) -> String {
     let is_known = |estimate: &&Estimate| estimate.value().is_none_or(f64::is_finite);
     let amount = finding.estimate.as_ref().filter(is_known);
-    let said = amount.map_or_else(|| finding.message.clone(), amounts::shown);
+    let said = amount.map_or_else(|| finding.message.clone(), amounts::format_estimate);
     format!("{} {said}", finding.severity.name())
 }
 
 fn line(out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
-    let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
-    writeln!(out, "{style}{label}{style:#}{:blanks$}{}", "", tame(text))
+    let blanks = LABEL_WIDTH.saturating_sub(label.chars().count()).max(1);
+    writeln!(out, "{style}{label}{style:#}{:blanks$}{}", "", sanitize(text))
 }

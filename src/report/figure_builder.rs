@@ -1,12 +1,12 @@
 //! Computes the data series of a report's plots.
 
-mod own;
+mod finding_figures;
 
 use rayon::prelude::*;
 
 use super::figures::{
-    CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
-    TimelineRow,
+    EncodingScore, Figures, FrameEdge, FrameEdgeKind, ImuFigure, LatencyProfilePoint, PoseFigure,
+    StreamGap, TimelineRow,
 };
 use crate::checks::encoding_names;
 use crate::diagnosis::{
@@ -22,28 +22,28 @@ use crate::stream::JointTrack;
 use crate::time::Stamp;
 
 /// Maximum gaps per stream.
-const MOST_SILENCES: usize = 60;
+const MAX_GAPS: usize = 60;
 
 /// Pose streams per arm that are plotted without a finding.
-const DRAWN: usize = 16;
+const MAX_STREAMS_WITHOUT_FINDING: usize = 16;
 
 /// `corrected` returns an arm's corrected joint states.
-pub(crate) fn figures(
+pub(crate) fn build_figures(
     run: &Run,
     facts: &RunEvidence,
     corrected: impl Fn(&Arm, &ArmEvidence) -> JointTrack,
     findings: &[Finding],
 ) -> Figures {
-    let is_told = |topic: &str| {
+    let has_finding = |topic: &str| {
         let mut findings = findings.iter();
         findings.any(|found| found.subject.topic.as_deref() == Some(topic))
     };
-    let clock = Clock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
+    let clock = RunClock { run, start: run.span.map_or(run.origin, |(start, _)| start) };
     let mut figures = Figures {
         duration_s: run.span.map_or(0.0, |(start, end)| end.seconds_since(start)),
-        timeline: timeline(&clock),
-        frames: frames(run),
-        own: own::figures(&clock, facts, findings),
+        timeline: timeline_rows(&clock),
+        frames: frame_edges(run),
+        of_findings: finding_figures::finding_figures(&clock, facts, findings),
         start: Some(clock.start),
         ..Figures::default()
     };
@@ -51,50 +51,53 @@ pub(crate) fn figures(
         let corrected = corrected(arm, facts);
         let streams: Vec<_> = arm.poses.iter().zip(&facts.poses).enumerate().collect();
         let drawn = streams.into_par_iter().filter_map(|(index, (source, stream))| {
-            let is_drawn = index < DRAWN || is_told(stream.topic());
-            is_drawn.then(|| pose(&clock, &corrected, source, facts, stream))
+            let is_drawn = index < MAX_STREAMS_WITHOUT_FINDING || has_finding(stream.topic());
+            is_drawn.then(|| pose_figure(&clock, &corrected, source, facts, stream))
         });
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // The publisher of the log's transforms uses uncorrected joint states.
             let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
-            let drawn = pose(&clock, joints, source, facts, stream);
+            let drawn = pose_figure(&clock, joints, source, facts, stream);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }
-        figures.imus.extend(imus(&clock, &corrected, arm, facts));
+        figures.imus.extend(imu_figures(&clock, &corrected, arm, facts));
     }
     figures
 }
 
 /// Seconds from the start of the run.
-struct Clock<'a> {
+struct RunClock<'a> {
     run: &'a Run,
     start: Stamp,
 }
 
-impl Clock<'_> {
-    fn of_stamp_s(&self, stamp: Stamp) -> f64 {
+impl RunClock<'_> {
+    fn seconds_of_stamp(&self, stamp: Stamp) -> f64 {
         stamp.seconds_since(self.start)
     }
 
     /// Converts a time from the run's origin.
-    fn of_origin_s(&self, t_s: f64) -> f64 {
+    fn seconds_from_origin(&self, t_s: f64) -> f64 {
         t_s + self.run.origin.seconds_since(self.start)
     }
 
-    fn course(&self, course: &EstimateResult<LatencyProfile>) -> Vec<CoursePoint> {
-        let windows = course.as_ref().map_or(&[][..], |course| &course.windows);
-        let point = |&(t_s, latency): &(f64, Measured)| CoursePoint {
-            t_s: self.of_origin_s(t_s),
-            beyond_s: latency.value,
+    fn latency_profile(
+        &self,
+        profile: &EstimateResult<LatencyProfile>,
+    ) -> Vec<LatencyProfilePoint> {
+        let windows = profile.as_ref().map_or(&[][..], |profile| &profile.windows);
+        let point = |&(t_s, latency): &(f64, Measured)| LatencyProfilePoint {
+            t_s: self.seconds_from_origin(t_s),
+            deviation_s: latency.value,
             half_width_s: latency.half_width(0.95),
         };
         windows.iter().map(point).collect()
     }
 }
 
-fn pose(
-    clock: &Clock,
+fn pose_figure(
+    clock: &RunClock,
     joints: &JointTrack,
     source: &PoseSource,
     arm: &ArmEvidence,
@@ -110,102 +113,109 @@ fn pose(
         robot: arm.name.clone(),
         topic: facts.topic().to_owned(),
         is_derived: false,
-        t_s: aligned.t_s.iter().map(|&t_s| clock.of_origin_s(t_s)).collect(),
+        t_s: aligned.t_s.iter().map(|&t_s| clock.seconds_from_origin(t_s)).collect(),
         before_m: before.m,
         before_rad: before.rad,
         after_m: after.m,
         after_rad: after.rad,
         reach_m: aligned.reach_m(),
         at_m: aligned.fk.iter().map(|fk| fk.translation.vector.into()).collect(),
-        left_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
-        latency_course: clock.course(&found.latency_profile),
-        readings: scores(&found.encoding),
+        residual_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
+        latency_profile: clock.latency_profile(&found.latency_profile),
+        encodings: encoding_scores(&found.encoding),
     }
 }
 
-fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
-    let Ok(reading) = reading else { return Vec::new() };
-    let best = encoding_names(&reading.best);
+fn encoding_scores(encoding: &EstimateResult<EncodingEstimate>) -> Vec<EncodingScore> {
+    let Ok(encoding) = encoding else { return Vec::new() };
+    let best = encoding_names(&encoding.best);
     let score = |(one, rms_rad): &(PoseEncoding, f64)| {
         let names = encoding_names(one);
         let is_best = names == best;
-        ReadingScore {
+        EncodingScore {
             is_as_logged: matches!(one, PoseEncoding::AsLogged),
             is_best,
-            is: names.is,
-            read_as: names.read_as,
+            actual: names.is,
+            assumed: names.read_as,
             // The fit refined the best one.
-            rms_rad: if is_best { reading.best_rad } else { *rms_rad },
+            rms_rad: if is_best { encoding.best_rad } else { *rms_rad },
         }
     };
-    reading.ranked.iter().map(score).collect()
+    encoding.ranked.iter().map(score).collect()
 }
 
-fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
+fn imu_figures(
+    clock: &RunClock,
+    joints: &JointTrack,
+    arm: &Arm,
+    facts: &ArmEvidence,
+) -> Vec<ImuFigure> {
     /// Margin beyond twice the latency, s.
-    const BESIDE_S: f64 = 0.08;
+    const LATENCY_MARGIN_S: f64 = 0.08;
     let figure = |(source, imu): (&ImuSource, &StreamEvidence<ImuEvidence>)| {
         let found = &imu.diagnosis;
-        let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
+        let most_s =
+            found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + LATENCY_MARGIN_S);
         let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));
         let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
         ImuFigure {
             robot: facts.name.clone(),
             topic: imu.topic().to_owned(),
-            yaw_error: yaw_error.map(|&(t_s, rad)| [clock.of_origin_s(t_s), rad]).collect(),
+            yaw_error: yaw_error.map(|&(t_s, rad)| [clock.seconds_from_origin(t_s), rad]).collect(),
             headings: headings
-                .map(|at| [clock.of_origin_s(at.t_s), at.imu_rad, at.fk_rad])
+                .map(|at| [clock.seconds_from_origin(at.t_s), at.imu_rad, at.fk_rad])
                 .collect(),
             correlation_by_latency: curve
                 .unwrap_or_default()
                 .into_iter()
                 .map(|peak| [peak.lag_s, peak.correlation])
                 .collect(),
-            latency_course: clock.course(&found.latency_profile),
-            readings: scores(&found.encoding),
+            latency_profile: clock.latency_profile(&found.latency_profile),
+            encodings: encoding_scores(&found.encoding),
         }
     };
     arm.imus.iter().zip(&facts.imus).map(figure).collect()
 }
 
-fn timeline(clock: &Clock) -> Vec<TimelineRow> {
+fn timeline_rows(clock: &RunClock) -> Vec<TimelineRow> {
     let run = clock.run;
     let row = |(index, stream): (usize, &Stream)| {
         let rhythm = run.rhythms.iter().find(|rhythm| rhythm.stream == index);
-        let (silences, silences_left_out) = silences(clock, rhythm);
+        let (gaps, omitted) = stream_gaps(clock, rhythm);
         Some(TimelineRow {
             topic: stream.topic.clone(),
             frame: frame_of_several(run, stream),
-            span_s: [clock.of_stamp_s(stream.start?), clock.of_stamp_s(stream.end?)],
+            span_s: [clock.seconds_of_stamp(stream.start?), clock.seconds_of_stamp(stream.end?)],
             rate_hz: stream.rate_hz,
             count: stream.count,
             dropped: stream.dropped,
-            silences,
-            silences_left_out,
+            gaps,
+            omitted_gaps: omitted,
         })
     };
     run.streams.iter().enumerate().filter_map(row).collect()
 }
 
 /// The longest in time order, and the number of others.
-fn silences(clock: &Clock, rhythm: Option<&Rhythm>) -> (Vec<Silence>, usize) {
+fn stream_gaps(clock: &RunClock, rhythm: Option<&Rhythm>) -> (Vec<StreamGap>, usize) {
     let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.wanted);
     let holes = parts.flat_map(|part| &part.holes);
-    let mut silences: Vec<Silence> = holes
-        .map(|hole| Silence {
-            span_s: [hole.stretch.start, hole.stretch.end].map(|stamp| clock.of_stamp_s(stamp)),
+    let mut gaps: Vec<StreamGap> = holes
+        .map(|hole| StreamGap {
+            span_s: [hole.stretch.start, hole.stretch.end]
+                .map(|stamp| clock.seconds_of_stamp(stamp)),
             missing: hole.missing,
         })
         .collect();
-    let length_s = |silence: &Silence| silence.span_s[1] - silence.span_s[0];
-    silences.sort_by(|a, b| length_s(b).total_cmp(&length_s(a)));
-    let left_out = silences.len().saturating_sub(MOST_SILENCES);
-    silences.truncate(MOST_SILENCES);
-    silences.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
-    (silences, left_out)
+    let length_s = |gap: &StreamGap| gap.span_s[1] - gap.span_s[0];
+    gaps.sort_by(|a, b| length_s(b).total_cmp(&length_s(a)));
+    let omitted = gaps.len().saturating_sub(MAX_GAPS);
+    gaps.truncate(MAX_GAPS);
+    gaps.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
+    (gaps, omitted)
 }
 
-fn frames(run: &Run) -> Vec<FrameEdge> {
+fn frame_edges(run: &Run) -> Vec<FrameEdge> {
     let edge = |edge: &Edge| {
         let (parent, child) = run.tf.names(edge);
         FrameEdge {
@@ -213,7 +223,7 @@ fn frames(run: &Run) -> Vec<FrameEdge> {
             child: child.to_owned(),
             kind: match edge.kind {
                 EdgeKind::Dynamic => FrameEdgeKind::Moving,
-                EdgeKind::Static => FrameEdgeKind::Still,
+                EdgeKind::Static => FrameEdgeKind::Static,
                 EdgeKind::Model => FrameEdgeKind::Model,
             },
         }

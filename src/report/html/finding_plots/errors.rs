@@ -1,14 +1,14 @@
 //! Errors of pose streams over time, reach and workspace.
 
-use super::{Case, both_signs, one_sided};
+use super::{FindingContext, signed_limits, upper_limit};
 use crate::checks::MDL001;
 use crate::finding::{Cause, Estimate, Unit};
-use crate::report::figures::{CoursePoint, PoseFigure};
+use crate::report::figures::{LatencyProfilePoint, PoseFigure};
 use crate::report::html::plane::{Dot, Plane};
-use crate::report::html::plot::{Mark, Plot, Role, Series, Style};
+use crate::report::html::plot::{Plot, PlotMark, PlotSeries, PlotStyle, SeriesRole};
 use crate::time::Stamp;
 
-impl Case<'_> {
+impl FindingContext<'_> {
     pub(super) fn position_over_time(&self, pose: &PoseFigure) -> Plot {
         self.over_time(
             pose,
@@ -41,53 +41,57 @@ impl Case<'_> {
         Plot {
             title,
             robot: pose.robot.clone(),
-            of: pose.topic.clone(),
-            says: format!("{what}: {}.", most(&series, unit)),
+            stream: pose.topic.clone(),
+            caption: format!("{what}: {}.", max_errors_text(&series, unit)),
             x: pose.t_s.clone(),
             x_label: "time, s",
             y_label: unit,
             series,
             from_zero: true,
-            mark: self.change(),
-            limits: one_sided(self.report.warns_from(&MDL001, si), si, factor),
+            mark: self.change_mark(),
+            limits: upper_limit(self.report.warning_threshold(&MDL001, si), si, factor),
             ..Plot::default()
         }
     }
 
-    fn change(&self) -> Option<Mark> {
+    fn change_mark(&self) -> Option<PlotMark> {
         let change = match self.finding.estimate.as_ref()? {
             Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
             _ => return None,
         };
         let start = self.figures.start?;
         let since = |stamp: Stamp| stamp.seconds_since(start);
-        Some(Mark {
+        Some(PlotMark {
             at: since(change.change_ns),
             interval: change.change_ci95_ns.map(|ends| ends.map(since)),
             label: "changes".to_owned(),
         })
     }
 
-    pub(super) fn course(&self, [robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
-        let limits = both_signs(self.own_limit(Unit::Second), Unit::Second, 1e3);
-        let mut plot = Plot { limits, ..course([robot, topic], points) };
+    pub(super) fn latency_profile(
+        &self,
+        [robot, topic]: [&str; 2],
+        points: &[LatencyProfilePoint],
+    ) -> Plot {
+        let limits = signed_limits(self.warning_limit(Unit::Second), Unit::Second, 1e3);
+        let mut plot = Plot { limits, ..latency_profile_plot([robot, topic], points) };
         let ([first, .., last], Cause::ClockSkew(skew)) = (plot.x.as_slice(), &self.finding.cause)
         else {
             return plot;
         };
         let middle = 0.5 * (first + last);
-        let found = ("found".to_owned(), Role::Beside, skew.value);
-        let limit = self.own_limit(Unit::SecondPerSecond).map(|limit| {
-            (format!("limit {}", Unit::SecondPerSecond.show(limit)), Role::Limit, limit)
+        let found = ("found".to_owned(), SeriesRole::Reference, skew.value);
+        let limit = self.warning_limit(Unit::SecondPerSecond).map(|limit| {
+            (format!("limit {}", Unit::SecondPerSecond.show(limit)), SeriesRole::Limit, limit)
         });
-        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| Series {
+        let lines = [found].into_iter().chain(limit).map(|(label, role, slope)| PlotSeries {
             label,
             role,
             values: plot.x.iter().map(|t_s| slope * (t_s - middle) * 1e3).collect(),
             half_widths: Vec::new(),
         });
         plot.series = std::mem::take(&mut plot.series).into_iter().chain(lines).collect();
-        plot.style = Style::Time;
+        plot.style = PlotStyle::Time;
         plot
     }
 }
@@ -102,24 +106,25 @@ pub(super) fn over_reach(pose: &PoseFigure) -> Plot {
     Plot {
         title: "Position error vs. reach",
         robot: pose.robot.clone(),
-        of: pose.topic.clone(),
-        says: "A wrong zero or length causes more error the further the arm reaches.".to_owned(),
+        stream: pose.topic.clone(),
+        caption: "A wrong zero or length causes more error the further the arm reaches.".to_owned(),
         x: sorted(&pose.reach_m),
         x_label: "distance from the base, m",
         y_label: "mm",
         series,
         from_zero: true,
-        style: Style::Points,
+        style: PlotStyle::Points,
         ..Plot::default()
     }
 }
 
 /// Before correction only if the log connects the stream's frame to the arm.
-fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
-    let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
+fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<PlotSeries> {
+    let states =
+        [("as logged", SeriesRole::Before, before), ("after correction", SeriesRole::After, after)];
     let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
     drawn
-        .map(|(label, role, values)| Series {
+        .map(|(label, role, values)| PlotSeries {
             label: label.to_owned(),
             role,
             values: values.iter().map(|value| value * factor).collect(),
@@ -129,7 +134,7 @@ fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series>
 }
 
 /// `up to 24 mm as logged, up to 0.1 mm after correction`.
-fn most(series: &[Series], unit: &str) -> String {
+fn max_errors_text(series: &[PlotSeries], unit: &str) -> String {
     let parts = series.iter().map(|series| {
         let finite = series.values.iter().copied().filter(|value| value.is_finite());
         let most = finite.fold(0.0, f64::max);
@@ -140,24 +145,24 @@ fn most(series: &[Series], unit: &str) -> String {
     parts.collect::<Vec<_>>().join(", ")
 }
 
-fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
+fn latency_profile_plot([robot, topic]: [&str; 2], points: &[LatencyProfilePoint]) -> Plot {
     Plot {
         title: "Latency over time",
         robot: robot.to_owned(),
-        of: topic.to_owned(),
-        says:
+        stream: topic.to_owned(),
+        caption:
             "Per one-second window with 95 % intervals, relative to the latency of the whole run."
                 .to_owned(),
         x: points.iter().map(|point| point.t_s).collect(),
         x_label: "time, s",
         y_label: "ms",
-        series: vec![Series {
+        series: vec![PlotSeries {
             label: "latency".to_owned(),
-            role: Role::Amount,
-            values: points.iter().map(|point| point.beyond_s * 1e3).collect(),
+            role: SeriesRole::Amount,
+            values: points.iter().map(|point| point.deviation_s * 1e3).collect(),
             half_widths: points.iter().map(|point| point.half_width_s * 1e3).collect(),
         }],
-        style: Style::Points,
+        style: PlotStyle::Points,
         ..Plot::default()
     }
 }
@@ -165,21 +170,25 @@ fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
 /// Top and side view.
 pub(super) fn over_workspace(pose: &PoseFigure) -> Vec<Plane> {
     /// Maximum number of points.
-    const MOST: usize = 300;
+    const MAX_POINTS: usize = 300;
     let errors = if pose.before_m.is_empty() { &pose.after_m } else { &pose.before_m };
     let what = if pose.before_m.is_empty() { "after correction" } else { "as logged" };
-    let step = pose.at_m.len().div_ceil(MOST).max(1);
+    let step = pose.at_m.len().div_ceil(MAX_POINTS).max(1);
     let rows = || (0..pose.at_m.len().min(errors.len())).step_by(step);
     let most = rows().map(|row| errors[row]).filter(|m| m.is_finite()).fold(0.0, f64::max);
     let view = |title: &str, axes: [usize; 2], labels: [&'static str; 2]| Plane {
         title: format!("Position error {title}"),
-        says: format!("Radius ∝ error {what}, largest {}; {}.", Unit::Metre.show(most), pose.topic),
+        caption: format!(
+            "Radius ∝ error {what}, largest {}; {}.",
+            Unit::Metre.show(most),
+            pose.topic
+        ),
         axes: labels,
         dots: rows()
             .map(|row| Dot {
                 at: axes.map(|axis| pose.at_m[row][axis]),
                 size: if most > 0.0 { errors[row] / most } else { 0.0 },
-                role: Role::Before,
+                role: SeriesRole::Before,
             })
             .collect(),
         ..Plane::default()

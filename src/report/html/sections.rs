@@ -2,23 +2,23 @@ use std::iter::once;
 
 use maud::{Markup, html};
 
-use super::bars::percent;
-use super::proof::Proof;
+use super::bars::css_percent;
+use super::finding_plots::FindingPlots;
 use super::{frames, plot_id, rule, timeline};
 use crate::checks::{self, Rule};
 use crate::finding::Finding;
-use crate::report::outline::{Bound, Outline, Passed};
+use crate::report::outline::{AmountBound, Outline, PassedChecks};
 use crate::report::{JointCoverage, Report, WorkspaceRow};
 
-pub struct Parts<'a> {
+pub struct PageSections<'a> {
     pub report: &'a Report,
     pub outline: &'a Outline<'a>,
-    pub proofs: &'a [Proof],
+    pub finding_plots: &'a [FindingPlots],
     pub rows: usize,
-    pub left_out: usize,
+    pub omitted_plots: usize,
 }
 
-impl Parts<'_> {
+impl PageSections<'_> {
     pub fn name(&self) -> String {
         let files = &self.report.log.files;
         let name = |path: &std::path::Path| match path.file_name() {
@@ -66,7 +66,7 @@ impl Parts<'_> {
                     }
                     None => {
                         h2 #verdict {
-                            strong { (self.report.verdict) } " " span { (self.outline.why()) }
+                            strong { (self.report.verdict) } " " span { (self.outline.verdict_reason()) }
                         }
                     }
                 }
@@ -95,22 +95,22 @@ impl Parts<'_> {
                 h2 #findings-title .quiet[self.report.findings.is_empty()] {
                     @if self.report.findings.is_empty() { "No findings" } @else { "Findings" }
                 }
-                @for (index, (finding, proof)) in
-                    self.report.findings.iter().zip(self.proofs).enumerate()
+                @for (index, (finding, evidence)) in
+                    self.report.findings.iter().zip(self.finding_plots).enumerate()
                 {
-                    (self.finding(index, finding, proof))
+                    (self.finding(index, finding, evidence))
                 }
-                @if self.left_out > 0 {
+                @if self.omitted_plots > 0 {
                     p .note {
-                        (self.left_out) " plots are omitted: a page draws at most "
-                        (super::MOST_PLOTS) "."
+                        (self.omitted_plots) " plots are omitted: a page draws at most "
+                        (super::MAX_PLOTS) "."
                     }
                 }
             }
         }
     }
 
-    fn finding(&self, index: usize, finding: &Finding, proof: &Proof) -> Markup {
+    fn finding(&self, index: usize, finding: &Finding, evidence: &FindingPlots) -> Markup {
         let id = format!("finding-{}", index + 1);
         let subject = self.outline.subject(&finding.subject);
         html! {
@@ -123,10 +123,10 @@ impl Parts<'_> {
                     @if !subject.is_empty() { span .subject { (subject) } " " }
                     span .message { (finding.message) }
                 }
-                @for line in self.outline.about(finding) { p .effect { (line) } }
+                @for line in self.outline.finding_notes(finding) { p .effect { (line) } }
                 p .fix { strong { "Fix" } " " (finding.fix) }
-                (self.proof(index, proof))
-                @if let Some(rule) = self.rule_first_at(index) { (rule::folded(rule)) }
+                (self.evidence(index, evidence))
+                @if let Some(rule) = self.rule_first_at(index) { (rule::rule_details(rule)) }
             }
         }
     }
@@ -138,30 +138,30 @@ impl Parts<'_> {
         checks::find(code).ok().filter(|_| is_first)
     }
 
-    fn proof(&self, index: usize, proof: &Proof) -> Markup {
+    fn evidence(&self, index: usize, evidence: &FindingPlots) -> Markup {
         let topic = self.report.findings[index].subject.topic.as_deref();
         html! {
-            @if !proof.is_empty() {
+            @if !evidence.is_empty() {
                 div .proof {
-                    @for whiskers in &proof.whiskers { (whiskers.markup()) }
-                    @for (plot, drawn) in proof.plots.iter().enumerate() {
+                    @for whiskers in &evidence.whiskers { (whiskers.markup()) }
+                    @for (plot, drawn) in evidence.plots.iter().enumerate() {
                         (drawn.markup(&plot_id(index, plot), topic, self.rows))
                     }
-                    @for plane in &proof.planes { (plane.markup()) }
-                    @for bars in &proof.bars { (bars.markup()) }
+                    @for plane in &evidence.planes { (plane.markup()) }
+                    @for bars in &evidence.bars { (bars.markup()) }
                 }
             }
-            @for (first, title) in &proof.shown_by {
+            @for (first, title) in &evidence.shown_by {
                 p .note {
                     (title) ": under "
                     a href={ "#finding-" (first + 1) } { (self.report.findings[*first].code) }
                 }
             }
-            @match (&proof.part, &self.report.figures) {
+            @match (&evidence.section, &self.report.figures) {
                 (Some((part, what)), Some(_)) => {
                     p .note { "See " a href={ "#" (part) } { (what) } "." }
                 }
-                (None, Some(_)) if proof.is_empty() => {
+                (None, Some(_)) if evidence.is_empty() => {
                     p .note { "No plot: the data of this rule are not stored as a series." }
                 }
                 _ => {}
@@ -169,47 +169,47 @@ impl Parts<'_> {
         }
     }
 
-    pub fn rest(&self) -> Markup {
+    pub fn details(&self) -> Markup {
         let figures = self.report.figures.as_ref();
         let notes = self.report.log.notes.iter();
         let mut notes: Vec<String> =
             notes.map(|note| format!("{}: {}", note.path.display(), note.note)).collect();
-        if figures.is_some_and(|figures| figures.of_longest_segment) {
+        if figures.is_some_and(|figures| figures.is_longest_segment) {
             notes.push("the pictures are of the longest segment".to_owned());
         }
         html! {
-            (self.open())
-            (list("ignored", "Ignored", &self.outline.ignored()))
+            (self.inconclusive())
+            (section_list("ignored", "Ignored", &self.outline.ignored_findings()))
             (self.passed())
-            (list("skipped", "Skipped", &self.outline.skipped()))
+            (section_list("skipped", "Skipped", &self.outline.skipped_checks()))
             (self.workspace())
             @if let Some(figures) = figures {
                 (timeline::section(figures))
                 (frames::section(figures, &self.report.robots))
             }
             (self.streams())
-            (list("notes", "Notes", &notes))
+            (section_list("notes", "Notes", &notes))
         }
     }
 
-    fn open(&self) -> Markup {
-        let groups = self.outline.could_not_tell();
+    fn inconclusive(&self) -> Markup {
+        let groups = self.outline.inconclusive_by_action();
         html! {
             @if !groups.is_empty() {
                 section #open .list aria-labelledby="open-title" {
                     h2 #open-title { "Inconclusive" }
                     ul {
-                        @for line in groups.iter().chain(&self.outline.cannot_show()) {
-                            li { (coded(line)) }
+                        @for line in groups.iter().chain(&self.outline.unobservable_parameters()) {
+                            li { (highlight_codes(line)) }
                         }
                     }
-                    @if let Some(recipe) = self.outline.recipe() {
+                    @if let Some(recipe) = self.outline.recommended_motion() {
                         p .fix { strong { "To settle" } " " (recipe) }
-                        @for plan in self.outline.plans() { pre .call tabindex="0" { (plan) } }
+                        @for plan in self.outline.plan_commands() { pre .call tabindex="0" { (plan) } }
                     }
                     details .values {
                         summary { "Reasons" }
-                        ul { @for line in self.outline.reasons() { li { (coded(&line)) } } }
+                        ul { @for line in self.outline.inconclusive_by_reason() { li { (highlight_codes(&line)) } } }
                     }
                 }
             }
@@ -217,7 +217,7 @@ impl Parts<'_> {
     }
 
     fn passed(&self) -> Markup {
-        let Passed { bounds, whole, parts, remarks } = self.outline.passed();
+        let PassedChecks { bounds, whole, partial: parts, remarks } = self.outline.passed_checks();
         let whole = whole.join(", ");
         let lines: Vec<String> = once(whole).chain(parts).chain(remarks).collect();
         html! {
@@ -233,11 +233,11 @@ impl Parts<'_> {
                                         th scope="col" { "largest, ± 95 %" } th scope="col" { "limit" }
                                     }
                                 }
-                                tbody { @for bound in &bounds { (row(bound)) } }
+                                tbody { @for bound in &bounds { (bound_row(bound)) } }
                             }
                         }
                     }
-                    ul { @for line in &lines { @if !line.is_empty() { li { (coded(line)) } } } }
+                    ul { @for line in &lines { @if !line.is_empty() { li { (highlight_codes(line)) } } } }
                 }
             }
         }
@@ -276,7 +276,7 @@ impl Parts<'_> {
                                         th scope="row" { (stream.topic) }
                                         td { (stream.role) }
                                         td .words { (stream.reason) }
-                                        td { (frames::of_stream(stream)) }
+                                        td { (frames::stream_frames(stream)) }
                                         td { code { (stream.type_name) } }
                                     }
                                 }
@@ -296,7 +296,7 @@ impl Parts<'_> {
                     p { "What " (first.code) " means, when it misleads:" }
                     pre .call tabindex="0" { "poseaudit explain " (first.code) }
                     p { "Replay it in the Rerun viewer:" }
-                    pre .call tabindex="0" { (self.report.replay()) }
+                    pre .call tabindex="0" { (self.report.replay_command()) }
                 }
                 p { "poseaudit " (env!("CARGO_PKG_VERSION")) ". Errors are against forward \
                      kinematics of the joint states; ± is half a 95 % interval." }
@@ -305,14 +305,14 @@ impl Parts<'_> {
     }
 }
 
-fn row(bound: &Bound) -> Markup {
+fn bound_row(bound: &AmountBound) -> Markup {
     html! {
         tr {
             th scope="row" { code { (bound.code) } }
             td {
                 (bound.name)
-                @if let Some(on) = &bound.on { " " span .quiet { "on " (on) } }
-                @if let Some(count) = bound.of { " " span .quiet { "of " (count) } }
+                @if let Some(on) = &bound.subjects { " " span .quiet { "on " (on) } }
+                @if let Some(count) = bound.amounts { " " span .quiet { "of " (count) } }
             }
             td { (bound.amount) }
             td { (bound.limit) }
@@ -321,19 +321,19 @@ fn row(bound: &Bound) -> Markup {
 }
 
 /// Empty without lines.
-fn list(id: &str, title: &str, lines: &[String]) -> Markup {
+fn section_list(id: &str, title: &str, lines: &[String]) -> Markup {
     html! {
         @if !lines.is_empty() {
             section id=(id) .list aria-labelledby={ (id) "-title" } {
                 h2 id={ (id) "-title" } { (title) }
-                ul { @for line in lines { @if !line.is_empty() { li { (coded(line)) } } } }
+                ul { @for line in lines { @if !line.is_empty() { li { (highlight_codes(line)) } } } }
             }
         }
     }
 }
 
 /// Highlights leading rule codes.
-fn coded(line: &str) -> Markup {
+fn highlight_codes(line: &str) -> Markup {
     let is_code = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || "–, ".contains(c);
     let end = line.find(|c| !is_code(c)).unwrap_or(line.len());
     let (codes, rest) = match line[..end].trim_end() {
@@ -369,8 +369,8 @@ fn joint_coverage(joint: &JointCoverage) -> Markup {
                 @if let Some((lower, upper)) = bar {
                     @let place = |at: f64| ((at - lower) / (upper - lower)).clamp(0.0, 1.0);
                     i .span style={
-                        "left:" (percent(place(joint.lowest)))
-                        ";width:" (percent(place(joint.highest) - place(joint.lowest)))
+                        "left:" (css_percent(place(joint.lowest)))
+                        ";width:" (css_percent(place(joint.highest) - place(joint.lowest)))
                     } {}
                 }
             }
