@@ -8,20 +8,20 @@ use anyhow::Result;
 use poseaudit::synth::{Motion, Scenario};
 
 /// A short run that can be written to a file.
-pub struct Short(pub Scenario);
+pub struct ShortRun(pub Scenario);
 
 /// A short run without faults.
-pub fn run_of(seed: u64) -> Short {
+pub fn short_run(seed: u64) -> ShortRun {
     let mut run = Scenario::ur5e();
     (run.seed, run.duration_s, run.motion) = (seed + 1, 6.0, Motion::Continuous);
     run.joints.timing.rate_hz = 50.0;
     run.pose.timing.rate_hz = 50.0;
     run.tf.timing.rate_hz = 20.0;
     run.imu.timing.rate_hz = 0.0;
-    Short(run)
+    ShortRun(run)
 }
 
-impl Short {
+impl ShortRun {
     /// Writes the log, and creates its folders.
     pub fn write(&self, path: &Path) -> Result<()> {
         if let Some(folder) = path.parent() {
@@ -33,11 +33,11 @@ impl Short {
     }
 }
 
-/// Unpacked size of the chunk of [`bomb`], MiB.
+/// Unpacked size of the chunk of [`write_zip_bomb`], MiB.
 pub const BOMB_MIB: usize = 384;
 
 /// Writes an MCAP file of a few kB with one chunk that unpacks to [`BOMB_MIB`].
-pub fn bomb(path: &Path) -> Result<()> {
+pub fn write_zip_bomb(path: &Path) -> Result<()> {
     let out = BufWriter::new(File::create(path)?);
     let options = mcap::WriteOptions::new().chunk_size(Some(u64::MAX));
     let mut writer = options.create(out)?;

@@ -3,7 +3,7 @@
 mod dataset;
 mod logs;
 mod report;
-mod rows;
+mod result_tables;
 
 use std::fs;
 use std::io;
@@ -16,8 +16,8 @@ use anyhow::{Context as _, Result};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use logs::{BOMB_MIB, bomb, run_of};
-use rows::Rows;
+use logs::{BOMB_MIB, short_run, write_zip_bomb};
+use result_tables::ResultTables;
 
 /// A `poseaudit fleet` command.
 fn fleet(args: &[&str]) -> Command {
@@ -40,7 +40,7 @@ fn short_logs(count: u64) -> Result<(TempDir, String, String)> {
     let folder = tempfile::tempdir()?;
     let (logs, out) = (folder.path().join("logs"), folder.path().join("out"));
     for seed in 0..count {
-        run_of(seed).write(&logs.join(format!("{seed:03}.mcap")))?;
+        short_run(seed).write(&logs.join(format!("{seed:03}.mcap")))?;
     }
     let text = |path: &Path| path.display().to_string();
     Ok((folder, text(&logs), text(&out)))
@@ -53,9 +53,9 @@ fn every_log_is_one_row_even_if_unreadable() -> Result<()> {
     fs::copy(at("000.mcap"), at("copy.mcap"))?;
     fs::write(at("empty.mcap"), "")?;
     fs::write(at("text.bag"), "no bag")?;
-    let whole = fs::read(at("001.mcap"))?;
+    let complete = fs::read(at("001.mcap"))?;
     // Half of its only chunk, which cannot be read.
-    fs::write(at("cut.mcap"), &whole[..whole.len() / 2])?;
+    fs::write(at("cut.mcap"), &complete[..complete.len() / 2])?;
     fs::write(at("notes.txt"), "no log")?;
     fs::copy("fixtures/faulty.mcap", at("faulty.mcap"))?;
     let output = fleet(&[&logs, "--out", &out, "--format", "json"]).output()?;
@@ -66,22 +66,22 @@ fn every_log_is_one_row_even_if_unreadable() -> Result<()> {
     assert_eq!((&summary["duplicates"], &summary["done_now"]), (&1.into(), &7.into()));
     assert_eq!(summary["statuses"]["not_audited"], 3);
 
-    let rows = Rows::of(Path::new(&out))?;
+    let rows = ResultTables::read(Path::new(&out))?;
     assert_eq!(rows.keys("runs").len(), 7);
-    assert_eq!(rows.distinct("runs"), 7);
-    assert_eq!(rows.distinct("errors"), 3);
-    let named = rows.texts("runs", "path");
+    assert_eq!(rows.count_logs("runs"), 7);
+    assert_eq!(rows.count_logs("errors"), 3);
+    let named = rows.text_column("runs", "path");
     assert!(named.iter().all(|path| Path::new(path).is_absolute()), "{named:?}");
     // The rows are equal to those of the audit itself.
-    let alone = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+    let single_audit = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
         .args(["audit", "fixtures/faulty.mcap", "--format", "json"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()?;
-    let alone = json(&alone)?;
+    let single_audit = json(&single_audit)?;
     let faulty = rows.key_of("faulty.mcap").context("a row of the log")?;
     for (table, part) in [("findings", "findings"), ("checks", "checks"), ("streams", "streams")] {
         let count = rows.keys(table).iter().filter(|key| **key == faulty).count();
-        assert_eq!(Some(count), alone[part].as_array().map(Vec::len), "{table}");
+        assert_eq!(Some(count), single_audit[part].as_array().map(Vec::len), "{table}");
     }
     Ok(())
 }
@@ -101,10 +101,10 @@ fn audited_logs_are_skipped_unless_settings_change() -> Result<()> {
     assert_eq!(run(&["--fail-on", "error", "--jobs", "1", "--label", "site=x"])?, (0, 2));
     fs::rename(folder.path().join("logs/000.mcap"), folder.path().join("logs/other.mcap"))?;
     assert_eq!(run(&[])?, (0, 2));
-    run_of(7).write(&folder.path().join("logs/new.mcap"))?;
+    short_run(7).write(&folder.path().join("logs/new.mcap"))?;
     assert_eq!(run(&[])?, (1, 2));
     assert_eq!(run(&["--max-latency", "4"])?, (3, 0));
-    assert_eq!(Rows::of(Path::new(&out))?.distinct("runs"), 6);
+    assert_eq!(ResultTables::read(Path::new(&out))?.count_logs("runs"), 6);
     Ok(())
 }
 
@@ -121,7 +121,7 @@ fn pending_logs_are_those_without_a_row() -> Result<()> {
     assert_eq!(pending(&[])?, ["000.mcap", "001.mcap"]);
     assert!(!Path::new(&out).exists());
     fleet(&[&logs, "--out", &out]).output()?;
-    run_of(7).write(&folder.path().join("logs/new.mcap"))?;
+    short_run(7).write(&folder.path().join("logs/new.mcap"))?;
     assert_eq!(pending(&[])?, ["new.mcap"]);
     assert_eq!(pending(&["--max-latency", "4"])?.len(), 3);
     assert_eq!(pending(&["--identity", "file"])?.len(), 3);
@@ -158,25 +158,25 @@ fn a_killed_call_can_be_resumed_without_lost_or_repeated_rows() -> Result<()> {
         while done() <= before && child.try_wait()?.is_none() {
             thread::sleep(Duration::from_millis(1));
         }
-        let was_done = done();
+        let done_before_kill = done();
         kill(&mut child)?;
         kills += 1;
-        Rows::of(Path::new(&out))?;
-        assert!(done() >= was_done, "a killed call took rows with it");
+        ResultTables::read(Path::new(&out))?;
+        assert!(done() >= done_before_kill, "a killed call took rows with it");
         if kills == 4 {
             break;
         }
     }
-    let before = Rows::of(Path::new(&out))?.distinct("runs") as u64;
+    let before = ResultTables::read(Path::new(&out))?.count_logs("runs") as u64;
     let summary = json(&fleet(&[&logs, "--out", &out, "--format", "json"]).output()?)?;
     // A killed process may have finished its log after the rows were counted.
     let done_now = summary["done_now"].as_u64().context("a number")?;
     assert!(before > 0 && done_now <= LOGS - before, "{summary}");
-    let rows = Rows::of(Path::new(&out))?;
-    assert_eq!((rows.keys("runs").len() as u64, rows.distinct("runs") as u64), (LOGS, LOGS));
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert_eq!((rows.keys("runs").len() as u64, rows.count_logs("runs") as u64), (LOGS, LOGS));
     for table in ["streams", "checks"] {
-        assert_eq!(rows.distinct(table) as u64, LOGS, "{table}");
-        assert!(rows.has_no_doubles(table), "{table}");
+        assert_eq!(rows.count_logs(table) as u64, LOGS, "{table}");
+        assert!(rows.has_unique_rows(table), "{table}");
     }
     Ok(())
 }
@@ -195,8 +195,8 @@ fn a_hundred_result_files_are_merged_without_changes() -> Result<()> {
     // So many processes that each gets one log at a time and writes its own parts.
     let output = fleet(&[&logs, "--out", &out, "--format", "json", "--jobs", "25"]).output()?;
     assert_eq!(status(&output), Some(3));
-    let rows = Rows::of(Path::new(&out))?;
-    assert_eq!((rows.distinct("runs"), rows.distinct("errors")), (100, 100));
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert_eq!((rows.count_logs("runs"), rows.count_logs("errors")), (100, 100));
     for table in ["runs", "errors"] {
         let names: Vec<String> = fs::read_dir(Path::new(&out).join(table))?
             .map(|part| Ok(part?.file_name().to_string_lossy().into_owned()))
@@ -211,7 +211,7 @@ fn a_hundred_result_files_are_merged_without_changes() -> Result<()> {
 #[test]
 fn logs_beyond_time_or_memory_limits_are_rows_and_can_be_retried() -> Result<()> {
     let (folder, logs, out) = short_logs(1)?;
-    bomb(&folder.path().join("logs/bomb.mcap"))?;
+    write_zip_bomb(&folder.path().join("logs/bomb.mcap"))?;
     let limited = |more: &[&str]| -> Result<Value> {
         let mut args = vec![logs.as_str(), "--out", &out, "--format", "json"];
         args.extend(more);
@@ -228,9 +228,9 @@ fn logs_beyond_time_or_memory_limits_are_rows_and_can_be_retried() -> Result<()>
     assert_eq!(limited(&["--max-latency", "4"])?["done_now"], 0);
     let summary = limited(&["--max-latency", "4", "--retry"])?;
     assert_eq!((&summary["done_now"], &summary["statuses"]["timed_out"]), (&2.into(), &0.into()));
-    let rows = Rows::of(Path::new(&out))?;
-    assert!(!rows.texts("runs", "status").contains(&"timed_out".to_owned()));
-    assert!(!rows.texts("errors", "status").contains(&"timed_out".to_owned()));
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert!(!rows.text_column("runs", "status").contains(&"timed_out".to_owned()));
+    assert!(!rows.text_column("errors", "status").contains(&"timed_out".to_owned()));
     Ok(())
 }
 
@@ -246,11 +246,11 @@ fn an_unreadable_log_is_retried() -> Result<()> {
         json(&fleet(&["-", "--out", &out, "--format", "json"]).stdin(list).output()?)
     };
     assert_eq!(run()?["statuses"]["unreadable"], 1);
-    run_of(5).write(Path::new(&gone))?;
+    short_run(5).write(Path::new(&gone))?;
     let summary = run()?;
     assert_eq!((&summary["done_now"], &summary["done_before"]), (&1.into(), &1.into()));
-    let rows = Rows::of(Path::new(&out))?;
-    assert_eq!((rows.distinct("runs"), rows.distinct("errors")), (2, 0));
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert_eq!((rows.count_logs("runs"), rows.count_logs("errors")), (2, 0));
     Ok(())
 }
 
@@ -266,9 +266,9 @@ fn several_engines_may_write_into_one_folder() -> Result<()> {
     for mut child in children {
         assert_eq!(child.wait()?.code(), Some(0));
     }
-    let rows = Rows::of(Path::new(&out))?;
-    assert_eq!((rows.keys("runs").len(), rows.distinct("runs")), (3, 3));
-    assert!(rows.has_no_doubles("checks"));
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert_eq!((rows.keys("runs").len(), rows.count_logs("runs")), (3, 3));
+    assert!(rows.has_unique_rows("checks"));
     Ok(())
 }
 
@@ -277,17 +277,17 @@ fn labels_come_from_options_and_paths() -> Result<()> {
     let folder = tempfile::tempdir()?;
     for arm in ["cell1", "cell2"] {
         let path = folder.path().join("berlin").join(arm).join("run.mcap");
-        run_of(arm.len() as u64 + u64::from(arm == "cell2")).write(&path)?;
+        short_run(arm.len() as u64 + u64::from(arm == "cell2")).write(&path)?;
     }
     let [logs, out] = ["berlin", "out"].map(|name| folder.path().join(name).display().to_string());
     let call = [&logs, "--out", &out, "--labels-from", "{site}/{arm}/*", "--label", "shift=night"];
     assert_eq!(status(&fleet(&call).output()?), Some(0));
-    let rows = Rows::of(Path::new(&out))?;
-    assert_eq!(rows.texts("runs", "site"), ["berlin", "berlin"]);
-    let mut arms = rows.texts("runs", "arm");
+    let rows = ResultTables::read(Path::new(&out))?;
+    assert_eq!(rows.text_column("runs", "site"), ["berlin", "berlin"]);
+    let mut arms = rows.text_column("runs", "arm");
     arms.sort();
     assert_eq!(arms, ["cell1", "cell2"]);
-    assert!(rows.texts("runs", "labels_json").iter().all(|json| json.contains("night")));
+    assert!(rows.text_column("runs", "labels_json").iter().all(|json| json.contains("night")));
     Ok(())
 }
 

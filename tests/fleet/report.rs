@@ -6,31 +6,31 @@ use anyhow::{Context as _, Result};
 use poseaudit::synth::START;
 use serde::Deserialize;
 
-use crate::fleet::logs::run_of;
+use crate::fleet::logs::short_run;
 use crate::fleet::{fleet, status};
 
 /// JSON report as declared by a reader. Unknown keys are errors.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Report {
+struct FleetReport {
     schema: String,
-    tool: Tool,
+    tool: ToolInfo,
     failing: bool,
-    logs: Logs,
+    logs: LogCounts,
     #[serde(default)]
     datasets: Vec<serde_json::Value>,
-    arms: Vec<Arm>,
-    runs: Vec<Log>,
-    findings: Vec<Found>,
-    trends: Vec<Trend>,
-    errors: Vec<Failed>,
+    arms: Vec<ArmRow>,
+    runs: Vec<RunRow>,
+    findings: Vec<FindingRow>,
+    trends: Vec<TrendRow>,
+    errors: Vec<ErrorRow>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Tool {
+struct ToolInfo {
     name: String,
     version: String,
 }
@@ -38,10 +38,10 @@ struct Tool {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Logs {
+struct LogCounts {
     total: usize,
-    statuses: Statuses,
-    verdicts: Verdicts,
+    statuses: StatusCounts,
+    verdicts: VerdictCounts,
     copies: usize,
     undated: usize,
     before: usize,
@@ -55,7 +55,7 @@ struct Logs {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Statuses {
+struct StatusCounts {
     audited: usize,
     not_audited: usize,
     unreadable: usize,
@@ -67,7 +67,7 @@ struct Statuses {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Verdicts {
+struct VerdictCounts {
     pass: usize,
     fail: usize,
     inconclusive: usize,
@@ -76,19 +76,19 @@ struct Verdicts {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Arm {
+struct ArmRow {
     site: Option<String>,
     arm: Option<String>,
     robot: Option<String>,
     logs: usize,
-    verdicts: Verdicts,
-    fails: Vec<Fails>,
+    verdicts: VerdictCounts,
+    fails: Vec<FailCount>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Fails {
+struct FailCount {
     code: String,
     logs: usize,
 }
@@ -96,7 +96,7 @@ struct Fails {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Log {
+struct RunRow {
     path: String,
     site: Option<String>,
     arm: Option<String>,
@@ -111,7 +111,7 @@ struct Log {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Found {
+struct FindingRow {
     code: String,
     title: String,
     severity: String,
@@ -133,7 +133,7 @@ struct Found {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Trend {
+struct TrendRow {
     code: String,
     name: String,
     unit: String,
@@ -145,22 +145,22 @@ struct Trend {
     frame: Option<String>,
     course: String,
     logs: usize,
-    rate_per_day: Option<Moved>,
-    rate_per_episode: Option<Moved>,
-    level: Option<Moved>,
+    rate_per_day: Option<Measured>,
+    rate_per_episode: Option<Measured>,
+    level: Option<Measured>,
     spread: Option<f64>,
-    step: Option<Moved>,
+    step: Option<Measured>,
     step_between_ns: Option<[String; 2]>,
     step_between: Option<[String; 2]>,
     figure: Option<f64>,
     reaches_figure_ns: Option<String>,
-    points: Vec<Point>,
+    points: Vec<TrendPoint>,
     line: Option<[f64; 2]>,
 }
 
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Moved {
+struct Measured {
     value: f64,
     ci95: [f64; 2],
 }
@@ -168,7 +168,7 @@ struct Moved {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Point {
+struct TrendPoint {
     start_ns: Option<String>,
     episode: Option<usize>,
     value: f64,
@@ -179,7 +179,7 @@ struct Point {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
-struct Failed {
+struct ErrorRow {
     path: String,
     status: String,
     what: String,
@@ -190,13 +190,13 @@ struct Failed {
 const DAY_S: f64 = 86_400.0;
 
 /// Sets zero offsets and pose latency of a log, as a function of its day.
-type Planted = fn(&mut poseaudit::synth::Scenario, f64);
+type PlantFault = fn(&mut poseaudit::synth::Scenario, f64);
 
 /// Logs of two arms at intervals of ten days, with faults that depend on the day.
-fn planted(folder: &Path, arms: &[(&str, Planted)]) -> Result<()> {
+fn write_logs_with_faults(folder: &Path, arms: &[(&str, PlantFault)]) -> Result<()> {
     for (arm, (name, plant)) in arms.iter().enumerate() {
         for run in 0..10 {
-            let mut log = run_of(100 * arm as u64 + run);
+            let mut log = short_run(100 * arm as u64 + run);
             let day = 10.0 * run as f64;
             log.0.start = START.shifted(day * DAY_S);
             plant(&mut log.0, day);
@@ -206,7 +206,7 @@ fn planted(folder: &Path, arms: &[(&str, Planted)]) -> Result<()> {
     Ok(())
 }
 
-fn reported(folder: &Path, more: &[&str]) -> Result<(Report, Option<i32>)> {
+fn report_json(folder: &Path, more: &[&str]) -> Result<(FleetReport, Option<i32>)> {
     let out = folder.join("out").display().to_string();
     let mut args = vec!["report", out.as_str(), "--format", "json"];
     args.extend(more);
@@ -221,7 +221,7 @@ fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -
     const RATE_RAD: f64 = 1.5e-5;
     const STEP_S: f64 = 0.004;
     let folder = tempfile::tempdir()?;
-    planted(
+    write_logs_with_faults(
         folder.path(),
         &[
             ("creeping", |run, day| {
@@ -235,7 +235,7 @@ fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -
     )?;
     let [logs, out] = ["logs", "out"].map(|name| folder.path().join(name).display().to_string());
     fleet(&[&logs, "--out", &out, "--labels-from", "{site}/{arm}/*"]).output()?;
-    let (report, status) = reported(folder.path(), &[])?;
+    let (report, status) = report_json(folder.path(), &[])?;
     assert_eq!((report.schema.as_str(), status), ("poseaudit.fleet/1", Some(1)));
     assert_eq!((report.logs.total, report.logs.undated), (30, 0));
 
@@ -248,14 +248,15 @@ fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -
     let expected = [("creeping", "ZER001", "creeps"), ("stepping", "LAT001", "stepped")];
     assert_eq!(moving, expected);
 
-    let creeping = report.trends.iter().find(|row| row.course == "creeps").context("a creep")?;
-    assert_eq!(creeping.joint.as_deref(), Some("elbow_joint"));
-    let rate = creeping.rate_per_day.as_ref().context("a rate")?;
+    let creeping_trend =
+        report.trends.iter().find(|row| row.course == "creeps").context("a creep")?;
+    assert_eq!(creeping_trend.joint.as_deref(), Some("elbow_joint"));
+    let rate = creeping_trend.rate_per_day.as_ref().context("a rate")?;
     assert!((rate.ci95[0]..=rate.ci95[1]).contains(&RATE_RAD), "{rate:?}");
     assert!(rate.ci95[0] > 0.0 && (rate.value - RATE_RAD).abs() < 0.1 * RATE_RAD, "{rate:?}");
     // From 5e-4 rad to 0.1°.
     let day = (0.1_f64.to_radians() - 5e-4) / RATE_RAD;
-    let reaches_ns: i64 = creeping.reaches_figure_ns.as_deref().context("a day")?.parse()?;
+    let reaches_ns: i64 = creeping_trend.reaches_figure_ns.as_deref().context("a day")?.parse()?;
     let reached_day = (reaches_ns - START.nanos()) as f64 / 1e9 / DAY_S;
     assert!((reached_day - day.max(90.0)).abs() < 2.0, "{reached_day} is not {day}");
 
@@ -268,7 +269,7 @@ fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -
     });
     assert_eq!(days, [Ok(50.0), Ok(60.0)]);
 
-    let constant = |row: &&Trend| {
+    let constant = |row: &&TrendRow| {
         row.arm.as_deref() == Some("constant")
             && row.joint.as_deref() == Some("shoulder_lift_joint")
     };
@@ -283,15 +284,15 @@ fn a_creeping_zero_offset_is_a_trend_with_its_rate_and_a_constant_one_is_not() -
 
     // Earlier findings are ignored then, but trends are not.
     let (since, status) =
-        reported(folder.path(), &["--since", "2027-06-01", "--fail-on", "error"])?;
+        report_json(folder.path(), &["--since", "2027-06-01", "--fail-on", "error"])?;
     assert_eq!((since.findings.len(), since.logs.before, status), (0, 30, Some(0)));
-    let (_, status) = reported(folder.path(), &["--select", "LAT002"])?;
+    let (_, status) = report_json(folder.path(), &["--select", "LAT002"])?;
     assert_eq!(status, Some(0));
-    html(folder.path(), &out)
+    assert_html_report(folder.path(), &out)
 }
 
 /// The page has a plot for each trend, and no external resources.
-fn html(folder: &Path, out: &str) -> Result<()> {
+fn assert_html_report(folder: &Path, out: &str) -> Result<()> {
     let page = folder.join("fleet.html");
     let written = page.display().to_string();
     let output = fleet(&["report", out, "--format", "html", "--output", &written]).output()?;
@@ -321,8 +322,8 @@ fn requested_pages_are_linked_from_the_fleet_report() -> Result<()> {
     // The other log already had results.
     assert_eq!(links.len(), 1, "{text}");
     let name = links[0].split('"').next().context("a name")?;
-    let of_log = std::fs::read_to_string(folder.path().join("results/pages").join(name))?;
-    assert!(of_log.contains("ZER001") && of_log.contains("Zero offsets of all joints"));
+    let log_page = std::fs::read_to_string(folder.path().join("results/pages").join(name))?;
+    assert!(log_page.contains("ZER001") && log_page.contains("Zero offsets of all joints"));
     let matrix = text.split("id=\"matrix\"").nth(1).context("a matrix")?;
     assert!(matrix.contains("LAT001") && matrix.contains("1<span class=\"quiet\"> of 2</span>"));
     Ok(())
@@ -342,9 +343,9 @@ fn a_zero_offset_step_within_a_dataset_is_reported_with_its_episodes() -> Result
     }
     let [logs, out] = ["", "out"].map(|name| folder.path().join(name).display().to_string());
     fleet(&[&logs, "--out", &out, "--robot", "ur5e", "--select", "ZER001"]).output()?;
-    let (report, _) = reported(folder.path(), &[])?;
+    let (report, _) = report_json(folder.path(), &[])?;
     assert_eq!((report.logs.total, report.logs.undated), (12, 0));
-    let moving: Vec<&Trend> = report
+    let moving: Vec<&TrendRow> = report
         .trends
         .iter()
         .filter(|row| row.course == "creeps" || row.course == "stepped")

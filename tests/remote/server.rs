@@ -17,25 +17,25 @@ pub const KEY_ID: &str = "AKIDTEST";
 
 /// Failures of the server.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Manners {
+pub struct Behaviour {
     /// Interval of answers whose body is truncated; 0: never.
-    pub cuts: usize,
+    pub truncate_every: usize,
     /// Number of truncated answers after which none is truncated.
-    pub sound_after: Option<usize>,
+    pub intact_after: Option<usize>,
     /// Number of requests answered with 503 before the others.
-    pub busy: usize,
+    pub busy_requests: usize,
     /// Ignores range requests, and sends whole objects.
-    pub wholes: bool,
+    pub ignores_ranges: bool,
     /// Requests need no signature.
-    pub public: bool,
+    pub is_public: bool,
     /// Requests need this user and password, as in the header.
     pub login: Option<&'static str>,
     /// Interval between the bytes of an answer, ms; 0: all at once.
-    pub trickle_ms: u64,
+    pub byte_interval_ms: u64,
     /// No request is answered.
-    pub silent: bool,
+    pub is_silent: bool,
     /// Number of requests after which the objects change; 0: never.
-    pub changes: usize,
+    pub changes_after: usize,
 }
 
 /// Statistics of the requests.
@@ -51,12 +51,12 @@ pub struct Counts {
 pub struct Server {
     address: SocketAddr,
     counts: Arc<Counts>,
-    ends: Arc<AtomicBool>,
+    is_stopping: Arc<AtomicBool>,
 }
 
 struct Shared {
     objects: BTreeMap<String, Vec<u8>>,
-    manners: Manners,
+    behaviour: Behaviour,
     counts: Arc<Counts>,
     /// One answer at a time, so that truncation is deterministic.
     turn: Mutex<()>,
@@ -64,22 +64,22 @@ struct Shared {
 
 impl Server {
     /// Serves `objects`, by their keys.
-    pub fn of(objects: &[(&str, &[u8])], manners: Manners) -> Self {
+    pub fn start(objects: &[(&str, &[u8])], behaviour: Behaviour) -> Self {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
         let address = listener.local_addr().expect("its address");
         let own = |&(key, bytes): &(&str, &[u8])| (key.to_owned(), bytes.to_owned());
         let counts = Arc::new(Counts::default());
         let shared = Arc::new(Shared {
             objects: objects.iter().map(own).collect(),
-            manners,
+            behaviour,
             counts: Arc::clone(&counts),
             turn: Mutex::default(),
         });
-        let ends = Arc::new(AtomicBool::new(false));
-        let ended = Arc::clone(&ends);
+        let is_stopping = Arc::new(AtomicBool::new(false));
+        let should_stop = Arc::clone(&is_stopping);
         thread::spawn(move || {
             for connection in listener.incoming().flatten() {
-                if ended.load(Ordering::Relaxed) {
+                if should_stop.load(Ordering::Relaxed) {
                     return;
                 }
                 let shared = Arc::clone(&shared);
@@ -87,7 +87,7 @@ impl Server {
                 thread::spawn(move || shared.answer(connection));
             }
         });
-        Self { address, counts, ends }
+        Self { address, counts, is_stopping }
     }
 
     pub fn endpoint(&self) -> String {
@@ -101,7 +101,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.ends.store(true, Ordering::Relaxed);
+        self.is_stopping.store(true, Ordering::Relaxed);
         drop(TcpStream::connect(self.address));
     }
 }
@@ -140,7 +140,7 @@ impl Shared {
     fn answer(&self, mut connection: TcpStream) -> Option<()> {
         let request = Request::read(&connection)?;
         let _turn = self.turn.lock().ok()?;
-        if self.manners.silent {
+        if self.behaviour.is_silent {
             thread::sleep(Duration::from_secs(600));
             return None;
         }
@@ -154,18 +154,19 @@ impl Shared {
             );
             connection.write_all((head + &body).as_bytes()).ok()
         };
-        if number <= self.manners.busy {
+        if number <= self.behaviour.busy_requests {
             return refuse("503 Slow Down", "SlowDown");
         }
         let target = request.target.replace("%20", " ");
         let (path, query) = target.split_once('?').unwrap_or((&target, ""));
         let (bucket, key) =
             path.trim_start_matches('/').split_once('/').unwrap_or((&path[1..], ""));
-        if !self.manners.public && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
+        if !self.behaviour.is_public
+            && !request.authorization.contains(&format!("Credential={KEY_ID}/"))
         {
             return refuse("403 Forbidden", "InvalidAccessKeyId");
         }
-        if self.manners.login.is_some_and(|login| request.authorization != login) {
+        if self.behaviour.login.is_some_and(|login| request.authorization != login) {
             return refuse("401 Unauthorized", "NoLogin");
         }
         if bucket != BUCKET {
@@ -177,13 +178,13 @@ impl Shared {
         let Some(object) = self.objects.get(key) else {
             return refuse("404 Not Found", "NoSuchKey");
         };
-        let asked = request.range.clone().filter(|_| !self.manners.wholes);
+        let asked = request.range.clone().filter(|_| !self.behaviour.ignores_ranges);
         if asked.as_ref().is_some_and(|range| range.start >= object.len()) {
             return refuse("416 Range Not Satisfiable", "InvalidRange");
         }
         let range =
             asked.clone().map_or(0..object.len(), |range| range.start..range.end.min(object.len()));
-        let changed = self.manners.changes > 0 && number >= self.manners.changes;
+        let changed = self.behaviour.changes_after > 0 && number >= self.behaviour.changes_after;
         let (status, tag) =
             (if asked.is_some() { "206 Partial Content" } else { "200 OK" }, u8::from(changed));
         let mut head = format!(
@@ -201,15 +202,18 @@ impl Shared {
         }
         let body = 1 + self.counts.bodies.fetch_add(1, Ordering::Relaxed);
         let mut part = &object[range];
-        let is_over = self.manners.sound_after.is_some_and(|last| body > last);
-        if self.manners.cuts > 0 && body.is_multiple_of(self.manners.cuts) && !is_over {
+        let is_over = self.behaviour.intact_after.is_some_and(|last| body > last);
+        if self.behaviour.truncate_every > 0
+            && body.is_multiple_of(self.behaviour.truncate_every)
+            && !is_over
+        {
             part = &part[..part.len() / 2];
         }
         self.counts.bytes.fetch_add(part.len(), Ordering::Relaxed);
-        if self.manners.trickle_ms > 0 {
+        if self.behaviour.byte_interval_ms > 0 {
             for byte in part.chunks(1) {
                 connection.write_all(byte).ok()?;
-                thread::sleep(Duration::from_millis(self.manners.trickle_ms));
+                thread::sleep(Duration::from_millis(self.behaviour.byte_interval_ms));
             }
         }
         connection.write_all(part).ok()?;

@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 
 use serde::Deserialize;
 
-use super::cases::{FAULTS, written};
+use super::sample_reports::{FAULTY_REPORT, render};
 use super::{CLEAN, FAULTY, status, stderr, stdout};
 
 #[derive(Deserialize)]
@@ -67,7 +67,7 @@ fn yaml<T: serde::de::DeserializeOwned>(name: &str) -> T {
 }
 
 /// Runs a script with bash, like CI, with this build of poseaudit on the PATH.
-fn bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
+fn run_bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
     let built = PathBuf::from(env!("CARGO_BIN_EXE_poseaudit"));
     let programs = built.parent().expect("a folder").to_owned();
     let known = env::var_os("PATH").unwrap_or_default();
@@ -82,21 +82,21 @@ fn bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
 }
 
 /// Output of the action.
-struct Left {
+struct ActionRun {
     output: Output,
     reports: PathBuf,
     summary: String,
 }
 
 /// Runs the action's audit step with these inputs.
-fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
+fn run_action(folder: &Path, inputs: &[(&str, &str)]) -> ActionRun {
     let action: Action = yaml("action.yml");
     let reports = folder.join("reports");
     let summary = folder.join("summary.md");
     let input = |name: &str| {
-        let given = given.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+        let value = inputs.iter().find(|(input, _)| *input == name).map(|(_, value)| *value);
         let default = action.inputs.get(name).expect("an input").default.as_deref();
-        given.or(default).expect("a value").to_owned()
+        value.or(default).expect("a value").to_owned()
     };
     let audits = |step: &&Step| step.name.as_deref() == Some("Audit");
     let step = action.runs.steps.iter().find(audits).expect("a step");
@@ -111,21 +111,21 @@ fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
         (name.clone(), input(inner.expect("an input")))
     }));
     variables.push(("REPORTS".to_owned(), reports.display().to_string()));
-    let output = bash(script, ROOT, &variables);
+    let output = run_bash(script, ROOT, &variables);
     let summary = fs::read_to_string(summary).unwrap_or_default();
-    Left { output, reports, summary }
+    ActionRun { output, reports, summary }
 }
 
 #[test]
 fn the_action_fails_on_a_faulty_log_and_writes_its_reports() {
     let folder = tempfile::tempdir().expect("a folder");
-    let left = act(folder.path(), &[("logs", FAULTY)]);
-    assert_eq!(status(&left.output), 1, "{}", stderr(&left.output));
-    let annotations = stdout(&left.output).lines().filter(|line| line.starts_with("::error "));
-    assert_eq!(annotations.count(), FAULTS.findings.len(), "{}", stdout(&left.output));
-    assert_eq!(left.summary, written("markdown", &FAULTS));
+    let run = run_action(folder.path(), &[("logs", FAULTY)]);
+    assert_eq!(status(&run.output), 1, "{}", stderr(&run.output));
+    let annotations = stdout(&run.output).lines().filter(|line| line.starts_with("::error "));
+    assert_eq!(annotations.count(), FAULTY_REPORT.findings.len(), "{}", stdout(&run.output));
+    assert_eq!(run.summary, render("markdown", &FAULTY_REPORT));
     for name in ["report.sarif", "junit.xml", "report.html"] {
-        assert!(left.reports.join("fixtures_faulty.mcap").join(name).exists(), "{name}");
+        assert!(run.reports.join("fixtures_faulty.mcap").join(name).exists(), "{name}");
     }
 }
 
@@ -133,19 +133,19 @@ fn the_action_fails_on_a_faulty_log_and_writes_its_reports() {
 fn the_action_audits_each_matching_log_and_exits_with_the_worst_status() {
     let folder = tempfile::tempdir().expect("a folder");
     let logs = "fixtures/fault*.mcap\n\nfixtures/clean.mcap\n";
-    let left = act(folder.path(), &[("logs", logs)]);
-    assert_eq!(status(&left.output), 1, "{}", stderr(&left.output));
-    let mut names: Vec<String> = fs::read_dir(&left.reports)
+    let run = run_action(folder.path(), &[("logs", logs)]);
+    assert_eq!(status(&run.output), 1, "{}", stderr(&run.output));
+    let mut names: Vec<String> = fs::read_dir(&run.reports)
         .expect("a folder")
         .map(|entry| entry.expect("an entry").file_name().display().to_string())
         .collect();
     names.sort();
     assert_eq!(names, ["fixtures_clean.mcap", "fixtures_faulty.mcap"]);
-    let left = act(folder.path(), &[("logs", CLEAN), ("fail-on", "inconclusive")]);
-    assert_eq!(status(&left.output), 0, "{}", stdout(&left.output));
-    let left = act(folder.path(), &[("logs", "fixtures/no*such.mcap")]);
-    assert_eq!(status(&left.output), 2, "{}", stdout(&left.output));
-    assert!(stdout(&left.output).contains("fixtures/no*such.mcap: no log is called so"));
+    let run = run_action(folder.path(), &[("logs", CLEAN), ("fail-on", "inconclusive")]);
+    assert_eq!(status(&run.output), 0, "{}", stdout(&run.output));
+    let run = run_action(folder.path(), &[("logs", "fixtures/no*such.mcap")]);
+    assert_eq!(status(&run.output), 2, "{}", stdout(&run.output));
+    assert!(stdout(&run.output).contains("fixtures/no*such.mcap: no log is called so"));
 }
 
 #[test]
@@ -154,21 +154,21 @@ fn with_a_baseline_the_action_fails_only_on_regressions() {
     let before = folder.path().join("before/fixtures_faulty.mcap");
     fs::create_dir_all(&before).expect("a folder");
     let report = before.join("report.json");
-    fs::write(&report, written("json", &FAULTS)).expect("a file");
+    fs::write(&report, render("json", &FAULTY_REPORT)).expect("a file");
     for baseline in [report.as_path(), &folder.path().join("before")] {
         let baseline = baseline.display().to_string();
-        let left = act(folder.path(), &[("logs", FAULTY), ("baseline", &baseline)]);
-        assert_eq!(status(&left.output), 0, "{}", stderr(&left.output));
-        assert!(left.summary.contains("poseaudit: no regression"), "{}", left.summary);
+        let run = run_action(folder.path(), &[("logs", FAULTY), ("baseline", &baseline)]);
+        assert_eq!(status(&run.output), 0, "{}", stderr(&run.output));
+        assert!(run.summary.contains("poseaudit: no regression"), "{}", run.summary);
     }
 }
 
 #[test]
 fn a_missing_log_fails_the_action_and_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
-    let left = act(folder.path(), &[("logs", "no/such.mcap"), ("baseline", "no/such.json")]);
-    assert_eq!(status(&left.output), 2, "{}", stderr(&left.output));
-    assert!(stdout(&left.output).contains("::no/such.mcap: no such file"));
+    let run = run_action(folder.path(), &[("logs", "no/such.mcap"), ("baseline", "no/such.json")]);
+    assert_eq!(status(&run.output), 2, "{}", stderr(&run.output));
+    assert!(stdout(&run.output).contains("::no/such.mcap: no such file"));
 }
 
 #[test]
@@ -176,15 +176,15 @@ fn the_example_workflow_uses_existing_inputs_of_the_action() {
     let (action, workflow): (Action, Workflow) =
         (yaml("action.yml"), yaml("examples/ci/github.yml"));
     let steps: Vec<Step> = workflow.jobs.into_values().flat_map(|job| job.steps).collect();
-    let of = |name: &str| {
+    let step_that_uses = |name: &str| {
         let uses = |step: &&Step| step.uses.as_deref().is_some_and(|uses| uses.contains(name));
         steps.iter().find(uses).expect("a step")
     };
-    let with = &of("OWNER/poseaudit@").with;
+    let with = &step_that_uses("OWNER/poseaudit@").with;
     assert!(with.keys().all(|name| action.inputs.contains_key(name)));
     let needed = action.inputs.iter().filter(|(_, input)| input.default.is_none());
     assert!(needed.map(|(name, _)| name).all(|name| with.contains_key(name)));
-    let kept = of("upload-artifact").with["path"].as_str();
+    let kept = step_that_uses("upload-artifact").with["path"].as_str();
     assert_eq!(kept, action.inputs["reports"].default.as_deref());
 }
 
@@ -206,7 +206,7 @@ fn the_scripts_for_gitlab_and_jenkins_write_junit_for_every_log() {
     let jenkins = pipeline.split("'''").nth(1).expect("a script").replace("\\\\", "\\");
     for script in [jobs["poseaudit"].script.join("\n"), jenkins] {
         let folder = repository();
-        let output = bash(&script, &folder.path().display().to_string(), &[]);
+        let output = run_bash(&script, &folder.path().display().to_string(), &[]);
         assert_eq!(status(&output), 1, "{}", stderr(&output));
         for log in ["clean.mcap", "faulty.mcap"] {
             let junit = folder.path().join("reports").join(log).join("junit.xml");
@@ -223,7 +223,7 @@ fn the_hook_audits_each_log_separately() {
     let program = ("POSEAUDIT_BIN".to_owned(), env!("CARGO_BIN_EXE_poseaudit").to_owned());
     let run = |logs: &[&str]| {
         let call = format!("{} {} {}", hook.entry, hook.args.join(" "), logs.join(" "));
-        bash(&call, ROOT, std::slice::from_ref(&program))
+        run_bash(&call, ROOT, std::slice::from_ref(&program))
     };
     let clean = run(&[CLEAN]);
     assert_eq!(status(&clean), 0, "{}", stderr(&clean));

@@ -7,7 +7,7 @@ use poseaudit::finding::{Severity, Status};
 use poseaudit::report::{Report, Trouble, TroubleKind};
 use roxmltree::{Document, Node};
 
-use super::cases::{FAULTS, HOSTILE, hostile, written};
+use super::sample_reports::{FAULTY_REPORT, HOSTILE_NAME, hostile_report, render};
 
 fn children<'a>(node: Node<'a, 'a>, name: &str) -> Vec<Node<'a, 'a>> {
     node.children().filter(|child| child.has_tag_name(name)).collect()
@@ -18,7 +18,7 @@ fn count(node: Node, name: &str) -> usize {
 }
 
 /// Whether an XML attribute preserves a text, except control characters and with blanks for line ends.
-fn is_kept(found: Option<&str>, text: &str) -> bool {
+fn preserves_text(found: Option<&str>, text: &str) -> bool {
     let plain = |text: &str| text.split(['\n', '\u{1b}']).map(str::to_owned).collect::<Vec<_>>();
     let found = found.unwrap_or_default();
     plain(text).iter().all(|part| found.contains(part.strip_prefix("[31m").unwrap_or(part)))
@@ -26,8 +26,9 @@ fn is_kept(found: Option<&str>, text: &str) -> bool {
 
 #[test]
 fn junit_suites_and_cases_follow_the_schema_and_add_up() {
-    for report in [&*FAULTS, &hostile(Some(Severity::Warning)), &hostile(None)] {
-        let text = written("junit", report);
+    for report in [&*FAULTY_REPORT, &hostile_report(Some(Severity::Warning)), &hostile_report(None)]
+    {
+        let text = render("junit", report);
         let document = Document::parse(&text).expect("XML");
         let root = document.root_element();
         assert!(root.has_tag_name("testsuites"));
@@ -65,33 +66,33 @@ fn junit_suites_and_cases_follow_the_schema_and_add_up() {
 
 #[test]
 fn a_junit_case_fails_if_the_audit_fails() {
-    let of = |report: &Report| {
-        let text = written("junit", report);
+    let outcome_of = |report: &Report| {
+        let text = render("junit", report);
         let document = Document::parse(&text).expect("XML");
         let case = document
             .descendants()
             .find(|node| node.attribute("classname") == Some("poseaudit.LAT001"));
         let case = case.expect("a case");
-        assert!(is_kept(case.attribute("name"), HOSTILE), "{text}");
-        let said = case.children().find(Node::is_element).expect("an outcome");
-        assert!(said.text().is_some_and(|text| text.contains("fix: shift /a|b")), "{text}");
-        said.tag_name().name().to_owned()
+        assert!(preserves_text(case.attribute("name"), HOSTILE_NAME), "{text}");
+        let outcome = case.children().find(Node::is_element).expect("an outcome");
+        assert!(outcome.text().is_some_and(|text| text.contains("fix: shift /a|b")), "{text}");
+        outcome.tag_name().name().to_owned()
     };
-    assert_eq!(of(&hostile(Some(Severity::Warning))), "failure");
-    assert_eq!(of(&hostile(Some(Severity::Error))), "system-out");
-    assert_eq!(of(&hostile(None)), "system-out");
+    assert_eq!(outcome_of(&hostile_report(Some(Severity::Warning))), "failure");
+    assert_eq!(outcome_of(&hostile_report(Some(Severity::Error))), "system-out");
+    assert_eq!(outcome_of(&hostile_report(None)), "system-out");
 }
 
 #[test]
 fn undecided_checks_are_skipped_with_their_reason() {
-    let text = written("junit", &FAULTS);
+    let text = render("junit", &FAULTY_REPORT);
     let document = Document::parse(&text).expect("XML");
     let reasons: Vec<&str> = document
         .descendants()
         .filter(|node| node.has_tag_name("skipped"))
         .filter_map(|node| node.attribute("message"))
         .collect();
-    for row in FAULTS.checks.iter().filter(|row| !row.status.is_decided()) {
+    for row in FAULTY_REPORT.checks.iter().filter(|row| !row.status.is_decided()) {
         let how = if row.status == Status::Skipped { "skipped" } else { "inconclusive" };
         let reason = format!("{how}: {}", row.reason.as_deref().expect("a reason"));
         assert!(reasons.contains(&reason.as_str()), "{reason}");
@@ -106,7 +107,7 @@ fn an_unaudited_log_is_a_junit_error() {
         place: "empty.mcap".to_owned(),
         remedy: "check whether the recorder wrote it".to_owned(),
     });
-    let text = written("junit", &report);
+    let text = render("junit", &report);
     let document = Document::parse(&text).expect("XML");
     let error = document.descendants().find(|node| node.has_tag_name("error")).expect("an error");
     assert_eq!(error.attribute("message"), Some("the file is empty (0 bytes)"));

@@ -3,7 +3,7 @@
 use poseaudit::finding::Severity;
 use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 
-use super::cases::{FAULTS, HOSTILE, hostile, written};
+use super::sample_reports::{FAULTY_REPORT, HOSTILE_NAME, hostile_report, render};
 
 /// The cells of all tables, row by row, as rendered.
 fn rows(markdown: &str) -> Vec<Vec<String>> {
@@ -28,9 +28,9 @@ fn rows(markdown: &str) -> Vec<Vec<String>> {
 
 #[test]
 fn the_table_lists_every_finding_with_value_and_fix() {
-    let rows = rows(&written("markdown", &FAULTS));
-    assert_eq!(rows.len(), 1 + FAULTS.findings.len());
-    for (row, finding) in rows[1..].iter().zip(&FAULTS.findings) {
+    let rows = rows(&render("markdown", &FAULTY_REPORT));
+    assert_eq!(rows.len(), 1 + FAULTY_REPORT.findings.len());
+    for (row, finding) in rows[1..].iter().zip(&FAULTY_REPORT.findings) {
         let [rule, subject, what, amount, fix] = row.as_slice() else {
             panic!("{row:?}");
         };
@@ -44,24 +44,26 @@ fn the_table_lists_every_finding_with_value_and_fix() {
 
 #[test]
 fn no_name_breaks_a_table_starts_html_or_mentions_a_user() {
-    let markdown = written("markdown", &hostile(Some(Severity::Warning)));
+    let markdown = render("markdown", &hostile_report(Some(Severity::Warning)));
     let rows = rows(&markdown);
     // Line ends and control characters become blanks; mentions are disabled.
-    let kept = HOSTILE.replace(['\n', '\u{1b}'], " ").replace('@', "@\u{200b}");
+    let kept = HOSTILE_NAME.replace(['\n', '\u{1b}'], " ").replace('@', "@\u{200b}");
     assert_eq!(rows.len(), 2, "{markdown}");
     assert_eq!(rows[1].len(), 5, "{markdown}");
     assert_eq!(rows[1][1], kept);
     assert_eq!(rows[1][4], format!("shift {kept}"));
-    let ours = ["<details>", "</details>", "<summary>", "</summary>", "<code>", "</code>", "<br>"];
+    let allowed_tags =
+        ["<details>", "</details>", "<summary>", "</summary>", "<code>", "</code>", "<br>"];
     let options =
         Options::ENABLE_TABLES | Options::ENABLE_STRIKETHROUGH | Options::ENABLE_FOOTNOTES;
     for event in Parser::new_ext(&markdown, options) {
         match event {
             Event::Html(html) | Event::InlineHtml(html) => {
-                let left = ours.iter().fold(html.to_string(), |left, tag| left.replace(tag, ""));
-                let left = left.replace("<details open>", "");
+                let rest =
+                    allowed_tags.iter().fold(html.to_string(), |rest, tag| rest.replace(tag, ""));
+                let rest = rest.replace("<details open>", "");
                 let titles = ["Passed", "Inconclusive", "Skipped"];
-                assert!(left.trim().is_empty() || titles.contains(&left.trim()), "{html}");
+                assert!(rest.trim().is_empty() || titles.contains(&rest.trim()), "{html}");
             }
             Event::Start(Tag::Link { .. } | Tag::Image { .. } | Tag::Emphasis) => {
                 panic!("{markdown}");

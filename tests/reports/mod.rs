@@ -1,16 +1,16 @@
 //! Reports for other programs: destinations and content of each format.
 
-mod cases;
 mod ci;
 mod compare;
-mod foreign;
+mod escaping;
 mod formats;
 mod junit;
+mod layout;
 mod markdown;
-mod order;
+mod sample_reports;
 mod sarif;
 mod shell;
 mod snapshots;
-mod words;
+mod wording;
 
 use crate::program::{CLEAN, FAULTY, poseaudit, status, stderr, stdout};

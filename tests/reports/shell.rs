@@ -19,7 +19,7 @@ fn every_shell_has_completions_of_all_commands() {
 
 /// Completions that bash offers for the last of `words`.
 #[cfg(unix)]
-fn offered(words: &[&str]) -> Vec<String> {
+fn complete_in_bash(words: &[&str]) -> Vec<String> {
     let script = poseaudit(&["completions", "bash"]);
     let line = words.iter().map(|word| format!("'{word}'")).collect::<Vec<_>>().join(" ");
     let last = words.len() - 1;
@@ -38,9 +38,12 @@ fn offered(words: &[&str]) -> Vec<String> {
 #[cfg(unix)]
 #[test]
 fn bash_completes_commands_options_and_values() {
-    assert_eq!(offered(&["poseaudit", "comp"]), ["compare", "completions"]);
-    assert_eq!(offered(&["poseaudit", "audit", "--max"]), ["--max-latency", "--max-unpacked"]);
-    let formats = offered(&["poseaudit", "audit", "--format", ""]);
+    assert_eq!(complete_in_bash(&["poseaudit", "comp"]), ["compare", "completions"]);
+    assert_eq!(
+        complete_in_bash(&["poseaudit", "audit", "--max"]),
+        ["--max-latency", "--max-unpacked"]
+    );
+    let formats = complete_in_bash(&["poseaudit", "audit", "--format", ""]);
     let known = poseaudit::report::FORMATS.iter().map(|format| format.name.to_owned());
     assert_eq!(formats, known.collect::<Vec<_>>());
 }
@@ -71,8 +74,8 @@ fn every_command_has_a_man_page_with_its_options_and_examples() {
         let text = page(&format!("poseaudit-{command}.1"));
         assert!(text.starts_with(".ie") && text.contains("Examples:"), "{text}");
         // A man page writes a hyphen as `\-`.
-        let said = text.replace("\\-", "-");
-        assert!(said.contains(&format!("poseaudit {command}")), "{text}");
+        let unescaped = text.replace("\\-", "-");
+        assert!(unescaped.contains(&format!("poseaudit {command}")), "{text}");
     }
     assert!(page("poseaudit-audit.1").contains("\\-\\-fail\\-on"));
 }

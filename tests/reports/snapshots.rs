@@ -3,19 +3,19 @@
 
 use serde_json::Value;
 
-use super::cases::{FAULTS, written};
+use super::sample_reports::{FAULTY_REPORT, render};
 
 #[test]
 fn snapshots_of_the_readable_formats() {
-    insta::assert_snapshot!("faulty.md", written("markdown", &FAULTS));
-    insta::assert_snapshot!("faulty.junit", written("junit", &FAULTS));
-    insta::assert_snapshot!("faulty.github", written("github", &FAULTS));
+    insta::assert_snapshot!("faulty.md", render("markdown", &FAULTY_REPORT));
+    insta::assert_snapshot!("faulty.junit", render("junit", &FAULTY_REPORT));
+    insta::assert_snapshot!("faulty.github", render("github", &FAULTY_REPORT));
 }
 
 /// Without the texts of the rules, which have their own files, and with rounded numbers.
 #[test]
 fn sarif() {
-    let mut log: Value = serde_json::from_str(&written("sarif", &FAULTS)).expect("JSON");
+    let mut log: Value = serde_json::from_str(&render("sarif", &FAULTY_REPORT)).expect("JSON");
     let run = &mut log["runs"][0];
     run["tool"]["driver"]["semanticVersion"] = "[version]".into();
     run["tool"]["driver"]["rules"].as_array_mut().expect("rules").truncate(1);

@@ -6,12 +6,12 @@ use poseaudit::report::{Format, Report, Trouble, TroubleKind};
 use poseaudit::{Audited, Options, audit};
 use serde_json::Value;
 
-fn audited(name: &str) -> Audited {
+fn audit_fixture(name: &str) -> Audited {
     let log = format!("{}/fixtures/{name}.mcap", env!("CARGO_MANIFEST_DIR"));
     audit(&Options { logs: vec![log.into()], ..Options::default() }).expect("a report")
 }
 
-fn written(format: &str, report: &Report) -> String {
+fn render(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
     Format::from_name(format).expect("a format").write(report, &mut out).expect("a report");
     // Without terminal styles.
@@ -19,7 +19,7 @@ fn written(format: &str, report: &Report) -> String {
 }
 
 /// The lines below a label, without the label.
-fn block<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
+fn lines_below<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
     let mut lines = text.lines().skip_while(|line| !line.starts_with(label));
     let first = lines.next().map(|line| line[label.len()..].trim_start());
     first.into_iter().chain(lines.take_while(|line| line.starts_with(' ')).map(str::trim)).collect()
@@ -27,12 +27,12 @@ fn block<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
 
 #[test]
 fn a_report_on_an_arm_at_rest_suggests_one_motion_in_a_few_lines() {
-    let text = written("text", &audited("shake").report);
-    let open = block(&text, "inconclusive");
+    let text = render("text", &audit_fixture("shake").report);
+    let open = lines_below(&text, "inconclusive");
     assert!((1..=4).contains(&open.len()), "{open:#?}");
     assert!(open[0].starts_with("not observable in this motion: ") && open[0].contains("ZER001"));
     assert!(open[0].contains("all 6 joints"), "{open:#?}");
-    let settle = block(&text, "to settle");
+    let settle = lines_below(&text, "to settle");
     assert_eq!(settle.len(), 2, "{settle:#?}");
     assert!(settle[0].starts_with("record 60 s with each joint by 30° or more"), "{settle:#?}");
     // It can be pasted unchanged.
@@ -45,14 +45,14 @@ fn a_report_on_an_arm_at_rest_suggests_one_motion_in_a_few_lines() {
 
 #[test]
 fn a_pass_lists_its_bounds() {
-    let audited = audited("clean");
-    let text = written("text", &audited.report);
-    let passed = block(&text, "passed").join("; ");
+    let audited = audit_fixture("clean");
+    let text = render("text", &audited.report);
+    let passed = lines_below(&text, "passed").join("; ");
     for bound in ["LAT001 latency ", "ZER001 joint zero offset ", "FRM003 tool frame "] {
         let amount = passed.split(bound).nth(1).and_then(|rest| rest.split(';').next());
         assert!(amount.is_some_and(|amount| amount.contains(" ± ")), "{bound}: {passed}");
     }
-    let page = written("html", &audited.report);
+    let page = render("html", &audited.report);
     assert!(page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"), "no limit given");
 }
 
@@ -64,10 +64,10 @@ fn a_log_that_cannot_be_audited_passes_no_rule() {
         place: "run.mcap".to_owned(),
         remedy: "record the joint states".to_owned(),
     };
-    let report = audited("clean").report.with_trouble(trouble);
+    let report = audit_fixture("clean").report.with_trouble(trouble);
     for format in ["text", "html", "markdown"] {
-        let said = written(format, &report).to_lowercase();
-        assert!(said.contains("no audit") && !said.contains("passed"), "{format}: {said}");
+        let text = render(format, &report).to_lowercase();
+        assert!(text.contains("no audit") && !text.contains("passed"), "{format}: {text}");
     }
 }
 
@@ -84,19 +84,22 @@ fn findings_have_plots_with_their_limits() {
         ("slipped_target", &["Hand-eye residual of each view", "Viewing directions"], "2 mm"),
         ("stop", &["Joint speed", "Joint position"], ""),
     ] {
-        let page = written("html", &audited(log).with_figures().report);
+        let page = render("html", &audit_fixture(log).with_figures().report);
         for title in titles {
             assert!(page.contains(title), "{log}: {title}");
         }
-        let said = [format!("limit {limit}"), format!("limit ±{limit}")];
-        assert!(limit.is_empty() || said.iter().any(|said| page.contains(said)), "{log}: {limit}");
+        let limits = [format!("limit {limit}"), format!("limit ±{limit}")];
+        assert!(
+            limit.is_empty() || limits.iter().any(|limit| page.contains(limit)),
+            "{log}: {limit}"
+        );
         assert!(!page.contains("No plot"), "{log}");
     }
 }
 
 #[test]
 fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
-    let audited = audited("faulty");
+    let audited = audit_fixture("faulty");
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("findings.mcap");
     audited.write_foxglove(&path).expect("a file");
@@ -119,8 +122,8 @@ fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
     assert_eq!(lines.len(), audited.report.findings.len() + 1);
     assert!(lines[0].1["message"].as_str().is_some_and(|text| text.starts_with("FAIL: ")));
     for finding in &audited.report.findings {
-        let said = lines.iter().find(|(_, line)| line["file"] == finding.code).expect(finding.code);
-        assert!(said.1["message"].as_str().is_some_and(|text| text.contains(&finding.message)));
+        let line = lines.iter().find(|(_, line)| line["file"] == finding.code).expect(finding.code);
+        assert!(line.1["message"].as_str().is_some_and(|text| text.contains(&finding.message)));
     }
     let scenes = &by_schema["foxglove.SceneUpdate"];
     let error_m = |scene: &Value| {
@@ -132,8 +135,8 @@ fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
         ["x", "y", "z"].map(|axis| (at(1, axis) - at(0, axis)).powi(2)).iter().sum::<f64>().sqrt()
     };
     // 15 ms at up to 0.66 m/s, and a zero offset.
-    let most_m = scenes.iter().map(|(_, scene)| error_m(scene)).fold(0.0, f64::max);
-    assert!((5e-3..40e-3).contains(&most_m), "{most_m}");
+    let max_error_m = scenes.iter().map(|(_, scene)| error_m(scene)).fold(0.0, f64::max);
+    assert!((5e-3..40e-3).contains(&max_error_m), "{max_error_m}");
     for (at, scene) in scenes {
         let stamp = &scene["entities"][0]["timestamp"];
         let [sec, nsec] = ["sec", "nsec"].map(|part| stamp[part].as_u64().expect("a time"));

@@ -6,7 +6,7 @@ use poseaudit::report::Format;
 use poseaudit::{Options, audit};
 
 /// Forbidden phrases.
-const NOT_SAID: [&str; 27] = [
+const FORBIDDEN_PHRASES: [&str; 27] = [
     "differ from the controller's by",
     "cannot be told",
     "does not tell",
@@ -52,15 +52,17 @@ fn reports_on_the_fixtures_use_no_forbidden_phrase() {
             let mut out = Vec::new();
             format.write(&report, &mut out).expect("a report");
             let text = String::from_utf8(out).expect("UTF-8");
-            let said = without(
+            let visible_text = remove_sections(
                 "<details class=\"values rule\"",
                 "</details>",
-                &without("<script", "</script>", &text),
+                &remove_sections("<script", "</script>", &text),
             );
-            for phrase in NOT_SAID.into_iter().filter(|phrase| said.contains(phrase)) {
-                let at = said.find(phrase).unwrap_or_default();
-                let near: String = said[at..].chars().take(60).collect();
-                found.push(format!("{}: {phrase:?} in {near:?}", log.display()));
+            for phrase in
+                FORBIDDEN_PHRASES.into_iter().filter(|phrase| visible_text.contains(phrase))
+            {
+                let at = visible_text.find(phrase).unwrap_or_default();
+                let excerpt: String = visible_text[at..].chars().take(60).collect();
+                found.push(format!("{}: {phrase:?} in {excerpt:?}", log.display()));
             }
         }
     }
@@ -68,7 +70,7 @@ fn reports_on_the_fixtures_use_no_forbidden_phrase() {
 }
 
 /// A page without the parts from `start` to `end`: its program and data, the texts of the rules.
-fn without(start: &str, end: &str, page: &str) -> String {
+fn remove_sections(start: &str, end: &str, page: &str) -> String {
     let mut parts = page.split(start);
     let first = parts.next().unwrap_or_default();
     let others = parts.filter_map(|part| Some(part.split_once(end)?.1));

@@ -8,11 +8,11 @@ use anyhow::Result;
 use polars::prelude::{DataFrame, ParquetReader, SerReader};
 
 /// The tables of logs, each with all its parts.
-pub struct Rows(BTreeMap<String, DataFrame>);
+pub struct ResultTables(BTreeMap<String, DataFrame>);
 
-impl Rows {
+impl ResultTables {
     /// Reads every file named as a part; each must be complete.
-    pub fn of(folder: &Path) -> Result<Self> {
+    pub fn read(folder: &Path) -> Result<Self> {
         let mut tables = BTreeMap::new();
         for table in ["runs", "streams", "checks", "findings", "errors"] {
             let mut whole = DataFrame::empty();
@@ -36,23 +36,23 @@ impl Rows {
     }
 
     /// A text column, without nulls.
-    pub fn texts(&self, table: &str, column: &str) -> Vec<String> {
+    pub fn text_column(&self, table: &str, column: &str) -> Vec<String> {
         let column = self.0[table].column(column).and_then(|column| column.str().cloned());
         column.map_or(Vec::new(), |texts| texts.iter().flatten().map(str::to_owned).collect())
     }
 
     /// Keys of all rows.
     pub fn keys(&self, table: &str) -> Vec<String> {
-        self.texts(table, "key")
+        self.text_column(table, "key")
     }
 
     /// Number of logs with rows.
-    pub fn distinct(&self, table: &str) -> usize {
+    pub fn count_logs(&self, table: &str) -> usize {
         self.keys(table).into_iter().collect::<HashSet<_>>().len()
     }
 
     /// Whether all rows are distinct.
-    pub fn has_no_doubles(&self, table: &str) -> bool {
+    pub fn has_unique_rows(&self, table: &str) -> bool {
         let numbers = self.0[table].column("row").and_then(|column| column.u32().cloned());
         let Ok(numbers) = numbers else { return false };
         let mut seen = HashSet::new();
@@ -61,7 +61,7 @@ impl Rows {
 
     /// Key of the log whose path ends with `ending`.
     pub fn key_of(&self, ending: &str) -> Option<String> {
-        let at = self.texts("runs", "path").iter().position(|path| path.ends_with(ending))?;
+        let at = self.text_column("runs", "path").iter().position(|path| path.ends_with(ending))?;
         self.keys("runs").get(at).cloned()
     }
 }

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use super::{FAULTY, poseaudit, stderr, stdout};
 
 /// Starts a line that GitHub interprets as a command, sets a colour and changes the writing direction.
-const NAME: &str = "x\n::error::evil\u{1b}[31m\u{202e}.mcap";
+const HOSTILE_FILE_NAME: &str = "x\n::error::evil\u{1b}[31m\u{202e}.mcap";
 
 #[cfg(unix)]
 #[test]
 fn no_file_name_is_printed_unescaped() {
     let folder = tempfile::tempdir().expect("a folder");
-    let log = folder.path().join(NAME);
+    let log = folder.path().join(HOSTILE_FILE_NAME);
     fs::copy(FAULTY, &log).expect("a copy");
     let (log, out) = (log.display().to_string(), folder.path().join("out").display().to_string());
     for args in [
@@ -37,19 +37,19 @@ fn no_file_name_is_printed_unescaped() {
 }
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
+    let mut paths = Vec::new();
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
-        if path.is_dir() { found.extend(sources(&path)) } else { found.push(path) }
+        if path.is_dir() { paths.extend(sources(&path)) } else { paths.push(path) }
     }
-    found
+    paths
 }
 
 /// Print statements pass paths and names through `foreign` or `tame`.
 #[test]
 fn statements_that_print_names_escape_them() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut raw = Vec::new();
+    let mut unescaped = Vec::new();
     for file in ["cli", "output/calibration"].iter().flat_map(|folder| sources(&root.join(folder)))
     {
         let text = fs::read_to_string(&file).expect("a source");
@@ -60,9 +60,13 @@ fn statements_that_print_names_escape_them() {
             let names = [".display()", "robot.name", ".topic,", "note.note"];
             let prints = names.iter().any(|name| statement.contains(name));
             if prints && !statement.contains("foreign(") && !statement.contains("tame(") {
-                raw.push(format!("{}: {}", file.display(), statement.lines().next().unwrap_or("")));
+                unescaped.push(format!(
+                    "{}: {}",
+                    file.display(),
+                    statement.lines().next().unwrap_or("")
+                ));
             }
         }
     }
-    assert_eq!(raw, Vec::<String>::new());
+    assert_eq!(unescaped, Vec::<String>::new());
 }
