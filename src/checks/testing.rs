@@ -4,12 +4,12 @@ use std::sync::LazyLock;
 
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
-    AlignedSamples, CommandDelay, CommandedLine, DhComparison, DhResidual, DhStreamResiduals,
-    EncodingEstimate, EncodingSpans, ErrorMagnitude, ErrorSize, FkError, FrameCorrection,
-    FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck, JointDiagnosis,
-    JointEncoding, JointOffset, LatencyProfile, LineDeviation, Measured, MeasuredLength, PartError,
-    PeakAcceleration, PoseDiagnosis, PoseEncoding, ReferenceDiagnosis, ResidualCheck, Response,
-    RestError, SampleNoise, StreamResidual, VelocityDiagnosis, VelocityShape, Vibration,
+    AlignedSamples, CommandDelay, CommandDiagnosis, CommandedLine, DhComparison, DhResidual,
+    DhStreamResiduals, EncodingEstimate, EncodingSpans, ErrorMagnitude, ErrorSize, FkError,
+    FrameCorrection, FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck,
+    JointDiagnosis, JointEncoding, JointOffset, LatencyProfile, LineDeviation, Measured,
+    MeasuredLength, PartError, PeakAcceleration, PoseDiagnosis, PoseEncoding, ResidualCheck,
+    Response, RestError, SampleNoise, StreamResidual, VelocityDiagnosis, VelocityShape, Vibration,
     YawProfile,
 };
 use crate::evidence::{
@@ -122,7 +122,7 @@ pub fn clean_run() -> RunEvidence {
             vector_rad_s: Vec3::zeros(),
             length_rad_s: length(0.0),
             yaw_rate_rad_s: 0.0,
-            shape: None,
+            scale_error: None,
             change: None,
         }),
         yaw_error: Vec::new(),
@@ -216,7 +216,7 @@ fn commands() -> ReferenceEvidence {
             witness("FK of the joint states", TipPoseKind::Kinematics),
             witness(POSE, TipPoseKind::Corrected),
         ],
-        diagnosis: Ok(Ok(ReferenceDiagnosis {
+        diagnosis: Ok(Ok(CommandDiagnosis {
             is_streamed: true,
             tracking: None,
             goals: 2,

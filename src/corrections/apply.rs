@@ -6,7 +6,9 @@ use super::corrections_file::{
     AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, encoding_of_slip,
     is_same_topic,
 };
-use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reinterpret_poses, reread_imu};
+use crate::diagnosis::{
+    AxesError, IntendedEncoding, PoseEncoding, reinterpret_imu, reinterpret_poses,
+};
 use crate::finding::Unit;
 use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
 use crate::log::Log;
@@ -63,7 +65,7 @@ impl GivenCorrections<'_> {
     ///
     /// # Errors
     /// If no arm has a joint, or if a correction does not apply to its topic.
-    pub fn apply(&self, run: &mut Run, most_lag_s: f64) -> Result<(), Trouble> {
+    pub fn apply(&self, run: &mut Run, max_lag_s: f64) -> Result<(), Trouble> {
         self.correct_joints(run)?;
         for correction in &self.corrections.topics {
             let name = &correction.name;
@@ -78,8 +80,8 @@ impl GivenCorrections<'_> {
             }
             let mut unapplied = UnappliedParts::from_correction(correction);
             for arm in 0..run.arms.len() {
-                correct_poses(run, arm, correction, most_lag_s, &mut unapplied);
-                correct_imus(run, arm, correction, most_lag_s, &mut unapplied);
+                correct_poses(run, arm, correction, max_lag_s, &mut unapplied);
+                correct_imus(run, arm, correction, max_lag_s, &mut unapplied);
             }
             correct_targets(run, correction, &mut unapplied);
             if let Some(what) = unapplied.first() {
@@ -267,7 +269,7 @@ fn correct_poses(
     run: &mut Run,
     arm: usize,
     correction: &TopicCorrection,
-    most_lag_s: f64,
+    max_lag_s: f64,
     unapplied: &mut UnappliedParts,
 ) {
     let is_joints = |facts: &crate::run::JointFacts| {
@@ -290,7 +292,7 @@ fn correct_poses(
             };
             let reference = rotation_of(correction.reference_from_stream).inverse();
             let known = [reference, rotation_of(correction.tip_from_stream)];
-            if let Some(track) = reinterpret_poses(joints, &stream, intended, known, most_lag_s) {
+            if let Some(track) = reinterpret_poses(joints, &stream, intended, known, max_lag_s) {
                 ["rotation", "inverse", "axes"]
                     .into_iter()
                     .for_each(|part| unapplied.mark_applied(part));
@@ -365,7 +367,7 @@ fn correct_imus(
     run: &mut Run,
     arm: usize,
     correction: &TopicCorrection,
-    most_lag_s: f64,
+    max_lag_s: f64,
     unapplied: &mut UnappliedParts,
 ) {
     for index in 0..run.arms[arm].imus.len() {
@@ -381,7 +383,7 @@ fn correct_imus(
         }
         if let Some(reading) = correction.rotation.and_then(encoding_of_slip) {
             let stream = corrected.as_stream();
-            let truths = reread_imu(&run.arms[arm].joints, &stream, reading, most_lag_s);
+            let truths = reinterpret_imu(&run.arms[arm].joints, &stream, reading, max_lag_s);
             if let Some(truths) = truths {
                 unapplied.mark_applied("rotation");
                 corrected.track.orientation = truths;

@@ -96,8 +96,8 @@ pub use columns::{
     NumericTable,
 };
 pub use commands::{
-    CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
-    LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
+    CommandDelay, CommandDiagnosis, CommandTracking, CommandedArm, CommandedLine, Commands,
+    DelayFailure, LineDeviation, RestError, RestErrorSpread, diagnose_commands,
     estimate_joint_delays, estimate_pose_delay, infer_joint_order,
 };
 pub use compliance::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
@@ -116,7 +116,7 @@ pub use imu::{
     AccelUnit, AccelUnitError, GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile,
     GyroResidual, GyroSaturation, GyroScaleError, HeadingError, HeadingPair, ImuConventions,
     ImuDiagnosis, ImuMountChange, ImuResidualCheck, ImuStream, UpDirections, YawJump, YawProfile,
-    YawWarmUp, check_imu_residual, diagnose_imu, reread_imu, turning_by_latency,
+    YawWarmUp, angular_speed_correlation, check_imu_residual, diagnose_imu, reinterpret_imu,
 };
 pub use joints::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,

@@ -141,7 +141,7 @@ pub(super) fn arm_evidence(
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let corrected_track = found.without_eccentricity().corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
-    let most_lag_s = options.max_latency_s;
+    let max_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
         proof: check_residual(&arm.joints, &corrected_track, &run.pose_stream(source), &found),
         reference: if source.reference_known {
@@ -178,12 +178,7 @@ pub(super) fn arm_evidence(
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
             proof: is_read
                 .then(|| {
-                    check_imu_residual(
-                        &corrected_track,
-                        &source.as_stream(),
-                        &diagnosis,
-                        most_lag_s,
-                    )
+                    check_imu_residual(&corrected_track, &source.as_stream(), &diagnosis, max_lag_s)
                 })
                 .flatten(),
             diagnosis,
@@ -264,7 +259,7 @@ pub(super) fn arm_evidence(
         dh: diagnosis.dh,
         is_in_degrees_by_magnitude,
         diagnosis: found,
-        references: references(run, index, &poses, most_lag_s),
+        references: references(run, index, &poses, max_lag_s),
         poses,
         tf,
         vibrations: [vec![vibration], vibrations].concat(),

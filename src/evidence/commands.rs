@@ -1,8 +1,8 @@
 use super::poses::PoseEvidence;
 use super::{StreamEvidence, arm_stream_evidence, stream_span};
 use crate::diagnosis::{
-    AlignedSamples, CommandDelay, CommandedArm, Commands, EstimateResult, PoseDiagnosis,
-    PoseSeries, ReferenceDiagnosis, diagnose_reference, estimate_joint_delays, estimate_pose_delay,
+    AlignedSamples, CommandDelay, CommandDiagnosis, CommandedArm, Commands, EstimateResult,
+    PoseDiagnosis, PoseSeries, diagnose_commands, estimate_joint_delays, estimate_pose_delay,
     infer_joint_order,
 };
 use crate::finding::Subject;
@@ -22,7 +22,7 @@ pub struct ReferenceEvidence {
     /// Actual tip poses, one per entry of the gaps and of a line's observations.
     pub tip_poses: Vec<TipPoseSource>,
     /// Diagnosis, or why the commands cannot be compared with the arm.
-    pub diagnosis: Result<EstimateResult<ReferenceDiagnosis>, String>,
+    pub diagnosis: Result<EstimateResult<CommandDiagnosis>, String>,
     /// From command to state, per commanded joint or for the tip. Empty if the commands cannot be compared.
     pub delays: Vec<CommandDelay>,
 }
@@ -58,7 +58,7 @@ pub struct UnmodelledCommands {
 
 pub(super) fn unmodelled_commands(
     run: &Run,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<StreamEvidence<UnmodelledCommands>> {
     if run.no_arm.is_none() {
         return Vec::new();
@@ -90,7 +90,7 @@ pub(super) fn unmodelled_commands(
         let names = state_places.iter().map(|&at| states.joints[at].name.clone());
         let value = UnmodelledCommands {
             joints: names.collect(),
-            delays: estimate_joint_delays(&t_s, &order, &q, &joints, most_lag_s),
+            delays: estimate_joint_delays(&t_s, &order, &q, &joints, max_lag_s),
         };
         let topic = Some(run.streams[index].topic.clone());
         let subject = Subject { topic, ..Subject::default() };
@@ -124,7 +124,7 @@ pub(super) fn references(
     run: &Run,
     index: usize,
     poses: &[StreamEvidence<PoseEvidence>],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<StreamEvidence<ReferenceEvidence>> {
     let Some(arm) = run.arms.get(index) else { return Vec::new() };
     let sources: Vec<&ReferenceSource> =
@@ -153,7 +153,7 @@ pub(super) fn references(
         let (witnesses, series): (Vec<TipPoseSource>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
         let (diagnosis, delays) = match &source.content {
-            Ok(content) => diagnose(arm, content, &series, most_lag_s)
+            Ok(content) => diagnose(arm, content, &series, max_lag_s)
                 .map_or_else(|why| (Err(why), Vec::new()), |(found, delays)| (Ok(found), delays)),
             Err(why) => (Err(why.clone()), Vec::new()),
         };
@@ -178,13 +178,13 @@ fn diagnose(
     arm: &Arm,
     content: &ReferenceContent,
     witnesses: &[PoseSeries],
-    most_lag_s: f64,
-) -> Result<(EstimateResult<ReferenceDiagnosis>, Vec<CommandDelay>), String> {
+    max_lag_s: f64,
+) -> Result<(EstimateResult<CommandDiagnosis>, Vec<CommandDelay>), String> {
     let (commands, delays) = match content {
         ReferenceContent::Poses { track, .. } => {
             let series = PoseSeries::from_track(track).ok_or("its rotations are bare numbers")?;
             let by_kinematics = witnesses.first();
-            let delay = by_kinematics.map(|done| estimate_pose_delay(&series, done, most_lag_s));
+            let delay = by_kinematics.map(|done| estimate_pose_delay(&series, done, max_lag_s));
             (Commands { series, joints: Vec::new() }, delay.into_iter().collect())
         }
         ReferenceContent::Joints { t_s, columns, q } => {
@@ -194,14 +194,14 @@ fn diagnose(
                     "its values have no joint names and match the joints in none of the usual orders",
                 )?,
             };
-            let delays = estimate_joint_delays(t_s, &order, q, &arm.joints, most_lag_s);
+            let delays = estimate_joint_delays(t_s, &order, q, &arm.joints, max_lag_s);
             let chain = (&arm.chain, arm.columns.as_slice());
             (Commands::from_joints(t_s, &order, q, &arm.joints, chain), delays)
         }
     };
     let arm = CommandedArm { joints: &arm.joints, chain: &arm.chain, columns: &arm.columns };
-    let found = diagnose_reference(&commands, &arm, witnesses, most_lag_s);
-    let leads = |found: &ReferenceDiagnosis| !found.is_streamed || found.tracking.is_some();
+    let found = diagnose_commands(&commands, &arm, witnesses, max_lag_s);
+    let leads = |found: &CommandDiagnosis| !found.is_streamed || found.tracking.is_some();
     let is_unnamed = matches!(content, ReferenceContent::Joints { columns: None, .. });
     match &found {
         Ok(found) if is_unnamed && !leads(found) => {

@@ -27,18 +27,18 @@ pub(super) struct ArmStreamsDiagnosis {
 }
 
 /// Diagnoses every arm. Replaces an arm whose DH table uses the undeclared convention.
-pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<ArmStreamsDiagnosis> {
+pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
-        let found = diagnose_one(run, &run.arms[index], most_lag_s);
+        let found = diagnose_one(run, &run.arms[index], max_lag_s);
         let found = match realign_moving_bases(run, index, &found.arm) {
-            true => diagnose_one(run, &run.arms[index], most_lag_s),
+            true => diagnose_one(run, &run.arms[index], max_lag_s),
             false => found,
         };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) =
-            diagnose_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+            diagnose_other_convention(run, &run.arms[index], &found.arm, max_lag_s);
         let is_other = estimate.convention() == DhConventionResult::Other;
         let dh = Some(DhEvidence { declared, estimate });
         match other.filter(|_| is_other) {
@@ -60,7 +60,7 @@ fn diagnose_other_convention(
     run: &Run,
     arm: &Arm,
     found: &ArmDiagnosis,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> (DhComparison, Option<(Arm, ArmStreamsDiagnosis)>) {
     /// Maximum position misfit of a possible convention, m.
     const MAX_POSITION_MISFIT_M: f64 = 0.02;
@@ -86,7 +86,7 @@ fn diagnose_other_convention(
         let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
             let stream = run.pose_stream(source);
             let lag_s =
-                best_lag_peak(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
+                best_lag_peak(&arm.joints, &stream, max_lag_s).map_or(0.0, |peak| peak.lag_s);
             position_misfit_m(&arm.joints, &stream, position_factor(found), lag_s)
         });
         streams.collect()
@@ -110,7 +110,7 @@ fn diagnose_other_convention(
     if declared.iter().zip(&ruled_out).any(contradicts) || ruled_out.iter().all(|is| *is) {
         return (estimate, None);
     }
-    let diagnosis = diagnose_one(run, &other, most_lag_s);
+    let diagnosis = diagnose_one(run, &other, max_lag_s);
     for (stream, left) in
         estimate.streams.iter_mut().zip(DhResidual::from_diagnosis(&diagnosis.arm))
     {
@@ -125,21 +125,21 @@ fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
 
-fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
+fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
     let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
     let together = together(arm);
     let mut diagnosis = diagnose_with_latency_compensation(
         &arm.joints,
         &streams[..together],
         &arm.slides(),
-        most_lag_s,
+        max_lag_s,
     );
     let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.slides());
     let derived_streams = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
         match same {
             Some(of) => diagnosis.streams[of].clone(),
-            None => diagnose_derived(&corrected, None, &streams[index], most_lag_s),
+            None => diagnose_derived(&corrected, None, &streams[index], max_lag_s),
         }
     });
     let derived_streams: Vec<PoseDiagnosis> = derived_streams.collect();
@@ -149,12 +149,12 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
         let left = |found: &PoseDiagnosis| {
             found.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
         };
-        let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
+        let found = diagnose_derived(&arm.joints, reading, stream, max_lag_s);
         // Transforms in the log were published without corrections.
         let as_recorded = arm
             .recorded
             .as_ref()
-            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, most_lag_s));
+            .map(|(recorded, _)| diagnose_derived(recorded, None, stream, max_lag_s));
         match as_recorded {
             Some(as_recorded) if left(&as_recorded) < left(&found) => as_recorded,
             _ => found,
@@ -177,7 +177,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
         Err(NotObservable::NotExcited) => ImuDiagnosis::not_observable(&NotObservable::RestsOn(
             "the order and the unit of the joint positions",
         )),
-        _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), most_lag_s),
+        _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), max_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
     ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None }

@@ -61,11 +61,11 @@ impl HandEyeEvidence {
 pub(super) fn hand_eyes(
     run: &Run,
     joints: impl Fn(usize) -> Option<JointTrack>,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<HandEyeEvidence> {
     let facts = run.targets.iter().filter_map(|target| {
         let series = PoseSeries::from_track(&target.track)?;
-        let (source, hand) = best_hand(target, &series, &joints, most_lag_s)?;
+        let (source, hand) = best_hand(target, &series, &joints, max_lag_s)?;
         let in_hand = source.hand_from_camera.map(|pose| (CameraMount::InHand, pose));
         let in_base = source.base_from_camera.map(|pose| (CameraMount::InBase, pose));
         let streams = HandEyeStreams {
@@ -91,7 +91,7 @@ pub(super) fn hand_eyes(
             base: base_frame(run, &source.kind),
             axes: target.axes,
             logged: streams.logged.map(|(mount, _)| mount),
-            diagnosis: diagnose_hand_eye(&streams, most_lag_s),
+            diagnosis: diagnose_hand_eye(&streams, max_lag_s),
         })
     });
     facts.collect()
@@ -102,7 +102,7 @@ fn best_hand<'a>(
     target: &'a TargetSource,
     series: &PoseSeries,
     joints: &impl Fn(usize) -> Option<JointTrack>,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<(&'a HandSource, PoseSeries)> {
     let hands = target.hands.iter().filter_map(|source| {
         let poses = match &source.kind {
@@ -116,7 +116,7 @@ fn best_hand<'a>(
         Some((source, poses))
     });
     let rotation_correlation = |hand: &PoseSeries| {
-        rotation_lag_peaks(hand, series, most_lag_s).first().map_or(0.0, |peak| peak.correlation)
+        rotation_lag_peaks(hand, series, max_lag_s).first().map_or(0.0, |peak| peak.correlation)
     };
     let mut hands: Vec<(&HandSource, PoseSeries)> = hands.collect();
     if hands.len() < 2 {

@@ -88,11 +88,11 @@ pub struct RunEvidence {
 impl RunEvidence {
     /// Collects the evidence. Replaces arms whose DH table uses the undeclared convention.
     pub fn collect(run: &mut Run, lost: &ReadLosses, options: &RunOptions) -> Self {
-        let most_lag_s = options.max_latency_s;
-        let diagnoses = estimate::diagnose(run, most_lag_s);
+        let max_lag_s = options.max_latency_s;
+        let diagnoses = estimate::diagnose(run, max_lag_s);
         let run = &*run;
         let joints = |arm: usize| estimate::readable_joints(&run.arms[arm], &diagnoses[arm].arm);
-        let hand_eyes = hand_eye::hand_eyes(run, joints, most_lag_s);
+        let hand_eyes = hand_eye::hand_eyes(run, joints, max_lag_s);
         let never_set = run
             .arms
             .iter()
@@ -105,7 +105,7 @@ impl RunEvidence {
         Self {
             robots: robots.collect(),
             no_robot: run.no_arm.as_ref().map(|error| error.what()),
-            unmodelled_commands: commands::unmodelled_commands(run, most_lag_s),
+            unmodelled_commands: commands::unmodelled_commands(run, max_lag_s),
             hand_eyes,
             stamps: streams::stamps(run),
             unusable: samples::unusable(run),

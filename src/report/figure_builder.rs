@@ -11,7 +11,7 @@ use super::figures::{
 use crate::checks::encoding_names;
 use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LatencyProfile, Measured, PoseDistances, PoseEncoding,
-    residual_by_latency, turning_by_latency,
+    angular_speed_correlation, residual_by_latency,
 };
 use crate::evidence::{
     ArmEvidence, ImuEvidence, PoseEvidence, RunEvidence, StreamEvidence, frame_of_several,
@@ -156,7 +156,8 @@ fn imu_figures(
         let found = &imu.diagnosis;
         let most_s =
             found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + LATENCY_MARGIN_S);
-        let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));
+        let curve =
+            most_s.map(|most_s| angular_speed_correlation(joints, &source.as_stream(), most_s));
         let (yaw_error, headings) = (found.yaw_error.iter(), found.headings.iter());
         ImuFigure {
             robot: facts.name.clone(),

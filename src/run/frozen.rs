@@ -51,7 +51,7 @@ pub(super) fn take_frozen(
     poses: &mut Stamped<PoseTrack>,
     joints: &JointTrack,
     columns: &[usize],
-    (known, most_lag_s): (bool, f64),
+    (known, max_lag_s): (bool, f64),
 ) -> Vec<Frozen> {
     let Stamped { track, stamps } = poses;
     let holds = holds(track);
@@ -63,7 +63,7 @@ pub(super) fn take_frozen(
     let rests = rests(joints);
     for (first, last) in holds {
         let hold = (track.t_s[first], track.t_s[last]);
-        let moved = least_motion(joints, (columns, &rests), hold, most_lag_s).unwrap_or(0.0);
+        let moved = least_motion(joints, (columns, &rests), hold, max_lag_s).unwrap_or(0.0);
         if moved > 0.0 {
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
             frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
@@ -231,13 +231,13 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     values.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
-/// Least motion of the fastest joint in any span half as long as `hold` within `most_lag_s`. `None` outside
+/// Least motion of the fastest joint in any span half as long as `hold` within `max_lag_s`. `None` outside
 /// the joint states, as the arm may have rested.
 fn least_motion(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<f64> {
     /// Start times per span length, and samples per span.
     const STARTS: f64 = 4.0;
@@ -248,15 +248,15 @@ fn least_motion(
         joints.row(row)
     };
     let length_s = 0.5 * (hold.1 - hold.0);
-    let late_s = LATE_S.min(most_lag_s);
+    let late_s = LATE_S.min(max_lag_s);
     if hold.0 + late_s + length_s > end_s || hold.1 - late_s - length_s < begin_s {
         return None;
     }
     // The first value may precede the first joint state.
-    if hold.0 - begin_s < LATE_S && hold.1 - most_lag_s - begin_s < LEAST_S {
+    if hold.0 - begin_s < LATE_S && hold.1 - max_lag_s - begin_s < LEAST_S {
         return None;
     }
-    let (from_s, to_s) = ((hold.0 - most_lag_s).max(begin_s), (hold.1 + most_lag_s).min(end_s));
+    let (from_s, to_s) = ((hold.0 - max_lag_s).max(begin_s), (hold.1 + max_lag_s).min(end_s));
     let (mut start_s, mut least) = (from_s, None::<f64>);
     while start_s + length_s <= to_s {
         let rows = (0..=LOOKS).map(|look| at(start_s + length_s * look as f64 / LOOKS as f64));

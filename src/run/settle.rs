@@ -19,18 +19,18 @@ use crate::stream::{Orientations, PoseTrack};
 
 use super::role::beside_arm;
 
-pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
+pub(super) fn settle(run: &mut Run, max_lag_s: f64) {
     settle_alternations(run);
-    settle_carried(run, most_lag_s);
+    settle_carried(run, max_lag_s);
     settle_transforms(run);
-    settle_contests(run, most_lag_s);
+    settle_contests(run, max_lag_s);
     leave_unmoved(run);
-    settle_candidates(run, most_lag_s);
-    leave_moving_bases(run, most_lag_s);
-    settle_leading_arms(run, most_lag_s);
-    settle_frozen(run, most_lag_s);
+    settle_candidates(run, max_lag_s);
+    leave_moving_bases(run, max_lag_s);
+    settle_leading_arms(run, max_lag_s);
+    settle_frozen(run, max_lag_s);
     settle_crowds(run);
-    settle_hands(run, most_lag_s);
+    settle_hands(run, max_lag_s);
 }
 
 /// Converts poses that alternate between rigid bodies on one tool to the main body.
@@ -89,7 +89,7 @@ pub(crate) fn together(arm: &Arm) -> usize {
 }
 
 /// Removes repeated poses at the lags at which streams may follow the moving arm.
-fn settle_frozen(run: &mut Run, most_lag_s: f64) {
+fn settle_frozen(run: &mut Run, max_lag_s: f64) {
     /// Minimum speed correlation to trust the lag.
     const FOLLOWS: f64 = 0.3;
     /// Minimum correlation at other lags, as a share of the best.
@@ -101,7 +101,7 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
             if found.moving_base.is_some() || !found.stands_still() {
                 continue;
             }
-            let peaks = candidate_lags(&of.joints, &run.pose_stream(found), most_lag_s);
+            let peaks = candidate_lags(&of.joints, &run.pose_stream(found), max_lag_s);
             let best = peaks.first().map_or(0.0, |peak| peak.correlation);
             if best < FOLLOWS {
                 continue;
@@ -143,14 +143,14 @@ fn settle_transforms(run: &mut Run) {
 }
 
 /// Turns joint states without measurement into commands if an arm with the same joints follows.
-fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
+fn settle_leading_arms(run: &mut Run, max_lag_s: f64) {
     let nothing_beside = |arm: &Arm| arm.poses.is_empty() && arm.imus.is_empty() && arm.tf.is_err();
     for index in (0..run.arms.len()).rev() {
         let arm = &run.arms[index];
         let mut followers = run.arms.iter().filter(|other| !nothing_beside(other));
         let led = followers.find_map(|other| {
             let is_alike = other.chain.joint_names() == arm.chain.joint_names();
-            let lead_s = leads(arm, other, most_lag_s).filter(|_| is_alike)?;
+            let lead_s = leads(arm, other, max_lag_s).filter(|_| is_alike)?;
             Some((other.name.clone(), lead_s))
         });
         if let (true, Some((of, lead_s))) = (nothing_beside(arm), led) {
@@ -160,7 +160,7 @@ fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
 }
 
 /// Lead over an arm of the same kind, s.
-fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
+fn leads(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
     const MOST: usize = 20_000;
     let rows = || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MOST).max(1));
     let poses = rows().map(|row| {
@@ -184,7 +184,7 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
         stamps_copied: false,
         removed_ramp: None,
     };
-    let peak = best_lag_peak(&leader.joints, &stream, most_lag_s)?;
+    let peak = best_lag_peak(&leader.joints, &stream, max_lag_s)?;
     (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
 }
 
@@ -195,14 +195,14 @@ const LEADS: f64 = 0.7;
 /// Minimum correlation at another lag of periodic motion, as a share of the best.
 const REPEATS: f64 = 0.9;
 
-fn settle_candidates(run: &mut Run, most_lag_s: f64) {
+fn settle_candidates(run: &mut Run, max_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
         let (arm, source) = source_of(run, candidate)?;
-        Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), most_lag_s)))
+        Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), max_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
-    let mut lags = Lags { most_lag_s, poses, imus: BTreeMap::new() };
+    let mut lags = Lags { max_lag_s, poses, imus: BTreeMap::new() };
     for candidate in candidates {
         let found = source_of(run, candidate);
         let peak = found.and_then(|(arm, source)| lags.of_pose(run, arm, source));
@@ -253,7 +253,7 @@ fn lead_s(
         return None;
     }
     // Periodic motion also matches near zero lag.
-    let peaks = candidate_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
+    let peaks = candidate_lags(&arm.joints, &run.pose_stream(source), lags.max_lag_s);
     let is_now = |other: &LagPeak| {
         other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
     };
@@ -270,20 +270,20 @@ fn lead_s(
 }
 
 struct Lags {
-    most_lag_s: f64,
+    max_lag_s: f64,
     poses: BTreeMap<usize, Option<LagPeak>>,
     imus: BTreeMap<usize, Option<f64>>,
 }
 
 impl Lags {
     fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<LagPeak> {
-        let lag = || best_lag_peak(&arm.joints, &run.pose_stream(source), self.most_lag_s);
+        let lag = || best_lag_peak(&arm.joints, &run.pose_stream(source), self.max_lag_s);
         *self.poses.entry(source.stream).or_insert_with(lag)
     }
 
     fn of_imu(&mut self, arm: &Arm, imu: &ImuSource) -> Option<f64> {
         let latency_s = || {
-            let found = diagnose_imu(&arm.joints, &imu.as_stream(), self.most_lag_s);
+            let found = diagnose_imu(&arm.joints, &imu.as_stream(), self.max_lag_s);
             found.latency_s.ok().map(|latency| latency.value)
         };
         *self.imus.entry(imu.stream).or_insert_with(latency_s)
@@ -295,7 +295,7 @@ fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
     sources.into_iter().find(|(_, source)| source.stream == stream)
 }
 
-fn settle_carried(run: &mut Run, most_lag_s: f64) {
+fn settle_carried(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
@@ -303,7 +303,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
             let stream = run.pose_stream(&of.poses[source]);
             let at = |t_s: f64| carrier.at(t_s);
             let Some(lag) =
-                estimate_moving_base_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
+                estimate_moving_base_lag(&of.joints, &stream, &carrier.logged, &at, max_lag_s)
             else {
                 continue;
             };
@@ -341,7 +341,7 @@ pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnos
 
 /// Assigns contested streams to the arm with the smallest residual; if similar, to that with the highest
 /// correlation.
-fn settle_contests(run: &mut Run, most_lag_s: f64) {
+fn settle_contests(run: &mut Run, max_lag_s: f64) {
     /// Minimum correlation margin over the next arm.
     const MORE: f64 = 0.1;
     for shared in std::mem::take(&mut run.shared_streams) {
@@ -352,7 +352,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
                 continue;
             };
             let stream = run.pose_stream(source);
-            let peak = best_lag_peak(&arm.joints, &stream, most_lag_s);
+            let peak = best_lag_peak(&arm.joints, &stream, max_lag_s);
             let lag_s = peak.map_or(0.0, |peak| peak.lag_s);
             let misfits_m =
                 [1.0, 1e-3].map(|scale| position_misfit_m(&arm.joints, &stream, scale, lag_s));
@@ -417,7 +417,7 @@ fn leave_unmoved(run: &mut Run) {
 }
 
 /// Excludes streams in whose frame the base moves unpredictably: constant causes cannot be estimated.
-fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
+fn leave_moving_bases(run: &mut Run, max_lag_s: f64) {
     let is_of_unknown_frame = |source: &&PoseSource| {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
         is_pose && !source.reference_known && source.moving_base.is_none()
@@ -425,7 +425,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let mut moving: Vec<(usize, String, BaseMotion)> = Vec::new();
     for arm in &run.arms {
         for source in arm.poses.iter().filter(is_of_unknown_frame) {
-            let travel = detect_base_motion(&arm.joints, &run.pose_stream(source), most_lag_s);
+            let travel = detect_base_motion(&arm.joints, &run.pose_stream(source), max_lag_s);
             let base = source.chain.base_name().to_owned();
             moving.extend(travel.map(|travel| (source.stream, base, travel)));
         }
@@ -446,13 +446,13 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
 const TURNS_ALIKE: f64 = 0.7;
 
 /// Without an arm, selects the hands that rotate with a target.
-fn settle_hands(run: &mut Run, most_lag_s: f64) {
+fn settle_hands(run: &mut Run, max_lag_s: f64) {
     let mut found = Vec::new();
     for target in &run.targets {
         let Some(series) = PoseSeries::from_track(&target.track) else { continue };
         let turns_alike = |hand: &HandSource| {
             let HandKind::Stream { stream, track } = &hand.kind else { return None };
-            let peaks = rotation_lag_peaks(&PoseSeries::from_track(track)?, &series, most_lag_s);
+            let peaks = rotation_lag_peaks(&PoseSeries::from_track(track)?, &series, max_lag_s);
             Some((*stream, peaks.first()?.correlation))
         };
         let best = target.hands.iter().filter_map(turns_alike).max_by(|a, b| a.1.total_cmp(&b.1));

@@ -5,7 +5,7 @@ use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::motion::mot003_limits_exceeded::UNIT_UNDETERMINED;
 use crate::checks::{Case, FrameThresholds, Grade, SubjectResult};
-use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
+use crate::diagnosis::{CommandDiagnosis, FrameEstimate, Measured, RestError, RestErrorSpread};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit,
@@ -83,7 +83,7 @@ struct RestErrors<'a> {
 }
 
 impl<'a> RestErrors<'a> {
-    fn from_source(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
+    fn from_source(case: &Case, found: &'a CommandDiagnosis, witness: usize) -> Option<Self> {
         let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
         let size = |gap: &RestError| relative_error(gap, &thresholds);
         let mut gaps: Vec<&RestError> = found.rest_errors.get(witness)?.iter().collect();
@@ -212,7 +212,7 @@ fn sound(
 }
 
 /// Reason why no rest can be compared.
-fn not_reached(found: &ReferenceDiagnosis) -> String {
+fn not_reached(found: &CommandDiagnosis) -> String {
     let why = match (found.goals, found.nearest_miss) {
         (0, _) => "the command is never constant".to_owned(),
         (goals, Some((m, rad))) => {
@@ -231,7 +231,7 @@ fn fault(
     case: &Case,
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
-    found: &ReferenceDiagnosis,
+    found: &CommandDiagnosis,
     nearest: &RestErrors<'_>,
     severity: Severity,
 ) -> Outcome {
@@ -374,7 +374,7 @@ mod tests {
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn planted(change: impl Fn(&mut ReferenceEvidence, &mut ReferenceDiagnosis)) -> RunEvidence {
+    fn planted(change: impl Fn(&mut ReferenceEvidence, &mut CommandDiagnosis)) -> RunEvidence {
         let mut run = clean_run();
         let reference = &mut run.robots[0].references[0];
         let Ok(Ok(mut found)) = reference.diagnosis.clone() else { panic!("a clean reference") };

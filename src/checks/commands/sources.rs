@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::not_observable;
 use crate::checks::motion::mot003_limits_exceeded;
-use crate::diagnosis::{CommandTracking, JointOffset, ReferenceDiagnosis};
+use crate::diagnosis::{CommandDiagnosis, CommandTracking, JointOffset};
 use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::Outcome;
@@ -14,7 +14,7 @@ pub fn reference_diagnosis<'a>(
     arm: &ArmEvidence,
     reference: &'a StreamEvidence<ReferenceEvidence>,
     settle: &str,
-) -> Result<&'a ReferenceDiagnosis, Outcome> {
+) -> Result<&'a CommandDiagnosis, Outcome> {
     let found = match &reference.diagnosis {
         Err(why) => return Err(Outcome::Skipped(why.clone())),
         Ok(found) => found.as_ref().map_err(|why| not_observable(why, settle))?,

@@ -80,7 +80,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
         Some(change) => with_change(judged.within(imu.span), change),
         None => judged,
     };
-    match &bias.shape {
+    match &bias.scale_error {
         Some(GyroScaleError { scale, misalignment_rad }) => judged
             .with_evidence("scale", scale.map(shown).to_vec())
             .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
@@ -252,7 +252,7 @@ mod tests {
             vector_rad_s: Vec3::new(0.0, 0.03, -0.04),
             length_rad_s: length(0.05),
             yaw_rate_rad_s: -0.04,
-            shape: None,
+            scale_error: None,
             change: None,
         });
         let (_, findings) = ask(&YAW004, &run);

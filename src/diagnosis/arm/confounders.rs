@@ -9,32 +9,33 @@ pub(super) fn measured(
     cause: Cause,
     which: usize,
 ) -> EstimateResult<Measured> {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
-    let state = &explanation.state;
+    let ArmFit { model, candidates, .. } = fitted;
+    let state = &model.state;
     let mut parameters: Vec<usize> =
-        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+        candidates.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
     parameters.sort_unstable();
     parameters.dedup();
-    let wanted = cause.parameters(state).start + which;
-    let at = parameters.binary_search(&wanted).map_err(|_| NotObservable::NotExcited)?;
-    explanation.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
+    let parameter = cause.parameters(state).start + which;
+    let at = parameters.binary_search(&parameter).map_err(|_| NotObservable::NotExcited)?;
+    model.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
 }
 
 /// Causes that explain the log as well in its place.
 pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
-    let (state, linear) = (&explanation.state, &explanation.linear);
+    let ArmFit { model, candidates, .. } = fitted;
+    let (state, linear) = (&model.state, &model.linear);
     let parameters = |causes: &[Cause]| -> Vec<usize> {
         let mut list: Vec<usize> =
-            menu.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
+            candidates.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
         list.sort_unstable();
         list
     };
-    let cost = linear.cost(&parameters(&explanation.causes));
-    let rest: Vec<Cause> = explanation.causes.iter().copied().filter(|c| *c != cause).collect();
-    menu.optional
+    let cost = linear.cost(&parameters(&model.causes));
+    let rest: Vec<Cause> = model.causes.iter().copied().filter(|c| *c != cause).collect();
+    candidates
+        .optional
         .iter()
-        .filter(|other| !explanation.causes.contains(other))
+        .filter(|other| !model.causes.contains(other))
         .filter_map(|&other| {
             let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
             let parameters = parameters(&swapped);
@@ -42,11 +43,11 @@ pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
                 return None;
             }
             let values = state.values() + linear.step(&parameters);
-            let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
+            let effects: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
             match other {
-                Cause::Zero(joint) => Some(Confounder::JointZero(joint, own[0])),
-                Cause::Reference(s) => Some(Confounder::Reference(s, frame_size(&own))),
-                Cause::Tool(s) => Some(Confounder::Tool(s, frame_size(&own))),
+                Cause::Zero(joint) => Some(Confounder::JointZero(joint, effects[0])),
+                Cause::Reference(s) => Some(Confounder::Reference(s, frame_size(&effects))),
+                Cause::Tool(s) => Some(Confounder::Tool(s, frame_size(&effects))),
                 Cause::JointScale(_)
                 | Cause::Latency(_)
                 | Cause::Skew(_)
@@ -58,10 +59,10 @@ pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
 
 /// Collinear with the joint offset `cause`.
 pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
-    let (state, linear) = (&explanation.state, &explanation.linear);
+    let ArmFit { model, candidates, .. } = fitted;
+    let (state, linear) = (&model.state, &model.linear);
     let values = state.values();
-    let frames = menu.always.iter().chain(&explanation.causes);
+    let frames = candidates.always.iter().chain(&model.causes);
     let round = (0..state.streams.len()).flat_map(|s| {
         let stream = &state.streams[s];
         let reference = stream.round_reference.map(|_| Cause::Reference(s));

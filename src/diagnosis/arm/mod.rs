@@ -33,9 +33,9 @@ use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
-/// Diagnoses joint states and independent pose streams; `most_lag_s` is the largest latency to search.
-pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    diagnose_with(joints, streams, most_lag_s, LinkModel::Deviate)
+/// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
+pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
+    diagnose_with(joints, streams, max_lag_s, LinkModel::Deviate)
 }
 
 /// Diagnoses a segment already corrected by another's result: the links are the same, so they explain no
@@ -43,141 +43,158 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
 pub(super) fn diagnose_other_segment(
     joints: &JointTrack,
     streams: &[PoseStream],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> ArmDiagnosis {
-    diagnose_with(joints, streams, most_lag_s, LinkModel::AreKnown)
+    diagnose_with(joints, streams, max_lag_s, LinkModel::AreKnown)
 }
 
 fn diagnose_with(
     joints: &JointTrack,
     streams: &[PoseStream],
-    most_lag_s: f64,
+    max_lag_s: f64,
     links: LinkModel,
 ) -> ArmDiagnosis {
-    let slides = prismatic_columns(joints.dof, streams);
-    let placed = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
+    let is_prismatic = prismatic_columns(joints.dof, streams);
+    let estimate_positions = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
         streams
             .iter()
-            .map(|stream| PositionEncodingEstimate::estimate(joints, stream, most_lag_s))
+            .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
             .collect()
     };
-    let placements = placed(joints);
-    let by = |reading: &JointEncoding| {
-        let read = CorrectedJoints::new(joints, reading, &slides);
-        let anew = (*reading != JointEncoding::default()).then(|| placed(read.approximate_track()));
-        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true, links)
+    let position_encodings = estimate_positions(joints);
+    let diagnose_as = |encoding: &JointEncoding| {
+        let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic);
+        let reestimated = (*encoding != JointEncoding::default())
+            .then(|| estimate_positions(corrected.approximate_track()));
+        diagnose(
+            joints,
+            &corrected,
+            streams,
+            reestimated.as_ref().unwrap_or(&position_encodings),
+            true,
+            links,
+        )
     };
     let as_logged = JointEncoding::default();
-    let mut metres: Vec<f64> = placements.iter().map(PositionEncodingEstimate::metres).collect();
-    let is_confirmed = |read: &CorrectedJoints| {
-        let mut both = streams.iter().zip(&placements);
-        both.any(|(stream, placement)| {
-            placement.needs_correction()
-                && decode_stream(read, stream, placement).is_ok_and(|it| it.is_confirmed())
+    let mut metres: Vec<f64> =
+        position_encodings.iter().map(PositionEncodingEstimate::metres).collect();
+    let is_confirmed = |corrected: &CorrectedJoints| {
+        let mut both = streams.iter().zip(&position_encodings);
+        both.any(|(stream, position_encoding)| {
+            position_encoding.needs_correction()
+                && decode_stream(corrected, stream, position_encoding)
+                    .is_ok_and(|it| it.is_confirmed())
         })
     };
-    let mut reading = match is_confirmed(&CorrectedJoints::new(joints, &as_logged, &slides)) {
+    let mut encoding = match is_confirmed(&CorrectedJoints::new(joints, &as_logged, &is_prismatic))
+    {
         // The joint states need no other encoding.
         true => Ok(JointEncoding::default()),
-        false => estimate_joint_encoding(joints, streams, &metres, most_lag_s),
+        false => estimate_joint_encoding(joints, streams, &metres, max_lag_s),
     };
-    if reading.is_err() {
+    if encoding.is_err() {
         // Wrong joint encodings can imitate another unit.
         let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
         for other in others.into_iter().filter(|other| *other != metres) {
-            let by_other = estimate_joint_encoding(joints, streams, &other, most_lag_s);
-            if by_other.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
-                (reading, metres) = (by_other, other);
+            let by_other = estimate_joint_encoding(joints, streams, &other, max_lag_s);
+            if by_other.as_ref().is_ok_and(|encoding| !encoding.is_as_logged()) {
+                (encoding, metres) = (by_other, other);
                 break;
             }
         }
     }
-    let mut found = by(reading.as_ref().unwrap_or(&as_logged));
-    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_credible() {
-        (reading, found) = (Err(NotObservable::NotExcited), by(&as_logged));
+    let mut result = diagnose_as(encoding.as_ref().unwrap_or(&as_logged));
+    if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
+        (encoding, result) = (Err(NotObservable::NotExcited), diagnose_as(&as_logged));
     }
     // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
     // logged need no more joint zeros.
     let is_rewritten =
-        found.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_))));
-    if is_rewritten && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
-        let sound: Vec<PositionEncodingEstimate> =
-            placements.iter().map(PositionEncodingEstimate::standard_only).collect();
-        let read = CorrectedJoints::new(joints, &as_logged, &slides);
-        let as_written = diagnose(joints, &read, streams, &sound, true, links);
-        if as_written.unexplained().is_none()
-            && as_written.is_near()
-            && as_written.zero_count() <= found.zero_count()
+        result.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_))));
+    if is_rewritten && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+        let standard_encodings: Vec<PositionEncodingEstimate> =
+            position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
+        let corrected = CorrectedJoints::new(joints, &as_logged, &is_prismatic);
+        let standard = diagnose(joints, &corrected, streams, &standard_encodings, true, links);
+        if standard.largest_unexplained().is_none()
+            && standard.is_close_to_fk()
+            && standard.zero_count() <= result.zero_count()
         {
-            found = as_written;
+            result = standard;
         }
     }
-    let astray = |found: &EncodingResult| {
-        !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::is_far_from_fk)
+    let is_far_from_fk = |result: &EncodingResult| {
+        !result.streams.is_empty() && result.streams.iter().all(PoseDiagnosis::is_far_from_fk)
     };
     // A stream that agrees with the joint states as logged must still do so.
     let is_alone = streams.len() < 2;
-    let plain = LazyCell::new(|| by(&as_logged));
-    let spoils = |found: &EncodingResult| !is_alone && !found.preserves_agreement(&plain);
-    if reading.as_ref().is_ok_and(|reading| !reading.is_as_logged()) && spoils(&found) {
-        (reading, found) = (Ok(JointEncoding::default()), by(&as_logged));
+    let unchanged = LazyCell::new(|| diagnose_as(&as_logged));
+    let spoils_agreement =
+        |result: &EncodingResult| !is_alone && !result.preserves_agreement(&unchanged);
+    if encoding.as_ref().is_ok_and(|encoding| !encoding.is_as_logged()) && spoils_agreement(&result)
+    {
+        (encoding, result) = (Ok(JointEncoding::default()), diagnose_as(&as_logged));
     }
-    if reading.is_err() || astray(&found) {
+    if encoding.is_err() || is_far_from_fk(&result) {
         // Other faults may hide the encoding.
-        for likely in likely_encodings(joints, streams, &metres, most_lag_s) {
-            let by_it = by(&likely.encoding);
-            if spoils(&by_it) {
+        for likely in likely_encodings(joints, streams, &metres, max_lag_s) {
+            let by_likely = diagnose_as(&likely.encoding);
+            if spoils_agreement(&by_likely) {
                 continue;
             }
-            let is_part = likely.by_range
-                && by_it.total_residual_m() * MIN_IMPROVEMENT_BY_RANGE < found.total_residual_m();
-            if is_part
-                || (by_it.is_credible()
-                    && by_it.total_residual_m() * MIN_IMPROVEMENT < found.total_residual_m())
+            let is_likely_by_range = likely.by_range
+                && by_likely.total_residual_m() * MIN_IMPROVEMENT_BY_RANGE
+                    < result.total_residual_m();
+            if is_likely_by_range
+                || (by_likely.is_credible()
+                    && by_likely.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m())
             {
-                (reading, found) = (Ok(likely.encoding), by_it);
+                (encoding, result) = (Ok(likely.encoding), by_likely);
                 break;
             }
         }
     }
-    if let (Ok(_), Some((stream, left))) = (&reading, found.unexplained()) {
-        let own = &streams[stream];
-        let lag_s = found.streams[stream]
-            .latency_s
-            .as_ref()
-            .map_or_else(|_| stream_lag_s(joints, own, most_lag_s), |latency| latency.value);
-        let other = other_encoding(joints, own, metres[stream], lag_s, left);
+    if let (Ok(_), Some((stream, residual))) = (&encoding, result.largest_unexplained()) {
+        let stream_of_residual = &streams[stream];
+        let lag_s = result.streams[stream].latency_s.as_ref().map_or_else(
+            |_| stream_lag_s(joints, stream_of_residual, max_lag_s),
+            |latency| latency.value,
+        );
+        let other = other_encoding(joints, stream_of_residual, metres[stream], lag_s, residual);
         if let Some(other) = other {
-            let by_other = by(&other);
+            let by_other = diagnose_as(&other);
             if by_other.is_credible()
-                && by_other.total_residual_m() * MIN_IMPROVEMENT < found.total_residual_m()
-                && !spoils(&by_other)
+                && by_other.total_residual_m() * MIN_IMPROVEMENT < result.total_residual_m()
+                && !spoils_agreement(&by_other)
             {
-                (reading, found) = (Ok(other), by_other);
+                (encoding, result) = (Ok(other), by_other);
             }
         }
     }
     // If no stream follows FK, the encoding is undetermined.
-    if astray(&found) && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
-        reading = Err(NotObservable::NotExcited);
+    if is_far_from_fk(&result) && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+        encoding = Err(NotObservable::NotExcited);
     }
-    if let Ok(reading) = &mut reading {
-        for slip in &mut reading.unit_errors {
-            let own = found.scales.iter().find(|scale| scale.column == slip.column);
-            slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
+    if let Ok(encoding) = &mut encoding {
+        for unit_error in &mut encoding.unit_errors {
+            let stream_of_residual =
+                result.scales.iter().find(|scale| scale.column == unit_error.column);
+            unit_error.factor =
+                stream_of_residual.map_or(unit_error.factor, |scale| scale.factor.value);
         }
     }
-    let EncodingResult { offsets, mut scales, mut couplings, streams } = found;
-    if let Ok(reading) = &mut reading {
+    let EncodingResult { offsets, mut scales, mut couplings, streams } = result;
+    if let Ok(encoding) = &mut encoding {
         let is_one = |factor: f64| (factor - 1.0).abs() < FACTOR_TOLERANCE;
         scales.retain(|scale| !is_one(scale.factor.value));
-        reading.unit_errors.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
+        encoding.unit_errors.retain(|unit_error| {
+            unit_error.unit != JointUnit::Scaled || !is_one(unit_error.factor)
+        });
         couplings.retain(|coupling| coupling.factor.value.abs() > FACTOR_TOLERANCE);
-        reading.couplings.clone_from(&couplings);
+        encoding.couplings.clone_from(&couplings);
     }
-    let (changes, patches, bends) = (Vec::new(), Vec::new(), Vec::new());
-    let joints =
-        JointDiagnosis { encoding: reading, offsets, scales, changes, patches, compliance: bends };
+    let (changes, patches, compliance) = (Vec::new(), Vec::new(), Vec::new());
+    let joints = JointDiagnosis { encoding, offsets, scales, changes, patches, compliance };
     ArmDiagnosis { joints, streams }
 }
 
@@ -207,47 +224,48 @@ impl EncodingResult {
     }
 
     /// Some stream is close to FK.
-    fn is_near(&self) -> bool {
-        let near = |found: &PoseDiagnosis| {
-            let most_m = (MAX_RESIDUAL_SHARE * extent_m(found)).max(MAX_RESIDUAL_M);
-            found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
+    fn is_close_to_fk(&self) -> bool {
+        let is_close = |stream: &PoseDiagnosis| {
+            let max_m = (MAX_RESIDUAL_SHARE * extent_m(stream)).max(MAX_RESIDUAL_M);
+            stream.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < max_m)
         };
-        self.streams.iter().any(near)
+        self.streams.iter().any(is_close)
     }
 
     /// Each stream that agrees with FK in `other`, without frame errors, still does.
-    fn preserves_agreement(&self, other: &EncodingResult) -> bool {
-        let agrees = |found: &PoseDiagnosis| {
-            let is_explained = found.residual.as_ref().is_ok_and(|left| {
-                left.rms_m < MAX_EXPLAINED_M
-                    && left.rms_rad < MAX_EXPLAINED_RAD
-                    && found.encoding.is_ok()
+    fn preserves_agreement(&self, before: &EncodingResult) -> bool {
+        let agrees = |stream: &PoseDiagnosis| {
+            let is_explained = stream.residual.as_ref().is_ok_and(|residual| {
+                residual.rms_m < MAX_EXPLAINED_M
+                    && residual.rms_rad < MAX_EXPLAINED_RAD
+                    && stream.encoding.is_ok()
             });
-            let FrameCorrection { reference, .. } = &found.frame_correction;
+            let FrameCorrection { reference, .. } = &stream.frame_correction;
             is_explained
                 && reference.translation.vector.norm() < MAX_TIP_CHANGE_M
                 && reference.rotation.angle() < MAX_TIP_CHANGE_RAD
         };
-        let pairs = self.streams.iter().zip(&other.streams);
-        pairs.into_iter().all(|(own, other)| !agrees(other) || agrees(own))
+        let pairs = self.streams.iter().zip(&before.streams);
+        pairs.into_iter().all(|(after, before)| !agrees(before) || agrees(after))
     }
 
     /// Some stream must be close to FK. A scale that is not a plausible gear ratio must explain everything.
     fn is_credible(&self) -> bool {
-        let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
-            || self.couplings.iter().any(|coupling| !coupling.is_round());
-        self.is_near() && (!is_odd || self.unexplained().is_none())
+        let has_implausible_scale =
+            self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
+                || self.couplings.iter().any(|coupling| !coupling.is_round());
+        self.is_close_to_fk() && (!has_implausible_scale || self.largest_unexplained().is_none())
     }
 
     /// Sum over the streams. Angles are weighted by 0.3 m.
     fn total_residual_m(&self) -> f64 {
-        self.streams.iter().map(|found| combined_m(&excess_residual(found))).sum()
+        self.streams.iter().map(|stream| combined_m(&excess_residual(stream))).sum()
     }
 
     /// Stream with the largest unexplained excess residual.
-    fn unexplained(&self) -> Option<(usize, ResidualSize)> {
-        let lefts = self.streams.iter().map(excess_residual).enumerate();
-        let worst = lefts.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
+    fn largest_unexplained(&self) -> Option<(usize, ResidualSize)> {
+        let residuals = self.streams.iter().map(excess_residual).enumerate();
+        let worst = residuals.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
         let ResidualSize { m, rad } = worst.1;
         let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
         (is_open && !self.streams[worst.0].is_nominal).then_some(worst)
@@ -255,8 +273,8 @@ impl EncodingResult {
 }
 
 /// 1 m and 1 rad if not decoded.
-fn excess_residual(found: &PoseDiagnosis) -> ResidualSize {
-    match (&found.residual, &found.encoding) {
+fn excess_residual(stream: &PoseDiagnosis) -> ResidualSize {
+    match (&stream.residual, &stream.encoding) {
         (Ok(residual), Ok(_)) => {
             ResidualSize { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
         }
@@ -270,14 +288,14 @@ fn excess_residual(found: &PoseDiagnosis) -> ResidualSize {
     }
 }
 
-fn combined_m(left: &ResidualSize) -> f64 {
-    left.combined_m(0.3)
+fn combined_m(residual: &ResidualSize) -> f64 {
+    residual.combined_m(0.3)
 }
 
 /// Extent of FK's positions.
-fn extent_m(found: &PoseDiagnosis) -> f64 {
+fn extent_m(stream: &PoseDiagnosis) -> f64 {
     let fk: Vec<Vec3> =
-        found.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
+        stream.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
     spread(&fk)
 }
 
@@ -286,25 +304,32 @@ fn extent_m(found: &PoseDiagnosis) -> f64 {
 /// match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,
-    reading: Option<&JointEncoding>,
+    encoding: Option<&JointEncoding>,
     stream: &PoseStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let slides = prismatic_columns(joints.dof, streams);
-    let by = |reading: &JointEncoding| {
-        let read = CorrectedJoints::new(joints, reading, &slides).for_derived();
-        let placements = [PositionEncodingEstimate::estimate(&read.track, stream, most_lag_s)];
-        diagnose(joints, &read, streams, &placements, false, LinkModel::AreKnown).streams.remove(0)
+    let is_prismatic = prismatic_columns(joints.dof, streams);
+    let diagnose_as = |encoding: &JointEncoding| {
+        let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic).for_derived();
+        let position_encodings =
+            [PositionEncodingEstimate::estimate(&corrected.track, stream, max_lag_s)];
+        diagnose(joints, &corrected, streams, &position_encodings, false, LinkModel::AreKnown)
+            .streams
+            .remove(0)
     };
-    let left = |diagnosis: &PoseDiagnosis| {
+    let residual_m = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
     };
-    let as_recorded = by(&JointEncoding::default());
-    match reading {
-        Some(reading) if !reading.is_as_logged() => {
-            let mended = by(reading);
-            if left(&mended) < left(&as_recorded) { mended } else { as_recorded }
+    let as_recorded = diagnose_as(&JointEncoding::default());
+    match encoding {
+        Some(encoding) if !encoding.is_as_logged() => {
+            let as_corrected = diagnose_as(encoding);
+            if residual_m(&as_corrected) < residual_m(&as_recorded) {
+                as_corrected
+            } else {
+                as_recorded
+            }
         }
         _ => as_recorded,
     }
@@ -332,9 +357,9 @@ impl JointDiagnosis {
 
     /// Removes eccentricity above the usual level, which no rule reports.
     pub fn without_eccentricity(&self) -> Self {
-        let mut named = self.clone();
-        named.compliance.retain(|bend| !bend.is_eccentric());
-        named
+        let mut reported = self.clone();
+        reported.compliance.retain(|compliance| !compliance.is_eccentric());
+        reported
     }
 
     /// Corrects change points, names and units, compliance, and the selected model's joint offsets.
@@ -345,7 +370,7 @@ impl JointDiagnosis {
             patch.apply(unchanged.to_mut());
         }
         let mut track = match &self.encoding {
-            Ok(reading) => correct_joints(&unchanged, reading, prismatic),
+            Ok(encoding) => correct_joints(&unchanged, encoding, prismatic),
             Err(_) => unchanged.into_owned(),
         };
         if !self.compliance.is_empty() {
@@ -370,18 +395,19 @@ impl JointDiagnosis {
 
 /// Best correlation of a pose stream's speeds with FK's. Bare numbers must also be positioned where the arm
 /// is, because an array of joint angles correlates too.
-pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<LagPeak> {
-    let peak = candidate_lags(joints, stream, most_lag_s).first().copied()?;
-    let placed = as_rotations(&stream.track.orientation).is_some() || {
-        let placement = PositionEncodingEstimate::estimate(joints, stream, most_lag_s);
-        placement.needs_correction() || follows_arm(joints, stream, placement.metres(), peak.lag_s)
+pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Option<LagPeak> {
+    let peak = candidate_lags(joints, stream, max_lag_s).first().copied()?;
+    let is_positioned = as_rotations(&stream.track.orientation).is_some() || {
+        let position_encoding = PositionEncodingEstimate::estimate(joints, stream, max_lag_s);
+        position_encoding.needs_correction()
+            || follows_arm(joints, stream, position_encoding.metres(), peak.lag_s)
     };
-    Some(if placed { peak } else { LagPeak { correlation: 0.0, ..peak } })
+    Some(if is_positioned { peak } else { LagPeak { correlation: 0.0, ..peak } })
 }
 
 /// Candidate lags from speeds, best first.
-pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
-    stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, most_lag_s)
+pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Vec<LagPeak> {
+    stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, max_lag_s)
 }
 
 fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
@@ -397,29 +423,29 @@ fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
 /// Fits all streams together.
 fn diagnose(
     recorded: &JointTrack,
-    read: &CorrectedJoints,
+    corrected: &CorrectedJoints,
     streams: &[PoseStream],
-    placements: &[PositionEncodingEstimate],
+    position_encodings: &[PositionEncodingEstimate],
     with_offsets: bool,
     links: LinkModel,
 ) -> EncodingResult {
-    let joints = &read.track;
-    let prepared: Vec<EstimateResult<DecodedStream>> = streams
+    let joints = &corrected.track;
+    let decoded: Vec<EstimateResult<DecodedStream>> = streams
         .iter()
-        .zip(placements)
-        .map(|(stream, placement)| decode_stream(read, stream, placement))
+        .zip(position_encodings)
+        .map(|(stream, position_encoding)| decode_stream(corrected, stream, position_encoding))
         .collect();
-    let usable: Vec<&DecodedStream> = prepared.iter().flatten().collect();
-    let fitted = fit(&usable, read, with_offsets, links);
+    let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
+    let fitted = fit(&usable, corrected, with_offsets, links);
     let (offsets, scales, couplings) = match &fitted {
         Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
         Some(fitted) => (
             joint_offsets(fitted, &usable, joints),
-            joint_scales(fitted, read),
-            joint_couplings(fitted, read),
+            joint_scales(fitted, corrected),
+            joint_couplings(fitted, corrected),
         ),
         None => {
-            let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
+            let why = decoded.iter().find_map(|decoded| decoded.as_ref().err());
             (
                 unobservable_offsets(joints.dof, why.unwrap_or(&NotObservable::NoOverlap)),
                 Vec::new(),
@@ -430,11 +456,11 @@ fn diagnose(
     let mut used = 0;
     let diagnoses = streams
         .iter()
-        .zip(prepared.iter().zip(placements))
-        .map(|(stream, (prepared, placement))| match (prepared, &fitted) {
-            (Ok(prepared), Some(fitted)) => {
+        .zip(decoded.iter().zip(position_encodings))
+        .map(|(stream, (decoded, position_encoding))| match (decoded, &fitted) {
+            (Ok(decoded), Some(fitted)) => {
                 used += 1;
-                stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
+                stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, used - 1)
             }
             (Ok(_), None) => no_diagnosis(NotObservable::NoOverlap),
             (Err(why), _) => no_diagnosis(why.clone()),

@@ -62,16 +62,16 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
 fn length_unit_error(
     stream: &PoseStream,
     placement: &PositionEncodingEstimate,
-    prepared: &DecodedStream,
+    decoded: &DecodedStream,
     residual: &EstimateResult<StreamResidual>,
 ) -> EstimateResult<Option<LengthUnitError>> {
     placement.metres.as_ref().map_err(NotObservable::clone)?;
-    if prepared.metres == 1.0 {
+    if decoded.metres == 1.0 {
         return Ok(None);
     }
     let declared = stream.track.declared.as_ref();
     let read_as = declared.map_or(LengthScale::METRE, |declared| declared.length);
-    let is = LengthScale::from_m(prepared.metres * read_as.in_m());
+    let is = LengthScale::from_m(decoded.metres * read_as.in_m());
     let residual = residual.as_ref().ok();
     let corrected = residual.map_or(0.0, |residual| residual.rms_m);
     let as_logged = residual.map_or(0.0, |residual| residual.before_m);
@@ -81,12 +81,12 @@ fn length_unit_error(
 /// Coordinates with their range by FK.
 fn constant_coordinates(
     stream: &PoseStream,
-    prepared: &DecodedStream,
+    decoded: &DecodedStream,
     aligned: &AlignedSamples,
 ) -> Vec<ConstantCoordinate> {
-    let axes = prepared.axes.unwrap_or(AxesError::NONE).positions;
+    let axes = decoded.axes.unwrap_or(AxesError::NONE).positions;
     let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
-    let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
+    let constant = coordinates.filter(|&(axis, _)| decoded.constant[axis]);
     let part = |(axis, coordinate): (usize, char)| {
         let along =
             aligned.fk.iter().map(|fk| axes.convert_from_standard(fk.translation.vector)[axis]);
@@ -104,16 +104,16 @@ fn constant_coordinates(
 pub(super) fn stream_diagnosis(
     recorded: &JointTrack,
     stream: &PoseStream,
-    placement: &PositionEncodingEstimate,
-    prepared: &DecodedStream,
+    position_encoding: &PositionEncodingEstimate,
+    decoded: &DecodedStream,
     fitted: &ArmFit,
     index: usize,
 ) -> PoseDiagnosis {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
-    let causes = &explanation.causes;
+    let ArmFit { model, candidates, .. } = fitted;
+    let causes = &model.causes;
     let with = |cause: Cause| -> Vec<Cause> {
         let mut with = causes.clone();
-        if !with.contains(&cause) && !menu.always.contains(&cause) {
+        if !with.contains(&cause) && !candidates.always.contains(&cause) {
             with.push(cause);
         }
         with
@@ -123,7 +123,7 @@ pub(super) fn stream_diagnosis(
             Err(NotObservable::NominalKinematics)
         } else if is_hidden(fitted, cause, index) {
             Err(NotObservable::NotExcited)
-        } else if menu.all().contains(&cause) {
+        } else if candidates.all().contains(&cause) {
             measured(fitted, &with(cause), cause, 0)
         } else {
             Err(NotObservable::AtRest)
@@ -133,69 +133,72 @@ pub(super) fn stream_diagnosis(
         std_error: latency.std_error.hypot(stream.stamp_error_s),
         ..latency
     });
-    let latency_s = match aliases(prepared, explanation, index) {
+    let latency_s = match aliases(decoded, model, index) {
         Some(lags) => Err(NotObservable::Periodic(lags)),
         None => latency_s,
     };
     let frame = |cause: Cause| {
-        if fitted.deviations.is_some() && !menu.all().contains(&cause) {
+        if fitted.deviations.is_some() && !candidates.all().contains(&cause) {
             return Err(NotObservable::NominalKinematics);
         }
         if is_hidden(fitted, cause, index) {
             return Err(NotObservable::NotExcited);
         }
-        frame_estimate(explanation, menu, &with(cause), cause, index)
+        frame_estimate(model, candidates, &with(cause), cause, index)
     };
-    let aligned = align(recorded, stream, prepared, explanation, index);
-    let (found, zeros) = (&explanation.state.streams[index], &explanation.state.offsets);
-    let residual = excess_residual(&aligned, &prepared.observations, found, zeros);
-    let delays =
-        latency_s.as_ref().ok().and_then(|_| estimate_delay_jitter(&aligned, found.latency_s));
+    let aligned = align(recorded, stream, decoded, model, index);
+    let (stream_state, zeros) = (&model.state.streams[index], &model.state.offsets);
+    let residual = excess_residual(&aligned, &decoded.observations, stream_state, zeros);
+    let delays = latency_s
+        .as_ref()
+        .ok()
+        .and_then(|_| estimate_delay_jitter(&aligned, stream_state.latency_s));
     let latency_s = latency_s.map(|latency| match &delays {
         Some(DelayJitter { median_s, .. }) => {
             Measured { std_error: median_s.std_error.hypot(stream.stamp_error_s), ..*median_s }
         }
         None => latency,
     });
-    let information = explanation.linear.information_of(index);
-    let observability = Observability::new(&prepared.observations, found, zeros, &information);
-    let course = match &latency_s {
+    let information = model.linear.information_of(index);
+    let observability =
+        Observability::new(&decoded.observations, stream_state, zeros, &information);
+    let profile = match &latency_s {
         Ok(_) => {
-            let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
-            let course = latency_profile(&aligned, found.skew, stream.removed_ramp, speed);
-            let states = [found, &without_small_causes(explanation, index)];
-            let is_feigned = |course: &LatencyProfile| {
+            let speed = |t_s: f64| joint_speed(recorded, t_s - stream_state.latency_s);
+            let profile = latency_profile(&aligned, stream_state.skew, stream.removed_ramp, speed);
+            let states = [stream_state, &without_small_causes(model, index)];
+            let is_imitated_by_links = |profile: &LatencyProfile| {
                 let removed = stream.removed_ramp;
-                course.is_unsteady
+                profile.is_unsteady
                     && link_deviations_beat_profile(
-                        &prepared.observations,
+                        &decoded.observations,
                         states,
                         zeros,
-                        course,
+                        profile,
                         removed,
                     )
             };
-            match course {
-                Ok(course) if is_feigned(&course) => Err(NotObservable::NotExcited),
-                course => course,
+            match profile {
+                Ok(profile) if is_imitated_by_links(&profile) => Err(NotObservable::NotExcited),
+                profile => profile,
             }
         }
         Err(why) => Err(why.clone()),
     };
-    let t_s = &prepared.observations.t_s;
+    let t_s = &decoded.observations.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
-    let mut reading = prepared.encoding.clone();
-    if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
+    let mut encoding = decoded.encoding.clone();
+    if let (Ok(encoding), Ok(residual)) = (&mut encoding, &residual) {
         // Latency, offsets and frames are now corrected.
-        reading.best_rad = reading.best_rad.min(residual.rms_rad);
+        encoding.best_rad = encoding.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
-        encoding: reading,
-        length_unit: length_unit_error(stream, placement, prepared, &residual),
-        axes: Ok(prepared.axes),
-        is_inverted: prepared.is_inverted,
-        constant_coordinates: constant_coordinates(stream, prepared, &aligned),
-        degrees: prepared.degrees,
+        encoding,
+        length_unit: length_unit_error(stream, position_encoding, decoded, &residual),
+        axes: Ok(decoded.axes),
+        is_inverted: decoded.is_inverted,
+        constant_coordinates: constant_coordinates(stream, decoded, &aligned),
+        degrees: decoded.degrees,
         latency_s,
         delay_jitter: delays,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
@@ -204,7 +207,7 @@ pub(super) fn stream_diagnosis(
             ..skew
         }),
         is_skew_chosen: causes.contains(&Cause::Skew(index)),
-        latency_profile: course,
+        latency_profile: profile,
         radial_scale: one(Cause::RadialScale(index)),
         is_radial_scale_chosen: causes.contains(&Cause::RadialScale(index)),
         reference: frame(Cause::Reference(index)),
@@ -213,12 +216,12 @@ pub(super) fn stream_diagnosis(
         tool_changes: Vec::new(),
         radial_scale_changes: Vec::new(),
         encoding_spans: EncodingSpans::default(),
-        frame_correction: found.frame_correction(),
+        frame_correction: stream_state.frame_correction(),
         residual,
         is_nominal: fitted.deviations.is_some(),
-        link_m: fitted.deviations.as_ref().map(|drawing| drawing.link_m),
+        link_m: fitted.deviations.as_ref().map(|deviations| deviations.link_m),
         observability: Some(observability),
-        top_speed_m_s: placement.top_speed_m_s,
+        top_speed_m_s: position_encoding.top_speed_m_s,
         aligned,
     }
 }
@@ -232,66 +235,63 @@ fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
 
 /// Whether another error would compensate this one. At rest, only their sum is observable.
 fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
-    let (state, found) = (&explanation.state, &explanation.state.streams[index]);
+    let ArmFit { model, candidates, .. } = fitted;
+    let (state, stream_state) = (&model.state, &model.state.streams[index]);
     let is_round = match cause {
-        Cause::Reference(_) => found.round_reference.is_some(),
-        Cause::Tool(_) => found.round_tool.is_some(),
+        Cause::Reference(_) => stream_state.round_reference.is_some(),
+        Cause::Tool(_) => stream_state.round_tool.is_some(),
         Cause::RadialScale(_) => false,
         Cause::Zero(_) | Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
     };
-    if is_round || explanation.causes.contains(&cause) || !menu.optional.contains(&cause) {
+    if is_round || model.causes.contains(&cause) || !candidates.optional.contains(&cause) {
         return false;
     }
-    let others = [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
+    let nearby_causes = [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
     let makes_up = |other: &Cause| {
         let mut both: Vec<usize> = cause.parameters(state).chain(other.parameters(state)).collect();
         both.sort_unstable();
         *other != cause
-            && menu.optional.contains(other)
-            && explanation.linear.normal.separation(&both) < MIN_CAUSE_SEPARATION
+            && candidates.optional.contains(other)
+            && model.linear.normal.separation(&both) < MIN_CAUSE_SEPARATION
     };
-    others.iter().any(makes_up)
+    nearby_causes.iter().any(makes_up)
 }
 
 /// Lags that match FK equally well in repetitive motion, if any.
-fn aliases(
-    prepared: &DecodedStream,
-    explanation: &SelectedModel,
-    index: usize,
-) -> Option<Vec<f64>> {
-    let found = &explanation.state.streams[index];
-    let witness = &prepared.observations;
-    let offsets = &explanation.state.offsets;
+fn aliases(decoded: &DecodedStream, model: &SelectedModel, index: usize) -> Option<Vec<f64>> {
+    let stream_state = &model.state.streams[index];
+    let observations = &decoded.observations;
+    let offsets = &model.state.offsets;
     let at = |latency_s: f64| {
-        let mut state = StreamState { latency_s, ..found.clone() };
-        if !witness.reference_known {
+        let mut state = StreamState { latency_s, ..stream_state.clone() };
+        if !observations.reference_known {
             // Another lag may need another world frame, e.g. by one line of a raster.
-            state = with_frames_from_positions(witness, state, offsets);
+            state = with_frames_from_positions(observations, state, offsets);
         }
-        witness.residual_at_latency(&state, offsets, MAX_SEARCH_SAMPLES)
+        observations.residual_at_latency(&state, offsets, MAX_SEARCH_SAMPLES)
     };
-    let (best, _) = at(found.latency_s);
-    let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);
-    let others: Vec<f64> = prepared
+    let (best, _) = at(stream_state.latency_s);
+    let min_separation_s = 4.0 * median_period_s(&observations.t_s).max(0.02);
+    let other_lags_s: Vec<f64> = decoded
         .peaks
         .iter()
         .take(6)
         .map(|peak| peak.lag_s)
         .chain([0.0])
-        .filter(|lag_s| (lag_s - found.latency_s).abs() > apart)
+        .filter(|lag_s| (lag_s - stream_state.latency_s).abs() > min_separation_s)
         .filter_map(|lag_s| {
-            let settled = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
-            let same = (settled - found.latency_s).abs() < apart;
-            (!same && at(settled).0 < 2.0 * best.max(MIN_DISTINGUISHABLE_RAD)).then_some(settled)
+            let converged_s = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
+            let is_same_lag = (converged_s - stream_state.latency_s).abs() < min_separation_s;
+            (!is_same_lag && at(converged_s).0 < 2.0 * best.max(MIN_DISTINGUISHABLE_RAD))
+                .then_some(converged_s)
         })
         .collect();
-    if others.is_empty() {
+    if other_lags_s.is_empty() {
         return None;
     }
-    let mut lags = vec![found.latency_s];
-    lags.extend(others);
+    let mut lags = vec![stream_state.latency_s];
+    lags.extend(other_lags_s);
     lags.sort_by(f64::total_cmp);
-    lags.dedup_by(|a, b| (*a - *b).abs() < apart);
+    lags.dedup_by(|a, b| (*a - *b).abs() < min_separation_s);
     Some(lags)
 }

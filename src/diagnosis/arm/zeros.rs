@@ -23,38 +23,42 @@ pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<Joint
 /// Selected offsets are estimated with the selected causes free, the others with all joints free.
 pub(super) fn joint_offsets(
     fitted: &ArmFit,
-    prepared: &[&DecodedStream],
+    decoded: &[&DecodedStream],
     joints: &JointTrack,
 ) -> Vec<JointOffset> {
-    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
+    let ArmFit { model, candidates, .. } = fitted;
     let moved = moved_joints(joints);
-    let zeros: Vec<Cause> =
-        menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
-    let everyone: Vec<Cause> =
-        explanation.causes.iter().copied().chain(zeros.iter().copied()).collect();
+    let zeros: Vec<Cause> = candidates
+        .optional
+        .iter()
+        .copied()
+        .filter(|cause| matches!(cause, Cause::Zero(_)))
+        .collect();
+    let all_zeros: Vec<Cause> = model.causes.iter().copied().chain(zeros.iter().copied()).collect();
     (0..joints.dof)
         .map(|joint| {
             let cause = Cause::Zero(joint);
-            let drawing = fitted.deviations.as_ref();
-            let instead = drawing.and_then(|drawing| drawing.confounders(joint));
-            let chosen = explanation.causes.contains(&cause) || instead.is_some();
-            let beside = drawing.map(|drawing| drawing.zeros[joint]);
-            let offset = if let Some(zero) = beside {
+            let deviations = fitted.deviations.as_ref();
+            let deviation_confounders =
+                deviations.and_then(|deviations| deviations.confounders(joint));
+            let chosen = model.causes.contains(&cause) || deviation_confounders.is_some();
+            let deviation_zero = deviations.map(|deviations| deviations.zeros[joint]);
+            let offset = if let Some(zero) = deviation_zero {
                 zero.ok_or(NotObservable::NominalKinematics)
             } else if !zeros.contains(&cause) {
                 Err(NotObservable::NotExcited)
             } else if chosen {
-                measured(fitted, &explanation.causes, cause, 0)
+                measured(fitted, &model.causes, cause, 0)
             } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
                 Err(NotObservable::NotExcited)
             } else {
-                measured(fitted, &everyone, cause, 0)
+                measured(fitted, &all_zeros, cause, 0)
             };
-            let mut twins =
+            let mut all_confounders =
                 if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
-            twins.extend_from_slice(instead.unwrap_or_default());
-            let slides = is_prismatic(prepared, joint);
-            let within_a_turn = |offset: Measured| match slides {
+            all_confounders.extend_from_slice(deviation_confounders.unwrap_or_default());
+            let is_slide = is_prismatic(decoded, joint);
+            let within_a_turn = |offset: Measured| match is_slide {
                 true => offset,
                 false => {
                     Measured { value: offset.value - TAU * half_turns(offset.value), ..offset }
@@ -62,60 +66,61 @@ pub(super) fn joint_offsets(
             };
             let offset = offset.map(within_a_turn);
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
-            let chord = if slides { amount } else { 2.0 * (0.5 * amount).sin() };
-            let lever_m = lever_m(prepared, joint);
+            let chord = if is_slide { amount } else { 2.0 * (0.5 * amount).sin() };
+            let lever_m = lever_m(decoded, joint);
             JointOffset {
                 offset,
                 is_chosen: chosen,
                 effect_m: chord * lever_m,
                 lever_m,
-                confounders: twins,
+                confounders: all_confounders,
             }
         })
         .collect()
 }
 
-fn is_prismatic(prepared: &[&DecodedStream], joint: usize) -> bool {
-    prepared.iter().any(|DecodedStream { observations: witness, .. }| {
-        let own = witness.columns.iter().position(|&column| column == joint);
-        own.is_some_and(|own| witness.chain.joint_kinds()[own] == JointKind::Prismatic)
+fn is_prismatic(decoded: &[&DecodedStream], joint: usize) -> bool {
+    decoded.iter().any(|DecodedStream { observations, .. }| {
+        let index = observations.columns.iter().position(|&column| column == joint);
+        index.is_some_and(|index| observations.chain.joint_kinds()[index] == JointKind::Prismatic)
     })
 }
 
-pub(super) fn joint_scales(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointScale> {
-    let explanation = &fitted.model;
+pub(super) fn joint_scales(fitted: &ArmFit, corrected: &CorrectedJoints) -> Vec<JointScale> {
+    let model = &fitted.model;
     let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
         if by != column {
             return None;
         }
-        let about = read.factors[column];
-        let gain = gain(fitted, read, at)?;
+        let encoded = corrected.factors[column];
+        let gain = gain(fitted, corrected, at)?;
         let factor = Measured {
-            value: about * (1.0 + gain.value),
-            std_error: about.abs() * gain.std_error,
+            value: encoded * (1.0 + gain.value),
+            std_error: encoded.abs() * gain.std_error,
             ..gain
         };
         let zero = Cause::Zero(column);
-        let is_off = explanation.causes.contains(&zero) || fitted.candidates.always.contains(&zero);
-        let offset = if is_off { explanation.state.offsets[column] } else { 0.0 };
+        let has_zero = model.causes.contains(&zero) || fitted.candidates.always.contains(&zero);
+        let offset = if has_zero { model.state.offsets[column] } else { 0.0 };
         Some(JointScale { column, factor, offset })
     };
-    read.gains.iter().enumerate().filter_map(scale).collect()
+    corrected.gains.iter().enumerate().filter_map(scale).collect()
 }
 
-pub(super) fn joint_couplings(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointCoupling> {
+pub(super) fn joint_couplings(fitted: &ArmFit, corrected: &CorrectedJoints) -> Vec<JointCoupling> {
     let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
-        let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
-        let gain = gain(fitted, read, at)?;
-        let factor = Measured { value: about.factor.value + gain.value, ..gain };
+        let encoded =
+            corrected.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
+        let gain = gain(fitted, corrected, at)?;
+        let factor = Measured { value: encoded.factor.value + gain.value, ..gain };
         Some(JointCoupling { column, by, factor })
     };
-    read.gains.iter().enumerate().filter_map(coupling).collect()
+    corrected.gains.iter().enumerate().filter_map(coupling).collect()
 }
 
 /// Entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
-fn gain(fitted: &ArmFit, read: &CorrectedJoints, at: usize) -> Option<Measured> {
-    measured(fitted, &fitted.model.causes, Cause::JointScale(read.track.dof + at), 0).ok()
+fn gain(fitted: &ArmFit, corrected: &CorrectedJoints, at: usize) -> Option<Measured> {
+    measured(fitted, &fitted.model.causes, Cause::JointScale(corrected.track.dof + at), 0).ok()
 }
 
 /// Joints that move by more than 3° (or 50 mm).
@@ -132,14 +137,15 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
 
 /// Largest distance from axis to tip, m/rad (1 if prismatic), over evenly spread joint positions (Halton
 /// 1960).
-fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
+fn lever_m(decoded: &[&DecodedStream], joint: usize) -> f64 {
     const CONFIGURATIONS: u32 = 500;
     const HALTON_BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
-    let lever = |prepared: &&DecodedStream| {
-        let own = prepared.observations.columns.iter().position(|&column| column == joint)?;
-        let chain = prepared.observations.chain;
+    let lever = |decoded: &&DecodedStream| {
+        let joint_index =
+            decoded.observations.columns.iter().position(|&column| column == joint)?;
+        let chain = decoded.observations.chain;
         let kinds = chain.joint_kinds();
-        if kinds[own] == JointKind::Prismatic {
+        if kinds[joint_index] == JointKind::Prismatic {
             return Some(1.0);
         }
         let mut jacobian = vec![[0.0; 6]; chain.dof()];
@@ -150,12 +156,12 @@ fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
             };
             let q: Vec<f64> = kinds.iter().enumerate().map(at).collect();
             chain.forward_with_jacobian(&q, &mut jacobian);
-            let [x, y, z, ..] = jacobian[own];
+            let [x, y, z, ..] = jacobian[joint_index];
             Vec3::new(x, y, z).norm()
         });
         Some(levers.fold(0.0, f64::max))
     };
-    prepared.iter().filter_map(lever).fold(0.0, f64::max)
+    decoded.iter().filter_map(lever).fold(0.0, f64::max)
 }
 
 /// Digits of `index` in `base`, mirrored at the point, in [0, 1).

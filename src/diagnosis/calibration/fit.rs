@@ -62,7 +62,7 @@ struct StreamSource<'a> {
     xyz: Vec<Vec3>,
     stride: usize,
     columns: DMatrix<f64>,
-    still: Vec<f64>,
+    rest_speeds: Vec<f64>,
 }
 
 pub(super) fn fit(
@@ -90,13 +90,13 @@ pub(super) fn fit(
     };
     let drawing = system.linearize(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
     let before = system.nominal_residuals(&drawing);
-    let mut pieces = drawing;
+    let mut linearized = drawing;
     let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
     for round in 0..MAX_ITERATIONS {
-        let whole = system.normal(&pieces);
-        link_m = system.best_link_m(&whole, &state);
+        let normal = system.normal(&linearized);
+        link_m = system.best_link_m(&normal, &state);
         let (step, cholesky) =
-            system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
+            system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
         let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
             / parameters.width() as f64)
             .sqrt();
@@ -104,25 +104,25 @@ pub(super) fn fit(
             return Err(CalibrationFailure::Diverges);
         }
         system.advance(&mut state, &step);
-        pieces = system.linearize(&state, true).ok_or(CalibrationFailure::Diverges)?;
+        linearized = system.linearize(&state, true).ok_or(CalibrationFailure::Diverges)?;
         unsettled = (moved >= CONVERGED_SIGMAS).then_some(moved);
         if unsettled.is_none() && round > 1 {
             break;
         }
     }
-    let whole = system.normal(&pieces);
-    let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
+    let normal = system.normal(&linearized);
+    let (_, cholesky) = system.step(&normal, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
     let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
     // A fit absorbs noise: residuals shrink by the share of fitted degrees of freedom, scores by its square
     // (MacKinnon and White 1985, HC3, on average).
-    let fitted = (&inverse * &whole.matrix).trace();
-    let taken = (fitted / whole.independent.max(1.0)).clamp(0.0, 0.9);
-    let scores = system.scores(&pieces) / (1.0 - taken).powi(2);
+    let fitted = (&inverse * &normal.matrix).trace();
+    let taken = (fitted / normal.independent.max(1.0)).clamp(0.0, 0.9);
+    let scores = system.scores(&linearized) / (1.0 - taken).powi(2);
     let before_log = DMatrix::from_diagonal(&DVector::from_vec(prior));
     let covariance = &inverse * (scores + before_log) * &inverse;
-    let held_out = system.held_out(&pieces, &state, link_m);
-    let dof = (whole.independent - fitted).max(3.0);
+    let held_out = system.held_out(&linearized, &state, link_m);
+    let dof = (normal.independent - fitted).max(3.0);
     let calibrated = system.robot_at(&state);
     let workspace = TipSensitivity::new(&system, &state);
     let shared = parameters.shared();
@@ -132,7 +132,7 @@ pub(super) fn fit(
         let last = parameters.stream_range(s).end;
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
-            samples: pieces[s].linear.len(),
+            samples: linearized[s].linear.len(),
             latency_s: own.latency.then(|| Measured {
                 value: latency_s,
                 std_error: std_error(last - 1),
@@ -141,11 +141,11 @@ pub(super) fn fit(
             reference: own.reference.then_some(reference),
             tool: own.tool.then_some(tool),
             before: before[s].0,
-            after: rms_residual(std::slice::from_ref(&pieces[s].linear.residual)),
+            after: rms_residual(std::slice::from_ref(&linearized[s].linear.residual)),
             held_out_before: before[s].1,
             held_out_after: held_out[s],
-            noise: [0, 1].map(|kind| pieces[s].weights[kind].noise.sigma),
-            inflation: [0, 1].map(|kind| pieces[s].weights[kind].noise.inflation()),
+            noise: [0, 1].map(|kind| linearized[s].weights[kind].noise.sigma),
+            inflation: [0, 1].map(|kind| linearized[s].weights[kind].noise.inflation()),
             spans: sources[s].spans(),
         }
     });
@@ -156,7 +156,7 @@ pub(super) fn fit(
         deviations: parameters.deviations(state.values.as_slice()),
         link_m,
         remaining_step: unsettled,
-        undetermined: undetermined_directions(&whole.matrix, &parameters, link_m, &workspace),
+        undetermined: undetermined_directions(&normal.matrix, &parameters, link_m, &workspace),
         calibrated_uncertainty: workspace.uncertainty(&shared_covariance),
         nominal_uncertainty: workspace.uncertainty(&parameters.nominal_covariance(link_m)),
         robot: calibrated,
@@ -170,9 +170,9 @@ pub(super) fn fit(
 }
 
 /// Residual by kind over pieces of a stream.
-fn rms_residual(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
+fn rms_residual(linearized: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
     let rms = |kind: usize| {
-        let all = || pieces.iter().flat_map(|piece| &piece[kind]);
+        let all = || linearized.iter().flat_map(|stream| &stream[kind]);
         let squares: f64 = all().flatten().map(|c| c * c).sum();
         (squares / all().count().max(1) as f64).sqrt()
     };
@@ -183,7 +183,7 @@ impl<'a> StreamSource<'a> {
     fn new(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
         let stride = stream.t_s.len().div_ceil(MAX_SAMPLES).max(1);
         let xyz = stream.poses.iter().map(|pose| pose.translation.vector).collect();
-        Self { stream, xyz, stride, columns, still: vec![0.0; stream.joints.dof] }
+        Self { stream, xyz, stride, columns, rest_speeds: vec![0.0; stream.joints.dof] }
     }
 
     /// Per joint of the chain while poses are available.
@@ -211,7 +211,7 @@ impl<'a> StreamSource<'a> {
             columns: &stream.columns,
             gains: &[],
             reference_known: !stream.reference_is_free,
-            rest_speeds: &self.still,
+            rest_speeds: &self.rest_speeds,
             t_s: stream.t_s.clone(),
             xyz: self.xyz.clone(),
             rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
@@ -263,24 +263,29 @@ impl CalibrationSystem<'_> {
     }
 
     /// Weights are from the residuals there.
-    fn linearize(&self, state: &CalibrationState, is_near: bool) -> Option<Vec<LinearizedStream>> {
+    fn linearize(
+        &self,
+        state: &CalibrationState,
+        is_solution: bool,
+    ) -> Option<Vec<LinearizedStream>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
         let of_stream = |(s, source): (usize, &StreamSource)| {
             let stream = source.stream;
             let chain = robot.chain(stream.base, stream.tip).ok()?;
-            let witness = source.observations(&chain);
-            let plain = self.stream_state(s, state);
+            let observations = source.observations(&chain);
+            let stream_state = self.stream_state(s, state);
             let mut offsets = vec![0.0; stream.joints.dof];
             for (&column, zero) in stream.columns.iter().zip(&zeros) {
                 offsets[column] = *zero;
             }
-            let rows = (0..witness.len()).step_by(source.stride);
-            let linear = link_frames(&witness, &plain, &offsets, rows, FreeAlongside::Zeros);
+            let rows = (0..observations.len()).step_by(source.stride);
+            let linear =
+                link_frames(&observations, &stream_state, &offsets, rows, FreeAlongside::Zeros);
             if linear.len() < FOLDS {
                 return None;
             }
-            let weights = match is_near {
+            let weights = match is_solution {
                 true => linear.weights_after(&vec![0.0; linear.width]),
                 false => linear.first_weights(),
             };
@@ -295,12 +300,12 @@ impl CalibrationSystem<'_> {
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
     }
 
-    fn normal(&self, pieces: &[LinearizedStream]) -> Normal {
+    fn normal(&self, linearized: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width());
-        for (source, piece) in self.sources.iter().zip(pieces) {
-            let all: Vec<usize> = (0..piece.linear.width).collect();
-            let mut own = Normal::zeros(piece.linear.width);
-            piece.linear.accumulate(&piece.weights, &all, &mut own);
+        for (source, stream) in self.sources.iter().zip(linearized) {
+            let all: Vec<usize> = (0..stream.linear.width).collect();
+            let mut own = Normal::zeros(stream.linear.width);
+            stream.linear.accumulate(&stream.weights, &all, &mut own);
             normal.matrix += source.columns.transpose() * own.matrix * &source.columns;
             normal.right += source.columns.transpose() * own.right;
             normal.cost += own.cost;
@@ -310,9 +315,9 @@ impl CalibrationSystem<'_> {
     }
 
     /// Covariance of the scores, for the sandwich estimator.
-    fn scores(&self, pieces: &[LinearizedStream]) -> DMatrix<f64> {
+    fn scores(&self, linearized: &[LinearizedStream]) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(self.parameters.width(), self.parameters.width());
-        for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(pieces) {
+        for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(linearized) {
             let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
             let mut information = DMatrix::zeros(linear.width, linear.width);
             let mut scores = DMatrix::zeros(linear.width, linear.width);
@@ -347,7 +352,7 @@ impl CalibrationSystem<'_> {
 
     /// Maximises the marginal likelihood.
     fn best_link_m(&self, normal: &Normal, state: &CalibrationState) -> f64 {
-        let (least, most, times) = DEVIATION_GRID_M;
+        let (min_m, max_m, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
             let prior = DVector::from_vec(self.parameters.prior(link_m));
@@ -357,11 +362,11 @@ impl CalibrationSystem<'_> {
             total.dot(&cholesky.solve(&total)) - log_det
                 + prior.iter().map(|one| one.ln()).sum::<f64>()
         };
-        let tried = std::iter::successors(Some(least), |link_m| Some(link_m * times));
+        let tried = std::iter::successors(Some(min_m), |link_m| Some(link_m * times));
         let tried = tried
-            .take_while(|link_m| *link_m < 4.0 * most)
+            .take_while(|link_m| *link_m < 4.0 * max_m)
             .map(|link_m| (link_m, evidence(link_m)));
-        tried.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(least, |best| best.0)
+        tried.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(min_m, |best| best.0)
     }
 
     fn advance(&self, state: &mut CalibrationState, step: &DVector<f64>) {
@@ -398,50 +403,52 @@ impl CalibrationSystem<'_> {
     /// Residuals of all samples and cross-validated, after fitting frames and latencies.
     fn nominal_residuals(
         &self,
-        pieces: &[LinearizedStream],
+        linearized: &[LinearizedStream],
     ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
         let own: Vec<usize> = (self.parameters.shared()..self.parameters.width()).collect();
         let none = DVector::zeros(self.parameters.width());
         let fitted = |normal: &Normal| normal.step(&none, &own);
-        let whole = fitted(&self.normal(pieces));
-        let folds = self.cross_validated(pieces, fitted);
-        let of = |((source, piece), held_out): (
+        let all_free = fitted(&self.normal(linearized));
+        let folds = self.cross_validated(linearized, fitted);
+        let of = |((source, stream), held_out): (
             (&StreamSource, &LinearizedStream),
             CalibrationResidual,
         )| {
-            (rms_residual(&[piece.after(&(&source.columns * &whole))]), held_out)
+            (rms_residual(&[stream.after(&(&source.columns * &all_free))]), held_out)
         };
-        self.sources.iter().zip(pieces).zip(folds).map(of).collect()
+        self.sources.iter().zip(linearized).zip(folds).map(of).collect()
     }
 
     /// Fits all parameters to the other folds.
     fn held_out(
         &self,
-        pieces: &[LinearizedStream],
+        linearized: &[LinearizedStream],
         state: &CalibrationState,
         link_m: f64,
     ) -> Vec<CalibrationResidual> {
         let none = || DVector::zeros(self.parameters.width());
-        let of = |kept: &Normal| self.step(kept, state, link_m).map_or_else(none, |(step, _)| step);
-        self.cross_validated(pieces, of)
+        let of = |training: &Normal| {
+            self.step(training, state, link_m).map_or_else(none, |(step, _)| step)
+        };
+        self.cross_validated(linearized, of)
     }
 
     /// Each fold is predicted by a step from the others' equations.
     fn cross_validated(
         &self,
-        pieces: &[LinearizedStream],
+        linearized: &[LinearizedStream],
         step: impl Fn(&Normal) -> DVector<f64>,
     ) -> Vec<CalibrationResidual> {
-        let whole = self.normal(pieces);
-        let mut all: Vec<Vec<_>> = pieces.iter().map(|_| Vec::new()).collect();
+        let all_data = self.normal(linearized);
+        let mut all: Vec<Vec<_>> = linearized.iter().map(|_| Vec::new()).collect();
         for fold in 0..FOLDS {
-            let parts: Vec<LinearizedStream> =
-                pieces.iter().map(|piece| piece.part(fold)).collect();
-            let mut kept = self.normal(&parts);
-            kept.matrix = &whole.matrix - kept.matrix;
-            kept.right = &whole.right - kept.right;
-            let step = step(&kept);
-            for ((all, part), source) in all.iter_mut().zip(&parts).zip(self.sources) {
+            let held_out_parts: Vec<LinearizedStream> =
+                linearized.iter().map(|stream| stream.part(fold)).collect();
+            let mut training = self.normal(&held_out_parts);
+            training.matrix = &all_data.matrix - training.matrix;
+            training.right = &all_data.right - training.right;
+            let step = step(&training);
+            for ((all, part), source) in all.iter_mut().zip(&held_out_parts).zip(self.sources) {
                 all.push(part.after(&(&source.columns * &step)));
             }
         }

@@ -27,7 +27,7 @@ impl TipSensitivity {
         };
         let joints = random_configurations(&chain);
         let columns: Vec<usize> = (0..chain.dof()).collect();
-        let witness = PoseObservations {
+        let observations = PoseObservations {
             joints: &joints,
             chain: &chain,
             columns: &columns,
@@ -43,7 +43,7 @@ impl TipSensitivity {
         };
         let plain = StreamState::at_latency(0.0);
         let linear = link_frames(
-            &witness,
+            &observations,
             &plain,
             &vec![0.0; chain.dof()],
             0..joints.len(),

@@ -13,12 +13,12 @@ const SEGMENTS: usize = 20;
 
 /// Whether constant tool and reference frames explain the run: every stream's residual must be below 1 mm
 /// and 0.1° rms in every segment.
-pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
+pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
-        let left = constant_frame_residuals(aligned, has_rotation);
-        let size = left.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
-        !left.is_empty()
-            && left.chunks(size).all(|part| {
+        let residuals = constant_frame_residuals(aligned, has_rotation);
+        let size = residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
+        !residuals.is_empty()
+            && residuals.chunks(size).all(|part| {
                 let rms = |kind: usize| {
                     let squares: f64 = part.iter().map(|both| both[kind].norm_squared()).sum();
                     (squares / part.len() as f64).sqrt()
@@ -26,9 +26,9 @@ pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
                 (0..2).all(|kind| rms(kind) < MAX_RESIDUAL_M_RAD[kind])
             })
     };
-    let mut streams = found.streams.iter();
-    !found.streams.is_empty()
-        && streams.all(|found| is_small(&found.aligned, found.encoding.is_ok()))
+    let mut streams = diagnosis.streams.iter();
+    !diagnosis.streams.is_empty()
+        && streams.all(|diagnosis| is_small(&diagnosis.aligned, diagnosis.encoding.is_ok()))
 }
 
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.

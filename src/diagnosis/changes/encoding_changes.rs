@@ -12,22 +12,26 @@ impl BaselineSegment {
         others: &[OtherSegment],
         after: &mut PoseDiagnosis,
     ) {
-        let own = &self.found.streams[s];
+        let own = &self.diagnosis.streams[s];
         let first = others.iter().find(|other| self.has_other_encoding(s, other));
-        let part = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+        let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
             let its = &first.filter(|first| !is_same(own, &first.own.streams[s]))?.own.streams[s];
             if !is_as_logged(own) {
                 return Some((own, self.span));
             }
-            let alike = others.iter().filter(|other| is_same(its, &other.own.streams[s]));
-            alike.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
+            let same = others.iter().filter(|other| is_same(its, &other.own.streams[s]));
+            same.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
         };
-        let rotation = part(is_same_rotation, is_rotation_as_logged);
-        let degrees = part(is_same_angle_unit, |found| found.degrees.is_none());
-        let length = part(is_same_length_unit, |found| !matches!(found.length_unit, Ok(Some(_))));
-        let axes = part(is_same_axes, |found| !matches!(found.axes, Ok(Some(_))));
-        let [of_rotation, of_degrees, of_length, of_axes] = [rotation, degrees, length, axes]
-            .map(|part: Option<(&PoseDiagnosis, Span)>| part.map_or(own, |(found, _)| found));
+        let rotation = component(is_same_rotation, is_rotation_as_logged);
+        let degrees = component(is_same_angle_unit, |diagnosis| diagnosis.degrees.is_none());
+        let length = component(is_same_length_unit, |diagnosis| {
+            !matches!(diagnosis.length_unit, Ok(Some(_)))
+        });
+        let axes = component(is_same_axes, |diagnosis| !matches!(diagnosis.axes, Ok(Some(_))));
+        let [of_rotation, of_degrees, of_length, of_axes] =
+            [rotation, degrees, length, axes].map(|component: Option<(&PoseDiagnosis, Span)>| {
+                component.map_or(own, |(diagnosis, _)| diagnosis)
+            });
         after.encoding.clone_from(&of_rotation.encoding);
         after.is_inverted = of_rotation.is_inverted;
         after.degrees = of_degrees.degrees;
@@ -35,7 +39,7 @@ impl BaselineSegment {
         after.axes.clone_from(&of_axes.axes);
         after.constant_coordinates.clone_from(&own.constant_coordinates);
         let [rotation, degrees, length, axes] =
-            [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
+            [rotation, degrees, length, axes].map(|component| component.map(|(_, span)| span));
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
     }
 }
@@ -44,10 +48,10 @@ impl BaselineSegment {
 type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| {
-        let best = found.encoding.as_ref().ok().map(|reading| reading.best);
+    let of = |diagnosis: &PoseDiagnosis| {
+        let best = diagnosis.encoding.as_ref().ok().map(|reading| reading.best);
         let other = best.filter(|best| !matches!(best, PoseEncoding::AsLogged));
-        (other.map(|best| format!("{best:?}")), found.is_inverted)
+        (other.map(|best| format!("{best:?}")), diagnosis.is_inverted)
     };
     of(a) == of(b)
 }
@@ -57,12 +61,13 @@ fn is_same_angle_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
 }
 
 fn is_same_length_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| Some(found.length_unit.as_ref().ok()?.as_ref()?.factor());
+    let of =
+        |diagnosis: &PoseDiagnosis| Some(diagnosis.length_unit.as_ref().ok()?.as_ref()?.factor());
     of(a) == of(b)
 }
 
 fn is_same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let of = |found: &PoseDiagnosis| found.axes.as_ref().ok().copied().flatten();
+    let of = |diagnosis: &PoseDiagnosis| diagnosis.axes.as_ref().ok().copied().flatten();
     of(a) == of(b)
 }
 
@@ -72,6 +77,7 @@ pub(super) fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     all.into_iter().all(|same| same(a, b))
 }
 
-fn is_rotation_as_logged(found: &PoseDiagnosis) -> bool {
-    !found.is_inverted && found.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
+fn is_rotation_as_logged(diagnosis: &PoseDiagnosis) -> bool {
+    !diagnosis.is_inverted
+        && diagnosis.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
 }

@@ -156,16 +156,17 @@ pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
     let mut found: Vec<Jump> = found.iter().filter(|jump| !finer(jump)).copied().collect();
     found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
     let largest = found.iter().find(|jump| jump.strength.is_finite());
-    let least = MIN_RELATIVE_STRENGTH * largest.map_or(0.0, |jump| jump.strength);
-    let mut kept: Vec<Jump> = Vec::new();
+    let min_strength = MIN_RELATIVE_STRENGTH * largest.map_or(0.0, |jump| jump.strength);
+    let mut separated: Vec<Jump> = Vec::new();
     for jump in found {
-        let is_apart = kept.iter().all(|other| (other.at_s - jump.at_s).abs() > MIN_SEPARATION_S);
-        if is_apart && kept.len() < MAX_CHANGE_POINTS && jump.strength > least {
-            kept.push(jump);
+        let is_separated =
+            separated.iter().all(|other| (other.at_s - jump.at_s).abs() > MIN_SEPARATION_S);
+        if is_separated && separated.len() < MAX_CHANGE_POINTS && jump.strength > min_strength {
+            separated.push(jump);
         }
     }
-    kept.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-    kept
+    separated.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    separated
 }
 
 fn jumps_in_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {

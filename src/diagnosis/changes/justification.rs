@@ -16,18 +16,18 @@ const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
 const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
 
 /// Whether a stream's residual exceeds its noise in some segment.
-pub(crate) fn has_large_residual(found: &PoseDiagnosis) -> bool {
+pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     const MIN_NOISE_RATIO: f64 = 2.0;
-    let aligned = &found.aligned;
-    let does_not_follow = matches!(found.encoding, Err(NotObservable::DoesNotFollow(_)));
+    let aligned = &diagnosis.aligned;
+    let does_not_follow = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
     if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
         return does_not_follow
-            || found
+            || diagnosis
                 .unusable_reason()
                 .is_some_and(|why| matches!(why, NotObservable::DoesNotFollow(_)));
     }
     let moves = vec![true; aligned.t_s.len()];
-    let has_rotation = found.encoding.is_ok();
+    let has_rotation = diagnosis.encoding.is_ok();
     let series = ErrorSeries::from_poses(
         &aligned.t_s,
         &aligned.corrected,
@@ -45,42 +45,42 @@ pub(crate) fn has_large_residual(found: &PoseDiagnosis) -> bool {
 }
 
 /// Whether they are significant.
-pub(crate) fn has_latency_steps(found: &PoseDiagnosis) -> bool {
-    found
+pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
+    diagnosis
         .latency_profile
         .as_ref()
         .is_ok_and(|course| course.is_unsteady && !course.steps.is_empty())
 }
 
 /// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
-pub(crate) fn residual_m(found: &ArmDiagnosis) -> f64 {
-    combined_m(found, StreamResidual::combined_m)
+pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
+    combined_m(diagnosis, StreamResidual::combined_m)
 }
 
 /// Weighted as in [`residual_m`].
-fn excess_m(found: &ArmDiagnosis) -> f64 {
-    combined_m(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
+fn excess_m(diagnosis: &ArmDiagnosis) -> f64 {
+    combined_m(diagnosis, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
 }
 
-fn combined_m(found: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
-    let of_stream = |found: &PoseDiagnosis| match (&found.residual, &found.encoding) {
+fn combined_m(diagnosis: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
+    let of_stream = |diagnosis: &PoseDiagnosis| match (&diagnosis.residual, &diagnosis.encoding) {
         (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
         (Ok(residual), _) => of(residual),
     };
-    found.streams.iter().map(of_stream).sum()
+    diagnosis.streams.iter().map(of_stream).sum()
 }
 
 /// Whether the residual exceeds the noise, or its mean in some segment does.
-pub(crate) fn has_slow_residual(found: &PoseDiagnosis) -> bool {
+pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
     const SEGMENTS: usize = 10;
     /// For a significant mean.
     const MIN_STD_ERRORS: f64 = 6.0;
-    if has_large_residual(found) {
+    if has_large_residual(diagnosis) {
         return true;
     }
-    let is_slow = |(left, (floor, little)): (Vec<[f64; 3]>, (f64, f64))| {
+    let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
         let parts: Vec<&[[f64; 3]]> =
-            left.chunks(left.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
+            residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
         let beside_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
             let mean = mean(part);
             part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
@@ -89,11 +89,11 @@ pub(crate) fn has_slow_residual(found: &PoseDiagnosis) -> bool {
         let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
         parts.iter().any(|part| {
             let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
-            mean(part).norm() > f64::max(little, MIN_STD_ERRORS * variance.sqrt())
+            mean(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())
         })
     };
     let floors = [(FLOOR_M, HEALTHY_RESIDUAL_M_RAD[0]), (FLOOR_RAD, HEALTHY_RESIDUAL_M_RAD[1])];
-    residual_vectors(&found.aligned).into_iter().zip(floors).any(is_slow)
+    residual_vectors(&diagnosis.aligned).into_iter().zip(floors).any(is_slow)
 }
 
 fn mean(vectors: &[[f64; 3]]) -> Vec3 {
@@ -132,7 +132,9 @@ pub(crate) fn log_likelihood_gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -
         let pairs =
             residual_vectors(&before.aligned).into_iter().zip(residual_vectors(&after.aligned));
         for ((before, after), floor) in pairs.zip([FLOOR_M, FLOOR_RAD]) {
-            let noise = |left: &[[f64; 3]]| Noise::estimate(left, &vec![1.0; left.len()], floor);
+            let noise = |residuals: &[[f64; 3]]| {
+                Noise::estimate(residuals, &vec![1.0; residuals.len()], floor)
+            };
             let (was, is) = (noise(&before), noise(&after));
             let samples = 3.0 * after.len().min(before.len()) as f64;
             let samples = samples / is.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);

@@ -44,44 +44,43 @@ const MIN_NOISE_RATIO: f64 = 2.0;
 /// Share of the whole run's residual; above it, changes do not explain it.
 const MAX_BASELINE_SHARE: f64 = 0.97;
 
-/// Diagnoses the arm as if nothing had changed. `found` is the diagnosis of the whole run. `None` if there
+/// Diagnoses the arm as if nothing had changed. `diagnosis` is the diagnosis of the whole run. `None` if there
 /// are no changes or they do not explain enough of the residual.
 pub(super) fn diagnose_with_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
-    slides: &[bool],
-    found: &ArmDiagnosis,
-    most_lag_s: f64,
-    most: usize,
+    is_prismatic: &[bool],
+    diagnosis: &ArmDiagnosis,
+    max_lag_s: f64,
+    max_changes: usize,
 ) -> Option<ArmDiagnosis> {
     let jumps = jumps_in_joints(joints);
-    if jumps.is_empty() && !found.streams.iter().any(has_slow_residual) {
+    if jumps.is_empty() && !diagnosis.streams.iter().any(has_slow_residual) {
         return None;
     }
     let lags: Vec<f64> = streams
         .iter()
-        .zip(&found.streams)
-        .map(|(stream, found)| match &found.latency_s {
+        .zip(&diagnosis.streams)
+        .map(|(stream, diagnosis)| match &diagnosis.latency_s {
             Ok(latency) => latency.value,
-            Err(_) => stream_lag_s(joints, stream, most_lag_s),
+            Err(_) => stream_lag_s(joints, stream, max_lag_s),
         })
         .collect();
-    let run =
-        SplitRun { joints, streams, is_prismatic: slides, lags: &lags, max_lag_s: most_lag_s };
-    let mut all = run.change_points(found, jumps);
-    if all.len() > most {
+    let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
+    let mut all = run.change_points(diagnosis, jumps);
+    if all.len() > max_changes {
         all.retain(|jump| jump.window_s == 0.0);
         all.sort_by(|a, b| b.strength.total_cmp(&a.strength));
-        all.truncate(most);
+        all.truncate(max_changes);
         all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
     // Jumps that need averaging come second.
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.window_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();
-    let by_sharp = if is_both { diagnose_with_jumps(&run, &sharp, found) } else { None };
+    let by_sharp = if is_both { diagnose_with_jumps(&run, &sharp, diagnosis) } else { None };
     match by_sharp {
         Some(after) if !after.streams.iter().any(has_slow_residual) => Some(after),
-        by_sharp => match (diagnose_with_jumps(&run, &all, found), by_sharp) {
+        by_sharp => match (diagnose_with_jumps(&run, &all, diagnosis), by_sharp) {
             (Some(all), Some(sharp)) if residual_m(&sharp) <= residual_m(&all) => Some(sharp),
             (all, sharp) => all.or(sharp),
         },
@@ -90,74 +89,82 @@ pub(super) fn diagnose_with_changes(
 
 fn diagnose_with_jumps(
     run: &SplitRun,
-    moments: &[Jump],
-    found: &ArmDiagnosis,
+    jumps: &[Jump],
+    diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let SplitRun { joints, streams, is_prismatic: slides, max_lag_s: most_lag_s, .. } = *run;
-    let parts = run.split_at(moments);
-    let kept = (0..parts.len()).max_by_key(|&part| run.samples(parts[part]))?;
-    let kept = (parts.len() > 1).then(|| BaselineSegment::diagnose(run, parts[kept]))?;
-    let left = residual_m(&kept.found);
-    if left > MAX_BASELINE_SHARE * residual_m(found) {
+    let SplitRun { joints, streams, is_prismatic, max_lag_s, .. } = *run;
+    let spans = run.split_at(jumps);
+    let baseline = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
+    let baseline = (spans.len() > 1).then(|| BaselineSegment::diagnose(run, spans[baseline]))?;
+    let residual = residual_m(&baseline.diagnosis);
+    if residual > MAX_BASELINE_SHARE * residual_m(diagnosis) {
         // The residual is not due to a change.
         return None;
     }
-    let most_m = (MAX_RESIDUAL_RATIO * left)
+    let max_residual_m = (MAX_RESIDUAL_RATIO * residual)
         .max(RESIDUAL_FLOOR_M)
-        .min(residual_m(found).max(MIN_NOISE_RATIO * left));
-    let others = kept.other_segments(run, &parts, most_m)?;
-    let mut parts: Vec<Span> = others.iter().map(|other| other.span).chain([kept.span]).collect();
-    parts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let undone = kept.correct_changes(run, &others)?;
-    let tracks = undone.tracks.iter().zip(streams);
-    let changed: Vec<PoseStream> = tracks
+        .min(residual_m(diagnosis).max(MIN_NOISE_RATIO * residual));
+    let others = baseline.other_segments(run, &spans, max_residual_m)?;
+    let mut spans: Vec<Span> =
+        others.iter().map(|other| other.span).chain([baseline.span]).collect();
+    spans.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let corrected = baseline.correct_changes(run, &others)?;
+    let tracks = corrected.tracks.iter().zip(streams);
+    let corrected_streams: Vec<PoseStream> = tracks
         .map(|(track, stream)| PoseStream {
             track: track.as_ref().unwrap_or(stream.track),
             ..*stream
         })
         .collect();
-    let mut after = diagnose_arm(&undone.joints, &changed, most_lag_s);
+    let mut after = diagnose_arm(&corrected.joints, &corrected_streams, max_lag_s);
     // Compliance persists across change points.
-    if let Some(bent) =
-        diagnose_with_compliance(&undone.joints, &changed, slides, &after, most_lag_s)
-    {
-        after = bent;
+    if let Some(with_compliance) = diagnose_with_compliance(
+        &corrected.joints,
+        &corrected_streams,
+        is_prismatic,
+        &after,
+        max_lag_s,
+    ) {
+        after = with_compliance;
     }
-    let weighed = after.clone();
+    let uncompressed = after.clone();
     for (s, after) in after.streams.iter_mut().enumerate() {
-        if undone.tracks[s].is_some() {
-            kept.report_encoding(s, &others, after);
+        if corrected.tracks[s].is_some() {
+            baseline.report_encoding(s, &others, after);
         }
     }
-    for ((after, track), stream) in after.streams.iter_mut().zip(&undone.tracks).zip(streams) {
-        if track.is_some() || !undone.patches.is_empty() {
+    for ((after, track), stream) in after.streams.iter_mut().zip(&corrected.tracks).zip(streams) {
+        if track.is_some() || !corrected.patches.is_empty() {
             restore_recorded(joints, stream, after);
         }
     }
-    let moment = |at_s: f64| moments.iter().find(|jump| jump.at_s == at_s);
-    kept.report_changes(run, &parts, &others, moment, &mut after);
-    after.joints.patches = undone.patches;
-    let is_told = !after.joints.changes.is_empty()
+    let jump_at = |at_s: f64| jumps.iter().find(|jump| jump.at_s == at_s);
+    baseline.report_changes(run, &spans, &others, jump_at, &mut after);
+    after.joints.patches = corrected.patches;
+    let reports_a_change = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.has_changes() || has_latency_steps(after));
-    (is_told && is_justified(found, &weighed, parameter_count(&after, parts.len())))
-        .then_some(after)
+    (reports_a_change
+        && is_justified(diagnosis, &uncompressed, parameter_count(&after, spans.len())))
+    .then_some(after)
 }
 
 /// Parameters of the changes.
 fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
-    let of_stream = |found: &PoseDiagnosis| {
-        let frames = found.tool_changes.len() + found.reference_changes.len();
-        let times = found.latency_profile.as_ref().map_or(0, |course| course.steps.len());
-        let EncodingSpans { rotation, degrees, length, axes } = found.encoding_spans;
-        let coded = [rotation, degrees, length, axes].into_iter().flatten().count();
-        6 * frames + found.radial_scale_changes.len() + times + coded
+    let of_stream = |diagnosis: &PoseDiagnosis| {
+        let frames = diagnosis.tool_changes.len() + diagnosis.reference_changes.len();
+        let times = diagnosis.latency_profile.as_ref().map_or(0, |profile| profile.steps.len());
+        let EncodingSpans { rotation, degrees, length, axes } = diagnosis.encoding_spans;
+        let encodings = [rotation, degrees, length, axes].into_iter().flatten().count();
+        6 * frames + diagnosis.radial_scale_changes.len() + times + encodings
     };
     let of_joints =
         after.joints.changes.iter().map(|change| {
             usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
         });
-    let moments = parts.saturating_sub(1);
-    moments + of_joints.sum::<usize>() + after.streams.iter().map(of_stream).sum::<usize>()
+    let change_point_count = parts.saturating_sub(1);
+    change_point_count
+        + of_joints.sum::<usize>()
+        + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
 /// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples.
@@ -193,18 +200,18 @@ fn is_as_good(
     /// A factor, and a length in m.
     const RESIDUAL_TOLERANCE: f64 = 1.03;
     const RESIDUAL_TOLERANCE_M: f64 = 1e-5;
-    let apart = || others.last().into_iter().chain([after]);
+    let separate = || others.last().into_iter().chain([after]);
     let samples = |other: &OtherSegment| run.samples(other.span) as f64;
-    let all: f64 = apart().map(samples).sum();
+    let all: f64 = separate().map(samples).sum();
     let squares: f64 =
-        apart().map(|other| samples(other) * residual_m(&other.difference).powi(2)).sum();
+        separate().map(|other| samples(other) * residual_m(&other.difference).powi(2)).sum();
     residual_m(&both.difference)
         <= RESIDUAL_TOLERANCE * (squares / all.max(1.0)).sqrt() + RESIDUAL_TOLERANCE_M
 }
 
 struct BaselineSegment {
     span: Span,
-    found: ArmDiagnosis,
+    diagnosis: ArmDiagnosis,
 }
 
 /// Any other segment.
@@ -218,7 +225,7 @@ struct OtherSegment {
 
 impl BaselineSegment {
     fn diagnose(run: &SplitRun, span: Span) -> Self {
-        Self { span, found: run.diagnose(span).1 }
+        Self { span, diagnosis: run.diagnose(span).1 }
     }
 
     /// Merges a segment whose residual exceeds `most_m` with the previous one. `None` if the residual is
@@ -226,25 +233,26 @@ impl BaselineSegment {
     fn other_segments(
         &self,
         run: &SplitRun,
-        parts: &[Span],
-        most_m: f64,
+        spans: &[Span],
+        max_residual_m: f64,
     ) -> Option<Vec<OtherSegment>> {
-        let leaves_little = |other: &OtherSegment| {
-            residual_m(&other.difference) <= most_m && self.is_reliable(other)
+        let has_small_residual = |other: &OtherSegment| {
+            residual_m(&other.difference) <= max_residual_m && self.is_reliable(other)
         };
         let mut others: Vec<OtherSegment> = Vec::new();
-        for &part in parts.iter().filter(|part| **part != self.span) {
+        for &part in spans.iter().filter(|part| **part != self.span) {
             let mut other = self.other_segment(run, part);
-            if !leaves_little(&other) {
+            if !has_small_residual(&other) {
                 let before = others.pop_if(|before| before.span.1 == part.0)?;
                 other = self.other_segment(run, (before.span.0, part.1));
             }
-            let other = Some(other).filter(leaves_little)?;
+            let other = Some(other).filter(has_small_residual)?;
             // They may differ from the baseline in the same way.
             let before = others.last().filter(|before| before.span.1 == part.0);
             let both = before.map(|before| self.other_segment(run, (before.span.0, part.1)));
-            let is_one =
-                |both: &OtherSegment| leaves_little(both) && is_as_good(run, both, &others, &other);
+            let is_one = |both: &OtherSegment| {
+                has_small_residual(both) && is_as_good(run, both, &others, &other)
+            };
             match both.filter(is_one) {
                 Some(both) => {
                     others.pop();
@@ -258,12 +266,12 @@ impl BaselineSegment {
 
     fn other_segment(&self, run: &SplitRun, span: Span) -> OtherSegment {
         let (joints, alone) = run.diagnose(span);
-        let joints = self.found.joints.corrected_joints(&joints, run.is_prismatic);
+        let joints = self.diagnosis.joints.corrected_joints(&joints, run.is_prismatic);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
             .map(|s| {
-                let read = decoded_poses(&alone.streams[s]);
-                let taken = &self.found.streams[s].frame_correction;
-                with_poses(&alone.streams[s], read.map(|pose| taken.apply(&pose)))
+                let decoded = decoded_poses(&alone.streams[s]);
+                let frame_correction = &self.diagnosis.streams[s].frame_correction;
+                with_poses(&alone.streams[s], decoded.map(|pose| frame_correction.apply(&pose)))
             })
             .collect();
         let known: Vec<PoseStream> = run
@@ -271,8 +279,8 @@ impl BaselineSegment {
             .into_iter()
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
-        let beyond = diagnose_other_segment(&joints, &known, run.max_lag_s);
-        OtherSegment { span, own: alone, difference: beyond }
+        let difference = diagnose_other_segment(&joints, &known, run.max_lag_s);
+        OtherSegment { span, own: alone, difference }
     }
 
     /// An undetermined encoding must match the baseline's, and no frame may rotate by much.
@@ -280,24 +288,25 @@ impl BaselineSegment {
         /// A misread rotation can imitate it in a few configurations.
         const MAX_FRAME_ROTATION_RAD: f64 = 0.1;
         let streams =
-            self.found.streams.iter().zip(&other.own.streams).zip(&other.difference.streams);
-        streams.into_iter().all(|((own, alone), beyond)| {
-            let is_told = alone.encoding.as_ref().is_ok_and(|reading| reading.is_determined);
-            let is_little = |frame: &EstimateResult<FrameEstimate>| {
+            self.diagnosis.streams.iter().zip(&other.own.streams).zip(&other.difference.streams);
+        streams.into_iter().all(|((own, alone), difference)| {
+            let is_determined = alone.encoding.as_ref().is_ok_and(|reading| reading.is_determined);
+            let is_small = |frame: &EstimateResult<FrameEstimate>| {
                 !is_chosen(frame)
                     || frame
                         .as_ref()
                         .is_ok_and(|frame| frame.rotation_rad.value < MAX_FRAME_ROTATION_RAD)
             };
-            let is_little = is_little(&beyond.tool) && is_little(&beyond.reference);
-            is_told || (is_same_encoding(own, alone) && is_little)
+            let is_small = is_small(&difference.tool) && is_small(&difference.reference);
+            is_determined || (is_same_encoding(own, alone) && is_small)
         })
     }
 
     fn has_other_encoding(&self, s: usize, other: &OtherSegment) -> bool {
-        let (own, its) = (&self.found.streams[s], &other.own.streams[s]);
-        let told = own.encoding.is_ok() && its.encoding.as_ref().is_ok_and(|its| its.is_determined);
-        told && !is_same_encoding(own, its)
+        let (own, its) = (&self.diagnosis.streams[s], &other.own.streams[s]);
+        let are_determined =
+            own.encoding.is_ok() && its.encoding.as_ref().is_ok_and(|its| its.is_determined);
+        are_determined && !is_same_encoding(own, its)
     }
 
     /// Increase over the baseline's latency extrapolated with its skew, s. `None` if not significant.
@@ -305,12 +314,19 @@ impl BaselineSegment {
         /// Smaller steps are left to the latency profile.
         const MIN_LATENCY_STEP_S: f64 = 1e-3;
         const MIN_STD_ERRORS: f64 = 6.0;
-        let (here, there) = (&self.found.streams[s], &other.difference.streams[s]);
-        let (own, its) = (here.latency_s.as_ref().ok()?, there.latency_s.as_ref().ok()?);
-        let apart_s = there.aligned.middle_s() - here.aligned.middle_s();
-        let grown = here.skew.as_ref().map_or(own.scaled(0.0), |skew| skew.scaled(apart_s));
-        let std_error = its.std_error.hypot(own.std_error).hypot(grown.std_error);
-        let by = Measured { value: its.value - own.value - grown.value, std_error, ..*its };
+        let (here, there) = (&self.diagnosis.streams[s], &other.difference.streams[s]);
+        let (latency_here, latency_there) =
+            (here.latency_s.as_ref().ok()?, there.latency_s.as_ref().ok()?);
+        let distance_s = there.aligned.middle_s() - here.aligned.middle_s();
+        let grown =
+            here.skew.as_ref().map_or(latency_here.scaled(0.0), |skew| skew.scaled(distance_s));
+        let std_error =
+            latency_there.std_error.hypot(latency_here.std_error).hypot(grown.std_error);
+        let by = Measured {
+            value: latency_there.value - latency_here.value - grown.value,
+            std_error,
+            ..*latency_there
+        };
         (by.value.abs() > MIN_LATENCY_STEP_S.max(MIN_STD_ERRORS * std_error)).then_some(by)
     }
 
@@ -320,26 +336,26 @@ impl BaselineSegment {
         let mut patches = Vec::new();
         for other in others {
             let (from_s, to_s) = other.span;
-            let map = joint_map(&self.found.joints, &other.difference.joints, run);
-            let own = map.into_iter().map(|(column, factor, offset)| JointPatch {
+            let map = joint_map(&self.diagnosis.joints, &other.difference.joints, run);
+            let own_patches = map.into_iter().map(|(column, factor, offset)| JointPatch {
                 column,
                 from_s,
                 to_s,
                 factor,
                 offset,
             });
-            patches.extend(own);
+            patches.extend(own_patches);
         }
         patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
         let tracks: Vec<Option<PoseTrack>> = (0..run.streams.len())
             .map(|s| {
                 let moves = |other: &&OtherSegment| {
-                    let beyond = &other.difference.streams[s];
+                    let difference = &other.difference.streams[s];
                     self.has_other_encoding(s, other)
                         || self.latency_increase(s, other).is_some()
-                        || beyond.is_radial_scale_chosen
-                        || is_chosen(&beyond.reference)
-                        || is_chosen(&beyond.tool)
+                        || difference.is_radial_scale_chosen
+                        || is_chosen(&difference.reference)
+                        || is_chosen(&difference.tool)
                 };
                 others.iter().any(|other| moves(&other)).then(|| self.corrected_track(s, others))
             })
@@ -350,35 +366,35 @@ impl BaselineSegment {
 
     /// Decoded poses with the differences of the other segments corrected.
     fn corrected_track(&self, s: usize, others: &[OtherSegment]) -> PoseTrack {
-        let own = &self.found.streams[s];
-        let mut parts = vec![(self.span, with_poses(own, decoded_poses(own)))];
+        let own = &self.diagnosis.streams[s];
+        let mut segments = vec![(self.span, with_poses(own, decoded_poses(own)))];
         for other in others {
-            let beyond = &other.difference.streams[s];
-            let poses = decoded_poses(beyond)
-                .map(|pose| own.frame_correction.invert(&beyond.frame_correction.apply(&pose)));
-            let mut track = with_poses(beyond, poses);
-            let late_s = self.latency_increase(s, other).map_or(0.0, |by| by.value);
-            track.t_s.iter_mut().for_each(|t_s| *t_s -= late_s);
-            parts.push((other.span, track));
+            let difference = &other.difference.streams[s];
+            let poses = decoded_poses(difference)
+                .map(|pose| own.frame_correction.invert(&difference.frame_correction.apply(&pose)));
+            let mut track = with_poses(difference, poses);
+            let delay_s = self.latency_increase(s, other).map_or(0.0, |by| by.value);
+            track.t_s.iter_mut().for_each(|t_s| *t_s -= delay_s);
+            segments.push((other.span, track));
         }
-        parts.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
-        let mut parts = parts.into_iter().map(|(_, track)| track);
-        let first = parts.next().unwrap_or_else(|| with_poses(own, decoded_poses(own)));
-        parts.fold(first, |mut all, part| {
+        segments.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
+        let mut segments = segments.into_iter().map(|(_, track)| track);
+        let first = segments.next().unwrap_or_else(|| with_poses(own, decoded_poses(own)));
+        segments.fold(first, |mut all, segment| {
             // Correcting a latency can make segments overlap.
-            let end_s = part.t_s.first().copied().unwrap_or(f64::INFINITY);
-            let kept = all.t_s.partition_point(|t_s| *t_s < end_s);
-            all.t_s.truncate(kept);
-            all.xyz.truncate(kept);
+            let end_s = segment.t_s.first().copied().unwrap_or(f64::INFINITY);
+            let retained = all.t_s.partition_point(|t_s| *t_s < end_s);
+            all.t_s.truncate(retained);
+            all.xyz.truncate(retained);
             if let Orientations::Rotations(all) = &mut all.orientation {
-                all.truncate(kept);
+                all.truncate(retained);
             }
-            all.t_s.extend(part.t_s);
-            all.xyz.extend(part.xyz);
-            if let (Orientations::Rotations(all), Orientations::Rotations(part)) =
-                (&mut all.orientation, part.orientation)
+            all.t_s.extend(segment.t_s);
+            all.xyz.extend(segment.xyz);
+            if let (Orientations::Rotations(all), Orientations::Rotations(segment)) =
+                (&mut all.orientation, segment.orientation)
             {
-                all.extend(part);
+                all.extend(segment);
             }
             all
         })
@@ -409,14 +425,14 @@ impl JointPatch {
 /// Column, factor and offset that map joints of another segment to the baseline. Empty if joint names or
 /// units are wrong as well.
 fn joint_map(
-    kept: &JointDiagnosis,
-    beyond: &JointDiagnosis,
+    baseline: &JointDiagnosis,
+    difference: &JointDiagnosis,
     run: &SplitRun,
 ) -> Vec<(usize, f64, f64)> {
-    let is_plain = |found: &JointDiagnosis| {
-        found.encoding.as_ref().is_ok_and(|reading| reading.permutation.is_none())
+    let is_offset_only = |diagnosis: &JointDiagnosis| {
+        diagnosis.encoding.as_ref().is_ok_and(|reading| reading.permutation.is_none())
     };
-    if !is_plain(beyond) || !is_plain(kept) {
+    if !is_offset_only(difference) || !is_offset_only(baseline) {
         return Vec::new();
     }
     let dof = run.joints.dof;
@@ -428,14 +444,14 @@ fn joint_map(
         qd: vec![0.0; 2 * dof],
         noise: Vec::new(),
     };
-    let mut once = kept.clone();
-    once.patches.clear();
-    let by_kept = once.corrected_joints(&probe, run.is_prismatic);
-    let by_both = beyond.corrected_joints(&by_kept, run.is_prismatic);
+    let mut chained = baseline.clone();
+    chained.patches.clear();
+    let by_baseline = chained.corrected_joints(&probe, run.is_prismatic);
+    let by_both = difference.corrected_joints(&by_baseline, run.is_prismatic);
     let map = |column: usize| {
         let at = |row: usize| {
             let at = row * dof + column;
-            (by_kept.q[at], by_both.q[at])
+            (by_baseline.q[at], by_both.q[at])
         };
         let ((zero, zero_both), (one, one_both)) = (at(0), at(1));
         let factor = one - zero;
@@ -453,16 +469,16 @@ fn is_chosen(frame: &EstimateResult<FrameEstimate>) -> bool {
 }
 
 /// Poses in the reference frame, without any other correction.
-fn decoded_poses(found: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
-    found.aligned.corrected.iter().map(|pose| found.frame_correction.invert(pose))
+fn decoded_poses(diagnosis: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
+    diagnosis.aligned.corrected.iter().map(|pose| diagnosis.frame_correction.invert(pose))
 }
 
-fn with_poses(found: &PoseDiagnosis, poses: impl Iterator<Item = Pose>) -> PoseTrack {
+fn with_poses(diagnosis: &PoseDiagnosis, poses: impl Iterator<Item = Pose>) -> PoseTrack {
     let (xyz, rotations): (Vec<_>, Vec<_>) =
         poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();
-    let orientation = match &found.encoding {
+    let orientation = match &diagnosis.encoding {
         Ok(_) => Orientations::Rotations(rotations),
         Err(_) => Orientations::Unset(rotations.len()),
     };
-    PoseTrack { t_s: found.aligned.t_s.clone(), xyz, orientation, declared: None }
+    PoseTrack { t_s: diagnosis.aligned.t_s.clone(), xyz, orientation, declared: None }
 }

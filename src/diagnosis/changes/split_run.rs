@@ -26,9 +26,9 @@ pub(super) type Span = (f64, f64);
 
 impl SplitRun<'_> {
     /// Times are on the joint states' clock.
-    pub fn change_points(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
+    pub fn change_points(&self, diagnosis: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
-            let aligned = &found.streams[s].aligned;
+            let aligned = &diagnosis.streams[s].aligned;
             let jumps =
                 detect_jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
             jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
@@ -37,18 +37,18 @@ impl SplitRun<'_> {
     }
 
     /// Merges segments that are too short.
-    pub fn split_at(&self, moments: &[Jump]) -> Vec<Span> {
-        let mut parts = Vec::new();
+    pub fn split_at(&self, jumps: &[Jump]) -> Vec<Span> {
+        let mut spans = Vec::new();
         let mut from_s = f64::NEG_INFINITY;
-        for to_s in moments.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
+        for to_s in jumps.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
             if self.samples((from_s, to_s)) >= MIN_SEGMENT_SAMPLES {
-                parts.push((from_s, to_s));
+                spans.push((from_s, to_s));
                 from_s = to_s;
-            } else if let Some((_, end_s)) = parts.last_mut().filter(|_| to_s.is_infinite()) {
+            } else if let Some((_, end_s)) = spans.last_mut().filter(|_| to_s.is_infinite()) {
                 *end_s = to_s;
             }
         }
-        parts
+        spans
     }
 
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
@@ -94,7 +94,7 @@ impl SplitRun<'_> {
     /// Diagnoses a segment alone.
     pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
-        let found = diagnose_arm(&joints, &self.with_tracks(&tracks), self.max_lag_s);
-        (joints, found)
+        let diagnosis = diagnose_arm(&joints, &self.with_tracks(&tracks), self.max_lag_s);
+        (joints, diagnosis)
     }
 }

@@ -18,23 +18,23 @@ impl NumericTable {
     /// Uses only a tool offset; best first.
     pub(super) fn candidates_at_base(
         &self,
-        wanted: &MappingConstraints,
+        constraints: &MappingConstraints,
         lags_s: &[f64],
     ) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
         if rows.len() < super::LINEAR_FIT_ROWS / 3 || self.columns.len() > super::MAX_COLUMNS {
             return Vec::new();
         }
-        let logged: Vec<PositionColumns> = match wanted.position {
+        let logged: Vec<PositionColumns> = match constraints.position {
             Some(position) => vec![position],
-            None => self.positions(wanted.taken),
+            None => self.positions(constraints.taken),
         }
         .into_iter()
         .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
         .collect();
-        let blocks = self.candidate_blocks(wanted, 1);
+        let blocks = self.candidate_blocks(constraints, 1);
         let of = |block: &JointColumns| -> Vec<ColumnCandidate> {
-            let chain = wanted.chains[block.arm];
+            let chain = constraints.chains[block.arm];
             let is_free = |logged: &&PositionColumns| {
                 !logged.position.iter().any(|column| block.joints.contains(column))
             };
@@ -50,23 +50,25 @@ impl NumericTable {
             }
             best
         };
-        let mut near: Vec<ColumnCandidate> = blocks.par_iter().flat_map_iter(of).collect();
-        near.sort_by(|a, b| a.share.total_cmp(&b.share));
-        let mut kept: Vec<ColumnCandidate> = Vec::new();
-        let mut ways = 0;
-        for near in near {
+        let mut near_candidates: Vec<ColumnCandidate> =
+            blocks.par_iter().flat_map_iter(of).collect();
+        near_candidates.sort_by(|a, b| a.share.total_cmp(&b.share));
+        let mut retained: Vec<ColumnCandidate> = Vec::new();
+        let mut count = 0;
+        for near_candidates in near_candidates {
             let is_its = |other: &&ColumnCandidate| {
-                other.block.joints == near.block.joints && other.position == near.position
+                other.block.joints == near_candidates.block.joints
+                    && other.position == near_candidates.position
             };
-            let arms: Vec<usize> = kept.iter().filter(is_its).map(|it| it.block.arm).collect();
-            let is_room =
-                if arms.is_empty() { ways < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
-            if is_room && !arms.contains(&near.block.arm) {
-                ways += usize::from(arms.is_empty());
-                kept.push(near);
+            let arms: Vec<usize> = retained.iter().filter(is_its).map(|it| it.block.arm).collect();
+            let has_room =
+                if arms.is_empty() { count < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
+            if has_room && !arms.contains(&near_candidates.block.arm) {
+                count += usize::from(arms.is_empty());
+                retained.push(near_candidates);
             }
         }
-        kept
+        retained
     }
 
     /// Compares the whole table at all speeds, at this latency.
@@ -110,8 +112,8 @@ struct PositionColumns {
 
 impl PositionColumns {
     /// `None` if fewer than two coordinates move, or no arm reaches them.
-    fn from_columns(sheet: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
-        let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
+    fn from_columns(table: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
+        let at = |&row: &usize| Vec3::from(position.map(|column| table.columns[column][row]));
         let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
         let farthest = xyz.iter().map(|xyz| xyz.norm()).fold(0.0, f64::max);
         if farthest > MAX_REACH_M {
@@ -137,18 +139,19 @@ impl PositionColumns {
     fn residual_share_rotated(&self, fk: &[Pose], turn: f64) -> Option<f64> {
         // Rotations preserve lengths: the least-squares tool offset is a mean.
         let few = fk.len().div_ceil(super::SCREENING_ROWS / 2);
-        let left = |step: usize| {
+        let square = |step: usize| {
             let (mut count, mut sum, mut squares) = (0.0, Vec3::zeros(), 0.0);
             for (pose, xyz) in fk.iter().zip(&self.xyz).step_by(step) {
                 let xyz = Vec3::new(turn * xyz.x, turn * xyz.y, xyz.z);
-                let off = pose.rotation.inverse() * (xyz - pose.translation.vector);
-                (count, sum, squares) = (count + 1.0, sum + off, squares + off.norm_squared());
+                let in_tool = pose.rotation.inverse() * (xyz - pose.translation.vector);
+                (count, sum, squares) =
+                    (count + 1.0, sum + in_tool, squares + in_tool.norm_squared());
             }
             let tool: Vec3 = sum / count;
-            let left = (squares / count - tool.norm_squared()).max(0.0);
-            let share = (left * self.xyz.len() as f64 / self.extent).sqrt();
+            let square = (squares / count - tool.norm_squared()).max(0.0);
+            let share = (square * self.xyz.len() as f64 / self.extent).sqrt();
             (share < MAX_RESIDUAL_SHARE && tool.norm() < MAX_TOOL_M).then_some(share)
         };
-        left(few).and_then(|_| left(1))
+        square(few).and_then(|_| square(1))
     }
 }

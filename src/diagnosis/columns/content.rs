@@ -40,9 +40,14 @@ impl NumericTable {
     }
 
     /// Shift of columns that differ by `apart` at rest; on a line, an offset would pass as a delay.
-    pub fn shift_with_offset(&self, column: usize, other: usize, apart: f64) -> Option<GroupShift> {
+    pub fn shift_with_offset(
+        &self,
+        column: usize,
+        other: usize,
+        offset: f64,
+    ) -> Option<GroupShift> {
         let mean = self.mean(column);
-        self.shift_of(&[self.minus(column, mean)], &[self.minus(other, mean - apart)])
+        self.shift_of(&[self.minus(column, mean)], &[self.minus(other, mean - offset)])
     }
 
     fn mean(&self, column: usize) -> f64 {
@@ -53,35 +58,39 @@ impl NumericTable {
         self.columns[column].iter().map(|value| value - by).collect()
     }
 
-    fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<GroupShift> {
+    fn shift_of(&self, ours: &[Vec<f64>], theirs: &[Vec<f64>]) -> Option<GroupShift> {
         /// The residual is a share of the spread.
         const MAX_SHIFT_S: f64 = 1.0;
         const MAX_RESIDUAL_SHARE: f64 = 0.2;
         let rows = self.t_s.len();
         let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
-        let most = ((MAX_SHIFT_S / step_s) as usize).min(rows / 4) as i64;
+        let max_shift = ((MAX_SHIFT_S / step_s) as usize).min(rows / 4) as i64;
         let power =
             |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
-        let moving: Vec<usize> = (0..these.len()).filter(|&at| power(&these[at]) > 1e-8).collect();
-        let left = |by: i64| -> f64 {
+        let moving: Vec<usize> = (0..ours.len()).filter(|&at| power(&ours[at]) > 1e-8).collect();
+        let residual = |by: i64| -> f64 {
             let share = |&at: &usize| {
                 let (first, end) = (by.max(0) as usize, (rows as i64 + by.min(0)) as usize);
-                let apart = (first..end)
-                    .map(|row| (those[at][row] - these[at][(row as i64 - by) as usize]).powi(2));
-                apart.sum::<f64>() / (end - first) as f64 / power(&these[at])
+                let differences = (first..end)
+                    .map(|row| (theirs[at][row] - ours[at][(row as i64 - by) as usize]).powi(2));
+                differences.sum::<f64>() / (end - first) as f64 / power(&ours[at])
             };
             moving.iter().map(share).fold(0.0, f64::max)
         };
-        let best = (-most..=most).map(|by| (left(by), by)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (least, by) = best;
-        if moving.len() < MIN_MOVING_JOINTS.min(these.len()) || least.sqrt() > MAX_RESIDUAL_SHARE {
+        let best = (-max_shift..=max_shift)
+            .map(|by| (residual(by), by))
+            .min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (min_residual, by) = best;
+        if moving.len() < MIN_MOVING_JOINTS.min(ours.len())
+            || min_residual.sqrt() > MAX_RESIDUAL_SHARE
+        {
             return None;
         }
-        let (before, after) = (left(by - 1), left(by + 1));
-        let bend = before - 2.0 * least + after;
-        let between = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
-        let between = if least == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
-        Some(GroupShift { delay_s: (by as f64 + between) * step_s, residual: least.sqrt() })
+        let (before, after) = (residual(by - 1), residual(by + 1));
+        let curvature = before - 2.0 * min_residual + after;
+        let between = if curvature > 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
+        let between = if min_residual == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
+        Some(GroupShift { delay_s: (by as f64 + between) * step_s, residual: min_residual.sqrt() })
     }
 
     /// Median offset of `column` from `other`, and the number of rows at rest. `None` if they rest or move
@@ -94,43 +103,43 @@ impl NumericTable {
         const MIN_REST_ROWS: usize = 20;
         const MIN_MOTION_S: f64 = 2.0;
         let reach = (0.5 * MIN_REST_S / self.step_s()).ceil() as usize;
-        let both = [column, other].map(|own| {
-            let [low, high] = self.range(own);
-            (&self.columns[own], MAX_REST_CHANGE * (high - low))
+        let both = [column, other].map(|column_index| {
+            let [low, high] = self.range(column_index);
+            (&self.columns[column_index], MAX_REST_CHANGE * (high - low))
         });
         let is_still = |row: usize| {
             both.iter().all(|(values, most)| {
-                let near = &values[row - reach..=row + reach];
-                near.iter().all(|value| (value - values[row]).abs() <= *most)
+                let neighbours = &values[row - reach..=row + reach];
+                neighbours.iter().all(|value| (value - values[row]).abs() <= *most)
             })
         };
         let rows = (reach..self.t_s.len().saturating_sub(reach)).filter(|row| is_still(*row));
-        let mut apart: Vec<f64> =
+        let mut difference: Vec<f64> =
             rows.map(|row| self.columns[column][row] - self.columns[other][row]).collect();
-        let count = apart.len();
+        let count = difference.len();
         let moves_s = (self.t_s.len() - count) as f64 * self.step_s();
         let tells = count >= MIN_REST_ROWS && moves_s >= MIN_MOTION_S;
-        median(&mut apart).filter(|_| tells).map(|apart| (apart, count))
+        median(&mut difference).filter(|_| tells).map(|difference| (difference, count))
     }
 
     /// Relation to the columns `beside`.
-    pub fn content(&self, column: usize, beside: &[usize]) -> ColumnContent {
+    pub fn content(&self, column: usize, others: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
         let [low, high] = self.range(column);
         if low == high {
             return ColumnContent::Constant;
         }
-        let near = 0.02 * (high - low);
-        if values.iter().all(|value| value - low < near || high - value < near) {
+        let tolerance = 0.02 * (high - low);
+        if values.iter().all(|value| value - low < tolerance || high - value < tolerance) {
             return ColumnContent::TwoLevels;
         }
-        let same = beside
+        let copies = others
             .iter()
             .filter_map(|&other| Some((other, self.group_shift(&[other], &[column])?)));
-        if let Some((other, shift)) = same.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual)) {
+        if let Some((other, shift)) = copies.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual)) {
             return ColumnContent::As(other, shift);
         }
-        let best = beside.iter().map(|&other| (self.rate_correlation(column, other), other));
+        let best = others.iter().map(|&other| (self.rate_correlation(column, other), other));
         match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((correlation, other)) if correlation > MIN_RATE_CORRELATION => {
                 ColumnContent::RateOf(other)
@@ -148,10 +157,10 @@ impl NumericTable {
         /// Share of the column's mean square.
         const MAX_DEVIATION_SHARE: f64 = 0.05;
         let pairs = self.paired_with_rates(column, of);
-        let (differing, own) = pairs.fold((0.0, 0.0), |(differing, own), (value, rate)| {
-            (differing + (value - rate).powi(2), own + value * value)
+        let (differing, square) = pairs.fold((0.0, 0.0), |(differing, square), (value, rate)| {
+            (differing + (value - rate).powi(2), square + value * value)
         });
-        differing < MAX_DEVIATION_SHARE * own
+        differing < MAX_DEVIATION_SHARE * square
     }
 
     fn paired_with_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {

@@ -8,15 +8,15 @@ use std::f64::consts::PI;
 
 mod at_base;
 mod content;
-mod linear;
-mod numbers;
+mod joint_value_unit;
+mod least_squares;
 mod rotation_columns;
 mod tracks;
 
 pub use content::{ColumnContent, GroupShift};
-pub use numbers::JointValueUnit;
+pub use joint_value_unit::JointValueUnit;
 
-use linear::{centred, most_active_window, residual_squares};
+use least_squares::{centred, most_active_window, residual_squares};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -95,7 +95,7 @@ pub struct MappingConstraints<'a> {
     /// Used for other data.
     pub taken: &'a [usize],
     /// Longest latency.
-    pub most_lag_s: f64,
+    pub max_lag_s: f64,
 }
 
 /// Columns of joints and position.
@@ -110,7 +110,7 @@ pub struct ColumnMapping {
     /// Position columns.
     pub position: [usize; 3],
     /// Position residual against FK, rms.
-    pub left_m: f64,
+    pub residual_m: f64,
     /// Rms distance from their mean.
     pub spread_m: f64,
     /// Point's distance from the arm's tip.
@@ -133,7 +133,7 @@ fn limit_m(spread_m: f64) -> f64 {
 impl ColumnMapping {
     /// FK and position agree.
     pub fn fits(&self) -> bool {
-        self.left_m <= limit_m(self.spread_m).min(MAX_RESIDUAL_SHARE_BOUND * self.spread_m)
+        self.residual_m <= limit_m(self.spread_m).min(MAX_RESIDUAL_SHARE_BOUND * self.spread_m)
     }
 
     fn block(&self) -> JointColumns {
@@ -193,9 +193,9 @@ impl NumericTable {
         let pick = |values: &Vec<f64>| rows.iter().map(|&row| values[row]).collect();
         let (t_s, columns): (Vec<f64>, Vec<Vec<f64>>) =
             (pick(&t_s), columns.iter().map(pick).collect());
-        let mut sheet = Self { t_s, columns, homes, steepest: Vec::new() };
-        sheet.steepest = sheet.columns.iter().map(|values| sheet.max_rate(values)).collect();
-        sheet
+        let mut table = Self { t_s, columns, homes, steepest: Vec::new() };
+        table.steepest = table.columns.iter().map(|values| table.max_rate(values)).collect();
+        table
     }
 
     /// Ignores outliers and jumps by a whole turn.
@@ -239,20 +239,21 @@ impl NumericTable {
     }
 
     /// Assignments, best score first. Empty if none fits.
-    pub fn mappings(&self, wanted: &MappingConstraints) -> Vec<ColumnMapping> {
+    pub fn mappings(&self, constraints: &MappingConstraints) -> Vec<ColumnMapping> {
         /// With a free joint zero, if none fits without.
         const MAX_REFITS_WITH_ZERO: usize = 4;
-        for lags_s in &LAGS_S[..if wanted.chains.len() > MAX_ARMS_FOR_LAGS { 1 } else { 2 }] {
-            let mut all = self.fits_near(wanted, lags_s);
-            let best = all.iter().min_by(|a, b| a.left_m.total_cmp(&b.left_m));
+        for lags_s in &LAGS_S[..if constraints.chains.len() > MAX_ARMS_FOR_LAGS { 1 } else { 2 }] {
+            let mut all = self.fits_at_lags(constraints, lags_s);
+            let best = all.iter().min_by(|a, b| a.residual_m.total_cmp(&b.residual_m));
             // At a wrong latency many arms fit equally well, and the right one may not be fitted.
             if let Some(lag_s) = best.filter(|best| !best.fits()).map(|best| best.lag_s) {
-                all.extend(self.fits_near(wanted, &[lag_s]));
+                all.extend(self.fits_at_lags(constraints, &[lag_s]));
             }
             if !all.iter().any(ColumnMapping::fits) {
-                all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
+                all.sort_by(|a, b| a.residual_m.total_cmp(&b.residual_m));
                 all.truncate(MAX_REFITS_WITH_ZERO);
-                let anew = |it: &ColumnMapping| self.fit(wanted, &it.block(), it.position, true);
+                let anew =
+                    |it: &ColumnMapping| self.fit(constraints, &it.block(), it.position, true);
                 all = all.par_iter().filter_map(anew).collect();
             }
             all.sort_by(|a, b| a.score.total_cmp(&b.score));
@@ -270,22 +271,25 @@ impl NumericTable {
     }
 
     /// Best candidates of the linear search.
-    fn fits_near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnMapping> {
-        let of = |near: &ColumnCandidate| self.fit(wanted, &near.block, near.position, false);
-        let mut near = self.candidates_at_base(wanted, lags_s);
-        near.extend(self.linear_candidates(wanted, lags_s));
-        let (first, others) = near.split_at(near.len().min(FIRST_CANDIDATES));
+    fn fits_at_lags(&self, constraints: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnMapping> {
+        let of = |candidates: &ColumnCandidate| {
+            self.fit(constraints, &candidates.block, candidates.position, false)
+        };
+        let mut candidates = self.candidates_at_base(constraints, lags_s);
+        candidates.extend(self.linear_candidates(constraints, lags_s));
+        let (first, others) = candidates.split_at(candidates.len().min(FIRST_CANDIDATES));
         let mut all: Vec<ColumnMapping> = first.par_iter().filter_map(of).collect();
-        let is_clear = all.iter().any(|it| it.left_m < CLEAR_RESIDUAL_SHARE * it.spread_m);
-        let others =
-            others.par_iter().filter(|near| !is_clear || near.share < COMPETITOR_RESIDUAL_SHARE);
+        let is_clear = all.iter().any(|it| it.residual_m < CLEAR_RESIDUAL_SHARE * it.spread_m);
+        let others = others
+            .par_iter()
+            .filter(|candidates| !is_clear || candidates.share < COMPETITOR_RESIDUAL_SHARE);
         all.extend(others.filter_map(of).collect::<Vec<_>>());
-        all.retain(|mapping| !self.holds_own_rate(mapping));
+        all.retain(|mapping| !self.contains_own_rate(mapping));
         all
     }
 
     /// Rates of others cannot be joints or positions.
-    fn holds_own_rate(&self, mapping: &ColumnMapping) -> bool {
+    fn contains_own_rate(&self, mapping: &ColumnMapping) -> bool {
         let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
         let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
         moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate_of(at, of)))
@@ -296,34 +300,34 @@ impl NumericTable {
         &self,
         mapping: &ColumnMapping,
         chain: &Chain,
-        most_lag_s: f64,
+        max_lag_s: f64,
     ) -> Option<ColumnMapping> {
-        let wanted = MappingConstraints {
+        let constraints = MappingConstraints {
             chains: &[chain],
             joints: None,
             position: None,
             taken: &[],
-            most_lag_s,
+            max_lag_s,
         };
         let block = JointColumns { arm: 0, ..mapping.block() };
-        let fit = |with_zero| self.fit(&wanted, &block, mapping.position, with_zero);
+        let fit = |with_zero| self.fit(&constraints, &block, mapping.position, with_zero);
         let found = fit(false)?;
         let found = if found.fits() { found } else { fit(true)? };
         Some(ColumnMapping { arm: mapping.arm, ..found })
     }
 
     /// Smooth columns within an arm's limits.
-    pub fn blocks(&self, wanted: &MappingConstraints, arm: usize) -> Vec<JointColumns> {
-        self.blocks_that_move(wanted, arm, MIN_MOVING_JOINTS)
+    pub fn blocks(&self, constraints: &MappingConstraints, arm: usize) -> Vec<JointColumns> {
+        self.blocks_that_move(constraints, arm, MIN_MOVING_JOINTS)
     }
 
     fn blocks_that_move(
         &self,
-        wanted: &MappingConstraints,
+        constraints: &MappingConstraints,
         arm: usize,
-        fewest: usize,
+        min_moving: usize,
     ) -> Vec<JointColumns> {
-        let chain = wanted.chains[arm];
+        let chain = constraints.chains[arm];
         let dof = chain.dof();
         let orders = usual_orders(chain);
         let mut homes: Vec<usize> = self.homes.clone();
@@ -341,16 +345,17 @@ impl NumericTable {
                     .flat_map(|window| orders.iter().map(move |order| (window, order.as_slice())));
                 for (window, order) in windows {
                     let joints: Vec<usize> = order.iter().map(|at| window[at * stride]).collect();
-                    if joints.iter().any(|column| wanted.taken.contains(column)) {
+                    if joints.iter().any(|column| constraints.taken.contains(column)) {
                         continue;
                     }
                     let most = self.max_abs(&joints);
                     let units = JointValueUnit::compatible_with(
                         most,
-                        wanted.chains.len() <= MAX_ARMS_FOR_LAGS,
+                        constraints.chains.len() <= MAX_ARMS_FOR_LAGS,
                     );
-                    let may_be =
-                        |unit: &JointValueUnit| self.can_be_joints(&joints, *unit, chain, fewest);
+                    let may_be = |unit: &JointValueUnit| {
+                        self.can_be_joints(&joints, *unit, chain, min_moving)
+                    };
                     let units = units.into_iter().filter(may_be);
                     let of = |unit| JointColumns { joints: joints.clone(), unit, arm };
                     blocks.extend(units.map(of));
@@ -365,13 +370,13 @@ impl NumericTable {
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
-    /// Whether they can in this unit, with at least `fewest` moving.
+    /// Whether they can in this unit, with at least `min_moving` moving.
     fn can_be_joints(
         &self,
         joints: &[usize],
         unit: JointValueUnit,
         chain: &Chain,
-        fewest: usize,
+        min_moving: usize,
     ) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
@@ -393,7 +398,7 @@ impl NumericTable {
                 }
             }
         }
-        moving >= fewest
+        moving >= min_moving
     }
 
     fn range(&self, column: usize) -> [f64; 2] {
@@ -419,7 +424,7 @@ impl NumericTable {
     /// Small residual in the linear fit, best first.
     fn linear_candidates(
         &self,
-        wanted: &MappingConstraints,
+        constraints: &MappingConstraints,
         lags_s: &[f64],
     ) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
@@ -438,22 +443,22 @@ impl NumericTable {
             ((self.t_s[rows[row]] - self.t_s[rows[0]]) / span_s - 0.5).powi(1 + power as i32)
         });
         let plain = residual_squares(&centred(plain), &logged);
-        let mut positions = match wanted.position {
+        let mut positions = match constraints.position {
             Some(position) => vec![position],
-            None => self.positions(wanted.taken),
+            None => self.positions(constraints.taken),
         };
         positions.retain(|position| {
             let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
             position.iter().map(|&c| plain[c]).sum::<f64>()
                 > MIN_POLYNOMIAL_RESIDUAL_SHARE.powi(2) * own
         });
-        let blocks = self.candidate_blocks(wanted, MIN_MOVING_JOINTS);
+        let blocks = self.candidate_blocks(constraints, MIN_MOVING_JOINTS);
         let tried: Vec<(&JointColumns, f64)> = blocks
             .iter()
             .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
             .collect();
         let of = |(at, &(block, lag_s)): (usize, &(&JointColumns, f64))| {
-            let chain = wanted.chains[block.arm];
+            let chain = constraints.chains[block.arm];
             let is_free = |position: &&[usize; 3]| {
                 !position.iter().any(|column| block.joints.contains(column))
             };
@@ -463,13 +468,13 @@ impl NumericTable {
                 if shares.is_empty() {
                     break;
                 }
-                let left = residual_squares(&self.design(block, chain, rows, lag_s), logged);
+                let residuals = residual_squares(&self.design(block, chain, rows, lag_s), logged);
                 shares.retain_mut(|(share, _, position)| {
                     let squares = position.map(|column| logged.column(column).norm_squared());
                     let own: f64 = squares.iter().sum();
                     let moving = squares.iter().filter(|square| **square > 1e-4 * own).count();
-                    let left: f64 = position.iter().map(|&column| left[column]).sum();
-                    *share = (left / own).max(0.0).sqrt();
+                    let residuals: f64 = position.iter().map(|&column| residuals[column]).sum();
+                    *share = (residuals / own).max(0.0).sqrt();
                     own > 0.0 && moving > 1 && *share < *most
                 });
             }
@@ -478,35 +483,40 @@ impl NumericTable {
         let mut near: Vec<(f64, usize, [usize; 3])> =
             tried.par_iter().enumerate().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut kept: Vec<ColumnCandidate> = Vec::new();
-        let mut ways = 0;
+        let mut retained: Vec<ColumnCandidate> = Vec::new();
+        let mut count = 0;
         for (share, at, position) in near {
             let block = tried[at].0;
             let is_its = |near: &&ColumnCandidate| {
                 near.block.joints == block.joints && near.position == position
             };
-            let arms: Vec<usize> = kept.iter().filter(is_its).map(|near| near.block.arm).collect();
-            let is_room =
-                if arms.is_empty() { ways < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
-            if is_room && !arms.contains(&block.arm) {
-                ways += usize::from(arms.is_empty());
-                kept.push(ColumnCandidate { block: block.clone(), position, share });
+            let arms: Vec<usize> =
+                retained.iter().filter(is_its).map(|near| near.block.arm).collect();
+            let has_room =
+                if arms.is_empty() { count < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
+            if has_room && !arms.contains(&block.arm) {
+                count += usize::from(arms.is_empty());
+                retained.push(ColumnCandidate { block: block.clone(), position, share });
             }
         }
-        kept
+        retained
     }
 
     /// Blocks of all arms, or the known joints.
-    fn candidate_blocks(&self, wanted: &MappingConstraints, fewest: usize) -> Vec<JointColumns> {
-        let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
+    fn candidate_blocks(
+        &self,
+        constraints: &MappingConstraints,
+        min_moving: usize,
+    ) -> Vec<JointColumns> {
+        let of = |(arm, chain): (usize, &&Chain)| match constraints.joints {
             Some(joints) if joints[arm].len() == chain.dof() => {
                 let (joints, unit) = (joints[arm].clone(), JointValueUnit::Radians);
                 vec![JointColumns { joints, unit, arm }]
             }
             Some(_) => Vec::new(),
-            None => self.blocks_that_move(wanted, arm, fewest),
+            None => self.blocks_that_move(constraints, arm, min_moving),
         };
-        wanted.chains.iter().enumerate().flat_map(of).collect()
+        constraints.chains.iter().enumerate().flat_map(of).collect()
     }
 
     /// Centred columns at these rows.
@@ -566,12 +576,12 @@ impl NumericTable {
     /// Latency, tool and (if needed) frame.
     fn fit(
         &self,
-        wanted: &MappingConstraints,
+        constraints: &MappingConstraints,
         block: &JointColumns,
         position: [usize; 3],
         with_zero: bool,
     ) -> Option<ColumnMapping> {
-        let chain = wanted.chains[block.arm];
+        let chain = constraints.chains[block.arm];
         let joints = self.track(block, chain);
         let track = self.position(position);
         let columns: Vec<usize> = (0..chain.dof()).collect();
@@ -586,7 +596,7 @@ impl NumericTable {
         };
         let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };
-        let fit = |stream| tool_fit(&joints, stream, wanted.most_lag_s, with_zero);
+        let fit = |stream| tool_fit(&joints, stream, constraints.max_lag_s, with_zero);
         let at_base = fit(&in_base).filter(|it| {
             let most_m = MAX_RESIDUAL_M.min(MAX_RESIDUAL_SHARE_BOUND * spread_m);
             it.fit.residual_m <= most_m
@@ -605,7 +615,7 @@ impl NumericTable {
             joints: block.joints.clone(),
             unit: block.unit,
             position,
-            left_m: way.residual_m,
+            residual_m: way.residual_m,
             spread_m,
             is_at_base,
             score,

@@ -32,18 +32,20 @@ impl NumericTable {
         let pairs: Vec<(usize, usize)> =
             (1..rows.len()).flat_map(|at| [(0, at), (at - 1, at), (at / 2, at)]).collect();
         let rms = |angle: &dyn Fn(usize, usize) -> f64, other: &dyn Fn(usize, usize) -> f64| {
-            let apart = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
-            (apart.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
+            let differences = pairs.iter().map(|&(a, b)| (angle(a, b) - other(a, b)).powi(2));
+            (differences.sum::<f64>() / pairs.len().max(1) as f64).sqrt()
         };
         let expected = |a: usize, b: usize| angle_between(&fk[a], &fk[b]);
-        let turns_rad = rms(&expected, &|_, _| 0.0);
-        if turns_rad < MIN_ROTATION_RAD {
+        let rotation_rad = rms(&expected, &|_, _| 0.0);
+        if rotation_rad < MIN_ROTATION_RAD {
             return None;
         }
         let number = |row: usize, at: usize| self.columns[columns[at]][rows[row]];
-        let most = MAX_DIFFERENCE_RAD.min(0.15 * turns_rad);
-        let is_it = |all: Option<Vec<Rotation>>| {
-            all.is_some_and(|all| rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < most)
+        let max_difference = MAX_DIFFERENCE_RAD.min(0.15 * rotation_rad);
+        let agrees = |all: Option<Vec<Rotation>>| {
+            all.is_some_and(|all| {
+                rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < max_difference
+            })
         };
         let norms_are_one = |of: usize| {
             let norm =
@@ -55,19 +57,19 @@ impl NumericTable {
                 Convention::all().iter().any(|convention| {
                     let read =
                         |row| convention.rotation([0, 1, 2].map(|at| unit * number(row, at)));
-                    is_it(Some((0..rows.len()).map(read).collect()))
+                    agrees(Some((0..rows.len()).map(read).collect()))
                 })
             }),
             4 if norms_are_one(1) => {
                 let read = |row| rotation_from_xyzw([0, 1, 2, 3].map(|at| number(row, at)));
-                is_it((0..rows.len()).map(read).collect())
+                agrees((0..rows.len()).map(read).collect())
             }
             9 if norms_are_one(3) => {
                 let angle = |a: usize, b: usize| {
                     let trace: f64 = (0..9).map(|at| number(a, at) * number(b, at)).sum();
                     (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos()
                 };
-                rms(&expected, &angle) < most
+                rms(&expected, &angle) < max_difference
             }
             _ => false,
         })

@@ -50,19 +50,22 @@ pub fn estimate_joint_delays(
     order: &[usize],
     q: &[f64],
     joints: &JointTrack,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<CommandDelay> {
     let width = order.len().max(1);
     let of = |(at, &column): (usize, &usize)| {
-        let told = t_s.iter().zip(q.iter().skip(at).step_by(width));
-        let (t_s, told): (Vec<f64>, Vec<f64>) =
-            told.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
-        let done: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
-        let command = (TimeSeries::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
+        let commanded = t_s.iter().zip(q.iter().skip(at).step_by(width));
+        let (t_s, commanded): (Vec<f64>, Vec<f64>) =
+            commanded.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
+        let measured: Vec<f64> =
+            joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
+        let command = (TimeSeries::new(t_s.clone(), vec![commanded.clone()]), t_s.as_slice());
         let response = match is_streamed(&t_s) {
             false => Err(DelayFailure::Goals),
-            true if advances_in_steps(&t_s, &told, &joints.t_s, &done) => Err(DelayFailure::Steps),
-            true => estimate_delay(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
+            true if advances_in_steps(&t_s, &commanded, &joints.t_s, &measured) => {
+                Err(DelayFailure::Steps)
+            }
+            true => estimate_delay(command, (&joints.t_s, vec![measured]), &[commanded], max_lag_s),
         };
         CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
     };
@@ -70,10 +73,14 @@ pub fn estimate_joint_delays(
 }
 
 /// Delay of the tip behind commanded poses; both series are `base_from_tip`.
-pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
-    let period_s = median_period_s(&told.t_s);
-    let columns = [told, done].map(columns);
-    let [told_columns, done_columns] = columns;
+pub fn estimate_pose_delay(
+    commanded: &PoseSeries,
+    measured: &PoseSeries,
+    max_lag_s: f64,
+) -> CommandDelay {
+    let period_s = median_period_s(&commanded.t_s);
+    let columns = [commanded, measured].map(columns);
+    let [commanded_columns, measured_columns] = columns;
     let path = |columns: &[Vec<f64>]| -> Vec<f64> {
         let mut sum = 0.0;
         let rows = columns.first().map_or(0, Vec::len);
@@ -84,21 +91,28 @@ pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64
         });
         std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
     };
-    let response = match is_streamed(&told.t_s) {
+    let response = match is_streamed(&commanded.t_s) {
         false => Err(DelayFailure::Goals),
         true if advances_in_steps(
-            &told.t_s,
-            &path(&told_columns),
-            &done.t_s,
-            &path(&done_columns),
+            &commanded.t_s,
+            &path(&commanded_columns),
+            &measured.t_s,
+            &path(&measured_columns),
         ) =>
         {
             Err(DelayFailure::Steps)
         }
         true => {
-            let command =
-                (TimeSeries::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
-            estimate_delay(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
+            let command = (
+                TimeSeries::new(commanded.t_s.clone(), commanded_columns.clone()),
+                commanded.t_s.as_slice(),
+            );
+            estimate_delay(
+                command,
+                (&measured.t_s, measured_columns),
+                &commanded_columns,
+                max_lag_s,
+            )
         }
     };
     CommandDelay { joint: None, period_s, response }
@@ -106,43 +120,48 @@ pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64
 
 /// Whether over half of the path consists of jumps several times faster than the arm's top speed. The
 /// controller then plans its own profile, which hides the delay.
-fn advances_in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
+fn advances_in_steps(
+    commanded_t_s: &[f64],
+    commanded: &[f64],
+    measured_t_s: &[f64],
+    measured: &[f64],
+) -> bool {
     const MIN_STEP_SPEED_RATIO: f64 = 4.0;
     const MIN_STEP_PATH_SHARE: f64 = 0.5;
     const STEP_WINDOW_S: f64 = 0.1;
     let mut fastest = 0.0_f64;
     let mut first = 0;
-    for (last, &t_s) in done_t_s.iter().enumerate() {
-        while t_s - done_t_s[first] > 2.0 * STEP_WINDOW_S {
+    for (last, &t_s) in measured_t_s.iter().enumerate() {
+        while t_s - measured_t_s[first] > 2.0 * STEP_WINDOW_S {
             first += 1;
         }
-        let length_s = t_s - done_t_s[first];
+        let length_s = t_s - measured_t_s[first];
         if length_s >= STEP_WINDOW_S {
-            fastest = fastest.max((done[last] - done[first]).abs() / length_s);
+            fastest = fastest.max((measured[last] - measured[first]).abs() / length_s);
         }
     }
-    let noise = 6.0 * sample_noise(done);
-    let (mut way, mut leapt) = (0.0, 0.0);
-    for (times, ends) in told_t_s.windows(2).zip(told.windows(2)) {
+    let noise = 6.0 * sample_noise(measured);
+    let (mut path, mut path_in_steps) = (0.0, 0.0);
+    for (times, ends) in commanded_t_s.windows(2).zip(commanded.windows(2)) {
         let step = (ends[1] - ends[0]).abs();
-        way += step;
+        path += step;
         if step > MIN_STEP_SPEED_RATIO * fastest * (times[1] - times[0]) + noise {
-            leapt += step;
+            path_in_steps += step;
         }
     }
-    leapt > MIN_STEP_PATH_SHARE * way
+    path_in_steps > MIN_STEP_PATH_SHARE * path
 }
 
 /// Position, m, and accumulated rotation vectors, rad, times a balancing length.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
     const ROTATION_LEVER_M: f64 = 0.3;
-    let mut turned = Vec3::zeros();
+    let mut rotated = Vec3::zeros();
     let mut columns: [Vec<f64>; 6] = Default::default();
     for (row, pose) in series.poses.iter().enumerate() {
         if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
-            turned += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
+            rotated += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
         }
-        let scaled = ROTATION_LEVER_M * turned;
+        let scaled = ROTATION_LEVER_M * rotated;
         let both = pose.translation.vector.iter().chain(scaled.iter());
         columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
     }
@@ -150,15 +169,15 @@ fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
 }
 
 fn estimate_delay(
-    (command, told_t_s): (TimeSeries, &[f64]),
-    (done_t_s, done): (&[f64], Vec<Vec<f64>>),
-    told: &[Vec<f64>],
-    most_lag_s: f64,
+    (command, commanded_t_s): (TimeSeries, &[f64]),
+    (measured_t_s, measured): (&[f64], Vec<Vec<f64>>),
+    commanded: &[Vec<f64>],
+    max_lag_s: f64,
 ) -> Result<Response, DelayFailure> {
-    let (Some(first), Some(last)) = (told_t_s.first(), told_t_s.last()) else {
+    let (Some(first), Some(last)) = (commanded_t_s.first(), commanded_t_s.last()) else {
         return Err(NotObservable::NoOverlap.into());
     };
-    let way = |columns: &[Vec<f64>]| -> f64 {
+    let path_length = |columns: &[Vec<f64>]| -> f64 {
         let of = |column: &Vec<f64>| {
             let ends = column
                 .iter()
@@ -167,18 +186,18 @@ fn estimate_delay(
         };
         columns.iter().map(of).fold(0.0, f64::max)
     };
-    if way(told) < MIN_MOTION {
+    if path_length(commanded) < MIN_MOTION {
         return Err(NotObservable::AtRest.into());
     }
-    let window_s = (COMMAND_PERIODS * median_period_s(told_t_s))
-        .max(STATE_PERIODS * median_period_s(done_t_s))
+    let window_s = (COMMAND_PERIODS * median_period_s(commanded_t_s))
+        .max(STATE_PERIODS * median_period_s(measured_t_s))
         .max(MIN_WINDOW_S);
-    let changes = ResponseChanges::from_windows(done_t_s, &done, (*first, *last), window_s);
+    let changes = ResponseChanges::from_windows(measured_t_s, &measured, (*first, *last), window_s);
     if changes.windows.is_empty() {
         return Err(NotObservable::NoOverlap.into());
     }
-    if way(&done) < MIN_MOTION {
+    if path_length(&measured) < MIN_MOTION {
         return Err(NotObservable::DoesNotFollow(0.0).into());
     }
-    Ok(changes.estimate_response(&command, most_lag_s.min(MAX_DELAY_S))?)
+    Ok(changes.estimate_response(&command, max_lag_s.min(MAX_DELAY_S))?)
 }

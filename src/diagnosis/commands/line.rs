@@ -8,7 +8,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::rest::{Hold, MIN_REST_S, Rest, mean_pose};
+use super::rest::{ConstantCommand, MIN_REST_S, Rest, mean_pose};
 use super::{MeasuredLength, MeasuredPoses, length_of, variance_of_mean};
 use crate::PoseSeries;
 use ground::geometry::{
@@ -95,21 +95,21 @@ impl PoseMotion {
 /// Detects lines and measures each observation's deviation.
 pub(super) fn detect_lines(
     series: &PoseSeries,
-    holds: &[Hold],
+    constant_commands: &[ConstantCommand],
     rests: &[Rest],
-    witnesses: &[MeasuredPoses<'_>],
+    measured_poses: &[MeasuredPoses<'_>],
 ) -> Vec<CommandedLine> {
-    let stops: Vec<&Hold> = holds
+    let stops: Vec<&ConstantCommand> = constant_commands
         .iter()
-        .filter(|hold| series.t_s[hold.last] - series.t_s[hold.first] >= MIN_REST_S)
+        .filter(|command| series.t_s[command.last] - series.t_s[command.first] >= MIN_REST_S)
         .collect();
     let pairs = stops.windows(2).filter_map(|pair| {
         let (from, to) = (pair[0], pair[1]);
         let rows = from.last..to.first + 1;
-        let (mut line, way) = commanded_line(series, rows)?;
-        line.deviations = witnesses
+        let (mut line, motion) = commanded_line(series, rows)?;
+        line.deviations = measured_poses
             .iter()
-            .map(|witness| line_deviation(&line, &way, rests, to, witness))
+            .map(|measured_poses| line_deviation(&line, &motion, rests, to, measured_poses))
             .collect();
         Some(line)
     });
@@ -127,46 +127,47 @@ fn commanded_line(
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
     let (first, last) = (poses.first()?, poses.last()?);
-    let way = PoseMotion::new(first, last);
-    let turn_rad = way.turn.norm();
-    if poses.len() < MIN_COMMANDS || way.length_m < MIN_LINE_M || turn_rad > MAX_ROTATION_RAD {
+    let motion = PoseMotion::new(first, last);
+    let turn_rad = motion.turn.norm();
+    if poses.len() < MIN_COMMANDS || motion.length_m < MIN_LINE_M || turn_rad > MAX_ROTATION_RAD {
         return None;
     }
-    let most_m = MAX_LINE_DEVIATION.0 + MAX_LINE_DEVIATION.1 * way.length_m;
-    let beyond = most_m / way.length_m;
+    let most_m = MAX_LINE_DEVIATION.0 + MAX_LINE_DEVIATION.1 * motion.length_m;
+    let margin = most_m / motion.length_m;
     let is_on = |pose: &Pose| {
-        let (part, off) = way.locate(pose);
-        off.norm() <= most_m && (-beyond..=1.0 + beyond).contains(&part)
+        let (part, off_line) = motion.locate(pose);
+        off_line.norm() <= most_m && (-margin..=1.0 + margin).contains(&part)
     };
     // A pause or a jump is not a line.
     let longest = poses.windows(2).map(|pair| {
-        (pair[1].translation.vector - pair[0].translation.vector).norm() / way.length_m
+        (pair[1].translation.vector - pair[0].translation.vector).norm() / motion.length_m
     });
     if !poses.iter().all(is_on) || longest.fold(0.0, f64::max) > 0.3 {
         return None;
     }
     let placed: Vec<(f64, Rotation)> =
-        poses.iter().map(|pose| (way.locate(pose).0, pose.rotation)).collect();
-    let off = |(part, rotation): &(f64, Rotation)| angle_between(rotation, &way.slerp(*part));
-    let command_rad = placed.iter().map(off).fold(0.0, f64::max);
-    let off_axis = placed.iter().map(|(_, rotation)| way.off_axis_rad(rotation));
+        poses.iter().map(|pose| (motion.locate(pose).0, pose.rotation)).collect();
+    let off_line =
+        |(part, rotation): &(f64, Rotation)| angle_between(rotation, &motion.slerp(*part));
+    let command_rad = placed.iter().map(off_line).fold(0.0, f64::max);
+    let off_axis = placed.iter().map(|(_, rotation)| motion.off_axis_rad(rotation));
     let line = CommandedLine {
         from_s: times[0],
         to_s: times[times.len() - 1],
-        length_m: way.length_m,
+        length_m: motion.length_m,
         turn_rad,
         command_rad,
         command_off_axis_rad: off_axis.fold(0.0, f64::max),
-        interpolated: identify_interpolation(&way, last, &placed),
+        interpolated: identify_interpolation(&motion, last, &placed),
         deviations: Vec::new(),
     };
-    Some((line, way))
+    Some((line, motion))
 }
 
 /// Linear in Euler angles, rotation vector, quaternion components or matrix elements. `None` for a slerp,
 /// or if no candidate fits well.
 fn identify_interpolation(
-    way: &PoseMotion,
+    motion: &PoseMotion,
     last: &Pose,
     placed: &[(f64, Rotation)],
 ) -> Option<String> {
@@ -174,49 +175,50 @@ fn identify_interpolation(
     const MIN_SLERP_DEVIATION_RAD: f64 = 5e-4;
     /// Share of the slerp's residual.
     const MAX_RESIDUAL_SHARE: f64 = 0.05;
-    let rms = |guess: &dyn Fn(f64) -> Rotation| {
-        let square =
-            |(part, rotation): &(f64, Rotation)| angle_between(rotation, &guess(*part)).powi(2);
+    let rms = |interpolate: &dyn Fn(f64) -> Rotation| {
+        let square = |(part, rotation): &(f64, Rotation)| {
+            angle_between(rotation, &interpolate(*part)).powi(2)
+        };
         (placed.iter().map(square).sum::<f64>() / placed.len().max(1) as f64).sqrt()
     };
-    let by_slerp = rms(&|part| way.slerp(part));
+    let by_slerp = rms(&|part| motion.slerp(part));
     if by_slerp < MIN_SLERP_DEVIATION_RAD {
         return None;
     }
-    let (angle, axis) = (way.turn.norm(), way.turn.try_normalize(1e-9)?);
+    let (angle, axis) = (motion.turn.norm(), motion.turn.try_normalize(1e-9)?);
     // Linear blend of two unit vectors `angle` apart.
     let blended =
         |angle: f64, part: f64| (part * angle.sin()).atan2(1.0 - part + part * angle.cos());
-    let at_angle = |angle: f64| way.from.rotation * rotation_from_rotvec(axis * angle);
-    let mut guesses: Vec<(f64, String)> = vec![
+    let at_angle = |angle: f64| motion.from.rotation * rotation_from_rotvec(axis * angle);
+    let mut interpolations: Vec<(f64, String)> = vec![
         (rms(&|s| at_angle(2.0 * blended(angle / 2.0, s))), "quaternion components".to_owned()),
         (rms(&|s| at_angle(blended(angle, s))), "matrix elements".to_owned()),
     ];
     for &convention in Convention::all() {
         let [a, b] =
-            [&way.from.rotation, &last.rotation].map(|rotation| convention.numbers(rotation));
+            [&motion.from.rotation, &last.rotation].map(|rotation| convention.numbers(rotation));
         let wrapped = |by: f64| by - TAU * (by / TAU).round();
         let by: [f64; 3] = std::array::from_fn(|at| match convention {
             Convention::RotVec => b[at] - a[at],
             _ => wrapped(b[at] - a[at]),
         });
-        let guess =
+        let interpolate =
             |part: f64| convention.rotation(std::array::from_fn(|at| a[at] + part * by[at]));
-        guesses.push((rms(&guess), convention.to_string()));
+        interpolations.push((rms(&interpolate), convention.to_string()));
     }
     // The first of equal candidates is the most common.
-    let (least, name) = guesses.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (least <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
+    let (min_rms, name) = interpolations.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (min_rms <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
 /// Compares with line and slerp between the rests before and after, so delay and constant pose errors have
 /// no effect.
 fn line_deviation(
     line: &CommandedLine,
-    way: &PoseMotion,
+    motion: &PoseMotion,
     rests: &[Rest],
-    stop: &Hold,
-    witness: &MeasuredPoses<'_>,
+    stop: &ConstantCommand,
+    measured_poses: &MeasuredPoses<'_>,
 ) -> Option<LineDeviation> {
     /// Rests averaged to locate the ends.
     const END_S: f64 = 0.3;
@@ -232,19 +234,19 @@ fn line_deviation(
     if before.to_s > after.from_s {
         return None;
     }
-    let series = witness.series;
+    let series = measured_poses.series;
     let ends = [
         ((before.to_s - END_S).max(before.from_s), before.to_s),
         (after.from_s, (after.from_s + END_S).min(after.to_s)),
     ];
     let [first, last] =
         [mean_pose(series, ends[0].0, ends[0].1)?, mean_pose(series, ends[1].0, ends[1].1)?];
-    let tip_from_point = commanded_point(way, line, &first, &last)?;
-    let done = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
-    let is_alike = (done.length_m - way.length_m).abs()
-        <= MAX_LENGTH_DIFFERENCE.0 + MAX_LENGTH_DIFFERENCE.1 * way.length_m
-        && (done.turn.norm() - line.turn_rad).abs() <= MAX_ROTATION_DIFFERENCE_RAD;
-    if !is_alike {
+    let tip_from_point = commanded_point(motion, line, &first, &last)?;
+    let measured_motion = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
+    let is_same_motion = (measured_motion.length_m - motion.length_m).abs()
+        <= MAX_LENGTH_DIFFERENCE.0 + MAX_LENGTH_DIFFERENCE.1 * motion.length_m
+        && (measured_motion.turn.norm() - line.turn_rad).abs() <= MAX_ROTATION_DIFFERENCE_RAD;
+    if !is_same_motion {
         return None;
     }
     let rows = series.t_s.partition_point(|&t| t < before.to_s)
@@ -253,9 +255,10 @@ fn line_deviation(
         .iter()
         .map(|pose| {
             let pose = pose * tip_from_point;
-            let (part, off) = done.locate(&pose);
-            let turn = rotvec_from_rotation(&(pose.rotation * done.slerp(part).inverse()));
-            (part, off, turn)
+            let (part, deviation) = measured_motion.locate(&pose);
+            let turn =
+                rotvec_from_rotation(&(pose.rotation * measured_motion.slerp(part).inverse()));
+            (part, deviation, turn)
         })
         .filter(|(part, ..)| (0.0..1.0).contains(part))
         .collect();
@@ -264,17 +267,17 @@ fn line_deviation(
         return None;
     }
     let mut sums = vec![(Vec3::zeros(), Vec3::zeros(), 0_usize); bins];
-    for (part, off, turn) in placed {
+    for (part, deviation, turn) in placed {
         let bin = &mut sums[((part * bins as f64) as usize).min(bins - 1)];
-        *bin = (bin.0 + off, bin.1 + turn, bin.2 + 1);
+        *bin = (bin.0 + deviation, bin.1 + turn, bin.2 + 1);
     }
     let end_count =
         |(from_s, to_s): (f64, f64)| super::rest::poses_within(series, from_s, to_s).count();
     let fewest = end_count(ends[0]).min(end_count(ends[1]));
     let farthest = |kind: usize| {
-        let noise = &witness.noise[kind];
-        let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(off, turn, count)| {
-            let mean = if kind == 0 { off } else { turn } / count as f64;
+        let noise = &measured_poses.noise[kind];
+        let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(deviation, turn, count)| {
+            let mean = if kind == 0 { deviation } else { turn } / count as f64;
             length_of(mean, variance_of_mean(noise, count) + variance_of_mean(noise, fewest))
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
@@ -286,7 +289,7 @@ fn line_deviation(
 
 /// `tip_from_point`. `None` if the point cannot be located and its path may differ from the tip's.
 fn commanded_point(
-    way: &PoseMotion,
+    motion: &PoseMotion,
     line: &CommandedLine,
     first: &Pose,
     last: &Pose,
@@ -297,21 +300,21 @@ fn commanded_point(
     const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
     /// Between start and end, for one and the same point.
     const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
-    let told = [
-        way.from,
+    let commands = [
+        motion.from,
         Pose::from_parts(
-            (way.from.translation.vector + way.along * way.length_m).into(),
-            way.slerp(1.0),
+            (motion.from.translation.vector + motion.along * motion.length_m).into(),
+            motion.slerp(1.0),
         ),
     ];
-    let [at_first, at_last] = [first.inverse() * told[0], last.inverse() * told[1]];
+    let [at_first, at_last] = [first.inverse() * commands[0], last.inverse() * commands[1]];
     let far_m = at_first.translation.vector.norm().max(at_last.translation.vector.norm());
-    let apart_m = (at_first.translation.vector - at_last.translation.vector).norm();
+    let distance_m = (at_first.translation.vector - at_last.translation.vector).norm();
     match () {
         () if far_m <= MAX_POINT_DISTANCE_M || line.turn_rad <= MIN_ROTATION_RAD => {
             Some(Pose::identity())
         }
-        () if apart_m <= MAX_POINT_DIFFERENCE_M => {
+        () if distance_m <= MAX_POINT_DIFFERENCE_M => {
             let middle = at_first.translation.vector.lerp(&at_last.translation.vector, 0.5);
             Some(Pose::translation(middle.x, middle.y, middle.z))
         }

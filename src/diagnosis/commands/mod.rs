@@ -10,7 +10,7 @@ mod rest;
 mod rest_error;
 
 pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
-pub use self::rest_error::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
+pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErrorSpread};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
 use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
@@ -20,7 +20,7 @@ use ground::stats::{Measured, MeasuredLength};
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
-use rest::{Hold, Rest, constant_commands, detect_rests, mean_pose};
+use rest::{ConstantCommand, Rest, constant_commands, detect_rests, mean_pose};
 
 /// Commanded poses over time.
 #[derive(Clone, Debug, Default)]
@@ -42,23 +42,23 @@ impl Commands {
         (chain, columns): (&Chain, &[usize]),
     ) -> Self {
         let mut commands = Self::default();
-        let mut held = vec![f64::NAN; joints.dof];
+        let mut latest = vec![f64::NAN; joints.dof];
         let (mut cursor, mut at, mut speed) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-        let mut own = vec![0.0; columns.len()];
+        let mut positions = vec![0.0; columns.len()];
         for (&t_s, row) in t_s.iter().zip(q.chunks_exact(order.len().max(1))) {
             for (&column, &value) in order.iter().zip(row).filter(|(_, value)| value.is_finite()) {
-                held[column] = value;
+                latest[column] = value;
             }
-            let is_whole = columns.iter().all(|&column| held[column].is_finite());
-            if !is_whole && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
+            let is_complete = columns.iter().all(|&column| latest[column].is_finite());
+            if !is_complete && !joints.at(t_s, &mut cursor, &mut at, &mut speed) {
                 continue;
             }
-            for (own, &column) in own.iter_mut().zip(columns) {
-                *own = if held[column].is_finite() { held[column] } else { at[column] };
+            for (positions, &column) in positions.iter_mut().zip(columns) {
+                *positions = if latest[column].is_finite() { latest[column] } else { at[column] };
             }
             commands.series.t_s.push(t_s);
-            commands.series.poses.push(chain.forward(&own));
-            commands.joints.extend(&held);
+            commands.series.poses.push(chain.forward(&positions));
+            commands.joints.extend(&latest);
         }
         commands
     }
@@ -130,12 +130,12 @@ struct MeasuredPoses<'a> {
 ///
 /// # Errors
 /// If the commands do not overlap the joint states, or the arm never rests.
-pub fn diagnose_reference(
+pub fn diagnose_commands(
     commands: &Commands,
     arm: &CommandedArm<'_>,
-    witnesses: &[PoseSeries],
-    most_lag_s: f64,
-) -> EstimateResult<ReferenceDiagnosis> {
+    measured_poses: &[PoseSeries],
+    max_lag_s: f64,
+) -> EstimateResult<CommandDiagnosis> {
     let series = &commands.series;
     let Some(end_s) = arm.joints.span().map(|(_, end_s)| end_s) else {
         return Err(NotObservable::NoOverlap);
@@ -144,72 +144,85 @@ pub fn diagnose_reference(
         return Err(NotObservable::NoOverlap);
     }
     let is_streamed = is_streamed(&series.t_s);
-    let following = if is_streamed { command_tracking(series, arm, most_lag_s) } else { None };
+    let following = if is_streamed { command_tracking(series, arm, max_lag_s) } else { None };
     let rests = detect_rests(arm.joints);
     if rests.is_empty() {
         return Err(NotObservable::NeverRests);
     }
-    let holds = constant_commands(series, is_streamed, end_s);
+    let constant_commands = constant_commands(series, is_streamed, end_s);
     let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
-    let noises =
-        witnesses.iter().map(|series| MeasuredPoses { series, noise: noise_of(series, &rests) });
-    let witnesses: Vec<MeasuredPoses<'_>> = noises.collect();
-    let pairs: Vec<Vec<(f64, f64)>> = holds
+    let noises = measured_poses
         .iter()
-        .map(|hold| rest_windows(hold, &rests, is_streamed, following.is_some(), delay_s))
+        .map(|series| MeasuredPoses { series, noise: pose_noise(series, &rests) });
+    let measured_poses: Vec<MeasuredPoses<'_>> = noises.collect();
+    let pairs: Vec<Vec<(f64, f64)>> = constant_commands
+        .iter()
+        .map(|command| rest_windows(command, &rests, is_streamed, following.is_some(), delay_s))
         .collect();
-    let mut found = ReferenceDiagnosis {
+    let mut diagnosis = CommandDiagnosis {
         is_streamed,
         tracking: following,
-        goals: holds.iter().filter(|hold| hold.to_s - hold.from_s >= rest::MIN_REST_S).count(),
+        goals: constant_commands
+            .iter()
+            .filter(|command| command.to_s - command.from_s >= rest::MIN_REST_S)
+            .count(),
         not_reached: 0,
         nearest_miss: None,
-        rest_errors: vec![Vec::new(); witnesses.len()],
+        rest_errors: vec![Vec::new(); measured_poses.len()],
         lines: Vec::new(),
     };
-    let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
-        witnesses.iter().map(|one| rest_error(commands, arm, hold, (from_s, to_s), one)).collect()
-    };
-    let mut far: Vec<Vec<Option<RestError>>> = Vec::new();
-    let mut near: Vec<Vec<Option<RestError>>> = Vec::new();
-    for (hold, windows) in holds.iter().zip(&pairs) {
-        let at_rests = windows.iter().map(|window| gaps_of(hold, window));
+    let rest_errors_of =
+        |command: &ConstantCommand, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
+            measured_poses
+                .iter()
+                .map(|one| rest_error(commands, arm, command, (from_s, to_s), one))
+                .collect()
+        };
+    let mut unreached: Vec<Vec<Option<RestError>>> = Vec::new();
+    let mut reached: Vec<Vec<Option<RestError>>> = Vec::new();
+    for (command, windows) in constant_commands.iter().zip(&pairs) {
+        let at_rests = windows.iter().map(|window| rest_errors_of(command, window));
         let mut at_rests: Vec<_> =
-            at_rests.filter(|gaps| gaps.iter().any(Option::is_some)).collect();
-        if found.tracking.is_some() {
-            near.append(&mut at_rests);
+            at_rests.filter(|rest_errors| rest_errors.iter().any(Option::is_some)).collect();
+        if diagnosis.tracking.is_some() {
+            reached.append(&mut at_rests);
             continue;
         }
-        let best = at_rests.into_iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b)));
+        let best =
+            at_rests.into_iter().min_by(|a, b| smallest_error(a).total_cmp(&smallest_error(b)));
         match best {
-            Some(gaps) if is_near(&gaps) => near.push(gaps),
-            Some(gaps) => far.push(gaps),
+            Some(rest_errors) if is_near(&rest_errors) => reached.push(rest_errors),
+            Some(rest_errors) => unreached.push(rest_errors),
             None => {}
         }
     }
-    let missed = |gaps: &Vec<Option<RestError>>| {
-        let least =
-            gaps.iter().flatten().min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
-        Some((least.distance_m.norm.value, least.angle_rad.norm.value))
+    let missed = |rest_errors: &Vec<Option<RestError>>| {
+        let nearest = rest_errors
+            .iter()
+            .flatten()
+            .min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
+        Some((nearest.distance_m.norm.value, nearest.angle_rad.norm.value))
     };
-    found.nearest_miss =
-        far.iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b))).and_then(missed);
-    if (0..witnesses.len()).any(|witness| is_one_transform(&far, witness)) {
-        near.append(&mut far);
+    diagnosis.nearest_miss = unreached
+        .iter()
+        .min_by(|a, b| smallest_error(a).total_cmp(&smallest_error(b)))
+        .and_then(missed);
+    if (0..measured_poses.len()).any(|stream| is_constant_transform(&unreached, stream)) {
+        reached.append(&mut unreached);
     }
-    near.sort_by(|a, b| start_of(a).total_cmp(&start_of(b)));
-    for gaps in &mut near {
-        for (all, gap) in found.rest_errors.iter_mut().zip(gaps) {
-            all.extend(gap.take());
+    reached.sort_by(|a, b| start_s(a).total_cmp(&start_s(b)));
+    for rest_errors in &mut reached {
+        for (all, rest_error) in diagnosis.rest_errors.iter_mut().zip(rest_errors) {
+            all.extend(rest_error.take());
         }
     }
-    if found.tracking.is_none() {
-        found.not_reached = found.goals.saturating_sub(near.len());
+    if diagnosis.tracking.is_none() {
+        diagnosis.not_reached = diagnosis.goals.saturating_sub(reached.len());
     }
     if is_streamed && commands.joints.is_empty() {
-        found.lines = line::detect_lines(series, &holds, &rests, &witnesses);
+        diagnosis.lines = line::detect_lines(series, &constant_commands, &rests, &measured_poses);
     }
-    Ok(found)
+    Ok(diagnosis)
 }
 
 fn is_streamed(t_s: &[f64]) -> bool {
@@ -220,7 +233,7 @@ fn is_streamed(t_s: &[f64]) -> bool {
 
 /// The command is constant and the arm rests as its result.
 fn rest_windows(
-    hold: &Hold,
+    command: &ConstantCommand,
     rests: &[Rest],
     is_streamed: bool,
     follows: bool,
@@ -232,11 +245,11 @@ fn rest_windows(
     const MAX_REST_S: f64 = 1.0;
     let is_led = |rest: &&Rest| {
         // With no command before it, the arm is holding a constant stream.
-        follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
+        follows || rest.from_s > command.from_s || is_streamed && command.first == 0
     };
     let window = |rest: &Rest| {
-        let from_s = rest.from_s.max(hold.from_s + SETTLING_S + 2.0 * delay_s);
-        let to_s = rest.to_s.min(hold.to_s);
+        let from_s = rest.from_s.max(command.from_s + SETTLING_S + 2.0 * delay_s);
+        let to_s = rest.to_s.min(command.to_s);
         // The motion has settled further in the later half.
         let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::MIN_REST_S).max(to_s - MAX_REST_S);
         (to_s - from_s >= rest::MIN_REST_S).then_some((from_s.max(late_s), to_s))
@@ -249,38 +262,40 @@ const MAX_GOAL_DISTANCE_M: f64 = 0.02;
 const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Distance from a goal relative to its limits.
-fn relative_error(gap: &RestError) -> f64 {
-    (gap.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
-        .max(gap.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)
+fn relative_error(rest_error: &RestError) -> f64 {
+    (rest_error.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
+        .max(rest_error.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)
 }
 
 /// Smallest among the observations.
-fn least_error(gaps: &[Option<RestError>]) -> f64 {
-    gaps.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
+fn smallest_error(rest_errors: &[Option<RestError>]) -> f64 {
+    rest_errors.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
 }
 
-fn is_near(gaps: &[Option<RestError>]) -> bool {
-    least_error(gaps) <= 1.0
+fn is_near(rest_errors: &[Option<RestError>]) -> bool {
+    smallest_error(rest_errors) <= 1.0
 }
 
-fn start_of(gaps: &[Option<RestError>]) -> f64 {
-    gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
+fn start_s(rest_errors: &[Option<RestError>]) -> f64 {
+    rest_errors.iter().flatten().map(|rest_error| rest_error.from_s).fold(f64::INFINITY, f64::min)
 }
 
 /// Whether one rigid transform explains all distant goals (three or more): another frame or tool.
-fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
+fn is_constant_transform(unreached: &[Vec<Option<RestError>>], stream: usize) -> bool {
     const FEWEST: usize = 3;
     const MAX_TRANSFORM_SPREAD: (f64, f64) = (0.25 * MAX_GOAL_DISTANCE_M, 0.1 * MAX_GOAL_ANGLE_RAD);
-    let gaps: Vec<RestError> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
-    let is_alike = |spread: (f64, f64)| {
+    let rest_errors: Vec<RestError> =
+        unreached.iter().filter_map(|rest_errors| rest_errors[stream].clone()).collect();
+    let is_small = |spread: (f64, f64)| {
         spread.0 <= MAX_TRANSFORM_SPREAD.0 && spread.1 <= MAX_TRANSFORM_SPREAD.1
     };
-    let constancy = RestErrorSpread::from_rests(&gaps).filter(|_| gaps.len() >= FEWEST);
-    constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
+    let constancy =
+        RestErrorSpread::from_rests(&rest_errors).filter(|_| rest_errors.len() >= FEWEST);
+    constancy.is_some_and(|constancy| is_small(constancy.in_tool) || is_small(constancy.in_base))
 }
 
 /// Noise of position, m, and rotation, rad.
-fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
+fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
     /// From the specification: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-6;
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
@@ -292,8 +307,9 @@ fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
             radians.push(turn.into());
         }
     }
-    [metres, radians]
-        .map(|left: Vec<[f64; 3]>| Noise::estimate(&left, &vec![1.0; left.len()], FLOOR))
+    [metres, radians].map(|residuals: Vec<[f64; 3]>| {
+        Noise::estimate(&residuals, &vec![1.0; residuals.len()], FLOOR)
+    })
 }
 
 /// Accounts for autocorrelation.
@@ -314,15 +330,15 @@ fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
 fn rest_error(
     commands: &Commands,
     arm: &CommandedArm<'_>,
-    hold: &Hold,
+    command: &ConstantCommand,
     (from_s, to_s): (f64, f64),
-    witness: &MeasuredPoses<'_>,
+    measured_poses: &MeasuredPoses<'_>,
 ) -> Option<RestError> {
     const FEWEST: usize = 4;
     /// Between the two halves of a rest.
     const MAX_REST_MOTION_M_RAD: (f64, f64) = (2e-4, 3e-4);
     const SIGMAS: f64 = 4.0;
-    let series = witness.series;
+    let series = measured_poses.series;
     let count = rest::poses_within(series, from_s, to_s).count();
     if count < FEWEST {
         return None;
@@ -333,13 +349,13 @@ fn rest_error(
     let crept_m = (halves[1].translation.vector - halves[0].translation.vector).norm();
     let crept_rad = angle_between(&halves[0].rotation, &halves[1].rotation);
     let by_noise = |noise: &Noise| SIGMAS * (2.0 * variance_of_mean(noise, count / 2)).sqrt();
-    let [metres, radians] = &witness.noise;
+    let [metres, radians] = &measured_poses.noise;
     if crept_m > MAX_REST_MOTION_M_RAD.0 + by_noise(metres)
         || crept_rad > MAX_REST_MOTION_M_RAD.1 + by_noise(radians)
     {
         return None;
     }
-    let commanded = commands.series.poses[hold.last];
+    let commanded = commands.series.poses[command.last];
     let shift = commanded.translation.vector - measured.translation.vector;
     let turn = rotvec_from_rotation(&(commanded.rotation * measured.rotation.inverse()));
     Some(RestError {
@@ -349,38 +365,38 @@ fn rest_error(
         measured,
         distance_m: length_of(shift, variance_of_mean(metres, count)),
         angle_rad: length_of(turn, variance_of_mean(radians, count)),
-        joints: joint_errors(commands, arm.joints, hold, (from_s, to_s)),
+        joints: joint_errors(commands, arm.joints, command, (from_s, to_s)),
     })
 }
 
 fn joint_errors(
     commands: &Commands,
     joints: &JointTrack,
-    hold: &Hold,
+    command: &ConstantCommand,
     (from_s, to_s): (f64, f64),
 ) -> Vec<(usize, Measured)> {
     let dof = joints.dof;
-    let Some(commanded) = commands.joints.chunks_exact(dof.max(1)).nth(hold.last) else {
+    let Some(commanded) = commands.joints.chunks_exact(dof.max(1)).nth(command.last) else {
         return Vec::new();
     };
     let rows =
         joints.t_s.partition_point(|&t| t < from_s)..joints.t_s.partition_point(|&t| t <= to_s);
     let count = rows.len() as f64;
-    let off = |column: usize| {
+    let error = |column: usize| {
         let mean = rows.clone().map(|row| joints.row(row)[column]).sum::<f64>() / count;
         let square = rows.clone().map(|row| (joints.row(row)[column] - mean).powi(2)).sum::<f64>();
         let dof = (count - 1.0).max(1.0);
         let std_error = (square / dof / count).sqrt();
         (column, Measured { value: mean - commanded[column], std_error, dof })
     };
-    (0..dof).filter(|&column| commanded[column].is_finite()).map(off).collect()
+    (0..dof).filter(|&column| commanded[column].is_finite()).map(error).collect()
 }
 
 /// `None` if the arm's speed does not correlate with the commands'.
 fn command_tracking(
     series: &PoseSeries,
     arm: &CommandedArm<'_>,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<CommandTracking> {
     const MIN_CORRELATION: f64 = 0.7;
     /// Below the highest peak; the equal one with the smallest lag is selected.
@@ -389,7 +405,7 @@ fn command_tracking(
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
         series.poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
     let speeds = ArmSpeeds::from_joints(joints, chain, columns);
-    let peaks = speeds.lag_peaks(&series.t_s, &xyz, Some(&rotations), most_lag_s);
+    let peaks = speeds.lag_peaks(&series.t_s, &xyz, Some(&rotations), max_lag_s);
     let highest = peaks.first()?.correlation;
     let high = peaks.iter().filter(|peak| peak.correlation >= highest - MAX_PEAK_DEFICIT);
     let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;
@@ -415,18 +431,21 @@ fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> 
     const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);
-    let mut own = vec![0.0; columns.len()];
+    let mut positions = vec![0.0; columns.len()];
     let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
     for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
         let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
         if speeds.iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
             continue;
         }
-        let Some(told) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
-        own.iter_mut().zip(columns).for_each(|(own, &column)| *own = joints.row(row)[column]);
-        let done = chain.forward(&own);
-        metres += (told.translation.vector - done.translation.vector).norm_squared();
-        radians += angle_between(&told.rotation, &done.rotation).powi(2);
+        let Some(commanded) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };
+        positions
+            .iter_mut()
+            .zip(columns)
+            .for_each(|(positions, &column)| *positions = joints.row(row)[column]);
+        let measured = chain.forward(&positions);
+        metres += (commanded.translation.vector - measured.translation.vector).norm_squared();
+        radians += angle_between(&commanded.rotation, &measured.rotation).powi(2);
         count += 1.0;
     }
     let rms = |sum: f64| (sum / f64::max(count, 1.0)).sqrt();

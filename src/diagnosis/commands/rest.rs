@@ -16,7 +16,7 @@ pub(super) struct Rest {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Hold {
+pub(super) struct ConstantCommand {
     pub first: usize,
     pub last: usize,
     pub from_s: f64,
@@ -73,7 +73,11 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
 }
 
 /// A single goal holds until the next one or `end_s`; a streamed command until the stream stops.
-pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
+pub(super) fn constant_commands(
+    series: &PoseSeries,
+    is_streamed: bool,
+    end_s: f64,
+) -> Vec<ConstantCommand> {
     /// Equal commands.
     const COMMAND_TOLERANCE_M_RAD: (f64, f64) = (5e-5, 5e-5);
     let PoseSeries { t_s, poses } = series;
@@ -100,7 +104,7 @@ pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f
             None if !is_streamed => end_s.max(t_s[last]),
             _ => t_s[last],
         };
-        found.push(Hold { first, last, from_s: t_s[first], to_s });
+        found.push(ConstantCommand { first, last, from_s: t_s[first], to_s });
         first = row;
     }
     found

@@ -42,27 +42,31 @@ pub struct RestErrorSpread {
 
 impl RestErrorSpread {
     /// `None` for fewer than two rests.
-    pub fn from_rests(gaps: &[RestError]) -> Option<Self> {
-        if gaps.len() < 2 {
+    pub fn from_rests(errors: &[RestError]) -> Option<Self> {
+        if errors.len() < 2 {
             return None;
         }
         let spread = |of: &dyn Fn(&RestError) -> Pose| {
-            let parts: Vec<(Vec3, Vec3)> = gaps
+            let vectors: Vec<(Vec3, Vec3)> = errors
                 .iter()
                 .map(of)
                 .map(|pose| (pose.translation.vector, rotvec_from_rotation(&pose.rotation)))
                 .collect();
-            let count = parts.len() as f64;
+            let count = vectors.len() as f64;
             let (mean_m, mean_rad) = (
-                parts.iter().map(|part| part.0).sum::<Vec3>() / count,
-                parts.iter().map(|part| part.1).sum::<Vec3>() / count,
+                vectors.iter().map(|vector| vector.0).sum::<Vec3>() / count,
+                vectors.iter().map(|vector| vector.1).sum::<Vec3>() / count,
             );
-            let far = |part: &(Vec3, Vec3)| ((part.0 - mean_m).norm(), (part.1 - mean_rad).norm());
-            parts.iter().map(far).fold((0.0, 0.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)))
+            let far =
+                |vector: &(Vec3, Vec3)| ((vector.0 - mean_m).norm(), (vector.1 - mean_rad).norm());
+            vectors
+                .iter()
+                .map(far)
+                .fold((0.0, 0.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)))
         };
         Some(Self {
             in_tool: spread(&RestError::tip_from_commanded),
-            in_base: spread(&|gap| gap.commanded * gap.measured.inverse()),
+            in_base: spread(&|error| error.commanded * error.measured.inverse()),
         })
     }
 }
@@ -82,7 +86,7 @@ pub struct CommandTracking {
 
 /// One command stream against the arm's motion.
 #[derive(Clone, Debug)]
-pub struct ReferenceDiagnosis {
+pub struct CommandDiagnosis {
     /// Whether the arm follows a stream, not single goals.
     pub is_streamed: bool,
     /// `None` if there are too few commands or the arm does not follow.

@@ -35,13 +35,13 @@ fn arm() -> (JointTrack, Chain, Vec<usize>) {
 }
 
 /// Commands `pose_at` at `t_s`.
-fn diagnosed(t_s: Vec<f64>, pose_at: impl Fn(&Chain, f64) -> Pose) -> ReferenceDiagnosis {
+fn diagnosed(t_s: Vec<f64>, pose_at: impl Fn(&Chain, f64) -> Pose) -> CommandDiagnosis {
     let (joints, chain, columns) = arm();
     let poses = t_s.iter().map(|&t_s| pose_at(&chain, t_s)).collect();
     let commands = Commands { series: PoseSeries { t_s, poses }, joints: Vec::new() };
     let witness = PoseSeries::from_joints(&joints, &chain, &columns);
     let arm = CommandedArm { joints: &joints, chain: &chain, columns: &columns };
-    diagnose_reference(&commands, &arm, &[witness], 1.0).expect("it rests")
+    diagnose_commands(&commands, &arm, &[witness], 1.0).expect("it rests")
 }
 
 fn aside(by_m: f64) -> Pose {
@@ -99,7 +99,7 @@ fn a_joint_that_stays_off_is_told() {
     let commands = Commands::from_joints(&t_s, &order, &q, &joints, (&chain, &columns));
     let witness = PoseSeries::from_joints(&joints, &chain, &columns);
     let arm = CommandedArm { joints: &joints, chain: &chain, columns: &columns };
-    let found = diagnose_reference(&commands, &arm, &[witness], 1.0).expect("it rests");
+    let found = diagnose_commands(&commands, &arm, &[witness], 1.0).expect("it rests");
     for gap in &found.rest_errors[0] {
         let off: Vec<f64> = gap.joints.iter().map(|(_, off)| off.value).collect();
         assert!((off[2] + 0.005).abs() < 1e-9 && off[1].abs() < 1e-9, "{off:?}");

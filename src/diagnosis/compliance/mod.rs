@@ -67,48 +67,50 @@ struct ResidualSamples {
     has_rotation: bool,
 }
 
-/// `found` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
+/// `diagnosis` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
 pub(super) fn diagnose_with_compliance(
     joints: &JointTrack,
     streams: &[PoseStream],
-    slides: &[bool],
-    found: &ArmDiagnosis,
-    most_lag_s: f64,
+    is_prismatic: &[bool],
+    diagnosis: &ArmDiagnosis,
+    max_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
-    let is_coded = found.joints.scales.iter().any(JointScale::is_coded);
-    let may_give = !is_coded
-        && found.joints.patches.is_empty()
+    let is_coded = diagnosis.joints.scales.iter().any(JointScale::is_coded);
+    let is_applicable = !is_coded
+        && diagnosis.joints.patches.is_empty()
         && joints.len() > 1
-        && !found.streams.iter().any(PoseDiagnosis::is_far_from_fk);
-    if !may_give {
+        && !diagnosis.streams.iter().any(PoseDiagnosis::is_far_from_fk);
+    if !is_applicable {
         return None;
     }
-    let is_much = found.streams.iter().any(has_large_residual);
-    let without = |run: ComplianceRun, found: &ArmDiagnosis| match is_much {
-        true => run.fit_compliance(found),
-        false => run.test_zeros_as_sag(found),
+    let has_large = diagnosis.streams.iter().any(has_large_residual);
+    let diagnose_run = |run: ComplianceRun, diagnosis: &ArmDiagnosis| match has_large {
+        true => run.fit_compliance(diagnosis),
+        false => run.test_zeros_as_sag(diagnosis),
     };
-    let reading = match &found.joints.encoding {
-        Ok(reading) if !reading.is_as_logged() => reading,
+    let encoding = match &diagnosis.joints.encoding {
+        Ok(encoding) if !encoding.is_as_logged() => encoding,
         _ => {
-            return without(
-                ComplianceRun { joints, streams, is_prismatic: slides, max_lag_s: most_lag_s },
-                found,
+            return diagnose_run(
+                ComplianceRun { joints, streams, is_prismatic, max_lag_s },
+                diagnosis,
             );
         }
     };
-    if !is_much && !found.joints.offsets.iter().any(|offset| offset.is_chosen) {
+    if !has_large && !diagnosis.joints.offsets.iter().any(|offset| offset.is_chosen) {
         return None;
     }
-    let read = correct_joints(joints, reading, slides);
-    let run = ComplianceRun { joints: &read, streams, is_prismatic: slides, max_lag_s: most_lag_s };
-    let mut after = without(run, &diagnose_arm(&read, streams, most_lag_s))?;
-    after.joints.encoding.clone_from(&found.joints.encoding);
-    after.joints.scales.clone_from(&found.joints.scales);
-    for ((stream, found), after) in streams.iter().zip(&found.streams).zip(&mut after.streams) {
+    let corrected = correct_joints(joints, encoding, is_prismatic);
+    let run = ComplianceRun { joints: &corrected, streams, is_prismatic, max_lag_s };
+    let mut after = diagnose_run(run, &diagnose_arm(&corrected, streams, max_lag_s))?;
+    after.joints.encoding.clone_from(&diagnosis.joints.encoding);
+    after.joints.scales.clone_from(&diagnosis.joints.scales);
+    for ((stream, diagnosis), after) in
+        streams.iter().zip(&diagnosis.streams).zip(&mut after.streams)
+    {
         restore_recorded(joints, stream, after);
-        if let (Ok(after), Ok(found)) = (&mut after.residual, &found.residual) {
-            (after.before_m, after.before_rad) = (found.before_m, found.before_rad);
+        if let (Ok(after), Ok(diagnosis)) = (&mut after.residual, &diagnosis.residual) {
+            (after.before_m, after.before_rad) = (diagnosis.before_m, diagnosis.before_rad);
         }
     }
     Some(after)
@@ -124,87 +126,91 @@ struct ArmResidual {
 }
 
 impl ArmResidual {
-    fn from_diagnosis(found: &ArmDiagnosis) -> Self {
-        let rms = |found: &PoseDiagnosis| match &found.residual {
+    fn from_diagnosis(diagnosis: &ArmDiagnosis) -> Self {
+        let rms = |diagnosis: &PoseDiagnosis| match &diagnosis.residual {
             Ok(residual) => residual.excess_m.value.hypot(0.3 * residual.excess_rad.value),
             Err(_) => 1.0,
         };
-        let half = |found: &PoseDiagnosis| {
-            let PoseDistances { m, rad } = found.aligned.after();
+        let median_of = |diagnosis: &PoseDiagnosis| {
+            let PoseDistances { m, rad } = diagnosis.aligned.after();
             let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
             median(&mut all).unwrap_or(1.0)
         };
-        let streams = || found.streams.iter();
-        Self { rms_m: streams().map(rms).sum(), median_m: streams().map(half).sum() }
+        let streams = || diagnosis.streams.iter();
+        Self { rms_m: streams().map(rms).sum(), median_m: streams().map(median_of).sum() }
     }
 
     /// Whether it is at most `share` of `other`. Sudden backlash has a residual at each reversal but a
     /// small median, which relaxes the limit on the rms.
     fn is_within(&self, share: f64, other: &Self) -> bool {
-        let is_mostly = self.median_m < 0.5 * share * other.median_m;
-        self.rms_m <= share * other.rms_m || (is_mostly && self.rms_m <= 1.5 * share * other.rms_m)
+        let has_small_median = self.median_m < 0.5 * share * other.median_m;
+        self.rms_m <= share * other.rms_m
+            || (has_small_median && self.rms_m <= 1.5 * share * other.rms_m)
     }
 }
 
 impl ComplianceRun<'_> {
     /// See [`diagnose_with_compliance`].
-    fn fit_compliance(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        let samples = self.samples(self.joints, found);
-        let before = ArmResidual::from_diagnosis(found);
+    fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        let samples = self.samples(self.joints, diagnosis);
+        let before = ArmResidual::from_diagnosis(diagnosis);
         let mut best: Option<(ArmResidual, ArmDiagnosis)> = None;
-        let found_sets = self.search(&samples);
-        for (search, terms) in found_sets
+        let candidate_sets = self.search(&samples);
+        for (search, terms) in candidate_sets
             .iter()
             .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
         {
             let is_eccentric =
                 terms.iter().any(|term| matches!(term.kind, ComplianceKind::Eccentric(_)));
             // Eccentricity is flexible: backlash and sag take precedence.
-            let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| {
-                left.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
+            let is_sufficient = |(residual, _): &(ArmResidual, ArmDiagnosis)| {
+                residual.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
             };
-            if is_eccentric && best.as_ref().is_some_and(enough) {
+            if is_eccentric && best.as_ref().is_some_and(is_sufficient) {
                 break;
             }
             let Some(after) = self.diagnose_without(search, terms) else { continue };
-            let left = ArmResidual::from_diagnosis(&after);
-            if best.as_ref().is_none_or(|(best, _)| left.is_within(MAX_RESIDUAL_RATIO, best)) {
-                best = Some((left, after));
+            let residual = ArmResidual::from_diagnosis(&after);
+            if best.as_ref().is_none_or(|(best, _)| residual.is_within(MAX_RESIDUAL_RATIO, best)) {
+                best = Some((residual, after));
             }
         }
-        let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| {
-            left.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
+        let is_sufficient = |(residual, _): &(ArmResidual, ArmDiagnosis)| {
+            residual.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
         };
-        if !best.as_ref().is_some_and(enough) {
+        if !best.as_ref().is_some_and(is_sufficient) {
             // A load change gives one joint two sag values.
-            let loaded =
-                found_sets.as_ref().map(|(search, _)| (search, search.load_change_terms()));
-            let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
+            let load_change =
+                candidate_sets.as_ref().map(|(search, _)| (search, search.load_change_terms()));
+            let load_change = load_change.filter(|(_, terms)| !terms.is_empty());
             if let Some(after) =
-                loaded.and_then(|(search, terms)| self.diagnose_without(search, terms))
+                load_change.and_then(|(search, terms)| self.diagnose_without(search, terms))
             {
-                let left = ArmResidual::from_diagnosis(&after);
-                if best.as_ref().is_none_or(|(best, _)| left.is_within(MAX_RESIDUAL_RATIO, best)) {
-                    best = Some((left, after));
+                let residual = ArmResidual::from_diagnosis(&after);
+                if best
+                    .as_ref()
+                    .is_none_or(|(best, _)| residual.is_within(MAX_RESIDUAL_RATIO, best))
+                {
+                    best = Some((residual, after));
                 }
             }
         }
         // Any few compliance terms absorb part of a nominal model's many small causes.
-        let is_nominal = found.streams.iter().any(|found| found.is_nominal);
-        let most = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
-        let (left, mut after) = best?;
-        let is_read = after.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
-        if !is_read || !left.is_within(most, &before) {
+        let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
+        let max_ratio = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
+        let (residual, mut after) = best?;
+        let is_as_logged = after.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
+        if !is_as_logged || !residual.is_within(max_ratio, &before) {
             return None;
         }
         if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
             self.restore_eccentricity(&mut after);
         }
         // An error of the assumed link masses looks like a zero offset.
-        for bend in after.joints.compliance.iter().filter(|bend| bend.is_sag()) {
-            let offset = after.joints.offsets.get_mut(bend.column);
+        for compliance in after.joints.compliance.iter().filter(|compliance| compliance.is_sag()) {
+            let offset = after.joints.offsets.get_mut(compliance.column);
             if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
-                offset.std_error = offset.std_error.hypot(MASS_STD_ERROR * bend.value.value);
+                offset.std_error = offset.std_error.hypot(MASS_STD_ERROR * compliance.value.value);
             }
         }
         Some(after)
@@ -212,42 +218,45 @@ impl ComplianceRun<'_> {
 
     /// Replaces a joint zero by sag if that is clearly likelier, or lists sag as its confounder if both are
     /// similarly likely. `None` if neither holds.
-    fn test_zeros_as_sag(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+    fn test_zeros_as_sag(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         /// Twice the log-likelihood ratio.
         const MIN_LOG_RATIO_TO_REPLACE: f64 = 16.0;
         const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
-        let is_plain = found.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
-        let is_nominal = found.streams.iter().any(|found| found.is_nominal);
-        let offsets = found.joints.offsets.iter().enumerate();
+        let is_as_logged =
+            diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
+        let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
+        let offsets = diagnosis.joints.offsets.iter().enumerate();
         let zeros: Vec<(usize, f64)> = offsets
             .filter(|(_, offset)| offset.is_chosen)
             .filter_map(|(column, offset)| Some((column, offset.offset.as_ref().ok()?.value)))
             .filter(|(column, zero)| !self.is_prismatic[*column] && zero.abs() > MIN_ZERO_RAD)
             .collect();
-        if !is_plain || zeros.is_empty() {
+        if !is_as_logged || zeros.is_empty() {
             return None;
         }
-        let samples = self.samples(self.joints, found);
+        let samples = self.samples(self.joints, diagnosis);
         let search = ComplianceSearch::new(self, &samples, MassModel::CANDIDATES[0])?;
-        let mut beside: Option<ArmDiagnosis> = None;
+        let mut with_confounders: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
             let term = search.sag_like(column, zero);
             let Some(after) = term.and_then(|term| self.diagnose_converged(&search, vec![term]))
             else {
                 continue;
             };
-            let is_other = after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
-            let sag = after.joints.compliance.first().map_or(0.0, |bend| bend.value.value);
-            let (gain, _) = log_likelihood_gain(found, &after);
-            if !is_other && gain > MIN_LOG_RATIO_TO_REPLACE && !is_nominal {
+            let is_zero_still_chosen =
+                after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
+            let sag =
+                after.joints.compliance.first().map_or(0.0, |compliance| compliance.value.value);
+            let (gain, _) = log_likelihood_gain(diagnosis, &after);
+            if !is_zero_still_chosen && gain > MIN_LOG_RATIO_TO_REPLACE && !is_nominal {
                 return Some(after);
             }
-            if !is_other && gain > -MIN_LOG_RATIO_CONFOUNDER {
-                let found = beside.get_or_insert_with(|| found.clone());
-                found.joints.offsets[column].confounders.push(Confounder::Sag(column, sag));
+            if !is_zero_still_chosen && gain > -MIN_LOG_RATIO_CONFOUNDER {
+                let diagnosis = with_confounders.get_or_insert_with(|| diagnosis.clone());
+                diagnosis.joints.offsets[column].confounders.push(Confounder::Sag(column, sag));
             }
         }
-        beside
+        with_confounders
     }
 
     /// Sets that explain most with few joints, with the mass distribution that fits best.
@@ -299,46 +308,52 @@ impl ComplianceRun<'_> {
                 true,
             );
             let mut moved = terms.iter().map(ComplianceTerm::size).zip(&before);
-            let is_settled = terms.len() == before.len()
+            let is_converged = terms.len() == before.len()
                 && moved.all(|(size, before)| (size - before).abs() < CONVERGED_RAD);
-            if is_settled {
+            if is_converged {
                 break;
             }
             after = self.corrected(&search.to_compliance(&terms))?;
         }
-        let bends = search.to_compliance(&terms);
-        let gives = bends.iter().any(|bend| bend.value.value.abs() > USUAL_COMPLIANCE_RAD);
-        after.1.joints.compliance = bends;
-        gives.then_some(after.1)
+        let compliances = search.to_compliance(&terms);
+        let is_large = compliances
+            .iter()
+            .any(|compliance| compliance.value.value.abs() > USUAL_COMPLIANCE_RAD);
+        after.1.joints.compliance = compliances;
+        is_large.then_some(after.1)
     }
 
-    /// `None` if `bends` is empty.
-    fn corrected(&self, bends: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
-        if bends.is_empty() {
+    /// `None` if `compliances` is empty.
+    fn corrected(&self, compliances: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
+        if compliances.is_empty() {
             return None;
         }
         let mut joints = self.joints.clone();
-        apply_compliance(&mut joints, bends);
-        let found = diagnose_arm(&joints, self.streams, self.max_lag_s);
-        Some((joints, found))
+        apply_compliance(&mut joints, compliances);
+        let diagnosis = diagnose_arm(&joints, self.streams, self.max_lag_s);
+        Some((joints, diagnosis))
     }
 
-    /// `found` is the diagnosis of `joints`.
-    fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<ResidualSamples> {
-        let corrected = found.joints.corrected_joints(joints, self.is_prismatic);
-        let both = self.streams.iter().zip(&found.streams);
-        both.map(|(stream, found)| self.stream_samples(&corrected, stream, found)).collect()
+    /// `diagnosis` is the diagnosis of `joints`.
+    fn samples(&self, joints: &JointTrack, diagnosis: &ArmDiagnosis) -> Vec<ResidualSamples> {
+        let corrected = diagnosis.joints.corrected_joints(joints, self.is_prismatic);
+        let both = self.streams.iter().zip(&diagnosis.streams);
+        both.map(|(stream, diagnosis)| self.stream_samples(&corrected, stream, diagnosis)).collect()
     }
 
     /// Time of measurement of a stamp, s.
-    fn truth_s(&self, stream: &PoseStream, found: &PoseDiagnosis) -> impl Fn(f64) -> f64 + use<> {
-        let lag_s = match &found.latency_s {
+    fn truth_s(
+        &self,
+        stream: &PoseStream,
+        diagnosis: &PoseDiagnosis,
+    ) -> impl Fn(f64) -> f64 + use<> {
+        let lag_s = match &diagnosis.latency_s {
             Ok(latency) => latency.value,
             Err(_) => stream_lag_s(self.joints, stream, self.max_lag_s),
         };
-        let skew = found.skew.as_ref().ok().filter(|_| found.is_skew_chosen);
+        let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
         let skew = skew.map_or(0.0, |skew| skew.value);
-        let middle_s = found.aligned.middle_s();
+        let middle_s = diagnosis.aligned.middle_s();
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 
@@ -347,9 +362,9 @@ impl ComplianceRun<'_> {
         let named =
             after.joints.without_eccentricity().corrected_joints(self.joints, self.is_prismatic);
         let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);
-        for (stream, found) in self.streams.iter().zip(&mut after.streams) {
-            let truth_s = self.truth_s(stream, found);
-            let AlignedSamples { t_s, fk_at_truth, .. } = &mut found.aligned;
+        for (stream, diagnosis) in self.streams.iter().zip(&mut after.streams) {
+            let truth_s = self.truth_s(stream, diagnosis);
+            let AlignedSamples { t_s, fk_at_truth, .. } = &mut diagnosis.aligned;
             let mut cursor = 0;
             for (t_s, fk) in t_s.iter().zip(fk_at_truth) {
                 if named.at(truth_s(*t_s), &mut cursor, &mut q, &mut qd) {
@@ -364,13 +379,15 @@ impl ComplianceRun<'_> {
         &self,
         corrected: &JointTrack,
         stream: &PoseStream,
-        found: &PoseDiagnosis,
+        diagnosis: &PoseDiagnosis,
     ) -> ResidualSamples {
-        let truth_s = self.truth_s(stream, found);
-        let AlignedSamples { t_s, corrected: poses, fk_at_truth, .. } = &found.aligned;
+        let truth_s = self.truth_s(stream, diagnosis);
+        let AlignedSamples { t_s, corrected: poses, fk_at_truth, .. } = &diagnosis.aligned;
         let dof = self.joints.dof;
-        let mut samples =
-            ResidualSamples { has_rotation: found.encoding.is_ok(), ..ResidualSamples::default() };
+        let mut samples = ResidualSamples {
+            has_rotation: diagnosis.encoding.is_ok(),
+            ..ResidualSamples::default()
+        };
         let (mut cursor, mut cursor_corrected) = (0, 0);
         let mut chain_q = vec![0.0; stream.columns.len()];
         let mut own = vec![[0.0; 6]; stream.columns.len()];

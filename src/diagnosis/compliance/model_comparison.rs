@@ -13,42 +13,44 @@ const MAX_RESIDUAL_RATIO: f64 = 1.5;
 /// With fewer causes. Larger, because backlash crossings bias the fitted values.
 const MAX_RESIDUAL_RATIO_WITH_FEWER: f64 = 3.0;
 
-pub(crate) fn prefers_compliance(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
-    if bend.joints.compliance.is_empty() {
+pub(crate) fn prefers_compliance(compliance: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
+    if compliance.joints.compliance.is_empty() {
         return false;
     }
-    let (own, other) = (cause_count(bend), cause_count(change));
+    let (causes_with_compliance, causes_with_changes) =
+        (cause_count(compliance), cause_count(change));
     // A step of one joint's zero is simpler than a load change.
-    let is_loaded = bend.joints.compliance.iter().any(|bend| bend.change.is_some());
-    let most = match own.cmp(&other) {
+    let is_loaded =
+        compliance.joints.compliance.iter().any(|compliance| compliance.change.is_some());
+    let max_ratio = match causes_with_compliance.cmp(&causes_with_changes) {
         Ordering::Greater => return false,
         _ if is_loaded => MAX_RESIDUAL_RATIO.recip(),
         Ordering::Equal => MAX_RESIDUAL_RATIO,
         Ordering::Less => MAX_RESIDUAL_RATIO_WITH_FEWER,
     };
     // During a crossing and before the first motion, the position within the backlash is unknown.
-    residual_m(bend) <= most * residual_m(change)
-        || trimmed_residual_m(bend) <= most * trimmed_residual_m(change)
+    residual_m(compliance) <= max_ratio * residual_m(change)
+        || trimmed_residual_m(compliance) <= max_ratio * trimmed_residual_m(change)
 }
 
 /// The best nine tenths of the samples. Angles are weighted by 0.3 m.
-fn trimmed_residual_m(found: &ArmDiagnosis) -> f64 {
+fn trimmed_residual_m(diagnosis: &ArmDiagnosis) -> f64 {
     const TRIMMED_SHARE: f64 = 0.9;
-    let of_stream = |found: &PoseDiagnosis| {
-        let PoseDistances { m, rad } = found.aligned.after();
+    let of_stream = |diagnosis: &PoseDiagnosis| {
+        let PoseDistances { m, rad } = diagnosis.aligned.after();
         let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
         all.sort_by(f64::total_cmp);
         all.truncate((TRIMMED_SHARE * all.len() as f64) as usize);
         (all.iter().map(|one| one * one).sum::<f64>() / all.len().max(1) as f64).sqrt()
     };
-    found.streams.iter().map(of_stream).sum()
+    diagnosis.streams.iter().map(of_stream).sum()
 }
 
 /// Excludes latencies and encodings. A change counts twice if the value is wrong before and after.
-fn cause_count(found: &ArmDiagnosis) -> usize {
+fn cause_count(diagnosis: &ArmDiagnosis) -> usize {
     /// Share of the step; smaller values count as zero.
     const MAX_ZERO_SHARE: f64 = 0.2;
-    let JointDiagnosis { offsets, changes, compliance: bends, .. } = &found.joints;
+    let JointDiagnosis { offsets, changes, compliance: compliances, .. } = &diagnosis.joints;
     let of_zero = |zero: &ScalarChange| {
         let ends = [zero.from, zero.to].into_iter();
         ends.filter(|end| end.abs() > MAX_ZERO_SHARE * zero.size.value.abs()).count().max(1)
@@ -63,11 +65,14 @@ fn cause_count(found: &ArmDiagnosis) -> usize {
     let of_frame = |frame: &EstimateResult<FrameEstimate>, changes: &[FrameChange]| {
         changes.len().max(usize::from(frame.as_ref().is_ok_and(|frame| frame.is_chosen)))
     };
-    let of_stream = |found: &PoseDiagnosis| {
-        of_frame(&found.tool, &found.tool_changes)
-            + of_frame(&found.reference, &found.reference_changes)
-            + found.radial_scale_changes.len().max(usize::from(found.is_radial_scale_chosen))
+    let of_stream = |diagnosis: &PoseDiagnosis| {
+        of_frame(&diagnosis.tool, &diagnosis.tool_changes)
+            + of_frame(&diagnosis.reference, &diagnosis.reference_changes)
+            + diagnosis
+                .radial_scale_changes
+                .len()
+                .max(usize::from(diagnosis.is_radial_scale_chosen))
     };
     let changing: usize = changes.iter().map(of_change).sum();
-    zeros + changing + bends.len() + found.streams.iter().map(of_stream).sum::<usize>()
+    zeros + changing + compliances.len() + diagnosis.streams.iter().map(of_stream).sum::<usize>()
 }

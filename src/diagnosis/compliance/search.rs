@@ -78,8 +78,10 @@ impl ComplianceTerm {
     /// Physical and significant.
     fn is_significant(&self) -> bool {
         let size = self.size();
-        let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
-        is_way && size.abs() > MIN_STD_ERRORS * self.std_error && size.abs() < MAX_COMPLIANCE_RAD
+        let is_plausible = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
+        is_plausible
+            && size.abs() > MIN_STD_ERRORS * self.std_error
+            && size.abs() < MAX_COMPLIANCE_RAD
     }
 }
 
@@ -100,16 +102,21 @@ impl FreeParameters {
     }
 
     /// Only the causes of the selected model.
-    pub fn from_selected(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
-        let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
+    pub fn from_selected(run: &ComplianceRun, diagnosis: &ArmDiagnosis) -> Self {
+        let streams = run.streams.iter().zip(&diagnosis.streams).map(|(stream, diagnosis)| {
             let frame = |frame: &EstimateResult<FrameEstimate>| {
                 frame.as_ref().is_ok_and(|frame| frame.is_chosen)
             };
-            let is_free = !stream.reference_known || frame(&found.reference);
-            [found.latency_s.is_ok(), found.is_radial_scale_chosen, is_free, frame(&found.tool)]
+            let is_free = !stream.reference_known || frame(&diagnosis.reference);
+            [
+                diagnosis.latency_s.is_ok(),
+                diagnosis.is_radial_scale_chosen,
+                is_free,
+                frame(&diagnosis.tool),
+            ]
         });
         let mut zeros: Vec<bool> =
-            found.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
+            diagnosis.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
         zeros.resize(run.joints.dof, false);
         Self { zeros, streams: streams.collect() }
     }
@@ -259,18 +266,21 @@ impl<'a> ComplianceSearch<'a> {
                 Some(start)
             })
             .collect();
-        let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
+        let parameters_of_arm = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
         let shapes = self.profiles(terms);
         let linears: Vec<Linear> = self
             .samples
             .iter()
             .zip(&shapes)
-            .map(|(samples, shapes)| linear(samples, shapes, terms, &starts, own))
+            .map(|(samples, shapes)| linear(samples, shapes, terms, &starts, parameters_of_arm))
             .collect();
         let columns: Vec<Vec<usize>> = (0..linears.len())
             .map(|s| {
-                (0..own)
-                    .chain((0..STREAM_PARAMETERS).map(|p| own + s * STREAM_PARAMETERS + p))
+                (0..parameters_of_arm)
+                    .chain(
+                        (0..STREAM_PARAMETERS)
+                            .map(|p| parameters_of_arm + s * STREAM_PARAMETERS + p),
+                    )
                     .collect()
             })
             .collect();
@@ -293,16 +303,17 @@ impl<'a> ComplianceSearch<'a> {
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
         let every: Vec<usize> = (0..terms.len()).collect();
-        let (plain, least) = (cost(&[]), cost(&every));
+        let (without_terms, with_all) = (cost(&[]), cost(&every));
         let price = price(system.normal.independent);
         let worth = |index: usize| {
-            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+            (price * terms[index].width() as f64)
+                .max(MIN_EXPLAINED_SHARE * (without_terms - with_all))
         };
         let is_eccentric =
             |index: &usize| matches!(terms[*index].kind, ComplianceKind::Eccentric(_));
         let simple: Vec<usize> = every.iter().copied().filter(|i| !is_eccentric(i)).collect();
-        let simple = select_terms(&simple, plain, &cost, &worth);
-        let mixed = select_terms(&every, plain, &cost, &worth);
+        let simple = select_terms(&simple, without_terms, &cost, &worth);
+        let mixed = select_terms(&every, without_terms, &cost, &worth);
         let is_mixed = mixed.iter().any(is_eccentric);
         let sets = [Some(simple), is_mixed.then_some(mixed)].into_iter().flatten();
         let of = |set: Vec<usize>| set.into_iter().map(|index| terms[index]).collect();
@@ -314,8 +325,8 @@ impl<'a> ComplianceSearch<'a> {
     pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
         let free = FreeParameters::all(self.run);
         let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
-            let plain = self.candidates().into_iter();
-            let sags = plain.filter(|term| term.kind == ComplianceKind::Sag);
+            let without_terms = self.candidates().into_iter();
+            let sags = without_terms.filter(|term| term.kind == ComplianceKind::Sag);
             sags.map(|term| ComplianceTerm { kind: kind(at_s), ..term }).collect()
         };
         let (Some(first), Some(last)) = (self.run.joints.t_s.first(), self.run.joints.t_s.last())
@@ -342,12 +353,13 @@ impl<'a> ComplianceSearch<'a> {
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
         let every: Vec<usize> = (0..terms.len()).collect();
-        let (plain, least) = (cost(&[]), cost(&every));
+        let (without_terms, with_all) = (cost(&[]), cost(&every));
         let price = price(system.normal.independent);
         let worth = |index: usize| {
-            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+            (price * terms[index].width() as f64)
+                .max(MIN_EXPLAINED_SHARE * (without_terms - with_all))
         };
-        let set = select_terms(&every, plain, &cost, &worth);
+        let set = select_terms(&every, without_terms, &cost, &worth);
         let set: Vec<ComplianceTerm> = set.into_iter().map(|index| terms[index]).collect();
         let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
         if is_loaded { set } else { Vec::new() }
@@ -366,7 +378,12 @@ impl<'a> ComplianceSearch<'a> {
 
     /// Refines values. If `is_taken`, residuals are already corrected for them, and insignificant terms are
     /// removed.
-    pub fn refine(&self, terms: &mut Vec<ComplianceTerm>, free: &FreeParameters, is_taken: bool) {
+    pub fn refine(
+        &self,
+        terms: &mut Vec<ComplianceTerm>,
+        free: &FreeParameters,
+        are_removed: bool,
+    ) {
         let system = self.system(terms, free);
         let every: Vec<usize> = (0..terms.len()).collect();
         let parameters = system.parameters(terms, &every, free);
@@ -376,20 +393,21 @@ impl<'a> ComplianceSearch<'a> {
             let at = |i: usize| parameters.iter().position(|&p| p == start + i).unwrap_or(0);
             let variance = |i: usize| covariance[(at(i), at(i))].max(0.0);
             for i in 0..term.width() {
-                term.amount[i] = f64::from(u8::from(is_taken)) * term.amount[i] + step[start + i];
+                term.amount[i] =
+                    f64::from(u8::from(are_removed)) * term.amount[i] + step[start + i];
             }
             let worst = (0..term.width()).map(variance).fold(0.0, f64::max);
             term.std_error = worst.sqrt();
             term.dof = (system.normal.independent - parameters.len() as f64).max(3.0);
         }
-        if is_taken {
+        if are_removed {
             terms.retain(ComplianceTerm::is_significant);
         }
     }
 
     /// Converts to joint compliance.
     pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
-        let bend = |term: &ComplianceTerm| {
+        let compliance = |term: &ComplianceTerm| {
             let ComplianceTerm { column, amount, std_error, dof, .. } = *term;
             let shape = match term.kind {
                 ComplianceKind::Backlash(crossing) => ComplianceShape::Backlash(crossing),
@@ -423,20 +441,20 @@ impl<'a> ComplianceSearch<'a> {
             };
             JointCompliance { column, value: measured(value, 1.0), shape, change }
         };
-        terms.iter().map(bend).collect()
+        terms.iter().map(compliance).collect()
     }
 }
 
 /// Stepwise selection that minimises cost plus price. `plain` is the cost of the empty set.
 fn select_terms(
-    menu: &[usize],
-    plain: f64,
+    candidates: &[usize],
+    without_terms: f64,
     cost: &dyn Fn(&[usize]) -> f64,
     worth: &dyn Fn(usize) -> f64,
 ) -> Vec<usize> {
-    let (mut set, mut now): (Vec<usize>, f64) = (Vec::new(), plain);
-    for _ in 0..2 * menu.len() {
-        let grown = menu.iter().filter(|index| !set.contains(index)).map(|&index| {
+    let (mut set, mut now): (Vec<usize>, f64) = (Vec::new(), without_terms);
+    for _ in 0..2 * candidates.len() {
+        let grown = candidates.iter().filter(|index| !set.contains(index)).map(|&index| {
             let with: Vec<usize> = set.iter().copied().chain([index]).collect();
             (index, cost(&with))
         });

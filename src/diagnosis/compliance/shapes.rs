@@ -54,11 +54,13 @@ impl BacklashCrossing {
         self,
         rows: usize,
         q: impl Fn(usize) -> f64,
-        play_rad: f64,
+        backlash_rad: f64,
     ) -> Vec<f64> {
         match self {
-            Self::Gradual => play_operator(rows, q, play_rad.abs()),
-            Self::Sudden => motion_directions(rows, q).into_iter().map(|way| -0.5 * way).collect(),
+            Self::Gradual => backlash_operator(rows, q, backlash_rad.abs()),
+            Self::Sudden => {
+                motion_directions(rows, q).into_iter().map(|direction| -0.5 * direction).collect()
+            }
         }
     }
 }
@@ -89,12 +91,12 @@ impl JointCompliance {
     }
 }
 
-/// Adds `bends` to positions, rad, and their derivatives to velocities, all from the reported positions.
-pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance]) {
+/// Adds `compliances` to positions, rad, and their derivatives to velocities, all from the reported positions.
+pub(crate) fn apply_compliance(joints: &mut JointTrack, compliances: &[JointCompliance]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
     let (mut torques, mut buffer) = (vec![0.0; dof], TorqueBuffers::default());
-    for JointCompliance { column, value: amount, shape, change } in bends {
+    for JointCompliance { column, value: amount, shape, change } in compliances {
         let (column, amount) = (*column, amount.value);
         let amount_at = |t_s: f64| match change {
             Some(change) if t_s < change.at_s => change.from,
@@ -104,12 +106,12 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance
         let q = |row: usize| reported[row * dof + column];
         match shape {
             ComplianceShape::Backlash(crossing) => {
-                let behind = crossing.link_offsets(joints.len(), q, amount);
-                for (row, behind) in behind.into_iter().enumerate() {
+                let link_offset = crossing.link_offsets(joints.len(), q, amount);
+                for (row, link_offset) in link_offset.into_iter().enumerate() {
                     let at = row * dof + column;
-                    joints.q[at] += behind * amount;
+                    joints.q[at] += link_offset * amount;
                     // The link rests while the joint crosses.
-                    if behind.abs() < 0.499
+                    if link_offset.abs() < 0.499
                         && amount > 0.0
                         && *crossing == BacklashCrossing::Gradual
                     {
@@ -117,11 +119,11 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance
                     }
                 }
             }
-            ComplianceShape::Sag(JointSag { gravity, max_torque: most_torque }) => {
+            ComplianceShape::Sag(JointSag { gravity, max_torque: full_torque }) => {
                 for (row, positions) in reported.chunks_exact(dof).enumerate() {
                     gravity.torques(positions, &mut buffer, &mut torques);
                     let amount = amount_at(joints.t_s[row]);
-                    joints.q[row * dof + column] += amount * torques[column] / most_torque;
+                    joints.q[row * dof + column] += amount * torques[column] / full_torque;
                 }
             }
             ComplianceShape::Eccentric { order, phase_rad } => {
@@ -141,22 +143,22 @@ pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance
 pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
     /// Above encoder noise.
     const MIN_REVERSAL_RAD: f64 = 3e-4;
-    let (mut way, mut farthest) = (0.0, None);
+    let (mut direction, mut farthest) = (0.0, None);
     (0..rows)
         .map(|row| {
             let farthest = farthest.get_or_insert_with(|| q(row));
             let moved = q(row) - *farthest;
-            if way * moved > 0.0 || moved.abs() > MIN_REVERSAL_RAD {
-                (way, *farthest) = (moved.signum(), q(row));
+            if direction * moved > 0.0 || moved.abs() > MIN_REVERSAL_RAD {
+                (direction, *farthest) = (moved.signum(), q(row));
             }
-            way
+            direction
         })
         .collect()
 }
 
-fn play_operator(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
+fn backlash_operator(rows: usize, q: impl Fn(usize) -> f64, backlash_rad: f64) -> Vec<f64> {
     let mut behind = 0.0;
-    let width = play.max(f64::MIN_POSITIVE);
+    let width = backlash_rad.max(f64::MIN_POSITIVE);
     (0..rows)
         .map(|row| {
             let moved = if row == 0 { 0.0 } else { q(row) - q(row - 1) };
@@ -173,7 +175,7 @@ mod tests {
     #[test]
     fn a_link_with_play_follows_its_encoder_only_beyond_it() {
         let q = [0.0, 0.1, 0.2, 0.3, 0.25, 0.2, 0.1, 0.0];
-        let behind = play_operator(q.len(), |row| q[row], 0.1);
+        let behind = backlash_operator(q.len(), |row| q[row], 0.1);
         let link: Vec<f64> = q.iter().zip(&behind).map(|(q, behind)| q + 0.1 * behind).collect();
         let expected = [0.0, 0.05, 0.15, 0.25, 0.25, 0.25, 0.15, 0.05];
         for (link, expected) in link.iter().zip(expected) {

@@ -58,7 +58,7 @@ impl ComplianceSystem {
         free: &FreeParameters,
     ) -> Vec<usize> {
         let dof = free.zeros.len();
-        let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
+        let parameters_of_arm = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
         let zeros =
             free.zeros.iter().enumerate().filter(|(_, free)| **free).map(|(joint, _)| joint);
         let mut parameters: Vec<usize> = zeros.collect();
@@ -67,7 +67,9 @@ impl ComplianceSystem {
         }
         for (s, parts) in free.streams.iter().enumerate() {
             for (part, _) in CAUSE_COLUMNS.into_iter().zip(parts).filter(|(_, free)| **free) {
-                parameters.extend(part.map(|parameter| own + s * STREAM_PARAMETERS + parameter));
+                parameters.extend(
+                    part.map(|parameter| parameters_of_arm + s * STREAM_PARAMETERS + parameter),
+                );
             }
         }
         parameters.sort_unstable();

@@ -78,23 +78,25 @@ pub(crate) fn decode_stream<'a>(
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let metres = placement.metres();
-    let mut ways: Vec<PositionInterpretation> = placement
+    let mut interpretations: Vec<PositionInterpretation> = placement
         .candidates
         .iter()
-        .flat_map(|layout| PositionInterpretation::from_encoding(layout, spread(&at)))
+        .flat_map(|position_encoding| {
+            PositionInterpretation::from_encoding(position_encoding, spread(&at))
+        })
         .collect();
-    if ways.is_empty() {
-        ways.push(PositionInterpretation {
+    if interpretations.is_empty() {
+        interpretations.push(PositionInterpretation {
             metres,
             axes: AxesError::NONE,
             is_inverted: false,
             reference: None,
         });
     }
-    let first = PositionInterpretation { ..ways[0] };
+    let first = PositionInterpretation { ..interpretations[0] };
     if first.axes != AxesError::NONE {
         let axes = AxesError::NONE;
-        ways.push(PositionInterpretation {
+        interpretations.push(PositionInterpretation {
             metres,
             axes,
             is_inverted: first.is_inverted,
@@ -110,9 +112,9 @@ pub(crate) fn decode_stream<'a>(
         reference_known,
         are_quaternions: are_quaternions(track),
     };
-    let (way, reading, fit) = match is_set(&there, turning.fk) {
-        true => match turning.best(ways) {
-            Ok((way, reading, fit)) => (way, Ok(reading), Some(fit)),
+    let (interpretation, encoding, fit) = match is_set(&there, turning.fk) {
+        true => match turning.best(interpretations) {
+            Ok((interpretation, encoding, fit)) => (interpretation, Ok(encoding), Some(fit)),
             // Positions that match FK are used even without rotations.
             Err(why) if first.axes == AxesError::NONE && placement.is_on_arm() => {
                 (first, Err(why), None)
@@ -124,11 +126,11 @@ pub(crate) fn decode_stream<'a>(
     let constant_axes = {
         let mut blind = [false; 3];
         for axis in (0..3).filter(|&axis| placement.constant[axis]) {
-            blind[way.axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
+            blind[interpretation.axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
         }
         blind
     };
-    let mut witness = PoseObservations {
+    let mut observations = PoseObservations {
         joints: &read_as.track,
         chain,
         columns,
@@ -136,7 +138,7 @@ pub(crate) fn decode_stream<'a>(
         reference_known,
         rest_speeds: &read_as.rest_speeds,
         t_s: track.t_s.clone(),
-        xyz: way.positions(&track.xyz),
+        xyz: interpretation.positions(&track.xyz),
         rotation: Vec::new(),
         excluded: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
         tool_part: match fit {
@@ -146,19 +148,26 @@ pub(crate) fn decode_stream<'a>(
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
     let logged = LoggedRotations::from_orientations(&orientation);
-    choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
-    if witness.len() < 3 {
-        return Err(NotObservable::TooFewSamples { have: witness.len(), need: 3 });
+    choose_branches(
+        &mut observations,
+        &logged,
+        &interpretation,
+        fit.as_ref(),
+        lag_s,
+        &read_as.offsets,
+    );
+    if observations.len() < 3 {
+        return Err(NotObservable::TooFewSamples { have: observations.len(), need: 3 });
     }
-    let moves = witness.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
+    let moves = observations.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
         && !peaks.is_empty();
-    let axes = Some(way.axes).filter(|axes| *axes != AxesError::NONE);
-    let PositionInterpretation { metres, is_inverted: inverted, .. } = way;
+    let axes = Some(interpretation.axes).filter(|axes| *axes != AxesError::NONE);
+    let PositionInterpretation { metres, is_inverted: inverted, .. } = interpretation;
     let constant = placement.constant;
     let frames = fit.map_or(0, |fit| fit.frames.frame_count());
     Ok(DecodedStream {
-        observations: witness,
-        encoding: reading,
+        observations,
+        encoding,
         degrees,
         metres,
         axes,
@@ -173,12 +182,12 @@ pub(crate) fn decode_stream<'a>(
 /// Whether orientations are set: they change, or FK's do not.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
     const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-3;
-    let stays = match logged {
+    let is_constant = match logged {
         Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
         Orientations::Unset(_) => return false,
     };
-    !stays || !has_rotation(fk)
+    !is_constant || !has_rotation(fk)
 }
 
 /// Whether rotations change more than small joint errors explain.
@@ -251,20 +260,21 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
 /// Chooses for each sample the branch nearest to FK. Drops samples without joint states. Without an
 /// encoding, uses FK's rotations.
 fn choose_branches(
-    witness: &mut PoseObservations,
+    observations: &mut PoseObservations,
     logged: &LoggedRotations,
-    way: &PositionInterpretation,
+    interpretation: &PositionInterpretation,
     fit: Option<&EncodingFit>,
     lag_s: f64,
     offsets: &[f64],
 ) {
-    let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
-    let mut sweep = PredictionBuffers::new(witness);
+    let (mut decoded_t_s, mut decoded_xyz, mut decoded_rotation) =
+        (Vec::new(), Vec::new(), Vec::new());
+    let mut sweep = PredictionBuffers::new(observations);
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
-    let after = way.corrections();
-    for k in 0..witness.len() {
-        let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
+    let after = interpretation.corrections();
+    for k in 0..observations.len() {
+        let Some(fk) = observations.pose_at(k, &state, offsets, &mut sweep) else {
             continue;
         };
         let rotation = match fit {
@@ -272,15 +282,16 @@ fn choose_branches(
                 let expected = reference * fk.rotation * tool;
                 decode_nearest(reading, &after, logged, k, &expected, &mut buffer)
             }
-            None => Some(way.reference.unwrap_or_default() * fk.rotation),
+            None => Some(interpretation.reference.unwrap_or_default() * fk.rotation),
         };
         let Some(rotation) = rotation else { continue };
-        kept_t.push(witness.t_s[k]);
-        kept_xyz.push(match way.is_inverted {
-            true => -(rotation * witness.xyz[k]),
-            false => witness.xyz[k],
+        decoded_t_s.push(observations.t_s[k]);
+        decoded_xyz.push(match interpretation.is_inverted {
+            true => -(rotation * observations.xyz[k]),
+            false => observations.xyz[k],
         });
-        kept_rotation.push(rotation);
+        decoded_rotation.push(rotation);
     }
-    (witness.t_s, witness.xyz, witness.rotation) = (kept_t, kept_xyz, kept_rotation);
+    (observations.t_s, observations.xyz, observations.rotation) =
+        (decoded_t_s, decoded_xyz, decoded_rotation);
 }

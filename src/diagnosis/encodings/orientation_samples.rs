@@ -28,7 +28,7 @@ impl PositionInterpretation {
     /// Interpretations of `layout` for a motion of `extent_m`.
     pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
         let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
-        let way = |axes, reference| {
+        let interpretation = |axes, reference| {
             let PositionEncoding { metres, is_inverted: inverted, .. } = *layout;
             // Inverse positions do not determine the base's rotation.
             PositionInterpretation {
@@ -39,29 +39,32 @@ impl PositionInterpretation {
             }
         };
         if layout.residual_m > MAX_POSITION_RESIDUAL_SHARE * extent_m {
-            return vec![way(standard, None)];
+            return vec![interpretation(standard, None)];
         }
         let both = |axes| AxesError { positions: axes, rotations: axes };
         let positions = |axes| AxesError { positions: axes, ..standard };
         match (layout.axes, layout.is_mirrored()) {
             (Some(axes), true) => {
                 vec![
-                    way(both(axes), Some(Rotation::identity())),
-                    way(positions(axes), Some(Rotation::identity())),
+                    interpretation(both(axes), Some(Rotation::identity())),
+                    interpretation(positions(axes), Some(Rotation::identity())),
                 ]
             }
             (None, true) => {
                 // In a freely rotated world all mirrors are equivalent; use the most common.
                 let back = axes_matrix(Axes::UNITY).transpose();
                 let turn = rotation_of(&(back * layout.turn));
-                vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
+                vec![
+                    interpretation(both(Axes::UNITY), Some(turn)),
+                    interpretation(positions(Axes::UNITY), None),
+                ]
             }
             (Some(axes), false) if axes.are_exchanged() && !layout.is_inverted => vec![
-                way(standard, Some(rotation_of(&layout.turn))),
-                way(both(axes), Some(Rotation::identity())),
-                way(positions(axes), Some(Rotation::identity())),
+                interpretation(standard, Some(rotation_of(&layout.turn))),
+                interpretation(both(axes), Some(Rotation::identity())),
+                interpretation(positions(axes), Some(Rotation::identity())),
             ],
-            (_, false) => vec![way(standard, Some(rotation_of(&layout.turn)))],
+            (_, false) => vec![interpretation(standard, Some(rotation_of(&layout.turn)))],
         }
     }
 
@@ -98,50 +101,50 @@ impl OrientationSamples<'_> {
     /// Rotation encoding under one interpretation, with its rotated reference.
     pub fn estimate_encoding(
         &self,
-        way: &PositionInterpretation,
+        interpretation: &PositionInterpretation,
     ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-        let turned = self.rotated(way);
-        let (mut reading, mut fit) = estimate_encoding(&self.samples(way, &turned))?;
-        fit.reference *= way.reference.unwrap_or_default();
-        if way.axes != AxesError::NONE {
-            reading.as_logged_rad = self.as_logged_rad();
+        let turned = self.rotated(interpretation);
+        let (mut encoding, mut fit) = estimate_encoding(&self.samples(interpretation, &turned))?;
+        fit.reference *= interpretation.reference.unwrap_or_default();
+        if interpretation.axes != AxesError::NONE {
+            encoding.as_logged_rad = self.as_logged_rad();
         }
-        Ok((reading, fit))
+        Ok((encoding, fit))
     }
 
     /// Smallest residual of the simplest encodings, rad.
-    pub fn simplest_residual_rad(&self, way: &PositionInterpretation) -> f64 {
-        let turned = self.rotated(way);
-        let samples = self.samples(way, &turned);
+    pub fn simplest_residual_rad(&self, interpretation: &PositionInterpretation) -> f64 {
+        let turned = self.rotated(interpretation);
+        let samples = self.samples(interpretation, &turned);
         let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
             .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder));
         let numbers = || Convention::all().iter().map(|&one| PoseEncoding::Numbers(one));
-        let readings: Vec<PoseEncoding> = match self.logged {
+        let encodings: Vec<PoseEncoding> = match self.logged {
             LoggedRotations::Rotations(_) => simple.collect(),
             LoggedRotations::Numbers(_) => numbers().collect(),
         };
-        let fits = readings.into_iter().filter_map(|reading| fit_known(&samples, reading));
+        let fits = encodings.into_iter().filter_map(|encoding| fit_known(&samples, encoding));
         fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     }
 
-    pub fn rotated(&self, way: &PositionInterpretation) -> Vec<Rotation> {
-        let reference = way.reference.unwrap_or_default();
+    pub fn rotated(&self, interpretation: &PositionInterpretation) -> Vec<Rotation> {
+        let reference = interpretation.reference.unwrap_or_default();
         self.fk.iter().map(|fk| reference * fk).collect()
     }
 
     pub fn samples<'s>(
         &'s self,
-        way: &PositionInterpretation,
+        interpretation: &PositionInterpretation,
         turned: &'s [Rotation],
     ) -> RotationSamples<'s> {
         RotationSamples {
             logged: self.logged,
             fk: turned,
-            reference_free: way.reference.is_none(),
-            reference_known: self.reference_known || way.reference.is_some(),
+            reference_free: interpretation.reference.is_none(),
+            reference_known: self.reference_known || interpretation.reference.is_some(),
             are_quaternions: self.are_quaternions,
-            after: way.corrections(),
+            after: interpretation.corrections(),
         }
     }
 
@@ -155,18 +158,22 @@ impl OrientationSamples<'_> {
     /// Interpretation under which rotations fit best.
     pub fn best(
         &self,
-        ways: Vec<PositionInterpretation>,
+        interpretations: Vec<PositionInterpretation>,
     ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
         /// For other axes of rotations only.
         const MIN_RESIDUAL_RATIO: f64 = 5.0;
         let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
         let mut why = NotObservable::NoOrientation;
         // Rotations may have other axes even if positions have standard ones.
-        let is_told =
-            |way: &&PositionInterpretation| way.reference.is_some() && way.axes == AxesError::NONE;
-        let told = ways.iter().find(is_told).map(|way| PositionInterpretation { ..*way });
-        for way in ways {
-            let (reading, fit) = match self.estimate_encoding(&way) {
+        let is_declared = |interpretation: &&PositionInterpretation| {
+            interpretation.reference.is_some() && interpretation.axes == AxesError::NONE
+        };
+        let declared_frame = interpretations
+            .iter()
+            .find(is_declared)
+            .map(|interpretation| PositionInterpretation { ..*interpretation });
+        for interpretation in interpretations {
+            let (encoding, fit) = match self.estimate_encoding(&interpretation) {
                 Ok(found) => found,
                 Err(unseen) => {
                     why = unseen;
@@ -174,34 +181,41 @@ impl OrientationSamples<'_> {
                 }
             };
             // Reversed joints may mirror positions, but not rotations.
-            if way.axes != AxesError::NONE && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD {
+            if interpretation.axes != AxesError::NONE
+                && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD
+            {
                 continue;
             }
             let order = |fit: &EncodingFit| match fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD {
                 true => (0, f64::from(fit.frames.frame_count())),
                 false => (1, fit.residual_rad),
             };
-            let is_done = order(&fit) == (0, 0.0);
+            let is_best_possible = order(&fit) == (0, 0.0);
             if best.as_ref().is_none_or(|(_, _, known)| order(&fit) < order(known)) {
-                best = Some((way, reading, fit));
+                best = Some((interpretation, encoding, fit));
             }
-            if is_done {
+            if is_best_possible {
                 break;
             }
         }
-        let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
-        let Some(told) = told.filter(|_| left > MAX_ENCODING_RESIDUAL_RAD) else {
+        let residual_rad = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
+        let Some(declared_frame) =
+            declared_frame.filter(|_| residual_rad > MAX_ENCODING_RESIDUAL_RAD)
+        else {
             return best.ok_or(why);
         };
         let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
-        let turned = right_handed.map(|&axes| told.with_rotations_in(axes));
-        let turned = turned.map(|way| (self.simplest_residual_rad(&way), way));
+        let turned = right_handed.map(|&axes| declared_frame.with_rotations_in(axes));
+        let turned = turned
+            .map(|interpretation| (self.simplest_residual_rad(&interpretation), interpretation));
         let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
-        let better = turned.filter(|(rad, _)| {
-            *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < left
+        let rotated = turned.filter(|(rad, _)| {
+            *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < residual_rad
         });
-        match better.and_then(|(_, way)| Some((self.estimate_encoding(&way).ok()?, way))) {
-            Some(((reading, fit), way)) => Ok((way, reading, fit)),
+        match rotated.and_then(|(_, interpretation)| {
+            Some((self.estimate_encoding(&interpretation).ok()?, interpretation))
+        }) {
+            Some(((encoding, fit), interpretation)) => Ok((interpretation, encoding, fit)),
             None => best.ok_or(why),
         }
     }

@@ -29,12 +29,12 @@ pub(crate) struct PositionEncodingEstimate {
 
 impl PositionEncodingEstimate {
     /// Encoding of `stream`'s positions against FK.
-    pub fn estimate(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
+    pub fn estimate(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Self {
         /// Relative to the extent; below it, no further lag is tried.
         const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
         let arm = ArmSpeeds::from_joints(joints, chain, columns);
-        let mut peaks = stream_peaks(&arm, stream, most_lag_s);
+        let mut peaks = stream_peaks(&arm, stream, max_lag_s);
         peaks.retain(|peak| peak.correlation > MIN_SPEED_CORRELATION);
         let read_as_m = metres_per_unit(track);
         let reach_m = chain.max_reach_m();
@@ -45,9 +45,9 @@ impl PositionEncodingEstimate {
             peaks,
             top_speed_m_s: arm.top_m_s(),
         };
-        let near = if follows_as_logged(joints, stream) { 0 } else { 2 };
-        let lags = placement.peaks.iter().take(near).map(|peak| peak.lag_s).chain([0.0]);
-        let mut least_m = f64::INFINITY;
+        let lag_count = if follows_as_logged(joints, stream) { 0 } else { 2 };
+        let lags = placement.peaks.iter().take(lag_count).map(|peak| peak.lag_s).chain([0.0]);
+        let mut min_residual_m = f64::INFINITY;
         for lag_s in lags.collect::<Vec<f64>>() {
             let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
             if rows.len() < 2 {
@@ -89,13 +89,13 @@ impl PositionEncodingEstimate {
             if by_poses.is_some() {
                 layouts.retain(|layout| layout.metres == 1.0);
             }
-            let left_m = layouts.first().map_or(f64::MAX, |layout| layout.residual_m);
-            if left_m < least_m {
-                least_m = left_m;
+            let residual_m = layouts.first().map_or(f64::MAX, |layout| layout.residual_m);
+            if residual_m < min_residual_m {
+                min_residual_m = residual_m;
                 placement.metres = sized;
                 (placement.candidates, placement.constant) = (layouts, constant);
             }
-            if least_m < MAX_FINAL_RESIDUAL_SHARE * spread(&at) {
+            if min_residual_m < MAX_FINAL_RESIDUAL_SHARE * spread(&at) {
                 break;
             }
         }
@@ -186,10 +186,10 @@ pub(crate) fn metres_from_size(
     } else {
         return Err(NotObservable::AtRest);
     };
-    let off = |factor: f64| (ratio * factor).ln().abs();
+    let deviation = |factor: f64| (ratio * factor).ln().abs();
     let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
-    let near = usual.filter(|factor| off(*factor) < MAX_SIZE_RATIO.ln());
-    let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
+    let near = usual.filter(|factor| deviation(*factor) < MAX_SIZE_RATIO.ln());
+    let nearest = near.min_by(|a, b| deviation(*a).total_cmp(&deviation(*b)));
     // Ratios within an arm's reach determine no unit.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
 }
@@ -213,11 +213,11 @@ pub(crate) fn metres_by_reach(stream: &PoseStream) -> f64 {
     const SPREAD_PER_REACH: f64 = 0.3;
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
-    let off = |factor: f64| {
+    let deviation = |factor: f64| {
         (extent * factor / (SPREAD_PER_REACH * stream.chain.max_reach_m())).ln().abs()
     };
     let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
-    usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
+    usual.chain([1.0]).min_by(|a, b| deviation(*a).total_cmp(&deviation(*b))).unwrap_or(1.0)
 }
 
 /// Factor to metres of the usual unit in which constant world and marker frames explain the poses at
@@ -229,13 +229,13 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     const MIN_RESIDUAL_RATIO: f64 = 5.0;
     let rotations = as_rotations(&track.orientation)?;
     let extent = spread(&track.xyz);
-    let share_left = |metres: f64| {
+    let residual_share = |metres: f64| {
         let scaled =
             |&row: &usize| Pose::from_parts((track.xyz[row] * metres).into(), rotations[row]);
         let logged: Vec<Pose> = rows.iter().map(scaled).collect();
         misfit_of_frames(fk, &logged)[0] / (metres * extent)
     };
-    let in_metres = share_left(1.0);
+    let in_metres = residual_share(1.0);
     if in_metres <= MAX_RESIDUAL_SHARE {
         return Some(1.0);
     }
@@ -244,9 +244,11 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
         return None;
     }
     let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
-    let shares = usual.map(|metres| (share_left(metres), metres));
-    let (least, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (metres != 1.0 && least <= MAX_RESIDUAL_SHARE && MIN_RESIDUAL_RATIO * least <= in_metres)
+    let shares = usual.map(|metres| (residual_share(metres), metres));
+    let (min_share, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (metres != 1.0
+        && min_share <= MAX_RESIDUAL_SHARE
+        && MIN_RESIDUAL_RATIO * min_share <= in_metres)
         .then_some(metres)
 }
 

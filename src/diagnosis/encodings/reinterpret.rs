@@ -22,19 +22,19 @@ pub struct IntendedEncoding {
     pub is_inverted: bool,
 }
 
-/// Decodes a stream as `meant`, each sample on the branch nearest to FK of `joints` after fitting constant
+/// Decodes a stream as `intended`, each sample on the branch nearest to FK of `joints` after fitting constant
 /// frames on top of `known`, `[stream_from_reference, tip_from_stream]`. `None` for bare numbers, or
 /// without overlap in time.
 pub fn reinterpret_poses(
     joints: &JointTrack,
     stream: &PoseStream,
-    meant: IntendedEncoding,
+    intended: IntendedEncoding,
     known: [Rotation; 2],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<PoseTrack> {
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let Orientations::Rotations(logged) = &track.orientation else { return None };
-    let lag_s = stream_lag_s(joints, stream, most_lag_s);
+    let lag_s = stream_lag_s(joints, stream, max_lag_s);
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let expected: Vec<Option<Rotation>> = track
         .t_s
@@ -46,21 +46,21 @@ pub fn reinterpret_poses(
             })
         })
         .collect();
-    let truths = decode_rotations(logged, &meant, &expected, &known[1], reference_known)?;
-    let is_inverted = meant.is_inverted || matches!(meant.encoding, PoseEncoding::Inverted);
-    let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
-        let xyz = meant.axes.positions.to_standard(*xyz);
+    let candidates = decode_rotations(logged, &intended, &expected, &known[1], reference_known)?;
+    let is_inverted = intended.is_inverted || matches!(intended.encoding, PoseEncoding::Inverted);
+    let xyz = candidates.iter().zip(&track.xyz).map(|(rotation, xyz)| {
+        let xyz = intended.axes.positions.to_standard(*xyz);
         if is_inverted { -(rotation * xyz) } else { xyz }
     });
     let xyz = xyz.collect();
-    Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
+    Some(PoseTrack { xyz, orientation: Orientations::Rotations(candidates), ..track.clone() })
 }
 
-/// Decodes `logged` as `meant`, nearest to `expected` up to constant frames and a known `tool`. Samples
+/// Decodes `logged` as `intended`, nearest to `expected` up to constant frames and a known `tool`. Samples
 /// without FK follow the previous one.
 pub(crate) fn decode_rotations(
     logged: &[Rotation],
-    meant: &IntendedEncoding,
+    intended: &IntendedEncoding,
     expected: &[Option<Rotation>],
     tool: &Rotation,
     reference_known: bool,
@@ -73,9 +73,9 @@ pub(crate) fn decode_rotations(
     if there.is_empty() {
         return None;
     }
-    let axes = meant.axes.rotations;
+    let axes = intended.axes.rotations;
     let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-    let after = RotationCorrections { conjugator, inverted: meant.is_inverted };
+    let after = RotationCorrections { conjugator, inverted: intended.is_inverted };
     let samples = RotationSamples {
         logged: LoggedRotations::Rotations(&there),
         fk: &fk,
@@ -84,15 +84,15 @@ pub(crate) fn decode_rotations(
         are_quaternions: true,
         after,
     };
-    let fit = fit_known(&samples, meant.encoding)?;
+    let fit = fit_known(&samples, intended.encoding)?;
     let all = LoggedRotations::Rotations(logged);
     let mut buffer = Vec::new();
     let mut last = fit.reference * fk[0] * fit.tool;
-    let mut truths = Vec::with_capacity(logged.len());
+    let mut candidates = Vec::with_capacity(logged.len());
     for (row, fk) in expected.iter().enumerate() {
         let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
-        last = decode_nearest(&meant.encoding, &after, &all, row, &expected, &mut buffer)?;
-        truths.push(last);
+        last = decode_nearest(&intended.encoding, &after, &all, row, &expected, &mut buffer)?;
+        candidates.push(last);
     }
-    Some(truths)
+    Some(candidates)
 }

@@ -70,11 +70,11 @@ impl RotationCorrections {
     }
 
     /// Reported encoding if whole poses are inverted.
-    fn reported_encoding(&self, reading: PoseEncoding) -> PoseEncoding {
-        match reading {
+    fn reported_encoding(&self, encoding: PoseEncoding) -> PoseEncoding {
+        match encoding {
             PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
             PoseEncoding::Transposed if self.inverted => PoseEncoding::AsLogged,
-            reading => reading,
+            encoding => encoding,
         }
     }
 }
@@ -128,7 +128,7 @@ pub(crate) struct EncodingFit {
 
 fn fill(
     truths_of: &mut CandidateRotations,
-    reading: &PoseEncoding,
+    encoding: &PoseEncoding,
     samples: &RotationSamples,
     buffer: &mut Vec<Rotation>,
 ) {
@@ -139,7 +139,7 @@ fn fill(
         LoggedRotations::Numbers(numbers) => numbers.len(),
     };
     for sample in 0..count {
-        candidate_rotations(reading, logged, sample, buffer);
+        candidate_rotations(encoding, logged, sample, buffer);
         samples.after.apply(buffer);
         truths_of.push(buffer);
     }
@@ -147,13 +147,13 @@ fn fill(
 
 /// Possible true rotations of one sample.
 fn candidate_rotations(
-    reading: &PoseEncoding,
+    encoding: &PoseEncoding,
     logged: &LoggedRotations,
     sample: usize,
     out: &mut Vec<Rotation>,
 ) {
     out.clear();
-    match (reading, logged) {
+    match (encoding, logged) {
         (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
             out.push(convention.rotation(numbers[sample]));
         }
@@ -182,14 +182,14 @@ fn candidate_rotations(
 
 /// Decodes one sample to the branch nearest to `expected`.
 pub(crate) fn decode_nearest(
-    reading: &PoseEncoding,
+    encoding: &PoseEncoding,
     after: &RotationCorrections,
     logged: &LoggedRotations,
     sample: usize,
     expected: &Rotation,
     buffer: &mut Vec<Rotation>,
 ) -> Option<Rotation> {
-    candidate_rotations(reading, logged, sample, buffer);
+    candidate_rotations(encoding, logged, sample, buffer);
     after.apply(buffer);
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
@@ -215,14 +215,15 @@ pub(crate) fn estimate_encoding_with_gravity(
         return Err(NotObservable::TooFewSamples { have: samples.fk.len(), need });
     }
     let fits = all_fits(samples);
-    let Some(least) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
+    let Some(min_residual) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
         return Err(NotObservable::NoOrientation);
     };
-    if least > MAX_RESIDUAL_RAD {
-        return Err(NotObservable::DoesNotFollow(least.cos()));
+    if min_residual > MAX_RESIDUAL_RAD {
+        return Err(NotObservable::DoesNotFollow(min_residual.cos()));
     }
-    let accepted =
-        (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD).min(MAX_RESIDUAL_RAD);
+    let accepted = (MAX_RESIDUAL_RATIO * min_residual)
+        .max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD)
+        .min(MAX_RESIDUAL_RAD);
     let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
@@ -241,12 +242,16 @@ pub(crate) fn estimate_encoding_with_gravity(
     let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
-    let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
-    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let min_residual =
+        simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(min_residual);
+    let max_residual =
+        (MAX_RESIDUAL_RATIO * min_residual).max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD);
     // Prefer an upright world, then the most common encoding.
     let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
-    let best =
-        *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
+    let best = *simple()
+        .filter(|fit| fit.residual_rad <= max_residual)
+        .min_by_key(leaning)
+        .unwrap_or(&fits[0]);
     let near_best = (MAX_RESIDUAL_RATIO * best.residual_rad)
         .max(best.residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD);
     let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
@@ -290,15 +295,15 @@ pub(crate) fn estimate_encoding_with_gravity(
 fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
     /// Besides those two.
     const MAX_RANKED: usize = 6;
-    let alike = fits.iter().filter(|fit| fit.frames == best.frames);
-    let mut alike: Vec<&EncodingFit> = alike.collect();
-    alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
+    let same_frames = fits.iter().filter(|fit| fit.frames == best.frames);
+    let mut same_frames: Vec<&EncodingFit> = same_frames.collect();
+    same_frames.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
     let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
         *rank < MAX_RANKED
             || matches!(fit.encoding, PoseEncoding::AsLogged)
             || is_same_encoding(&fit.encoding, &best.encoding)
     };
-    let kept = alike.into_iter().enumerate().filter(is_kept);
+    let kept = same_frames.into_iter().enumerate().filter(is_kept);
     kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
 }
 
@@ -310,7 +315,7 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
         return false;
     }
     let mut buffer = Vec::new();
-    let felt: Vec3 = forces
+    let gravity: Vec3 = forces
         .iter()
         .enumerate()
         .filter_map(|(sample, force)| {
@@ -328,7 +333,7 @@ fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) 
         .sum();
     // Without an accelerometer nothing tilts. Cancelling forces count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
-    all > 0.0 && felt.z < MIN_UPRIGHT_COSINE * felt.norm().max(0.5 * all)
+    all > 0.0 && gravity.z < MIN_UPRIGHT_COSINE * gravity.norm().max(0.5 * all)
 }
 
 fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
@@ -354,8 +359,8 @@ fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
 }
 
 fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
-    let is_possible = |reading: &PoseEncoding| {
-        samples.are_quaternions || !matches!(reading, PoseEncoding::QuaternionOrder(_))
+    let is_possible = |encoding: &PoseEncoding| {
+        samples.are_quaternions || !matches!(encoding, PoseEncoding::QuaternionOrder(_))
     };
     match samples.logged {
         LoggedRotations::Numbers(_) => {
@@ -377,18 +382,18 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     if let LoggedRotations::Rotations(_) = samples.logged {
         let plain = &frames[..1];
         let known = &mut Default::default();
-        let as_logged = fits_of(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
+        let as_logged = fits_with(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
         if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
             frames = plain;
         }
     }
     let each_of =
         |samples: &RotationSamples, readings: Vec<PoseEncoding>| -> Vec<Vec<EncodingFit>> {
-            let fits_of = |(truths, buffer): &mut (CandidateRotations, Vec<_>),
-                           reading: PoseEncoding| {
-                fits_of(samples, frames, reading, truths, buffer)
+            let fits_with = |(candidates, buffer): &mut (CandidateRotations, Vec<_>),
+                             reading: PoseEncoding| {
+                fits_with(samples, frames, reading, candidates, buffer)
             };
-            readings.into_par_iter().map_init(Default::default, fits_of).collect()
+            readings.into_par_iter().map_init(Default::default, fits_with).collect()
         };
     let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
     let logged: Vec<Rotation> = match samples.logged {
@@ -399,28 +404,29 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     };
     // Screen all on a few samples, then fit the near ones on all.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
-    let few = RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
-    let screened = each_of(&few, candidate_encodings(samples));
-    let left = |fits: &[EncodingFit]| {
+    let coarse =
+        RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
+    let screened = each_of(&coarse, candidate_encodings(samples));
+    let min_residual = |fits: &[EncodingFit]| {
         fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     };
-    let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
+    let mut all: Vec<f64> = screened.iter().map(|fits| min_residual(fits)).collect();
     all.sort_by(f64::total_cmp);
-    let few_near = all[SCREENED_CANDIDATES.min(all.len() - 1)];
+    let max_screened = all[SCREENED_CANDIDATES.min(all.len() - 1)];
     let near = match all[0] > SCREENING_ERROR_FACTOR * MAX_RESIDUAL_RAD {
-        true => few_near,
-        false => few_near.max(
+        true => max_screened,
+        false => max_screened.max(
             SCREENING_ERROR_FACTOR
                 * (MAX_RESIDUAL_RATIO * all[0]).max(all[0] + MAX_RESIDUAL_DIFFERENCE_RAD),
         ),
     };
-    let again = |few: Vec<EncodingFit>| match few[0].encoding {
-        reading if left(&few) <= near || matches!(reading, PoseEncoding::AsLogged) => {
-            fits_of(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
+    let refit = |coarse: Vec<EncodingFit>| match coarse[0].encoding {
+        reading if min_residual(&coarse) <= near || matches!(reading, PoseEncoding::AsLogged) => {
+            fits_with(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
         }
-        _ => few,
+        _ => coarse,
     };
-    screened.into_par_iter().flat_map_iter(again).collect()
+    screened.into_par_iter().flat_map_iter(refit).collect()
 }
 
 /// The first is not a fault.
@@ -438,44 +444,45 @@ fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
 }
 
 /// One fit per entry of `frames`.
-fn fits_of(
+fn fits_with(
     samples: &RotationSamples,
     frames: &[FreeFrameErrors],
-    reading: PoseEncoding,
-    truths: &mut CandidateRotations,
+    encoding: PoseEncoding,
+    candidates: &mut CandidateRotations,
     buffer: &mut Vec<Rotation>,
 ) -> Vec<EncodingFit> {
-    fill(truths, &reading, samples, buffer);
+    fill(candidates, &encoding, samples, buffer);
     let fit = |&frames: &FreeFrameErrors| {
         let (reference, tool) = match frames {
             FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
             FreeFrameErrors::Tool => {
-                (Rotation::identity(), fit_one_frame(truths, samples.fk, Side::Tool))
+                (Rotation::identity(), fit_one_frame(candidates, samples.fk, Side::Tool))
             }
             FreeFrameErrors::Reference => {
-                (fit_one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
+                (fit_one_frame(candidates, samples.fk, Side::Reference), Rotation::identity())
             }
-            FreeFrameErrors::Both => fit_both_frames(truths, samples.fk),
+            FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
         };
-        let residual_rad = residual(truths, samples.fk, &reference, &tool);
-        EncodingFit { encoding: reading, frames, reference, tool, residual_rad }
+        let residual_rad = residual(candidates, samples.fk, &reference, &tool);
+        EncodingFit { encoding, frames, reference, tool, residual_rad }
     };
     frames.iter().map(fit).collect()
 }
 
 /// Simplest among the close fits of a known encoding.
-pub(crate) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Option<EncodingFit> {
+pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
     let known = &mut CandidateRotations::default();
-    let fits = fits_of(samples, allowed_frames(samples), reading, known, &mut Vec::new());
-    let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
-    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
-    let near = fits.into_iter().filter(|fit| fit.residual_rad <= near);
-    near.min_by_key(|fit| simplicity(fit, samples.reference_known))
+    let fits = fits_with(samples, allowed_frames(samples), encoding, known, &mut Vec::new());
+    let min_residual = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
+    let max_residual =
+        (MAX_RESIDUAL_RATIO * min_residual).max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
+    max_residual.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
 
 /// Rms angle to `reference · fk · tool` over the best 90 %.
 fn residual(
-    truths: &CandidateRotations,
+    candidates: &CandidateRotations,
     fk: &[Rotation],
     reference: &Rotation,
     tool: &Rotation,
@@ -485,7 +492,7 @@ fn residual(
         .enumerate()
         .map(|(sample, fk)| {
             let expected = reference * fk * tool;
-            nearest(truths.of_sample(sample), &expected)
+            nearest(candidates.of_sample(sample), &expected)
                 .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
                 .powi(2)
         })

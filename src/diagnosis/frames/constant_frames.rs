@@ -26,26 +26,27 @@ const ROUND_TOLERANCE_RAD: f64 = 0.06;
 /// Starting states of a stream's fit, near joint offsets `offsets`. The first has no frame error. A stream
 /// far from FK adds closed-form frame errors, exact and round.
 pub(crate) fn starting_states(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     latency_s: f64,
     offsets: &[f64],
 ) -> Vec<StreamState> {
-    let tool_part = witness.tool_part;
-    let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
-    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    let tool_part = observations.tool_part;
+    let without_frames = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
+    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
     if fk.len() < 3 {
-        return vec![plain];
+        return vec![without_frames];
     }
-    let with = |reference: Pose, tool: Pose| StreamState { reference, tool, ..plain.clone() };
+    let with =
+        |reference: Pose, tool: Pose| StreamState { reference, tool, ..without_frames.clone() };
     let identity = Pose::identity();
     let (reference, tool) = fit_frames(&fk, &logged);
     let mut starts = Vec::new();
-    if !witness.reference_known {
+    if !observations.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
         starts.push(with(reference, tool));
         return starts;
     }
-    starts.push(plain.clone());
+    starts.push(without_frames.clone());
     let far = fk.iter().zip(&logged).filter(|(fk, logged)| {
         angle_between(&fk.rotation, &logged.rotation) > MAX_UNGUESSED_RAD
             || (fk.translation.vector - logged.translation.vector).norm() > MAX_UNGUESSED_M
@@ -55,21 +56,21 @@ pub(crate) fn starting_states(
     }
     let reference_only = reference_frame(&fk, &logged);
     let tool_only = tool_frame(&fk, &logged);
-    let first_joint = witness.chain.first_joint_frame();
+    let first_joint = observations.chain.first_joint_frame();
     starts.push(with(identity, tool_only));
     starts.push(with(reference_only, identity));
     starts.push(with(reference, tool));
     if let Some(round) = round_frame_error(&reference_only, &first_joint) {
-        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        let rotated: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         let start = StreamState { round_reference: Some(round), ..with(round, identity) };
-        starts.push(StreamState { tool: tool_frame(&turned, &logged), ..start.clone() });
+        starts.push(StreamState { tool: tool_frame(&rotated, &logged), ..start.clone() });
         starts.push(start);
     }
     if let Some(round) = round_frame_error(&reference, &first_joint) {
-        let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
+        let rotated: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         starts.push(StreamState {
             round_reference: Some(round),
-            ..with(round, tool_frame(&turned, &logged))
+            ..with(round, tool_frame(&rotated, &logged))
         });
     }
     if let Some(round) = round_rotation(&tool_only.rotation) {
@@ -82,17 +83,17 @@ pub(crate) fn starting_states(
 
 /// FK and logged poses of a subset of samples.
 fn pose_pairs(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> (Vec<Pose>, Vec<Pose>) {
-    let mut sweep = PredictionBuffers::new(witness);
-    let step = witness.len().div_ceil(INITIAL_GUESS_SAMPLES).max(1);
-    (0..witness.len())
+    let mut sweep = PredictionBuffers::new(observations);
+    let step = observations.len().div_ceil(INITIAL_GUESS_SAMPLES).max(1);
+    (0..observations.len())
         .step_by(step)
         .filter_map(|k| {
-            let fk = witness.pose_at(k, state, offsets, &mut sweep)?;
-            Some((fk, pose(witness.xyz[k].into(), witness.rotation[k])))
+            let fk = observations.pose_at(k, state, offsets, &mut sweep)?;
+            Some((fk, pose(observations.xyz[k].into(), observations.rotation[k])))
         })
         .unzip()
 }
@@ -103,22 +104,22 @@ fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
 }
 
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
-    let turns: Vec<Rotation> =
+    let rotations: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
-    let turn = mean_rotation(&turns);
+    let turn = mean_rotation(&rotations);
     let at = |(fk, l): (&Pose, &Pose)| l.translation.vector - turn * fk.translation.vector;
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
 /// Sets both frames of `state` to those determined by positions at its latency.
 pub(crate) fn with_frames_from_positions(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     state: StreamState,
     offsets: &[f64],
 ) -> StreamState {
     let identity = Pose::identity();
-    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    let without_frames = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
     if fk.len() < 3 {
         return state;
     }
@@ -137,18 +138,18 @@ fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
 /// Tool frame that best maps FK to the logged poses.
 pub(crate) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
-    let turns: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
-    pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
+    let rotations: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
+    pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&rotations))
 }
 
 /// Same for a stream without a reference error. `None` if there are too few samples.
 pub(crate) fn tool_start(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> Option<Pose> {
-    let plain = StreamState { tool: Pose::identity(), ..state.clone() };
-    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    let without_tool = StreamState { tool: Pose::identity(), ..state.clone() };
+    let (fk, logged) = pose_pairs(observations, &without_tool, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
@@ -187,22 +188,22 @@ pub(crate) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     let (reference, tool) = fit_frames(fk, logged);
     let (mut squares_m, mut squares_rad) = (0.0, 0.0);
     for (fk, logged) in fk.iter().zip(logged) {
-        let left = (reference * fk * tool).inverse() * logged;
-        squares_m += left.translation.vector.norm_squared();
-        squares_rad += left.rotation.angle().powi(2);
+        let residual = (reference * fk * tool).inverse() * logged;
+        squares_m += residual.translation.vector.norm_squared();
+        squares_rad += residual.rotation.angle().powi(2);
     }
     [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
 }
 
 /// Same for a stream at its latency with joint offsets.
 pub(crate) fn constant_frame_residual(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> [f64; 2] {
     let identity = Pose::identity();
-    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pose_pairs(witness, &plain, offsets);
+    let without_frames = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pose_pairs(observations, &without_frames, offsets);
     misfit_of_frames(&fk, &logged)
 }
 
@@ -386,15 +387,15 @@ fn quarter_turns() -> Vec<Rotation> {
 
 /// Estimates one frame with `causes` and the always-free causes free.
 pub(crate) fn frame_estimate(
-    explanation: &SelectedModel,
-    menu: &CandidateCauses,
+    model: &SelectedModel,
+    candidates: &CandidateCauses,
     causes: &[Cause],
     cause: Cause,
     stream: usize,
 ) -> EstimateResult<FrameEstimate> {
-    let (state, linear) = (&explanation.state, &explanation.linear);
+    let (state, linear) = (&model.state, &model.linear);
     let mut parameters: Vec<usize> =
-        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+        candidates.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
     parameters.sort_unstable();
     parameters.dedup();
     let own = cause.parameters(state);
@@ -407,17 +408,17 @@ pub(crate) fn frame_estimate(
     }
     let mut moved = state.clone();
     moved.step(&linear.step(&parameters));
-    let found = &moved.streams[stream];
+    let stream_state = &moved.streams[stream];
     let (frame, round) = match cause {
-        Cause::Tool(_) => (found.tool, found.round_tool),
-        _ => (found.reference, found.round_reference),
+        Cause::Tool(_) => (stream_state.tool, stream_state.round_tool),
+        _ => (stream_state.reference, stream_state.round_reference),
     };
     let twist = twist_of(&frame);
     let dof = linear.dof(parameters.len());
     let tuned = moved.values().rows(own.start, width).into_owned();
     let p_value = if round.is_some() { 0.0 } else { joint_p_value(&tuned, &block, f64::INFINITY) };
     let is_tool = matches!(cause, Cause::Tool(_));
-    let part = if is_tool { found.tool_part.range() } else { 0..6 };
+    let part = if is_tool { stream_state.tool_part.range() } else { 0..6 };
     let length = |first: usize| {
         let Some(at) = first.checked_sub(part.start).filter(|_| part.contains(&first)) else {
             // The rotation is not observable.
@@ -426,7 +427,7 @@ pub(crate) fn frame_estimate(
         let own = block.view((at, at), (3, 3)).into_owned();
         MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
     };
-    let chosen = round.is_some() || explanation.causes.contains(&cause);
+    let chosen = round.is_some() || model.causes.contains(&cause);
     // The model maps base coordinates to the stream's; the reported error is the inverse.
     let pose = if is_tool { frame } else { frame.inverse() };
     Ok(FrameEstimate {

@@ -42,7 +42,7 @@ pub fn estimate_moving_base_lag(
     stream: &PoseStream,
     logged: &PoseTrack,
     base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<MovingBaseLag> {
     let rows = sample_rows(logged.t_s.len());
     let cost = |lag_s: f64, latency_s: f64| -> f64 {
@@ -62,12 +62,12 @@ pub fn estimate_moving_base_lag(
         let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
         (squares.sum::<f64>() / offsets.len() as f64).sqrt()
     };
-    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
     let best = lags.min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
     let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
-    let left = cost(together, together);
-    if !left.is_finite() {
+    let min_cost_together = cost(together, together);
+    if !min_cost_together.is_finite() {
         return None;
     }
     let [lag_s, latency_s] = descend([together, together], &|[lag, latency]| cost(lag, latency));
@@ -76,14 +76,15 @@ pub fn estimate_moving_base_lag(
         Some(at.coords)
     });
     let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
-    let least = cost(lag_s, latency_s);
-    if least > MAX_RESIDUAL_SHARE * extent_m && least > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
+    let min_cost = cost(lag_s, latency_s);
+    if min_cost > MAX_RESIDUAL_SHARE * extent_m
+        && min_cost > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
     {
         // No lag matches FK: joints may be misinterpreted, so keep the stamps.
         return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
     }
     let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
-        || cost(lag_s, latency_s) > MAX_RESIDUAL_RATIO * left;
+        || cost(lag_s, latency_s) > MAX_RESIDUAL_RATIO * min_cost_together;
     Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }
 
@@ -99,13 +100,14 @@ fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
         [1.0, -1.0],
         [-1.0, 1.0],
     ];
-    let (mut at, mut least, mut step) = (start, cost(start), INITIAL_STEP_S);
+    let (mut at, mut min_cost, mut step) = (start, cost(start), INITIAL_STEP_S);
     while step > FINAL_STEP_S {
-        let ways =
-            SEARCH_DIRECTIONS.iter().map(|way| [at[0] + step * way[0], at[1] + step * way[1]]);
-        let best = ways.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let trials = SEARCH_DIRECTIONS
+            .iter()
+            .map(|direction| [at[0] + step * direction[0], at[1] + step * direction[1]]);
+        let best = trials.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((less, to)) if less < least => (at, least) = (to, less),
+            Some((less, to)) if less < min_cost => (at, min_cost) = (to, less),
             _ => step *= 0.5,
         }
     }
@@ -127,7 +129,7 @@ pub struct BaseMotion {
 pub fn detect_base_motion(
     joints: &JointTrack,
     stream: &PoseStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<BaseMotion> {
     /// An arm that differs from its model can deviate by less.
     const MIN_TRAVEL_M: f64 = 0.1;
@@ -145,7 +147,7 @@ pub fn detect_base_motion(
         };
         rows.iter().filter_map(of_row).collect()
     };
-    let strays = |latency_s: f64| -> f64 {
+    let distance_from_start = |latency_s: f64| -> f64 {
         let bases = bases(latency_s);
         match 2 * bases.len() < rows.len() || bases.len() < MIN_SAMPLES {
             true => f64::INFINITY,
@@ -153,17 +155,19 @@ pub fn detect_base_motion(
         }
     };
     let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
-    let peaks = arm.lag_peaks(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
-    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let peaks = arm.lag_peaks(&stream.track.t_s, &stream.track.xyz, Some(rotations), max_lag_s);
+    let tried = (max_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
     let near: Vec<f64> = peaks.iter().take(3).map(|peak| peak.lag_s).collect();
-    let best = lags.chain(near.iter().copied()).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
-    let latency_s = descend([best, 0.0], &|[latency_s, _]| strays(latency_s))[0];
+    let best = lags
+        .chain(near.iter().copied())
+        .min_by(|&a, &b| distance_from_start(a).total_cmp(&distance_from_start(b)))?;
+    let latency_s = descend([best, 0.0], &|[latency_s, _]| distance_from_start(latency_s))[0];
     let bases = bases(latency_s);
     if bases.len() < MIN_SAMPLES {
         return None;
     }
-    let course = PlanarTravel::fit(&bases);
+    let travel = PlanarTravel::fit(&bases);
     let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
     let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
     let middle =
@@ -171,12 +175,12 @@ pub fn detect_base_motion(
     let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
     let travel_m = far.fold(0.0, f64::max);
     let moves = travel_m > MIN_TRAVEL_M
-        && course.along_m > MIN_TRAVEL_RATIO * course.deviation_m
-        && largest_m < MAX_STEP_SHARE * course.along_m
+        && travel.along_m > MIN_TRAVEL_RATIO * travel.deviation_m
+        && largest_m < MAX_STEP_SHARE * travel.along_m
         && !near
             .into_iter()
             .chain([latency_s])
-            .any(|lag_s| is_base_fixed(joints, stream, lag_s, course.along_m / MIN_TRAVEL_RATIO));
+            .any(|lag_s| is_base_fixed(joints, stream, lag_s, travel.along_m / MIN_TRAVEL_RATIO));
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseMotion { travel_m, turn_rad: turned.fold(0.0, f64::max) }

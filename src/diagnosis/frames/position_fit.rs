@@ -60,8 +60,8 @@ impl FkColumns {
     /// Rms of `reference⁻¹·xyz − fk − R·t` at the best `t`.
     fn misfit_at(&self, xyz: &[Vec3], reference: &Pose) -> f64 {
         let tool = self.tool(xyz, reference);
-        let left = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
-        (left.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
+        let residuals = self.offsets(xyz, reference).map(|offset| (offset - tool).norm_squared());
+        (residuals.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
     }
 
     /// Offsets from FK, in the tool frame.

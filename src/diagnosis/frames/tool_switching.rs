@@ -95,7 +95,7 @@ pub fn detect_tool_switching(
     }
     let bodies = BodyAssignment::from_jumps(&jumps, poses.len(), limits)?;
     let usual = bodies.most_frequent();
-    let mut mended = poses;
+    let mut corrected = poses;
     let mut others: Vec<(usize, SwitchedTool)> = Vec::new();
     for (from, to, body) in bodies.segments.iter().copied().filter(|(.., body)| *body != usual) {
         if !others.iter().any(|(own, _)| *own == body) {
@@ -105,14 +105,14 @@ pub fn detect_tool_switching(
         other.spans_s.push([track.t_s[from], track.t_s[to - 1]]);
         other.samples += to - from;
         let other_from_usual = other.pose.inverse();
-        mended[from..to].iter_mut().for_each(|pose| *pose *= other_from_usual);
+        corrected[from..to].iter_mut().for_each(|pose| *pose *= other_from_usual);
     }
-    let samples = mended.len();
+    let samples = corrected.len();
     let others: Vec<SwitchedTool> = others.into_iter().map(|(_, other)| other).collect();
     if others.iter().any(SwitchedTool::is_inconsistent) {
         return None;
     }
-    Some((ToolSwitching { others, samples }, mended))
+    Some((ToolSwitching { others, samples }, corrected))
 }
 
 /// Difference of consecutive poses, both extrapolated to the middle of the interval.
@@ -226,14 +226,15 @@ fn is_backlash(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> boo
     /// The joint moves little in this time.
     const MAX_REVERSAL_DISTANCE_S: f64 = 0.3;
     let is_of = |&column: &usize| {
-        let ways = motion_directions(joints.len(), |row| joints.row(row)[column]);
-        let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
-        let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
+        let directions = motion_directions(joints.len(), |row| joints.row(row)[column]);
+        let reversals =
+            (1..directions.len()).filter(|&row| directions[row - 1] * directions[row] < 0.0);
+        let reversal_s: Vec<f64> = reversals.map(|row| joints.t_s[row]).collect();
         let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < MAX_REVERSAL_DISTANCE_S);
         // The initial position in the backlash is unknown, so one jump may be unmatched.
-        let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
-        let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
-        !turns_s.is_empty() && missed <= 1 && meet
+        let missed = jumps_s.iter().filter(|at_s| !near(&reversal_s, **at_s)).count();
+        let meet = reversal_s.iter().all(|at_s| near(jumps_s, *at_s));
+        !reversal_s.is_empty() && missed <= 1 && meet
     };
     stream.columns.iter().any(is_of)
 }
@@ -262,12 +263,12 @@ impl BodyAssignment {
             bodies.segments.push((from, jump.row, body));
             let (here, times) = bodies.poses[body];
             let (there, times) = (here * jump.displacement, times.max(jump.times));
-            let apart = |(own, own_times): &(Pose, f64)| {
-                let off = own.inverse() * there;
-                let sizes = [off.translation.vector.norm(), off.rotation.angle()];
+            let distance = |(own, own_times): &(Pose, f64)| {
+                let difference = own.inverse() * there;
+                let sizes = [difference.translation.vector.norm(), difference.rotation.angle()];
                 limits.relative_size(sizes, times.max(*own_times))
             };
-            let near = bodies.poses.iter().map(apart).enumerate();
+            let near = bodies.poses.iter().map(distance).enumerate();
             let nearest = near
                 .min_by(|a, b| a.1.total_cmp(&b.1))
                 .filter(|(_, far)| *far < MAX_SAME_BODY_DISTANCE);
@@ -283,10 +284,9 @@ impl BodyAssignment {
         }
         bodies.segments.push((from, samples, body));
         // Without recurrence nothing switches. Many bodies indicate another problem.
-        let comes_again = bodies.segments.len() > bodies.poses.len();
+        let recurs = bodies.segments.len() > bodies.poses.len();
         let is_short = samples - from < MIN_SEGMENT_SAMPLES;
-        (comes_again && !is_short && (2..=MAX_BODIES).contains(&bodies.poses.len()))
-            .then_some(bodies)
+        (recurs && !is_short && (2..=MAX_BODIES).contains(&bodies.poses.len())).then_some(bodies)
     }
 
     /// The first body if it has nearly as many samples.

@@ -12,23 +12,27 @@ const BLOCKS: usize = 12;
 
 /// `None` for fewer than [`MIN_POSES`] poses.
 pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
-    let left: Vec<(f64, [Vec3; 2])> = setting
+    let residuals: Vec<(f64, [Vec3; 2])> = setting
         .targets
         .iter()
         .filter_map(|(t_s, target)| {
-            let carrier = setting.carrier_at(t_s - fit.offset_s.value)?;
-            Some((*t_s, fit.residual(&carrier, target)))
+            let carrier_pose = setting.carrier_at(t_s - fit.offset_s.value)?;
+            Some((*t_s, fit.residual(&carrier_pose, target)))
         })
         .collect();
-    if left.len() < MIN_POSES {
+    if residuals.len() < MIN_POSES {
         return None;
     }
-    let near: Vec<&[Vec3; 2]> =
-        left.iter().map(|(_, left)| left).filter(|left| !fit.is_outlier(left)).collect();
-    let (all, outliers) = (left.len(), left.len() - near.len());
-    let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|left| left[kind]).collect() };
+    let near: Vec<&[Vec3; 2]> = residuals
+        .iter()
+        .map(|(_, residuals)| residuals)
+        .filter(|residuals| !fit.is_outlier(residuals))
+        .collect();
+    let (all, outliers) = (residuals.len(), residuals.len() - near.len());
+    let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|residuals| residuals[kind]).collect() };
     let medians = [0, 1].map(|kind| {
-        let mut norms: Vec<f64> = left.iter().map(|(_, left)| left[kind].norm()).collect();
+        let mut norms: Vec<f64> =
+            residuals.iter().map(|(_, residuals)| residuals[kind].norm()).collect();
         median(&mut norms).unwrap_or(0.0)
     });
     Some(ClosureError {
@@ -40,7 +44,7 @@ pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Optio
         median_rad: medians[1],
         excess_m: excess(&of(0)),
         excess_rad: excess(&of(1)),
-        each: left.iter().map(|(t_s, [m, rad])| (*t_s, m.norm(), rad.norm())).collect(),
+        each: residuals.iter().map(|(t_s, [m, rad])| (*t_s, m.norm(), rad.norm())).collect(),
     })
 }
 

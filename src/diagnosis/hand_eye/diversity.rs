@@ -13,7 +13,7 @@ const MIN_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// Expects a `setting` with the camera in the hand.
 pub(super) fn rotation_diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
     let pairs = setting.pairs_at(lag_s, MAX_POSES);
-    let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();
+    let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier_pose.rotation).collect();
     let turns: Vec<Vec3> = hands
         .iter()
         .enumerate()

@@ -52,20 +52,20 @@ impl HandEyeFit {
         let Self { camera, constant, offset_s, .. } = *self;
         let state = HandEyeState { camera, constant, offset_s: offset_s.value };
         let linear = state.linear(setting, &self.keep);
-        let foretold: Vec<Vec3> = setting
+        let predicted: Vec<Vec3> = setting
             .targets
             .iter()
             .zip(&self.keep)
             .filter_map(|((t_s, _), keep)| {
-                let carrier = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
-                Some(state.predict(&carrier).translation.vector)
+                let carrier_pose = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
+                Some(state.predict(&carrier_pose).translation.vector)
             })
             .collect();
         let distance_m =
-            foretold.iter().map(|xyz| xyz.norm()).sum::<f64>() / foretold.len().max(1) as f64;
+            predicted.iter().map(|xyz| xyz.norm()).sum::<f64>() / predicted.len().max(1) as f64;
         let deep = |xyz: &Vec3| Vec3::ith(along, xyz[along]);
-        Self::scale_of(&linear, &foretold, Vec3::clone)
-            .zip(Self::scale_of(&linear, &foretold, deep))
+        Self::scale_of(&linear, &predicted, Vec3::clone)
+            .zip(Self::scale_of(&linear, &predicted, deep))
             .map_or_else(
                 || TargetScale::unknown(along, distance_m),
                 |(size, depth)| TargetScale { size, depth, along, distance_m },
@@ -75,11 +75,11 @@ impl HandEyeFit {
     /// Scale of the component selected by `stretched`.
     fn scale_of(
         linear: &Linear,
-        foretold: &[Vec3],
+        predicted: &[Vec3],
         stretched: impl Fn(&Vec3) -> Vec3,
     ) -> Option<Measured> {
         let mut wider = Linear::new(WIDTH + 1, &NOISE_FLOOR_M_RAD);
-        for (sample, xyz) in foretold.iter().enumerate() {
+        for (sample, xyz) in predicted.iter().enumerate() {
             let mut rows = wider.push(&[linear.residual[0][sample], linear.residual[1][sample]]);
             for kind in 0..2 {
                 let row = |axis: usize| linear.row(sample, 3 * kind + axis);
@@ -140,14 +140,14 @@ impl HandEyeFit {
     }
 
     /// Deviation from the prediction, m and rad in camera axes.
-    pub fn residual(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
-        difference(target, &((carrier * self.camera).inverse() * self.constant))
+    pub fn residual(&self, carrier_pose: &Pose, target: &Pose) -> [Vec3; 2] {
+        difference(target, &((carrier_pose * self.camera).inverse() * self.constant))
     }
 
     /// Whether these residuals are an outlier's.
-    pub fn is_outlier(&self, left: &[Vec3; 2]) -> bool {
+    pub fn is_outlier(&self, residual: &[Vec3; 2]) -> bool {
         (0..2).any(|kind| {
-            left[kind].norm() > OUTLIER_SIGMAS * self.sigma[kind].max(NOISE_FLOOR_M_RAD[kind])
+            residual[kind].norm() > OUTLIER_SIGMAS * self.sigma[kind].max(NOISE_FLOOR_M_RAD[kind])
         })
     }
 }
@@ -160,19 +160,19 @@ impl TargetScale {
 
     /// Depth error at the mean distance by the more significant factor.
     pub fn effect_m(&self) -> Measured {
-        let off = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
+        let deviation = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
         let surely = |of: &Measured| (of.value / of.std_error).abs();
-        let (size, depth) = (off(&self.size), off(&self.depth));
+        let (size, depth) = (deviation(&self.size), deviation(&self.depth));
         let surer = if surely(&size) > surely(&depth) { size } else { depth };
         surer.scaled(self.distance_m)
     }
 }
 
 /// Position and rotation, m and rad.
-fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
+fn difference(observed: &Pose, predicted: &Pose) -> [Vec3; 2] {
     [
-        seen.translation.vector - foretold.translation.vector,
-        rotvec_from_rotation(&(seen.rotation * foretold.rotation.inverse())),
+        observed.translation.vector - predicted.translation.vector,
+        rotvec_from_rotation(&(observed.rotation * predicted.rotation.inverse())),
     ]
 }
 
@@ -184,8 +184,8 @@ struct HandEyeState {
 }
 
 impl HandEyeState {
-    fn predict(&self, carrier: &Pose) -> Pose {
-        (carrier * self.camera).inverse() * self.constant
+    fn predict(&self, carrier_pose: &Pose) -> Pose {
+        (carrier_pose * self.camera).inverse() * self.constant
     }
 
     fn stepped(&self, step: &[f64]) -> Self {
@@ -206,15 +206,15 @@ impl HandEyeState {
         let mut linear = Linear::new(WIDTH, &NOISE_FLOOR_M_RAD);
         for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
-            let (true, Some(carrier)) = (*keep, at(0.0)) else { continue };
-            let foretold = self.predict(&carrier);
-            let mut rows = linear.push(&difference(&target, &foretold).map(Into::into));
-            let seen = foretold.translation.vector;
-            let turned = (carrier * self.camera).rotation.inverse();
+            let (true, Some(carrier_pose)) = (*keep, at(0.0)) else { continue };
+            let predicted = self.predict(&carrier_pose);
+            let mut rows = linear.push(&difference(&target, &predicted).map(Into::into));
+            let observed = predicted.translation.vector;
+            let turned = (carrier_pose * self.camera).rotation.inverse();
             for axis in 0..3 {
                 let unit = Vec3::ith(axis, 1.0);
                 rows.set(0, axis, (-unit).into());
-                rows.set(0, 3 + axis, seen.cross(&unit).into());
+                rows.set(0, 3 + axis, observed.cross(&unit).into());
                 rows.set(1, 3 + axis, (-unit).into());
                 rows.set(0, 6 + axis, (turned * unit).into());
                 rows.set(1, 9 + axis, (turned * unit).into());
@@ -248,20 +248,22 @@ pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> 
     let all = vec![true; setting.targets.len()];
     let state = iterate(state, setting, &all)?;
     let found = with_covariance(state, setting, &all)?;
-    let near: Vec<bool> = setting
+    let inliers: Vec<bool> = setting
         .targets
         .iter()
         .map(|(t_s, target)| {
-            let carrier = setting.carrier_at(t_s - state.offset_s);
-            carrier.is_some_and(|carrier| !found.is_outlier(&found.residual(&carrier, target)))
+            let carrier_pose = setting.carrier_at(t_s - state.offset_s);
+            carrier_pose.is_some_and(|carrier_pose| {
+                !found.is_outlier(&found.residual(&carrier_pose, target))
+            })
         })
         .collect();
-    let kept = near.iter().filter(|near| **near).count();
-    if (kept as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
+    let retained = inliers.iter().filter(|inliers| **inliers).count();
+    if (retained as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
         return Some(found);
     }
-    let state = iterate(state, setting, &near)?;
-    with_covariance(state, setting, &near)
+    let state = iterate(state, setting, &inliers)?;
+    with_covariance(state, setting, &inliers)
 }
 
 /// Halves each step until the cost decreases under the previous weights.

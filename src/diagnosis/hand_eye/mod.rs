@@ -178,29 +178,29 @@ impl HandEyeDiagnosis {
 }
 
 /// Correlation of the angular speeds over the target's lag, best first.
-pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
+pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, max_lag_s: f64) -> Vec<LagPeak> {
     let window_s = (2.5 * correlation::median_period_s(&target.t_s)).clamp(0.25, 0.6);
     let speed = |series: &PoseSeries| -> SpeedSeries {
         correlation::differenced_speed(&series.t_s, window_s, |a, b| {
             angle_between(&series.poses[a].rotation, &series.poses[b].rotation)
         })
     };
-    correlation::lag_peaks(&speed(hand), &speed(target), most_lag_s)
+    correlation::lag_peaks(&speed(hand), &speed(target), max_lag_s)
 }
 
 /// Estimates time offset, camera pose and closure error.
-pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDiagnosis {
+pub fn diagnose_hand_eye(streams: &HandEyeStreams, max_lag_s: f64) -> HandEyeDiagnosis {
     let HandEyeStreams { hand, target, .. } = *streams;
     if hand.overlap_s(target) <= 0.0 {
         return HandEyeDiagnosis::not_observable(&NotObservable::NoOverlap);
     }
-    let peaks = rotation_lag_peaks(hand, target, most_lag_s);
+    let peaks = rotation_lag_peaks(hand, target, max_lag_s);
     let lags = candidate_lags(&peaks);
     let as_logged = DecodedTarget::as_logged(target, MAX_FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
-    let seen = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
-    let have = seen.count_at(lag_s);
-    let diversity = rotation_diversity(&seen, lag_s);
+    let observed = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
+    let have = observed.count_at(lag_s);
+    let diversity = rotation_diversity(&observed, lag_s);
     let solution = match have {
         MIN_POSES.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
         _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
@@ -253,14 +253,12 @@ fn latency(
     if !best.offset_s.std_error.is_finite() {
         return Err(NotObservable::AtRest);
     }
-    let reading =
-        found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(reading, _)| *reading);
-    let target = DecodedTarget {
-        encoding: reading,
-        ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES)
-    };
-    let apart_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
-    let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > apart_s;
+    let encoding =
+        found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(encoding, _)| *encoding);
+    let target =
+        DecodedTarget { encoding, ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES) };
+    let min_separation_s = (4.0 * correlation::median_period_s(&streams.target.t_s)).max(0.1);
+    let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > min_separation_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
         let other = solve(streams, &target, lag_s)?;
         let is_as_good = other.misfit_rad < MAX_RESIDUAL_RATIO * best.misfit_rad;
@@ -272,7 +270,7 @@ fn latency(
     }
     fitting.push(best.offset_s.value);
     fitting.sort_by(f64::total_cmp);
-    fitting.dedup_by(|a, b| (*a - *b).abs() < apart_s);
+    fitting.dedup_by(|a, b| (*a - *b).abs() < min_separation_s);
     Err(NotObservable::Periodic(fitting))
 }
 

@@ -59,17 +59,17 @@ impl PoseSeries {
         if after_s == t_s {
             return Some(*after);
         }
-        let left = right.checked_sub(1)?;
-        let (before_s, before) = (self.t_s[left], &self.poses[left]);
+        let previous = right.checked_sub(1)?;
+        let (before_s, before) = (self.t_s[previous], &self.poses[previous]);
         let length_s = after_s - before_s;
         if length_s > (10.0 * period_s).max(0.2) {
             return None;
         }
-        let part = (t_s - before_s) / length_s;
+        let fraction = (t_s - before_s) / length_s;
         let turn = rotvec_from_rotation(&(before.rotation.inverse() * after.rotation));
         Some(Pose::from_parts(
-            before.translation.vector.lerp(&after.translation.vector, part).into(),
-            before.rotation * rotation_from_rotvec(turn * part),
+            before.translation.vector.lerp(&after.translation.vector, fraction).into(),
+            before.rotation * rotation_from_rotvec(turn * fraction),
         ))
     }
 }
@@ -89,7 +89,7 @@ pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PosePair {
     /// `base_from_hand` or, for a camera in the base, `hand_from_base`.
-    pub carrier: Pose,
+    pub carrier_pose: Pose,
     /// `camera_from_target`.
     pub target: Pose,
 }
@@ -131,7 +131,7 @@ impl<'a> HandEyeSetting<'a> {
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
-            Some(PosePair { carrier: self.carrier_at(t_s - lag_s)?, target })
+            Some(PosePair { carrier_pose: self.carrier_at(t_s - lag_s)?, target })
         });
         pairs.collect()
     }

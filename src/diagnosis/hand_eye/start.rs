@@ -39,8 +39,10 @@ pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<HandEyeStart
 
 fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart> {
     let rotation = *rotation;
-    let constants: Vec<Rotation> =
-        pairs.iter().map(|pair| pair.carrier.rotation * rotation * pair.target.rotation).collect();
+    let constants: Vec<Rotation> = pairs
+        .iter()
+        .map(|pair| pair.carrier_pose.rotation * rotation * pair.target.rotation)
+        .collect();
     let constant_rotation = medoid_rotation(&constants)?;
     let (camera_xyz, constant_xyz) = translations(pairs, &rotation)?;
     let camera = pose(camera_xyz.into(), rotation);
@@ -50,7 +52,7 @@ fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart
 }
 
 fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
-    let closed = pair.carrier * camera * pair.target;
+    let closed = pair.carrier_pose * camera * pair.target;
     let off_m = (closed.translation.vector - constant.translation.vector).norm();
     combined_rad(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
@@ -60,9 +62,9 @@ fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
     let between = |a: &PosePair, b: &PosePair| {
-        let carrier = a.carrier.rotation.inverse() * b.carrier.rotation;
+        let carrier_pose = a.carrier_pose.rotation.inverse() * b.carrier_pose.rotation;
         let camera = a.target.rotation * b.target.rotation.inverse();
-        (rotvec_from_rotation(&carrier), rotvec_from_rotation(&camera))
+        (rotvec_from_rotation(&carrier_pose), rotvec_from_rotation(&camera))
     };
     let all = strides.into_iter().flat_map(|stride| {
         (0..n.saturating_sub(stride)).map(move |i| between(&pairs[i], &pairs[i + stride]))
@@ -72,9 +74,9 @@ fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
 
 /// Median difference of the rotation angles of carrier and camera, rad, independent of the mount.
 pub(super) fn angle_difference(pairs: &[PosePair]) -> f64 {
-    let mut gaps: Vec<f64> =
+    let mut differences: Vec<f64> =
         relative_rotations(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    median(&mut gaps).unwrap_or(0.0)
+    median(&mut differences).unwrap_or(0.0)
 }
 
 /// Maps camera to carrier rotations. Several candidates if there is only one axis.
@@ -96,18 +98,22 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
             a.min(b) > MIN_ROTATION_SHARE * largest && a.max(b) < MAX_ROTATION_RAD
         })
         .collect();
-    let mut gaps: Vec<f64> = usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
-    let limit = 3.0 * median(&mut gaps).unwrap_or(0.0) + 1e-9;
-    let alike = || usable.iter().filter(|(a, b)| (a.norm() - b.norm()).abs() <= limit);
-    if largest < 1e-6 || alike().count() < 3 {
+    let mut differences: Vec<f64> =
+        usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
+    let limit = 3.0 * median(&mut differences).unwrap_or(0.0) + 1e-9;
+    let inliers = || usable.iter().filter(|(a, b)| (a.norm() - b.norm()).abs() <= limit);
+    if largest < 1e-6 || inliers().count() < 3 {
         return None;
     }
-    let guess = rotation_by_wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
-    let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
-    let limit = 3.0 * median(&mut off).unwrap_or(0.0) + 1e-9;
-    let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
-    let rotation = rotation_by_wahba(&near().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
-    let scatter: Matrix3<f64> = near().map(|(a, _)| a * a.transpose()).sum();
+    let initial =
+        rotation_by_wahba(&inliers().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    let mut deviation: Vec<f64> = inliers().map(|(a, b)| (a - initial * b).norm()).collect();
+    let limit = 3.0 * median(&mut deviation).unwrap_or(0.0) + 1e-9;
+    let inliers_of_initial = || inliers().filter(|(a, b)| (a - initial * b).norm() <= limit);
+    let rotation = rotation_by_wahba(
+        &inliers_of_initial().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>(),
+    );
+    let scatter: Matrix3<f64> = inliers_of_initial().map(|(a, _)| a * a.transpose()).sum();
     let eigen = scatter.symmetric_eigen();
     let first = eigen.eigenvalues.imax();
     let second = (0..3).filter(|&i| i != first).map(|i| eigen.eigenvalues[i]).fold(0.0, f64::max);
@@ -138,10 +144,10 @@ fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)>
     const ROUNDS: usize = 4;
     let rows: Vec<(Matrix3<f64>, Vec3)> = pairs
         .iter()
-        .map(|PosePair { carrier, target }| {
-            let seen = carrier.rotation * (rotation * target.translation.vector);
-            let turned = carrier.rotation.to_rotation_matrix();
-            (*turned.matrix(), -(seen + carrier.translation.vector))
+        .map(|PosePair { carrier_pose, target }| {
+            let observed = carrier_pose.rotation * (rotation * target.translation.vector);
+            let turned = carrier_pose.rotation.to_rotation_matrix();
+            (*turned.matrix(), -(observed + carrier_pose.translation.vector))
         })
         .collect();
     let mut weights = vec![1.0; rows.len()];
@@ -149,10 +155,10 @@ fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)>
     for _ in 0..ROUNDS {
         let (mut turns, mut at_camera, mut at_constant) =
             (Matrix3::zeros(), Vec3::zeros(), Vec3::zeros());
-        for ((turned, seen), &weight) in rows.iter().zip(&weights) {
+        for ((turned, observed), &weight) in rows.iter().zip(&weights) {
             turns += turned * weight;
-            at_camera += turned.tr_mul(seen) * weight;
-            at_constant -= seen * weight;
+            at_camera += turned.tr_mul(observed) * weight;
+            at_constant -= observed * weight;
         }
         let total: f64 = weights.iter().sum();
         let mut normal = Matrix6::from_diagonal_element(total + 1e-9 * rows.len() as f64);
@@ -164,10 +170,15 @@ fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)>
         let solution = normal.cholesky()?.solve(&right);
         camera = solution.fixed_rows::<3>(0).into();
         constant = solution.fixed_rows::<3>(3).into();
-        let off: Vec<f64> =
-            rows.iter().map(|(turned, seen)| (turned * camera - constant - seen).norm()).collect();
-        let scale = median(&mut off.clone()).unwrap_or(0.0).max(1e-9);
-        weights = off.iter().map(|off| 1.0 / (1.0 + (off / (2.0 * scale)).powi(2))).collect();
+        let deviation: Vec<f64> = rows
+            .iter()
+            .map(|(turned, observed)| (turned * camera - constant - observed).norm())
+            .collect();
+        let scale = median(&mut deviation.clone()).unwrap_or(0.0).max(1e-9);
+        weights = deviation
+            .iter()
+            .map(|deviation| 1.0 / (1.0 + (deviation / (2.0 * scale)).powi(2)))
+            .collect();
     }
     Some((camera, constant))
 }

@@ -86,16 +86,18 @@ pub(super) fn better_encoding(
     as_logged: &HandEyeSolution,
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
-    let left = &as_logged.closure;
-    if left.excess_m.value < MAX_CLOSURE_M_RAD.0 && left.excess_rad.value < MAX_CLOSURE_M_RAD.1 {
+    let closure = &as_logged.closure;
+    if closure.excess_m.value < MAX_CLOSURE_M_RAD.0
+        && closure.excess_rad.value < MAX_CLOSURE_M_RAD.1
+    {
         return None;
     }
-    let found = [
+    let best = [
         much_better_scale(streams, as_logged, lag_s),
         alternative_encoding(streams, as_logged, lag_s),
     ];
     let misfit = |one: &(TargetEncoding, HandEyeSolution)| one.1.misfit_rad;
-    found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
+    best.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
 }
 
 fn much_better_scale(
@@ -106,21 +108,19 @@ fn much_better_scale(
     /// Ratio to the logged excess error and to the corrected total.
     const MAX_EXCESS_RATIO: f64 = 0.5;
     let with = |stretch: TargetScaleError| {
-        let reading = TargetEncoding::Scaled(stretch);
-        let read = DecodedTarget {
-            encoding: reading,
-            ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES)
-        };
-        Some((reading, solve(streams, &read, lag_s)?))
+        let encoding = TargetEncoding::Scaled(stretch);
+        let decoded =
+            DecodedTarget { encoding, ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES) };
+        Some((encoding, solve(streams, &decoded, lag_s)?))
     };
     let at = |one: &HandEyeSolution| estimate_scale_error(streams, one.mount, one.offset_s.value);
     // A large scale error biases the time offset, so repeat at the corrected one.
     let (_, first) = with(at(as_logged)?)?;
-    let (reading, solution) = with(at(&first)?)?;
-    let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
+    let (encoding, solution) = with(at(&first)?)?;
+    let (excess_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
     let closes =
-        left_m < MAX_EXCESS_RATIO * was_m && left_m < MAX_EXCESS_RATIO * solution.closure.rms_m;
-    closes.then_some((reading, solution))
+        excess_m < MAX_EXCESS_RATIO * was_m && excess_m < MAX_EXCESS_RATIO * solution.closure.rms_m;
+    closes.then_some((encoding, solution))
 }
 
 fn alternative_encoding(
@@ -128,40 +128,41 @@ fn alternative_encoding(
     as_logged: &HandEyeSolution,
     lag_s: f64,
 ) -> Option<(TargetEncoding, HandEyeSolution)> {
-    let plain = closure_error_with(streams, TargetEncoding::AsLogged, lag_s)?;
+    let logged_misfit = closure_error_with(streams, TargetEncoding::AsLogged, lag_s)?;
     let mut tried: Vec<(f64, TargetEncoding)> = candidates(streams, lag_s)
         .into_iter()
-        .filter_map(|reading| Some((closure_error_with(streams, reading, lag_s)?, reading)))
+        .filter_map(|encoding| Some((closure_error_with(streams, encoding, lag_s)?, encoding)))
         .collect();
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (misfit, reading) = *tried.first()?;
-    if misfit > MAX_RESIDUAL_RATIO * plain {
+    let (misfit, encoding) = *tried.first()?;
+    if misfit > MAX_RESIDUAL_RATIO * logged_misfit {
         return None;
     }
     let stride = streams.target.t_s.len().div_ceil(MAX_FIT_POSES).max(1);
-    let read = DecodedTarget { series: streams.target, encoding: reading, stride };
-    let solution = solve(streams, &read, lag_s)?;
+    let decoded = DecodedTarget { series: streams.target, encoding, stride };
+    let solution = solve(streams, &decoded, lag_s)?;
     let closes = |a: &HandEyeSolution, b: &HandEyeSolution| {
         let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
         let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
-        let far_better = a.closure.rms_m < MAX_RESIDUAL_RATIO * b.closure.rms_m
+        let is_far_better = a.closure.rms_m < MAX_RESIDUAL_RATIO * b.closure.rms_m
             || a.closure.rms_rad < MAX_RESIDUAL_RATIO * b.closure.rms_rad;
-        m && rad && far_better
+        m && rad && is_far_better
     };
-    closes(&solution, as_logged).then_some((reading, solution))
+    closes(&solution, as_logged).then_some((encoding, solution))
 }
 
 /// Uses the better mounting.
 fn closure_error_with(
     streams: &HandEyeStreams,
-    reading: TargetEncoding,
+    encoding: TargetEncoding,
     lag_s: f64,
 ) -> Option<f64> {
-    let read = decoded_with(streams, reading);
+    let decoded = decoded_with(streams, encoding);
     let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
         Some(
             solve_closed_form_quick(
-                &HandEyeSetting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, MAX_POSES),
+                &HandEyeSetting::new(streams.hand, decoded.poses(), mount)
+                    .pairs_at(lag_s, MAX_POSES),
             )?
             .misfit,
         )
@@ -169,9 +170,9 @@ fn closure_error_with(
     misfits.min_by(f64::total_cmp)
 }
 
-fn decoded_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetEncoding) -> DecodedTarget<'a> {
+fn decoded_with<'a>(streams: &HandEyeStreams<'a>, encoding: TargetEncoding) -> DecodedTarget<'a> {
     let stride = streams.target.t_s.len().div_ceil(MAX_POSES).max(1);
-    DecodedTarget { series: streams.target, encoding: reading, stride }
+    DecodedTarget { series: streams.target, encoding, stride }
 }
 
 /// If the rotation angles match the hand's, only angle-preserving encodings; otherwise only those that make
@@ -181,14 +182,14 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     const MAX_ANGLE_DIFFERENCE_RAD: f64 = 0.03;
     /// That improve the angles.
     const MAX_ENCODINGS: usize = 6;
-    let gap = |reading| {
-        let read = decoded_with(streams, reading);
+    let difference_of = |encoding| {
+        let decoded = decoded_with(streams, encoding);
         angle_difference(
-            &HandEyeSetting::new(streams.hand, read.poses(), CameraMount::InHand)
+            &HandEyeSetting::new(streams.hand, decoded.poses(), CameraMount::InHand)
                 .pairs_at(lag_s, MAX_POSES / 2),
         )
     };
-    let as_logged = gap(TargetEncoding::AsLogged);
+    let as_logged = difference_of(TargetEncoding::AsLogged);
     if as_logged < MAX_ANGLE_DIFFERENCE_RAD {
         let mut same_angles = vec![
             TargetEncoding::Transposed,
@@ -198,15 +199,15 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
         same_angles.extend(signed_permutations().map(TargetEncoding::Axes));
         return same_angles;
     }
-    let mut gaps: Vec<(f64, TargetEncoding)> = misinterpretation_classes()
+    let mut differences: Vec<(f64, TargetEncoding)> = misinterpretation_classes()
         .iter()
         .map(TargetEncoding::Misinterpreted)
-        .map(|reading| (gap(reading), reading))
-        .filter(|(gap, _)| *gap < MAX_RESIDUAL_RATIO * as_logged)
+        .map(|encoding| (difference_of(encoding), encoding))
+        .filter(|(difference_of, _)| *difference_of < MAX_RESIDUAL_RATIO * as_logged)
         .collect();
-    gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
-    gaps.truncate(MAX_ENCODINGS);
-    gaps.into_iter().map(|(_, reading)| reading).collect()
+    differences.sort_by(|a, b| a.0.total_cmp(&b.0));
+    differences.truncate(MAX_ENCODINGS);
+    differences.into_iter().map(|(_, encoding)| encoding).collect()
 }
 
 /// All 47 others, including left-handed ones.

@@ -88,14 +88,14 @@ pub(super) fn estimate_scale_error(
     let measured = |value: f64, std_error: f64| Measured { value, std_error, dof: chosen.dof };
     let size = measured(1.0 / all, all_error / (all * all));
     let depth = measured(all / (all + more), more_error * all / (all + more).powi(2));
-    let is_sure = |one: &Measured| {
+    let is_precise = |one: &Measured| {
         one.value.is_finite()
             && one.value > 0.0
             && (one.value - 1.0).abs() > (MIN_STD_ERRORS * one.std_error).max(MIN_DEVIATION)
     };
     let found = TargetScaleError {
-        size: Some(size).filter(|one| has_size && is_sure(one)),
-        depth: Some(depth).filter(|one| has_depth && is_sure(one)),
+        size: Some(size).filter(|one| has_size && is_precise(one)),
+        depth: Some(depth).filter(|one| has_depth && is_precise(one)),
         along,
         is_either,
     };
@@ -113,19 +113,20 @@ fn solve_with_factors(
     let columns: Vec<usize> = (0..SIZE_COLUMN).chain(free.iter().copied()).collect();
     let rows: Vec<(DMatrix<f64>, Vec3)> = pairs
         .iter()
-        .map(|PosePair { carrier, target }| {
-            let turned = carrier.rotation.to_rotation_matrix();
-            let seen = target.translation.vector;
-            let deep = Vec3::ith(along, seen[along]);
-            let [seen, deep] = [seen, deep].map(|xyz| carrier.rotation * (rotation * xyz));
+        .map(|PosePair { carrier_pose, target }| {
+            let turned = carrier_pose.rotation.to_rotation_matrix();
+            let observed = target.translation.vector;
+            let deep = Vec3::ith(along, observed[along]);
+            let [observed, deep] =
+                [observed, deep].map(|xyz| carrier_pose.rotation * (rotation * xyz));
             let mut row = DMatrix::zeros(3, WIDTH);
             row.view_mut((0, 0), (3, 3)).copy_from(turned.matrix());
             row.view_mut((0, 3), (3, 3)).copy_from(&-Matrix3::identity());
-            row.view_mut((0, SIZE_COLUMN), (3, 1)).copy_from(&seen);
+            row.view_mut((0, SIZE_COLUMN), (3, 1)).copy_from(&observed);
             row.view_mut((0, DEPTH_COLUMN), (3, 1)).copy_from(&deep);
-            let mut right = -carrier.translation.vector;
+            let mut right = -carrier_pose.translation.vector;
             if !free.contains(&SIZE_COLUMN) {
-                right -= seen;
+                right -= observed;
             }
             (row.select_columns(&columns), right)
         })
@@ -133,7 +134,7 @@ fn solve_with_factors(
     let width = columns.len();
     let mut weights = vec![1.0; rows.len()];
     let mut found = DVector::zeros(width);
-    let (mut inverse, mut left_m) = (DMatrix::zeros(width, width), f64::INFINITY);
+    let (mut inverse, mut residual_m) = (DMatrix::zeros(width, width), f64::INFINITY);
     for _ in 0..ROUNDS {
         let (mut normal, mut right) = (DMatrix::zeros(width, width), DVector::zeros(width));
         for ((row, value), &weight) in rows.iter().zip(&weights) {
@@ -145,23 +146,20 @@ fn solve_with_factors(
         }
         inverse = normal.cholesky()?.inverse();
         found = &inverse * right;
-        let off: Vec<f64> = rows.iter().map(|(row, value)| (row * &found - value).norm()).collect();
-        left_m = median(&mut off.clone())?;
-        let scale = (2.0 * left_m).max(1e-9);
-        weights = off.iter().map(|off| 1.0 / (1.0 + (off / scale).powi(2))).collect();
+        let deviation: Vec<f64> =
+            rows.iter().map(|(row, value)| (row * &found - value).norm()).collect();
+        residual_m = median(&mut deviation.clone())?;
+        let scale = (2.0 * residual_m).max(1e-9);
+        weights =
+            deviation.iter().map(|deviation| 1.0 / (1.0 + (deviation / scale).powi(2))).collect();
     }
     // The median length of three normal components is 1.5382 standard deviations.
-    let sigma_m = left_m / 1.5382;
+    let sigma_m = residual_m / 1.5382;
     let of = |column: usize, fixed: f64| match columns.iter().position(|&own| own == column) {
         Some(at) => (found[at], sigma_m * inverse[(at, at)].max(0.0).sqrt()),
         None => (fixed, 0.0),
     };
     let ((all, all_error), (more, more_error)) = (of(SIZE_COLUMN, 1.0), of(DEPTH_COLUMN, 0.0));
     let dof = (3 * rows.len()).saturating_sub(width).max(3) as f64;
-    Some(ScaleFit {
-        factors: [all, more],
-        errors: [all_error, more_error],
-        residual_m: left_m,
-        dof,
-    })
+    Some(ScaleFit { factors: [all, more], errors: [all_error, more_error], residual_m, dof })
 }

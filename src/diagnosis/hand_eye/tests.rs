@@ -39,11 +39,11 @@ impl Planted {
 
     fn seen_at(&self, t_s: f64) -> Pose {
         let hand = hand_at(t_s, self.axes);
-        let carrier = match self.mount {
+        let carrier_pose = match self.mount {
             CameraMount::InHand => hand,
             CameraMount::InBase => hand.inverse(),
         };
-        (carrier * self.camera).inverse() * self.constant
+        (carrier_pose * self.camera).inverse() * self.constant
     }
 
     fn streams(&self) -> (PoseSeries, PoseSeries) {
@@ -54,18 +54,18 @@ impl Planted {
             PoseSeries { poses: t_s.iter().map(|&t_s| hand_at(t_s, self.axes)).collect(), t_s };
         let t_s: Vec<f64> = (0..580).map(|i| 0.2 + i as f64 / 30.0).collect();
         let every = (1.0 / self.outliers.max(1e-9)) as usize;
-        let seen = t_s.iter().enumerate().map(|(i, &t_s)| {
+        let observed = t_s.iter().enumerate().map(|(i, &t_s)| {
             let mut noise = || Vec3::new(normal(), normal(), normal());
-            let mut seen = self.seen_at(t_s - self.offset_s);
-            seen.translation.vector += self.sigma[0] * noise();
-            seen.rotation *= rotation_from_rotvec(self.sigma[1] * noise());
+            let mut observed = self.seen_at(t_s - self.offset_s);
+            observed.translation.vector += self.sigma[0] * noise();
+            observed.rotation *= rotation_from_rotvec(self.sigma[1] * noise());
             if i % every == every / 2 {
-                seen.translation.vector += 0.2 * noise();
-                seen.rotation *= rotation_from_rotvec(0.6 * noise());
+                observed.translation.vector += 0.2 * noise();
+                observed.rotation *= rotation_from_rotvec(0.6 * noise());
             }
-            seen
+            observed
         });
-        let poses = seen.collect();
+        let poses = observed.collect();
         (hand, PoseSeries { t_s, poses })
     }
 }
@@ -124,8 +124,8 @@ fn the_errors_of_the_camera_are_honest() {
     for seed in 0..runs {
         let planted = Planted { seed, ..Planted::new(CameraMount::InHand) };
         let camera = diagnosis(&planted).solution.expect("it can be solved").camera;
-        let off = planted.camera.inverse() * camera.pose;
-        let shift = off.translation.vector;
+        let deviation = planted.camera.inverse() * camera.pose;
+        let shift = deviation.translation.vector;
         covered +=
             (0..3).filter(|&i| shift[i].abs() < 1.96 * camera.translation_error_m[i]).count();
     }
@@ -183,23 +183,31 @@ fn other_readings_are_told() {
         reading
     };
     for mount in CameraMount::ALL {
-        let turned = read(mount, &|seen| {
-            pose([seen.translation.z, -seen.translation.x, -seen.translation.y], seen.rotation)
+        let turned = read(mount, &|observed| {
+            pose(
+                [observed.translation.z, -observed.translation.x, -observed.translation.y],
+                observed.rotation,
+            )
         });
         let TargetEncoding::Axes(axes) = turned else { panic!("{turned:?}") };
         assert_eq!(axes, [(1, -1.0), (2, -1.0), (0, 1.0)]);
-        let transposed =
-            read(mount, &|seen| Pose::from_parts(seen.translation, seen.rotation.inverse()));
+        let transposed = read(mount, &|observed| {
+            Pose::from_parts(observed.translation, observed.rotation.inverse())
+        });
         assert!(matches!(transposed, TargetEncoding::Transposed), "{transposed:?}");
-        let small =
-            read(mount, &|seen| pose((seen.translation.vector * 0.9).into(), seen.rotation));
+        let small = read(mount, &|observed| {
+            pose((observed.translation.vector * 0.9).into(), observed.rotation)
+        });
         let TargetEncoding::Scaled(TargetScaleError { size: Some(size), depth: None, .. }) = small
         else {
             panic!("{small:?}")
         };
         assert!((size.value - 0.9).abs() < 0.01, "{size:?}");
-        let shallow = read(mount, &|seen| {
-            pose([seen.translation.x, seen.translation.y, 0.9 * seen.translation.z], seen.rotation)
+        let shallow = read(mount, &|observed| {
+            pose(
+                [observed.translation.x, observed.translation.y, 0.9 * observed.translation.z],
+                observed.rotation,
+            )
         });
         let TargetEncoding::Scaled(TargetScaleError { size: None, depth: Some(depth), .. }) =
             shallow
@@ -243,14 +251,14 @@ fn nothing_to_see_is_said_and_never_a_number() {
 fn a_mount_that_is_off_is_measured() {
     let planted = Planted::new(CameraMount::InBase);
     let (hand, target) = planted.streams();
-    let off = pose([0.0, 0.006, 0.0], rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.02)));
-    let logged = Some((CameraMount::InBase, planted.camera * off.inverse()));
+    let deviation = pose([0.0, 0.006, 0.0], rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.02)));
+    let logged = Some((CameraMount::InBase, planted.camera * deviation.inverse()));
     let streams = HandEyeStreams { hand: &hand, target: &target, stamp_error_s: 0.0, logged };
     let error = diagnose_hand_eye(&streams, 2.0).mount_error.expect("a logged camera pose");
     assert!((error.translation_m.value - 0.006).abs() < 5e-4, "{error:?}");
     assert!((error.rotation_rad.value - 0.02).abs() < 1e-3, "{error:?}");
     assert!(error.p_value < 1e-6);
-    let other = HandEyeStreams { logged: Some((CameraMount::InHand, off)), ..streams };
+    let other = HandEyeStreams { logged: Some((CameraMount::InHand, deviation)), ..streams };
     assert!(diagnose_hand_eye(&other, 2.0).mount_error.is_none());
 }
 
@@ -259,7 +267,7 @@ fn a_wrong_focal_length_is_in_the_scale_of_depth() {
     for factor in [1.0, 1.03, 0.97] {
         let (hand, mut target) = Planted::new(CameraMount::InHand).streams();
         let along = Vec3::from(series::mean_direction(&target)).iamax();
-        target.poses.iter_mut().for_each(|seen| seen.translation.vector[along] *= factor);
+        target.poses.iter_mut().for_each(|observed| observed.translation.vector[along] *= factor);
         let scale = diagnosed(&hand, &target).solution.expect("it can be solved").scale;
         assert_eq!(scale.along, along);
         let depth = scale.depth;

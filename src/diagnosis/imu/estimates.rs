@@ -34,7 +34,7 @@ pub struct GyroBias {
     /// Drift of yaw integrated from this gyro, about the base's z.
     pub yaw_rate_rad_s: f64,
     /// Scale and misalignment, if significant; not included in the bias.
-    pub shape: Option<GyroScaleError>,
+    pub scale_error: Option<GyroScaleError>,
     /// Change within the run, if significant. `vector_rad_s` is then the larger value.
     pub change: Option<GyroBiasChange>,
 }

@@ -25,7 +25,7 @@ pub(super) struct ExtensionTests<'a> {
     robust_weights: Vec<f64>,
     floor: f64,
     /// Residual sum of squares of the base model.
-    pub squares: f64,
+    pub residual_squares: f64,
 }
 
 /// Extension and its residual.
@@ -36,7 +36,7 @@ pub(super) struct ModelExtension {
     /// 95 % interval.
     pub interval_s: [f64; 2],
     /// Residual sum of squares.
-    pub squares: f64,
+    pub residual_squares: f64,
     /// Reduction of the residual, in variances of independent noise.
     gain: f64,
 }
@@ -55,11 +55,11 @@ impl<'a> ExtensionTests<'a> {
         let residual = &linear.residual[0];
         let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
         let norm = |r: &[f64; 3]| r.iter().map(|c| c * c).sum::<f64>().sqrt();
-        let counts = residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
+        let robust_weights = residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
         let base = base.to_vec();
-        let mut asked = Self { linear, t_s, base, robust_weights: counts, floor, squares: 0.0 };
-        asked.squares = asked.residual_squares(&[], &[]).0;
-        asked
+        let mut tests = Self { linear, t_s, base, robust_weights, floor, residual_squares: 0.0 };
+        tests.residual_squares = tests.residual_squares(&[], &[]).0;
+        tests
     }
 
     fn len(&self) -> usize {
@@ -75,20 +75,19 @@ impl<'a> ExtensionTests<'a> {
     pub fn step(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let side_s = MIN_SIDE_SHARE * (last - first);
-        let course = PrefixSums::new(self, columns);
-        let at =
-            |at_s: f64| course.residual_with_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
+        let sums = PrefixSums::new(self, columns);
+        let at = |at_s: f64| sums.residual_with_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
         let (from_s, to_s) = (first + side_s, last - side_s);
-        let moment = |k: usize, from_s: f64, to_s: f64| {
+        let link_state = |k: usize, from_s: f64, to_s: f64| {
             from_s + (to_s - from_s) * k as f64 / (CHANGE_POINT_CANDIDATES - 1) as f64
         };
         let mut best_s =
-            best_candidate((0..CHANGE_POINT_CANDIDATES).map(|k| moment(k, from_s, to_s)), at)?;
+            best_candidate((0..CHANGE_POINT_CANDIDATES).map(|k| link_state(k, from_s, to_s)), at)?;
         let mut around_s = 1.5 * (to_s - from_s) / CHANGE_POINT_CANDIDATES as f64;
         for _ in 0..2 {
-            let near = (0..CHANGE_POINT_CANDIDATES)
-                .map(|k| moment(k, best_s - around_s, best_s + around_s));
-            best_s = best_candidate(near, at)?;
+            let candidates = (0..CHANGE_POINT_CANDIDATES)
+                .map(|k| link_state(k, best_s - around_s, best_s + around_s));
+            best_s = best_candidate(candidates, at)?;
             around_s *= 4.0 / CHANGE_POINT_CANDIDATES as f64;
         }
         let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
@@ -96,38 +95,38 @@ impl<'a> ExtensionTests<'a> {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
-        let mut better = self.best_extension(columns, &[weight])?;
+        let mut extension = self.best_extension(columns, &[weight])?;
         // 95 % likelihood region.
-        let as_good = better.squares + 3.84 * self.variance(&better);
+        let limit = extension.residual_squares + 3.84 * self.variance(&extension);
         let end = |sign: f64| {
             let mut step_s = 1.5 * (last - first) / self.len() as f64;
             let mut end_s = best_s;
-            while at(end_s + sign * step_s) < as_good && step_s < last - first {
+            while at(end_s + sign * step_s) < limit && step_s < last - first {
                 end_s += sign * step_s;
                 step_s *= 1.5;
             }
             end_s + sign * step_s
         };
-        (better.at_s, better.interval_s) = (best_s, [end(-1.0), end(1.0)]);
-        Some(better)
+        (extension.at_s, extension.interval_s) = (best_s, [end(-1.0), end(1.0)]);
+        Some(extension)
     }
 
     /// Tests for an exponential decay of `columns` from the start; `at_s` is the time constant.
     pub fn decay(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let span_s = last - first;
-        let course = PrefixSums::new(self, columns);
-        let left = |tau_s: f64, pieces: usize| {
-            course.residual_with_weight(pieces, |t_s| (-(t_s - first) / tau_s).exp())
+        let sums = PrefixSums::new(self, columns);
+        let residual = |tau_s: f64, pieces: usize| {
+            sums.residual_with_weight(pieces, |t_s| (-(t_s - first) / tau_s).exp())
         };
         let taus = (0..CHANGE_POINT_CANDIDATES)
             .map(|k| span_s * 0.03 * 33f64.powf(k as f64 / CHANGE_POINT_CANDIDATES as f64));
-        let tau_s = best_candidate(taus, |tau_s| left(tau_s, COARSE_PIECES))?;
+        let tau_s = best_candidate(taus, |tau_s| residual(tau_s, COARSE_PIECES))?;
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
-        let tau_s = best_candidate(finer, |tau_s| left(tau_s, self.len()))?;
+        let tau_s = best_candidate(finer, |tau_s| residual(tau_s, self.len()))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
-        let better = self.best_extension(columns, &[weight])?;
-        Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..better })
+        let extension = self.best_extension(columns, &[weight])?;
+        Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..extension })
     }
 
     /// Best extension by `columns`, each scaled by one of `weights` (one value per sample).
@@ -136,20 +135,21 @@ impl<'a> ExtensionTests<'a> {
         columns: &[usize],
         weights: &[Vec<f64>],
     ) -> Option<ModelExtension> {
-        let (squares, parameters) = self.residual_squares(columns, weights);
-        let mut better = ModelExtension { at_s: 0.0, interval_s: [0.0; 2], squares, gain: 0.0 };
+        let (residual_squares, parameters) = self.residual_squares(columns, weights);
+        let mut extension =
+            ModelExtension { at_s: 0.0, interval_s: [0.0; 2], residual_squares, gain: 0.0 };
         let residual = self.residual(columns, weights, &parameters);
         let noise = Noise::estimate(&residual, &self.robust_weights, self.floor);
         let dof = (3 * self.len()) as f64 - parameters.len() as f64;
-        let least = self.floor.powi(2);
-        let variance = (squares / dof).max(least) * noise.inflation().max(1.0);
-        better.gain = (self.squares - squares) / variance;
-        better.gain.is_finite().then_some(better)
+        let min_variance = self.floor.powi(2);
+        let variance = (residual_squares / dof).max(min_variance) * noise.inflation().max(1.0);
+        extension.gain = (self.residual_squares - residual_squares) / variance;
+        extension.gain.is_finite().then_some(extension)
     }
 
     /// Variance of independent noise.
-    fn variance(&self, better: &ModelExtension) -> f64 {
-        (self.squares - better.squares) / better.gain.max(f64::MIN_POSITIVE)
+    fn variance(&self, extension: &ModelExtension) -> f64 {
+        (self.residual_squares - extension.residual_squares) / extension.gain.max(f64::MIN_POSITIVE)
     }
 
     /// Also returns the parameters: the base, then `columns` for each set of weights.
@@ -175,15 +175,15 @@ impl<'a> ExtensionTests<'a> {
         columns: &[usize],
         weights: &[Vec<f64>],
     ) {
-        let own = self.linear.row(sample, axis);
-        let (base, beside) = row.split_at_mut(self.base.len());
-        base.iter_mut().zip(&self.base).for_each(|(value, &column)| *value = own[column]);
+        let design_row = self.linear.row(sample, axis);
+        let (base, added) = row.split_at_mut(self.base.len());
+        base.iter_mut().zip(&self.base).for_each(|(value, &column)| *value = design_row[column]);
         let by_weight = weights
             .iter()
-            .flat_map(|weight| columns.iter().map(|&column| weight[sample] * own[column]));
+            .flat_map(|weight| columns.iter().map(|&column| weight[sample] * design_row[column]));
         let residual = self.linear.residual[0][sample][axis];
         let all = by_weight.chain([residual]);
-        beside.iter_mut().zip(all).for_each(|(value, derivative)| *value = derivative);
+        added.iter_mut().zip(all).for_each(|(value, derivative)| *value = derivative);
     }
 
     fn residual(
@@ -211,20 +211,20 @@ struct PrefixSums<'a> {
 }
 
 impl<'a> PrefixSums<'a> {
-    fn new(asked: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
-        let width = asked.base.len() + columns.len();
-        let always = [vec![1.0; asked.len()]];
+    fn new(tests: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
+        let width = tests.base.len() + columns.len();
+        let always = [vec![1.0; tests.len()]];
         let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);
         let mut sums = Triangle::zeros(width + 1);
         let mut before = vec![sums.clone()];
-        for sample in 0..asked.len() {
+        for sample in 0..tests.len() {
             for (axis, row) in rows.iter_mut().enumerate() {
-                asked.fill(row, sample, axis, columns, &always);
+                tests.fill(row, sample, axis, columns, &always);
             }
-            sums.add_squares([&rows[0], &rows[1], &rows[2]], asked.robust_weights[sample]);
+            sums.add_squares([&rows[0], &rows[1], &rows[2]], tests.robust_weights[sample]);
             before.push(sums.clone());
         }
-        Self { tests: asked, others: columns.len(), before }
+        Self { tests, others: columns.len(), before }
     }
 
     fn residual_with_step(&self, from: usize) -> f64 {
@@ -234,31 +234,31 @@ impl<'a> PrefixSums<'a> {
     }
 
     /// `course(t)` is approximated as constant over each piece.
-    fn residual_with_weight(&self, pieces: usize, course: impl Fn(f64) -> f64) -> f64 {
+    fn residual_with_weight(&self, pieces: usize, weight_at: impl Fn(f64) -> f64) -> f64 {
         let samples = self.tests.len();
-        let mut once = Triangle::zeros(self.tests.base.len() + self.others + 1);
-        let mut twice = once.clone();
+        let mut single = Triangle::zeros(self.tests.base.len() + self.others + 1);
+        let mut double = single.clone();
         let pieces = pieces.min(samples);
         for piece in 0..pieces {
             let (from, to) = (piece * samples / pieces, (piece + 1) * samples / pieces);
-            let weight = course(self.tests.t_s[(from + to) / 2]);
-            for (sums, by) in [(&mut once, weight), (&mut twice, weight * weight)] {
+            let weight = weight_at(self.tests.t_s[(from + to) / 2]);
+            for (sums, by) in [(&mut single, weight), (&mut double, weight * weight)] {
                 sums.add_scaled(&self.before[to], by);
                 sums.add_scaled(&self.before[from], -by);
             }
         }
-        self.residual_squares(&once, &twice)
+        self.residual_squares(&single, &double)
     }
 
     /// `once` holds products of base and additional parameters, `twice` those of two additional ones.
-    fn residual_squares(&self, once: &Triangle, twice: &Triangle) -> f64 {
+    fn residual_squares(&self, single: &Triangle, double: &Triangle) -> f64 {
         let base = self.tests.base.len();
         let width = base + self.others;
         let is_other = |i: usize| (base..width).contains(&i);
         solve_sums(width, |i, j| match (is_other(i), is_other(j)) {
             (false, false) => self.before[self.tests.len()].at(i, j),
-            (true, true) => twice.at(i, j),
-            _ => once.at(i, j),
+            (true, true) => double.at(i, j),
+            _ => single.at(i, j),
         })
         .0
     }
@@ -275,7 +275,10 @@ fn solve_sums(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector
     ((sums(width, width) - normal.right.dot(&parameters)).max(0.0), parameters)
 }
 
-fn best_candidate(candidates: impl Iterator<Item = f64>, left: impl Fn(f64) -> f64) -> Option<f64> {
-    let all = candidates.map(|candidate| (candidate, left(candidate)));
+fn best_candidate(
+    candidates: impl Iterator<Item = f64>,
+    residual: impl Fn(f64) -> f64,
+) -> Option<f64> {
+    let all = candidates.map(|candidate| (candidate, residual(candidate)));
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(candidate, _)| candidate)
 }

@@ -10,8 +10,8 @@ mod changes;
 use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::{
-    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block, explains,
-    mount_of, rms, turned_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block,
+    check_explained, mount_of, rms, rotated_noise,
 };
 use crate::latency::correlation::median_period_s;
 use crate::latency::profile::{LatencySample, fit_profile};
@@ -51,8 +51,8 @@ impl GyroFit {
     pub fn rotation_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
-        let turned = rotvec_from_rotation(&imu_from_gyro);
-        let size_rad = self.solved.least_length(&mount, turned.as_slice()).ok()?;
+        let rotation = rotvec_from_rotation(&imu_from_gyro);
+        let size_rad = self.solved.observable_length(&mount, rotation.as_slice()).ok()?;
         Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
 }
@@ -60,7 +60,7 @@ impl GyroFit {
 impl Link<'_> {
     pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> EstimateResult<GyroFit> {
         let is_zero = self.stream.track.gyro.iter().all(|gyro| *gyro == Vec3::zeros());
-        if is_zero && self.turning_rad(&self.delay(lag_s)) > MIN_ROTATION_RAD {
+        if is_zero && self.rotation_rms_rad(&self.delay(lag_s)) > MIN_ROTATION_RAD {
             return Err(NotObservable::NoGyro);
         }
         let period_s = median_period_s(&self.stream.track.t_s);
@@ -84,13 +84,13 @@ impl Link<'_> {
             });
         }
         let mut free: Vec<usize> = GyroModel::BIAS.collect();
-        let mut clock = Clock::unseen(&NotObservable::AtRest);
+        let mut clock = Clock::not_observable(&NotObservable::AtRest);
         if moves {
             free.extend(GyroModel::MOUNT);
             clock = model.fit_delay(&free);
         }
         let mut solved = solve(&mut model, &free);
-        while model.is_made_of_shared_ends() {
+        while model.is_dominated_by_shared_ends() {
             window_s *= 2.0;
             let windows = self.windows(window_s, &model.delay);
             if windows.len() < MIN_FIT_SAMPLES {
@@ -100,8 +100,8 @@ impl Link<'_> {
             solved = solve(&mut model, &free);
         }
         for _ in 0..MAX_CHANGES {
-            let Some(changed) = model.with_best_change(moves) else { break };
-            model = changed;
+            let Some(with_change) = model.with_best_change(moves) else { break };
+            model = with_change;
             free.extend(
                 model
                     .change_parameters()
@@ -113,26 +113,26 @@ impl Link<'_> {
             }
             solved = solve(&mut model, &free);
         }
-        let mut shape = None;
+        let mut scale_error = None;
         if moves {
-            let mut shaped = GyroModel { has_scale_error: true, ..model.clone() };
-            let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
-            let with_shape = solve(&mut shaped, &all);
-            if shaped.has_significant_scale_error(&with_shape) {
+            let mut with_scale_error = GyroModel { has_scale_error: true, ..model.clone() };
+            let all: Vec<usize> = free.iter().copied().chain(GyroModel::SCALE_ERROR).collect();
+            let with_shape = solve(&mut with_scale_error, &all);
+            if with_scale_error.has_significant_scale_error(&with_shape) {
                 // A neglected shape biases the skew, so the delay is fitted again.
-                clock = shaped.fit_delay(&all);
-                solved = solve(&mut shaped, &all);
-                model = shaped;
-                shape = model.estimate_scale_error(&solved);
+                clock = with_scale_error.fit_delay(&all);
+                solved = solve(&mut with_scale_error, &all);
+                model = with_scale_error;
+                scale_error = model.estimate_scale_error(&solved);
             }
         }
-        if self.turning_rad(&model.delay) > MIN_ROTATION_RAD {
-            explains(model.mean_rate_rad_s(), rms(lengths(&model.linearize())))?;
+        if self.rotation_rms_rad(&model.delay) > MIN_ROTATION_RAD {
+            check_explained(model.mean_rate_rad_s(), rms(lengths(&model.linearize())))?;
         }
         Ok(GyroFit {
             clock,
             delay: model.delay,
-            bias: model.bias(&solved, shape),
+            bias: model.bias(&solved, scale_error),
             latency_profile: match moves {
                 true => fit_profile(
                     &model.latency_samples(),
@@ -156,14 +156,15 @@ impl Link<'_> {
             return logged;
         }
         let track = self.stream.track;
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         let mut correlation = Matrix3::zeros();
         for k in (0..track.t_s.len()).step_by(self.stride()) {
             if self.numbers.saturates(&track.gyro[k]) {
                 continue;
             }
-            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
-                correlation += moment.rotation.inverse() * moment.rate * track.gyro[k].transpose();
+            if let Some(link_state) = self.at(track.t_s[k] - lag_s, &mut buffers) {
+                correlation +=
+                    link_state.rotation.inverse() * link_state.rate * track.gyro[k].transpose();
             }
         }
         mount_of(&correlation, &logged)
@@ -183,11 +184,11 @@ impl Link<'_> {
                 start = k;
             }
         }
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         windows.retain(|window| {
             [*window.start(), *window.end()]
                 .into_iter()
-                .all(|k| self.at(delay.truth_s(t_s[k]), &mut sweep).is_some())
+                .all(|k| self.at(delay.truth_s(t_s[k]), &mut buffers).is_some())
         });
         let stride = windows.len().div_ceil(MAX_WINDOWS).max(1);
         windows.into_iter().step_by(stride).collect()
@@ -217,7 +218,7 @@ struct IntegratedRotation {
     /// Derivative, about axes at the last sample, by a constant rate change.
     by_rate: Matrix3<f64>,
     /// Derivative by each entry of the shape, with the sign of the rate's error.
-    by_shape: [Vec3; 6],
+    by_scale_error: [Vec3; 6],
     /// At the first and last sample, rad/s.
     rates: [Vec3; 2],
     duration_s: f64,
@@ -227,7 +228,7 @@ impl<'a> GyroModel<'a> {
     const LATENCY: usize = 0;
     const MOUNT: std::ops::Range<usize> = 1..4;
     const BIAS: std::ops::Range<usize> = 4..7;
-    const SHAPE: std::ops::Range<usize> = 7..13;
+    const SCALE_ERROR: std::ops::Range<usize> = 7..13;
     const SKEW: usize = 13;
     const CHANGE: std::ops::Range<usize> = 14..17;
     const SLIP: std::ops::Range<usize> = 17..20;
@@ -239,11 +240,11 @@ impl<'a> GyroModel<'a> {
         /// Long enough to average joint velocity noise, short relative to the motion.
         const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
-        let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
-        let mut sweep = self.link.sweep();
+        let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
+        let mut buffers = self.link.buffers();
         let mut rate_at = |t_s: f64| {
-            let moment = self.link.at(t_s, &mut sweep)?;
-            Some((moment.rotation.inverse() * moment.rate, moment.rate_noise))
+            let link_state = self.link.at(t_s, &mut buffers)?;
+            Some((link_state.rotation.inverse() * link_state.rate, link_state.rate_noise))
         };
         let rows = (0..track.t_s.len()).step_by(self.link.stride());
         let rows = rows.filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
@@ -254,10 +255,10 @@ impl<'a> GyroModel<'a> {
             let ((before, _), (rate, rate_noise), (after, _)) = (before?, rate?, after?);
             let change = (after - before) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
-            let is = self.mount_at(at_s) * (undo * (track.gyro[k] - self.bias_at(at_s)));
+            let measured = self.mount_at(at_s) * (unscale * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
-                residual: [Vec3::zeros(), is - rate],
+                residual: [Vec3::zeros(), measured - rate],
                 velocity: [Vec3::zeros(), change],
                 loads: [0.0; 2],
                 joint_noise: (rate_noise / 3.0).sqrt(),
@@ -269,13 +270,13 @@ impl<'a> GyroModel<'a> {
     /// Midpoint rule.
     fn integrate(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
-        let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
-        let rate = |k: usize| undo * (track.gyro[k] - self.bias_at(track.t_s[k]));
+        let unscale = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
+        let rate = |k: usize| unscale * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
-        let mut turn = IntegratedRotation {
+        let mut integrated = IntegratedRotation {
             first_from_last: Rotation::identity(),
             by_rate: Matrix3::zeros(),
-            by_shape: [Vec3::zeros(); 6],
+            by_scale_error: [Vec3::zeros(); 6],
             rates: [rate(first), rate(last)],
             duration_s: track.t_s[last] - track.t_s[first],
         };
@@ -283,20 +284,21 @@ impl<'a> GyroModel<'a> {
             let dt = track.t_s[k + 1] - track.t_s[k];
             let omega = 0.5 * (rate(k) + rate(k + 1));
             let step = rotation_from_rotvec(omega * dt);
-            let back = step.inverse().to_rotation_matrix();
+            let to_end = step.inverse().to_rotation_matrix();
             // From the middle of the step to its end.
-            let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
-            turn.first_from_last *= step;
-            turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
+            let middle_to_end = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
+            integrated.first_from_last *= step;
+            integrated.by_rate =
+                to_end * integrated.by_rate + middle_to_end.matrix() * unscale * dt;
             let entries = Self::SCALE_ENTRIES.into_iter().filter(|_| self.has_scale_error);
-            for (sum, (row, column)) in turn.by_shape.iter_mut().zip(entries) {
+            for (sum, (row, column)) in integrated.by_scale_error.iter_mut().zip(entries) {
                 let mut unit = Matrix3::zeros();
                 unit[(row, column)] = 1.0;
                 unit[(column, row)] = 1.0;
-                *sum = back * *sum + half_back * (undo * (unit * omega)) * dt;
+                *sum = to_end * *sum + middle_to_end * (unscale * (unit * omega)) * dt;
             }
         }
-        turn
+        integrated
     }
 
     /// Fits the delay jointly with `others`. Includes a skew if it is significant.
@@ -315,40 +317,40 @@ impl<'a> GyroModel<'a> {
 
     /// Rms over the windows, by FK.
     fn mean_rate_rad_s(&self) -> f64 {
-        let mut sweep = self.link.sweep();
+        let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;
         let rate = |window: &RangeInclusive<usize>| {
             let [first, last] = [*window.start(), *window.end()].map(|k| t_s[k]);
             let mut rotation =
-                |stamp: f64| Some(self.link.at(self.delay.truth_s(stamp), &mut sweep)?.rotation);
+                |stamp: f64| Some(self.link.at(self.delay.truth_s(stamp), &mut buffers)?.rotation);
             Some(angle_between(&rotation(first)?, &rotation(last)?) / (last - first))
         };
         rms(self.windows.iter().filter_map(rate))
     }
 
-    fn is_made_of_shared_ends(&self) -> bool {
+    fn is_dominated_by_shared_ends(&self) -> bool {
         let linear = self.linearize();
         let residual = &linear.residual[0];
         let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let own: f64 = residual.iter().map(|r| dot(r, r)).sum();
-        let shared: f64 = residual.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
-        shared < MAX_SHARED_END_CORRELATION * own
+        let square: f64 = residual.iter().map(|r| dot(r, r)).sum();
+        let neighbour_product: f64 = residual.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
+        neighbour_product < MAX_SHARED_END_CORRELATION * square
     }
 
-    fn shape_entries(&self) -> [f64; 6] {
+    fn scale_error_entries(&self) -> [f64; 6] {
         Self::SCALE_ENTRIES.map(|at| self.scale_error[at])
     }
 
     fn has_significant_scale_error(&self, solved: &Solved) -> bool {
-        let entries = self.shape_entries();
-        let all: Vec<usize> = Self::SHAPE.collect();
+        let entries = self.scale_error_entries();
+        let all: Vec<usize> = Self::SCALE_ERROR.collect();
         entries.iter().any(|entry| entry.abs() > MIN_SCALE_ERROR)
             && solved.is_significant(&all, &entries, SCALE_ERROR_SIGNIFICANCE)
     }
 
     fn estimate_scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
-        let entries: Vec<Measured> = Self::SHAPE
-            .zip(self.shape_entries())
+        let entries: Vec<Measured> = Self::SCALE_ERROR
+            .zip(self.scale_error_entries())
             .map(|(parameter, value)| solved.measure(parameter, value))
             .collect::<EstimateResult<_>>()
             .ok()?;
@@ -356,50 +358,57 @@ impl<'a> GyroModel<'a> {
         Some(GyroScaleError { scale: [x, y, z], misalignment_rad: [yz, xz, xy] })
     }
 
-    fn bias(&self, solved: &Solved, shape: Option<GyroScaleError>) -> EstimateResult<GyroBias> {
+    fn bias(
+        &self,
+        solved: &Solved,
+        scale_error: Option<GyroScaleError>,
+    ) -> EstimateResult<GyroBias> {
         let bias: Vec<usize> = Self::BIAS.collect();
-        let change: Option<EstimateResult<GyroBiasChange>> = self.bias_profile.map(|course| {
-            let all = self.bias_rad_s + self.changed_rad_s;
-            let (before_rad_s, after_rad_s) = match course {
-                GyroBiasProfile::Step { .. } => (self.bias_rad_s, all),
-                GyroBiasProfile::WarmUp { .. } => (all, self.bias_rad_s),
+        let change: Option<EstimateResult<GyroBiasChange>> = self.bias_profile.map(|profile| {
+            let total_rad_s = self.bias_rad_s + self.changed_rad_s;
+            let (before_rad_s, after_rad_s) = match profile {
+                GyroBiasProfile::Step { .. } => (self.bias_rad_s, total_rad_s),
+                GyroBiasProfile::WarmUp { .. } => (total_rad_s, self.bias_rad_s),
             };
             let columns: Vec<usize> = Self::CHANGE.collect();
             let size_rad_s = solved.length(&columns, self.changed_rad_s.as_slice())?;
-            Ok(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s })
+            Ok(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s })
         });
         let change = change.transpose()?;
         // The larger of the two biases.
         let constant = solved.length(&bias, self.bias_rad_s.as_slice())?;
-        let both = self.bias_rad_s + self.changed_rad_s;
+        let changed_bias_rad_s = self.bias_rad_s + self.changed_rad_s;
         let (vector_rad_s, length_rad_s) = match change {
-            Some(_) if both.norm() > self.bias_rad_s.norm() => {
+            Some(_) if changed_bias_rad_s.norm() > self.bias_rad_s.norm() => {
                 let columns: Vec<usize> = Self::CHANGE.collect();
-                (both, solved.length_of_sum(&bias, &columns, both.as_slice())?)
+                (
+                    changed_bias_rad_s,
+                    solved.length_of_sum(&bias, &columns, changed_bias_rad_s.as_slice())?,
+                )
             }
             _ => (self.bias_rad_s, constant),
         };
         let yaw_rate_rad_s = self.yaw_rate(&vector_rad_s);
-        Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, shape, change })
+        Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, scale_error, change })
     }
 
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
-        let known = self.link.stream.link_from_imu;
-        let known = known.ok_or(NotObservable::NoFrame)?;
-        let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
+        let known_mount = self.link.stream.link_from_imu;
+        let known_mount = known_mount.ok_or(NotObservable::NoFrame)?;
+        let error = rotvec_from_rotation(&(known_mount.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
         solved.mount_error(&mount, error.as_slice())
     }
 
     /// Mean rate about the base's z that the bias simulates.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
-        let mut sweep = self.link.sweep();
+        let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;
         let (mut sum, mut count) = (0.0, 0.0);
         for window in &self.windows {
             let truth_s = self.delay.truth_s(t_s[*window.start()]);
-            if let Some(moment) = self.link.at(truth_s, &mut sweep) {
-                sum += (moment.rotation * (self.link_from_imu * bias_rad_s)).z;
+            if let Some(link_state) = self.link.at(truth_s, &mut buffers) {
+                sum += (link_state.rotation * (self.link_from_imu * bias_rad_s)).z;
                 count += 1.0;
             }
         }
@@ -420,19 +429,21 @@ impl Model for GyroModel<'_> {
         };
         let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
         let mut squares = DMatrix::zeros(Self::WIDTH, Self::WIDTH);
-        let mut sweep = self.link.sweep();
+        let mut buffers = self.link.buffers();
         for window in &self.windows {
             let [from_s, to_s] = [*window.start(), *window.end()].map(|k| track.t_s[k]);
-            let mut moment = |t_s: f64| self.link.at(self.delay.truth_s(t_s), &mut sweep);
-            let (Some(first), Some(last)) = (moment(from_s), moment(to_s)) else { continue };
+            let mut link_state = |t_s: f64| self.link.at(self.delay.truth_s(t_s), &mut buffers);
+            let (Some(first), Some(last)) = (link_state(from_s), link_state(to_s)) else {
+                continue;
+            };
             let per_s = 1.0 / (to_s - from_s);
             let base_from_imu = (last.rotation * self.mount_at(to_s)).to_rotation_matrix();
             let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
             let in_imu = base_from_imu.matrix().tr_mul(&(in_base * base_from_imu.matrix()));
-            let turned = turned_noise(&in_imu);
-            add_block(&mut squares, Self::MOUNT.start, &turned);
+            let rotation_noise = rotated_noise(&in_imu);
+            add_block(&mut squares, Self::MOUNT.start, &rotation_noise);
             if self.slip.is_some_and(|(at_s, ..)| from_s > at_s) {
-                add_block(&mut squares, Self::SLIP.start, &turned);
+                add_block(&mut squares, Self::SLIP.start, &rotation_noise);
             }
             if first.moving || last.moving {
                 let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
@@ -440,12 +451,12 @@ impl Model for GyroModel<'_> {
                 squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
             }
             let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
-            for (column, (row, other)) in Self::SHAPE.zip(Self::SCALE_ENTRIES) {
+            for (column, (row, other)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
                 squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
             }
         }
         let groups = vec![
-            Self::SHAPE.collect(),
+            Self::SCALE_ERROR.collect(),
             vec![Self::SKEW],
             vec![Self::LATENCY],
             Self::SLIP.collect(),
@@ -464,7 +475,7 @@ impl Model for GyroModel<'_> {
         if let Some((.., slip)) = &mut self.slip {
             *slip *= rotation_from_rotvec(part(Self::SLIP.start));
         }
-        for (parameter, (row, column)) in Self::SHAPE.zip(Self::SCALE_ENTRIES) {
+        for (parameter, (row, column)) in Self::SCALE_ERROR.zip(Self::SCALE_ENTRIES) {
             self.scale_error[(row, column)] += delta[parameter];
             if row != column {
                 self.scale_error[(column, row)] += delta[parameter];
@@ -478,31 +489,33 @@ impl GyroModel<'_> {
     fn linearized(&self) -> (Linear, Vec<f64>) {
         let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
         let mut stamps = Vec::new();
-        let mut sweep = self.link.sweep();
+        let mut buffers = self.link.buffers();
         let t_s = &self.link.stream.track.t_s;
         for window in &self.windows {
-            let mut moment = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut sweep);
-            let (Some(first), Some(last)) = (moment(*window.start()), moment(*window.end())) else {
+            let mut link_state = |k: usize| self.link.at(self.delay.truth_s(t_s[k]), &mut buffers);
+            let (Some(first), Some(last)) =
+                (link_state(*window.start()), link_state(*window.end()))
+            else {
                 continue;
             };
-            let turn = self.integrate(window);
+            let integrated = self.integrate(window);
             let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
-            let slipped = self.slip.map(|(at_s, ..)| [from_s > at_s, to_s > at_s]);
-            if slipped.is_some_and(|[before, after]| before != after) {
+            let is_after_slip = self.slip.map(|(at_s, ..)| [from_s > at_s, to_s > at_s]);
+            if is_after_slip.is_some_and(|[before, after]| before != after) {
                 continue;
             }
-            let slipped = slipped.is_some_and(|[_, after]| after);
+            let is_after_slip = is_after_slip.is_some_and(|[_, after]| after);
             stamps.push(0.5 * (from_s + to_s));
             let mount = self.mount_at(to_s);
             let by_fk = (first.rotation * mount).inverse() * (last.rotation * mount);
             let last_from_first = by_fk.inverse();
-            let per_s = 1.0 / turn.duration_s;
-            let too_far = rotvec_from_rotation(&(last_from_first * turn.first_from_last));
-            let mut rows = linear.push(&[(too_far * per_s).into()]);
+            let per_s = 1.0 / integrated.duration_s;
+            let residual = rotvec_from_rotation(&(last_from_first * integrated.first_from_last));
+            let mut rows = linear.push(&[(residual * per_s).into()]);
             if first.moving || last.moving {
                 // FK rates share the joints' noise with the residual.
-                let faster = turn.rates[1] - last_from_first * turn.rates[0];
-                let later = -faster * per_s;
+                let rate_difference = integrated.rates[1] - last_from_first * integrated.rates[0];
+                let later = -rate_difference * per_s;
                 let since_s = t_s[*window.end()] - self.delay.middle_s;
                 rows.set(0, Self::LATENCY, later.into());
                 rows.set(0, Self::SKEW, (later * since_s).into());
@@ -511,18 +524,18 @@ impl GyroModel<'_> {
                 let unit = Vec3::ith(axis, 1.0);
                 let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
                 let slip =
-                    self.slip.filter(|_| slipped).map_or(Rotation::identity(), |slip| slip.2);
+                    self.slip.filter(|_| is_after_slip).map_or(Rotation::identity(), |slip| slip.2);
                 // The mount is applied before the slip.
                 rows.set(0, Self::MOUNT.start + axis, turned(slip.inverse() * unit).into());
-                let biased: Vec3 = turn.by_rate.column(axis) * per_s;
-                rows.set(0, Self::BIAS.start + axis, biased.into());
+                let by_bias: Vec3 = integrated.by_rate.column(axis) * per_s;
+                rows.set(0, Self::BIAS.start + axis, by_bias.into());
                 let share = 0.5 * (self.change_at(from_s) + self.change_at(to_s));
-                rows.set(0, Self::CHANGE.start + axis, (biased * share).into());
-                if slipped {
+                rows.set(0, Self::CHANGE.start + axis, (by_bias * share).into());
+                if is_after_slip {
                     rows.set(0, Self::SLIP.start + axis, turned(unit).into());
                 }
             }
-            for (column, by_entry) in Self::SHAPE.zip(&turn.by_shape) {
+            for (column, by_entry) in Self::SCALE_ERROR.zip(&integrated.by_scale_error) {
                 rows.set(0, column, (by_entry * per_s).into());
             }
         }

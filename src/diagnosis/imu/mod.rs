@@ -6,10 +6,10 @@
 //! latency + skew·(s − middle)`, because an IMU often has its own clock. FK includes the estimated joint
 //! offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and 0.9° of mount error.
 
+mod conventions;
 mod estimates;
 mod extension_tests;
 mod gyro;
-mod numbers;
 mod orientation;
 mod residual_check;
 mod solve;
@@ -25,12 +25,12 @@ use crate::latency::correlation::{
 };
 use crate::samples::sampling::{REST_SIGMAS, rest_speeds};
 use crate::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
+pub use conventions::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use estimates::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
     HeadingPair, ImuDiagnosis, ImuMountChange, ImuStream, UpDirections, YawJump, YawProfile,
     YawWarmUp,
 };
-pub use numbers::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
@@ -44,28 +44,28 @@ const MIN_FIT_SAMPLES: usize = 20;
 const MOUNT_SIGNIFICANCE: f64 = 1e-4;
 /// High because an omitted skew biases the latency.
 const SKEW_SIGNIFICANCE: f64 = 1e-3;
-/// Rms over the run, for [`explains`].
+/// Rms over the run, for [`check_explained`].
 const MIN_ROTATION_RAD: f64 = 0.02;
 const MIN_EXPLAINED_SHARE: f64 = 0.95;
 const ROTATION_LATENCY_SAMPLES: usize = 300;
 
 /// Diagnoses one IMU against the joint states (ideally
 /// [`corrected_joints`](crate::JointDiagnosis::corrected_joints)).
-pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
-    let numbers = ImuConventions::detect(joints, stream, most_lag_s);
+pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, max_lag_s: f64) -> ImuDiagnosis {
+    let numbers = ImuConventions::detect(joints, stream, max_lag_s);
     let track = numbers.convert(stream.track);
-    diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
+    diagnose_converted_imu(joints, &ImuStream { track: &track, ..*stream }, &numbers, max_lag_s)
 }
 
 /// Diagnoses a stream already converted.
-pub(super) fn diagnose_mended(
+pub(super) fn diagnose_converted_imu(
     joints: &JointTrack,
     stream: &ImuStream,
     numbers: &ImuConventions,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> ImuDiagnosis {
     let link = Link::new(joints, stream, numbers);
-    let peaks = link.peaks(most_lag_s);
+    let peaks = link.peaks(max_lag_s);
     let moves = peaks.first().is_some_and(|peak| peak.correlation > MIN_CORRELATION);
     let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
     let gyro = link.fit_gyro(lag_s, moves);
@@ -83,47 +83,48 @@ pub(super) fn diagnose_mended(
         }
         (Ok(fit), _) => fit.clock.clone(),
         (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
-        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
+        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::not_observable(why),
     };
-    let latency_course = match (&orientation, &gyro) {
+    let latency_profile = match (&orientation, &gyro) {
         (Ok(fit), _) => fit.latency_profile.clone(),
         (Err(NotObservable::NoOrientation), Ok(fit)) => fit.latency_profile.clone(),
         (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
     };
-    let latency_course = match repeats(&peaks) {
+    let latency_profile = match ambiguous_lags(&peaks) {
         Some(lags) => Err(NotObservable::Periodic(lags)),
-        None => latency_course,
+        None => latency_profile,
     };
-    let Clock { latency_s, skew } = match repeats(&peaks) {
-        Some(lags) => Clock::unseen(&NotObservable::Periodic(lags)),
+    let Clock { latency_s, skew } = match ambiguous_lags(&peaks) {
+        Some(lags) => Clock::not_observable(&NotObservable::Periodic(lags)),
         None => clock.aligned_to(stream),
     };
-    let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
+    let link_from_gyro = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
     let mount_by_gyro = gyro.as_ref().map_err(Clone::clone).and_then(|fit| fit.mount_rad.clone());
-    let changed = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
-    let axes_turn = match (&orientation, &gyro) {
-        (Ok(fit), Ok(gyro)) if moves => axes_turn(&link, lag_s, &fit.link_from_imu, gyro),
+    let mount_change = gyro.as_ref().ok().filter(|_| moves).and_then(|fit| fit.mount_change);
+    let gyro_axes_rotation = match (&orientation, &gyro) {
+        (Ok(fit), Ok(gyro)) if moves => gyro_axes_rotation(&link, lag_s, &fit.link_from_imu, gyro),
         _ => None,
     };
     let gyro_bias = gyro.and_then(|fit| fit.bias);
-    let turned_accel = axes_turn.filter(|turn| turn.with_accel).map(|turn| {
-        let accel = stream.track.accel.iter().map(|accel| turn.imu_from_gyro * accel).collect();
+    let rotated_accel = gyro_axes_rotation.filter(|rotation| rotation.with_accel).map(|rotation| {
+        let accel = stream.track.accel.iter().map(|accel| rotation.imu_from_gyro * accel).collect();
         ImuTrack { accel, ..stream.track.clone() }
     });
-    let felt = ImuStream { track: turned_accel.as_ref().unwrap_or(stream.track), ..*stream };
-    let link = Link::new(joints, &felt, numbers);
+    let accel_stream =
+        ImuStream { track: rotated_accel.as_ref().unwrap_or(stream.track), ..*stream };
+    let link = Link::new(joints, &accel_stream, numbers);
     let tilt_rad = link.tilt(lag_s);
     match orientation {
         Ok(fit) => ImuDiagnosis {
             encoding: Ok(fit.encoding),
             latency_s,
-            latency_profile: latency_course,
+            latency_profile,
             skew,
             yaw_drift_rad_s: fit.drift_rad_s,
             yaw_profile: fit.yaw_profile,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
-            axes_rotation: axes_turn,
+            axes_rotation: gyro_axes_rotation,
             mount_change: fit.mount_change,
             conventions: numbers.clone(),
             tilt_rad,
@@ -135,7 +136,7 @@ pub(super) fn diagnose_mended(
         Err(why) => ImuDiagnosis {
             encoding: Err(why.clone()),
             latency_s,
-            latency_profile: latency_course,
+            latency_profile,
             skew,
             yaw_drift_rad_s: Err(why.clone()),
             yaw_profile: YawProfile::default(),
@@ -143,9 +144,9 @@ pub(super) fn diagnose_mended(
                 NotObservable::NoOrientation => mount_by_gyro,
                 _ => Err(why),
             },
-            link_from_imu: turned,
+            link_from_imu: link_from_gyro,
             axes_rotation: None,
-            mount_change: changed,
+            mount_change,
             conventions: numbers.clone(),
             tilt_rad,
             up: None,
@@ -156,7 +157,7 @@ pub(super) fn diagnose_mended(
     }
 }
 
-fn axes_turn(
+fn gyro_axes_rotation(
     link: &Link,
     lag_s: f64,
     link_from_imu: &Rotation,
@@ -164,57 +165,60 @@ fn axes_turn(
 ) -> Option<GyroAxesRotation> {
     /// Gain in constancy of the specific force if the accelerometer shares the gyro's axes.
     const MIN_CONSTANCY_GAIN: f64 = 0.05;
-    let turn = gyro.rotation_against(link_from_imu)?;
-    let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
+    let rotation = gyro.rotation_against(link_from_imu)?;
+    let rotation =
+        Some(rotation).filter(|rotation| rotation.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
     let [by_gyro, by_imu] =
         [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
-    Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..turn })
+    Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..rotation })
 }
 
-/// Correlation of the IMU's angular speed with its link's per lag within ±`most_lag_s`, for plots. Uses the
+/// Correlation of the IMU's angular speed with its link's per lag within ±`max_lag_s`, for plots. Uses the
 /// gyro or the orientation, whichever correlates better.
-pub fn turning_by_latency(
+pub fn angular_speed_correlation(
     joints: &JointTrack,
     stream: &ImuStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<LagPeak> {
     let track = stream.track;
-    let turning = ArmSpeeds::from_joints(joints, stream.chain, stream.columns).angular;
-    let curve = |speed| {
-        let mut curve = correlation_by_lag(&turning, &speed, most_lag_s);
-        curve.retain(|at| at.correlation.is_finite());
-        curve
+    let link_speed = ArmSpeeds::from_joints(joints, stream.chain, stream.columns).angular;
+    let correlation_of = |speed| {
+        let mut correlation_of = correlation_by_lag(&link_speed, &speed, max_lag_s);
+        correlation_of.retain(|at| at.correlation.is_finite());
+        correlation_of
     };
-    let best = |curve: &[LagPeak]| curve.iter().map(|at| at.correlation).fold(f64::MIN, f64::max);
-    let gyro = curve(norm_series(&track.t_s, &track.gyro));
-    let oriented = match track.orientation.is_empty() {
+    let best = |correlation_of: &[LagPeak]| {
+        correlation_of.iter().map(|at| at.correlation).fold(f64::MIN, f64::max)
+    };
+    let gyro = correlation_of(norm_series(&track.t_s, &track.gyro));
+    let by_orientation = match track.orientation.is_empty() {
         true => Vec::new(),
-        false => curve(angular_speed(&track.t_s, &track.orientation)),
+        false => correlation_of(angular_speed(&track.t_s, &track.orientation)),
     };
-    if best(&oriented) > best(&gyro) { oriented } else { gyro }
+    if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
 }
 
 /// Decodes the orientations with `encoding`; of several possible rotations, selects the one closest to FK.
 /// `None` if the IMU then does not follow the arm.
-pub fn reread_imu(
+pub fn reinterpret_imu(
     joints: &JointTrack,
     stream: &ImuStream,
-    reading: PoseEncoding,
-    most_lag_s: f64,
+    encoding: PoseEncoding,
+    max_lag_s: f64,
 ) -> Option<Vec<Rotation>> {
     let numbers = ImuConventions::default();
     let link = Link::new(joints, stream, &numbers);
-    let lag_s = link.peaks(most_lag_s).first().map_or(0.0, |peak| peak.lag_s);
-    let mut sweep = link.sweep();
+    let lag_s = link.peaks(max_lag_s).first().map_or(0.0, |peak| peak.lag_s);
+    let mut buffers = link.buffers();
     let expected: Vec<Option<Rotation>> = stream
         .track
         .t_s
         .iter()
-        .map(|stamp| link.at(stamp - lag_s, &mut sweep).map(|moment| moment.rotation))
+        .map(|stamp| link.at(stamp - lag_s, &mut buffers).map(|link_state| link_state.rotation))
         .collect();
     let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
-    let meant = IntendedEncoding { encoding: reading, axes: AxesError::NONE, is_inverted: false };
-    decode_rotations(&stream.track.orientation, &meant, &expected, &mount, false)
+    let intended = IntendedEncoding { encoding, axes: AxesError::NONE, is_inverted: false };
+    decode_rotations(&stream.track.orientation, &intended, &expected, &mount, false)
 }
 
 /// Delay of stamps relative to the measured time: `latency + skew·(stamp − middle)`.
@@ -239,7 +243,7 @@ struct Clock {
 }
 
 impl Clock {
-    fn unseen(why: &NotObservable) -> Self {
+    fn not_observable(why: &NotObservable) -> Self {
         Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
     }
 
@@ -249,20 +253,21 @@ impl Clock {
             [first, .., last] => last - first,
             _ => 0.0,
         };
-        let widened = |seen: EstimateResult<Measured>, by: f64| {
-            seen.map(|one| Measured { std_error: one.std_error.hypot(by), ..one })
+        let widen = |estimate: EstimateResult<Measured>, by: f64| {
+            estimate
+                .map(|measured| Measured { std_error: measured.std_error.hypot(by), ..measured })
         };
         // Stamp errors at both ends simulate a skew.
-        let feigned = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
+        let simulated_skew = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
         Self {
-            latency_s: widened(self.latency_s, stream.stamp_error_s),
-            skew: widened(self.skew, feigned),
+            latency_s: widen(self.latency_s, stream.stamp_error_s),
+            skew: widen(self.skew, simulated_skew),
         }
     }
 }
 
 /// Lags with nearly equal correlations, as in repetitive motion.
-fn repeats(peaks: &[LagPeak]) -> Option<Vec<f64>> {
+fn ambiguous_lags(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     let best = peaks.first()?;
     let equal: Vec<f64> = peaks
         .iter()
@@ -277,22 +282,22 @@ struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
     numbers: &'a ImuConventions,
-    still: Vec<f64>,
+    rest_speeds: Vec<f64>,
     /// Variances of position and velocity per joint of the chain.
     joint_noise: Vec<[f64; 2]>,
     middle_s: f64,
 }
 
-fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
+fn joint_noise(joints: &JointTrack, column: usize, rest_speeds: &[f64]) -> [f64; 2] {
     if let Some(noise) = joints.noise.get(column) {
         return noise.map(|sigma| sigma * sigma);
     }
     let q: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof.max(1)).copied().collect();
-    [sample_noise(&q).powi(2), (still[column] / REST_SIGMAS).powi(2)]
+    [sample_noise(&q).powi(2), (rest_speeds[column] / REST_SIGMAS).powi(2)]
 }
 
 /// Contribution of noise δ with this covariance to `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
-fn turned_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
+fn rotated_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal_element(covariance.trace()) - covariance
 }
 
@@ -312,7 +317,7 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
 }
 
 /// State of the link at one time.
-struct Moment {
+struct LinkState {
     /// `base_from_link`.
     rotation: Rotation,
     /// In base, rad/s.
@@ -328,8 +333,8 @@ struct Moment {
 ///
 /// # Errors
 /// If the correlation is too low.
-fn explains(turning: f64, left: f64) -> EstimateResult<()> {
-    let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
+fn check_explained(rotation: f64, residual: f64) -> EstimateResult<()> {
+    let correlation = (1.0 - (residual / rotation).powi(2)).max(0.0).sqrt();
     if correlation < MIN_EXPLAINED_SHARE {
         Err(NotObservable::DoesNotFollow(correlation))
     } else {
@@ -343,7 +348,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Reused buffers.
-struct Sweep {
+struct LinkBuffers {
     cursor: usize,
     track: [Vec<f64>; 2],
     q: Vec<f64>,
@@ -357,19 +362,20 @@ impl<'a> Link<'a> {
             (Some(first), Some(last)) => 0.5 * (first + last),
             _ => 0.0,
         };
-        let still = rest_speeds(joints);
-        let joint_noise = stream.columns.iter().map(|&column| joint_noise(joints, column, &still));
+        let rest_speeds = rest_speeds(joints);
+        let joint_noise =
+            stream.columns.iter().map(|&column| joint_noise(joints, column, &rest_speeds));
         let joint_noise = joint_noise.collect();
-        Self { joints, stream, numbers, still, joint_noise, middle_s }
+        Self { joints, stream, numbers, rest_speeds, joint_noise, middle_s }
     }
 
     fn delay(&self, latency_s: f64) -> Delay {
         Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
 
-    fn sweep(&self) -> Sweep {
+    fn buffers(&self) -> LinkBuffers {
         let (own, track) = (self.stream.columns.len(), self.joints.dof);
-        Sweep {
+        LinkBuffers {
             cursor: 0,
             track: [vec![0.0; track], vec![0.0; track]],
             q: vec![0.0; own],
@@ -377,60 +383,60 @@ impl<'a> Link<'a> {
         }
     }
 
-    fn at(&self, t_s: f64, sweep: &mut Sweep) -> Option<Moment> {
-        let [q, qd] = &mut sweep.track;
-        if !self.joints.at(t_s, &mut sweep.cursor, q, qd) {
+    fn at(&self, t_s: f64, buffers: &mut LinkBuffers) -> Option<LinkState> {
+        let [q, qd] = &mut buffers.track;
+        if !self.joints.at(t_s, &mut buffers.cursor, q, qd) {
             return None;
         }
-        for (own, &column) in sweep.q.iter_mut().zip(self.stream.columns) {
-            *own = q[column];
+        for (joint_q, &column) in buffers.q.iter_mut().zip(self.stream.columns) {
+            *joint_q = q[column];
         }
-        let pose = self.stream.chain.forward_with_jacobian(&sweep.q, &mut sweep.jacobian);
-        let mut moment = Moment {
+        let pose = self.stream.chain.forward_with_jacobian(&buffers.q, &mut buffers.jacobian);
+        let mut link_state = LinkState {
             rotation: pose.rotation,
             rate: Vec3::zeros(),
             rotation_noise: Matrix3::zeros(),
             rate_noise: 0.0,
             moving: false,
         };
-        let columns = sweep.jacobian.iter().zip(self.stream.columns).zip(&self.joint_noise);
+        let columns = buffers.jacobian.iter().zip(self.stream.columns).zip(&self.joint_noise);
         for ((column, &track), [position, velocity]) in columns {
-            let turns = Vec3::new(column[3], column[4], column[5]);
-            moment.rate += turns * qd[track];
-            moment.rotation_noise += turns * turns.transpose() * *position;
-            moment.rate_noise += turns.norm_squared() * velocity;
-            moment.moving |= qd[track].abs() > self.still[track];
+            let axis = Vec3::new(column[3], column[4], column[5]);
+            link_state.rate += axis * qd[track];
+            link_state.rotation_noise += axis * axis.transpose() * *position;
+            link_state.rate_noise += axis.norm_squared() * velocity;
+            link_state.moving |= qd[track].abs() > self.rest_speeds[track];
         }
-        Some(moment)
+        Some(link_state)
     }
 
     /// Lags at which the IMU's speed correlates with the link's.
-    fn peaks(&self, most_lag_s: f64) -> Vec<LagPeak> {
+    fn peaks(&self, max_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
-        let turning = ArmSpeeds::from_joints(self.joints, chain, columns).angular;
-        let gyro = lag_peaks(&turning, &norm_series(&track.t_s, &track.gyro), most_lag_s);
+        let link_speed = ArmSpeeds::from_joints(self.joints, chain, columns).angular;
+        let gyro = lag_peaks(&link_speed, &norm_series(&track.t_s, &track.gyro), max_lag_s);
         if track.orientation.is_empty() {
             return gyro;
         }
-        let oriented =
-            lag_peaks(&turning, &angular_speed(&track.t_s, &track.orientation), most_lag_s);
+        let by_orientation =
+            lag_peaks(&link_speed, &angular_speed(&track.t_s, &track.orientation), max_lag_s);
         let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
-        if best(&oriented) > best(&gyro) { oriented } else { gyro }
+        if best(&by_orientation) > best(&gyro) { by_orientation } else { gyro }
     }
 
     /// Rms rotation of the link about its mean by FK.
-    fn turning_rad(&self, delay: &Delay) -> f64 {
+    fn rotation_rms_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
         let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
-        let mut sweep = self.sweep();
-        let turned: Vec<Rotation> = stamps
+        let mut buffers = self.buffers();
+        let rotations: Vec<Rotation> = stamps
             .iter()
             .step_by(step)
-            .filter_map(|&stamp| Some(self.at(delay.truth_s(stamp), &mut sweep)?.rotation))
+            .filter_map(|&stamp| Some(self.at(delay.truth_s(stamp), &mut buffers)?.rotation))
             .collect();
-        let mean = mean_rotation(&turned);
-        rms(turned.iter().map(|rotation| angle_between(&mean, rotation)))
+        let mean = mean_rotation(&rotations);
+        rms(rotations.iter().map(|rotation| angle_between(&mean, rotation)))
     }
 
     fn stride(&self) -> usize {

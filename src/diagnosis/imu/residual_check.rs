@@ -39,33 +39,37 @@ pub struct GyroResidual {
 pub fn check_imu_residual(
     joints: &JointTrack,
     stream: &ImuStream,
-    found: &ImuDiagnosis,
-    most_lag_s: f64,
+    diagnosis: &ImuDiagnosis,
+    max_lag_s: f64,
 ) -> Option<ImuResidualCheck> {
-    let track = found.conventions.convert(stream.track);
+    let track = diagnosis.conventions.convert(stream.track);
     let stream = &ImuStream { track: &track, ..*stream };
-    let link = Link::new(joints, stream, &found.conventions);
-    let peak = link.peaks(most_lag_s).first().copied()?;
+    let link = Link::new(joints, stream, &diagnosis.conventions);
+    let peak = link.peaks(max_lag_s).first().copied()?;
     if peak.correlation <= MIN_CORRELATION {
         return None;
     }
-    let lag_s = found.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
-    let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
+    let lag_s = diagnosis.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
+    let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
     let truth_s = |t_s: f64| t_s - lag_s - skew * (t_s - link.middle_s);
     let t_s = &stream.track.t_s;
-    let mut sweep = link.sweep();
+    let mut buffers = link.buffers();
     let stride = t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1);
-    let mut moments: Vec<(usize, Rotation, Vec3)> = Vec::new();
+    let mut link_states: Vec<(usize, Rotation, Vec3)> = Vec::new();
     for row in (0..t_s.len()).step_by(stride) {
-        if let Some(moment) = link.at(truth_s(t_s[row]), &mut sweep)
-            && moment.moving
+        if let Some(link_state) = link.at(truth_s(t_s[row]), &mut buffers)
+            && link_state.moving
         {
-            moments.push((row, moment.rotation, moment.rotation.inverse() * moment.rate));
+            link_states.push((
+                row,
+                link_state.rotation,
+                link_state.rotation.inverse() * link_state.rate,
+            ));
         }
     }
-    (moments.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
-        orientation: orientation_residual(stream, found, &moments),
-        gyro: gyro_residual(&link, &moments),
+    (link_states.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
+        orientation: orientation_residual(stream, diagnosis, &link_states),
+        gyro: gyro_residual(&link, &link_states),
         gravity_m_s2: mean_gravity(&stream.track.accel),
     })
 }
@@ -73,24 +77,24 @@ pub fn check_imu_residual(
 /// `None` if there is no orientation or its encoding is misinterpreted.
 fn orientation_residual(
     stream: &ImuStream,
-    found: &ImuDiagnosis,
-    moments: &[(usize, Rotation, Vec3)],
+    diagnosis: &ImuDiagnosis,
+    link_states: &[(usize, Rotation, Vec3)],
 ) -> Option<FkError> {
-    let reading = found.encoding.as_ref().ok()?;
-    let (track, link_from_imu) = (stream.track, found.link_from_imu?);
-    if track.orientation.is_empty() || !reading.best.is_as_logged() {
+    let encoding = diagnosis.encoding.as_ref().ok()?;
+    let (track, link_from_imu) = (stream.track, diagnosis.link_from_imu?);
+    if track.orientation.is_empty() || !encoding.best.is_as_logged() {
         return None;
     }
     let yaw_at = |t_s: f64| {
-        let next = found.yaw_error.partition_point(|(at_s, _)| *at_s <= t_s);
-        let last = found.yaw_error.get(next.saturating_sub(1));
+        let next = diagnosis.yaw_error.partition_point(|(at_s, _)| *at_s <= t_s);
+        let last = diagnosis.yaw_error.get(next.saturating_sub(1));
         last.map_or(0.0, |(_, yaw_rad)| *yaw_rad)
     };
-    let mount_at = |t_s: f64| match &found.mount_change {
+    let mount_at = |t_s: f64| match &diagnosis.mount_change {
         Some(change) if t_s > change.at_s => change.link_from_imu,
         _ => link_from_imu,
     };
-    let worlds: Vec<Rotation> = moments
+    let worlds: Vec<Rotation> = link_states
         .iter()
         .map(|(row, base_from_link, _)| {
             let link_from_imu = mount_at(track.t_s[*row]);
@@ -101,8 +105,8 @@ fn orientation_residual(
     let mean = mean_rotation(&worlds);
     let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
     let angle: Vec<Vec3> = angle.collect();
-    let t_s: Vec<f64> = moments.iter().map(|(row, ..)| track.t_s[*row]).collect();
-    let fk: Vec<Pose> = moments
+    let t_s: Vec<f64> = link_states.iter().map(|(row, ..)| track.t_s[*row]).collect();
+    let fk: Vec<Pose> = link_states
         .iter()
         .map(|(_, rotation, _)| Pose::from_parts(Vec3::zeros().into(), *rotation))
         .collect();
@@ -112,14 +116,15 @@ fn orientation_residual(
 }
 
 /// With the best-fitting mount. `None` if the gyro is always zero.
-fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
+fn gyro_residual(link: &Link, link_states: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
-    let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
-    let moments: Vec<_> = moments.iter().filter(in_range).collect();
-    let n = moments.len().max(1) as f64;
-    let mean = moments.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
-    let mean_rate = moments.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
-    let pairs = || moments.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
+    let in_range =
+        |link_state: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[link_state.0]);
+    let link_states: Vec<_> = link_states.iter().filter(in_range).collect();
+    let n = link_states.len().max(1) as f64;
+    let mean = link_states.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
+    let mean_rate = link_states.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
+    let pairs = || link_states.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
     let correlation: Matrix3<f64> = pairs().map(|(gyro, rate)| rate * gyro.transpose()).sum();
     let link_from_imu = rotation_by_wahba(&correlation);
     let (mut along, mut square) = (0.0, 0.0);
@@ -131,8 +136,8 @@ fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Gyr
         let column: Vec<f64> = gyro.iter().map(|gyro| gyro[axis]).collect();
         sample_noise(&column)
     };
-    let says_something = gyro.iter().any(|gyro| gyro.norm() > 0.0);
-    (says_something && square > 0.0).then(|| GyroResidual {
+    let has_rates = gyro.iter().any(|gyro| gyro.norm() > 0.0);
+    (has_rates && square > 0.0).then(|| GyroResidual {
         scale: along / square,
         residual: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
         by_fk: (square / n).sqrt(),

@@ -32,7 +32,7 @@ pub(super) struct Solved {
     free: Vec<usize>,
     covariance: DMatrix<f64>,
     /// Unobservable directions over all columns; the fit did not change them.
-    held: Vec<DVector<f64>>,
+    fixed: Vec<DVector<f64>>,
     dof: f64,
 }
 
@@ -42,14 +42,14 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     /// In the parameters' units.
     const CONVERGED_STEP: f64 = 1e-9;
     let noise = model.design_noise();
-    let mut left = MAX_STEPS;
+    let mut remaining_steps = MAX_STEPS;
     let mut linear = model.linearize();
     let excited = Excited::new(&linear, &noise, free);
     loop {
         let step = Step::new(&linear, &excited);
         model.apply(&step.delta);
-        left -= 1;
-        if left == 0 || step.delta.amax() < CONVERGED_STEP {
+        remaining_steps -= 1;
+        if remaining_steps == 0 || step.delta.amax() < CONVERGED_STEP {
             return step.solved(&linear, excited);
         }
         linear = model.linearize();
@@ -62,7 +62,7 @@ struct Excited {
     /// Excited ones, as columns over all parameters.
     basis: DMatrix<f64>,
     /// Directions that are not excited.
-    held: Vec<DVector<f64>>,
+    fixed: Vec<DVector<f64>>,
     noise: DMatrix<f64>,
 }
 
@@ -78,30 +78,32 @@ impl Excited {
         let mut free = free.to_vec();
         free.sort_unstable();
         let mut basis: Vec<DVector<f64>> = free.iter().map(|&column| unit(column)).collect();
-        let mut held = Vec::new();
+        let mut fixed = Vec::new();
         for group in &noise.groups {
-            let own: Vec<usize> =
+            let own_columns: Vec<usize> =
                 group.iter().copied().filter(|column| free.contains(column)).collect();
-            if own.is_empty() {
+            if own_columns.is_empty() {
                 continue;
             }
-            basis.retain(|direction| own.iter().all(|&column| direction[column] == 0.0));
-            let own = columns(width, &own.iter().map(|&column| unit(column)).collect::<Vec<_>>());
+            basis.retain(|direction| own_columns.iter().all(|&column| direction[column] == 0.0));
+            let own_columns =
+                columns(width, &own_columns.iter().map(|&column| unit(column)).collect::<Vec<_>>());
             let others = columns(width, &basis);
             // Effects that the other parameters do not explain.
-            let across = others.tr_mul(&squares) * &own;
+            let across = others.tr_mul(&squares) * &own_columns;
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
-            let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
-            let by_noise = own.tr_mul(&noise.squares) * &own;
+            let alone =
+                own_columns.tr_mul(&squares) * &own_columns - across.tr_mul(&(between * &across));
+            let by_noise = own_columns.tr_mul(&noise.squares) * &own_columns;
             let eigen = (alone - by_noise / Self::MAX_NOISE_SHARE).symmetric_eigen();
             for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
-                let direction = &own * direction;
-                if *excess > 0.0 { basis.push(direction) } else { held.push(direction) }
+                let direction = &own_columns * direction;
+                if *excess > 0.0 { basis.push(direction) } else { fixed.push(direction) }
             }
         }
         let basis = columns(width, &basis);
         let noise = basis.tr_mul(&noise.squares) * &basis;
-        Self { free, basis, held, noise }
+        Self { free, basis, fixed, noise }
     }
 }
 
@@ -140,7 +142,7 @@ impl Step {
     /// Covariance at the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let noise = self.noise(&excited);
-        let Excited { free, basis, mut held, .. } = excited;
+        let Excited { free, basis, mut fixed, .. } = excited;
         let targets: Vec<Option<usize>> =
             (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
         let mut information = DMatrix::zeros(free.len(), free.len());
@@ -153,12 +155,12 @@ impl Step {
             if !covariance[(at, at)].is_finite() {
                 covariance.fill_row(at, 0.0);
                 covariance.fill_column(at, 0.0);
-                held.push(direction.into_owned());
+                fixed.push(direction.into_owned());
             }
         }
         let covariance = &own * covariance * own.transpose();
         let dof = (self.independent - free.len() as f64).max(3.0);
-        Solved { free, covariance, held, dof }
+        Solved { free, covariance, fixed, dof }
     }
 }
 
@@ -217,18 +219,18 @@ impl Solved {
     }
 
     /// Length of the observable component: a lower bound.
-    pub fn least_length(
+    pub fn observable_length(
         &self,
         parameters: &[usize],
         vector: &[f64],
     ) -> EstimateResult<MeasuredLength> {
         let n = parameters.len();
-        let mut held = DMatrix::zeros(n, n);
-        for direction in &self.held {
+        let mut fixed = DMatrix::zeros(n, n);
+        for direction in &self.fixed {
             let own = DVector::from_fn(n, |i, _| direction[parameters[i]]);
-            held += &own * own.transpose();
+            fixed += &own * own.transpose();
         }
-        let eigen = held.symmetric_eigen();
+        let eigen = fixed.symmetric_eigen();
         let excited =
             (0..n).filter(|&at| eigen.eigenvalues[at] < MAX_FIXED_SHARE).collect::<Vec<_>>();
         if excited.is_empty() {
@@ -247,16 +249,17 @@ impl Solved {
         parameters: &[usize],
         error: &[f64],
     ) -> EstimateResult<MeasuredLength> {
-        let least = || self.least_length(parameters, error).ok();
-        self.length(parameters, error)
-            .or_else(|why| least().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why))
+        let observable = || self.observable_length(parameters, error).ok();
+        self.length(parameters, error).or_else(|why| {
+            observable().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why)
+        })
     }
 
     fn block(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
-        let is_held = |parameter: &usize| {
-            self.held.iter().any(|direction| direction[*parameter].powi(2) > MAX_FIXED_SHARE)
+        let is_fixed = |parameter: &usize| {
+            self.fixed.iter().any(|direction| direction[*parameter].powi(2) > MAX_FIXED_SHARE)
         };
-        if parameters.iter().any(is_held) {
+        if parameters.iter().any(is_fixed) {
             return Err(NotObservable::NotExcited);
         }
         self.covariance_of(parameters)

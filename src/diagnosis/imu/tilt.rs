@@ -17,11 +17,11 @@ impl Link<'_> {
     /// Constancy of the specific force's direction in the base, 0 to 1.
     pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
         let track = self.stream.track;
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         let (mut sum, mut sizes) = (Vec3::zeros(), f64::MIN_POSITIVE);
         for k in (0..track.t_s.len()).step_by(self.stride()) {
-            if let Some(moment) = self.at(track.t_s[k] - lag_s, &mut sweep) {
-                sum += moment.rotation * (link_from_accel * track.accel[k]);
+            if let Some(link_state) = self.at(track.t_s[k] - lag_s, &mut buffers) {
+                sum += link_state.rotation * (link_from_accel * track.accel[k]);
                 sizes += track.accel[k].norm();
             }
         }
@@ -31,15 +31,15 @@ impl Link<'_> {
     /// Direction opposite to gravity while the arm rests.
     pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
         let track = self.stream.track;
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         let (mut world, mut base, mut count) = (Vec3::zeros(), Vec3::zeros(), 0);
         for k in (0..track.t_s.len()).step_by(self.stride()) {
-            let moment = self.at(track.t_s[k] - lag_s, &mut sweep);
-            if let Some(moment) = moment.filter(|moment| !moment.moving)
+            let link_state = self.at(track.t_s[k] - lag_s, &mut buffers);
+            if let Some(link_state) = link_state.filter(|link_state| !link_state.moving)
                 && let Some(orientation) = track.orientation.get(k)
             {
                 world += orientation * track.accel[k];
-                base += moment.rotation * (link_from_imu * track.accel[k]);
+                base += link_state.rotation * (link_from_imu * track.accel[k]);
                 count += 1;
             }
         }
@@ -54,8 +54,9 @@ impl Link<'_> {
         if track.orientation.is_empty() {
             return Err(NotObservable::NoOrientation);
         }
-        let mut sweep = self.sweep();
-        let mut rests = |t_s: f64| self.at(t_s, &mut sweep).is_some_and(|moment| !moment.moving);
+        let mut buffers = self.buffers();
+        let mut rests =
+            |t_s: f64| self.at(t_s, &mut buffers).is_some_and(|link_state| !link_state.moving);
         let resting = (0..track.t_s.len()).step_by(self.stride()).filter(|&k| {
             let t_s = track.t_s[k] - lag_s;
             rests(t_s - REST_MARGIN_S) && rests(t_s) && rests(t_s + REST_MARGIN_S)

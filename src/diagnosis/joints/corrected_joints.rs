@@ -22,17 +22,23 @@ pub(crate) struct CorrectedJoints {
 }
 
 impl CorrectedJoints {
-    pub fn new(joints: &JointTrack, reading: &JointEncoding, prismatic: &[bool]) -> Self {
-        let track = correct_joints(joints, reading, prismatic);
-        let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
-        let near = is_off.then(|| with_zeros(&track, &reading.zeros));
-        let scaled = reading.unit_errors.iter().filter(|slip| slip.unit == JointUnit::Scaled);
-        let coupled = reading.couplings.iter().map(|coupling| (coupling.column, coupling.by));
-        let gained: Vec<(usize, usize)> =
-            scaled.map(|slip| (slip.column, slip.column)).chain(coupled).collect();
+    pub fn new(joints: &JointTrack, encoding: &JointEncoding, prismatic: &[bool]) -> Self {
+        let track = correct_joints(joints, encoding, prismatic);
+        let is_off = encoding.zeros.iter().any(|zero| *zero != 0.0);
+        let near = is_off.then(|| with_zeros(&track, &encoding.zeros));
+        let scaled =
+            encoding.unit_errors.iter().filter(|unit_error| unit_error.unit == JointUnit::Scaled);
+        let coupled = encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by));
+        let gained: Vec<(usize, usize)> = scaled
+            .map(|unit_error| (unit_error.column, unit_error.column))
+            .chain(coupled)
+            .collect();
         let mut factors = vec![1.0; joints.dof];
-        reading.unit_errors.iter().for_each(|slip| factors[slip.column] = slip.factor);
-        let mut offsets = reading.zeros.clone();
+        encoding
+            .unit_errors
+            .iter()
+            .for_each(|unit_error| factors[unit_error.column] = unit_error.factor);
+        let mut offsets = encoding.zeros.clone();
         offsets.resize(joints.dof, 0.0);
         offsets.resize(joints.dof + gained.len(), 0.0);
         let still = rest_speeds(&track);
@@ -41,7 +47,7 @@ impl CorrectedJoints {
             approximate_track: near,
             offsets,
             gains: gained,
-            couplings: reading.couplings.clone(),
+            couplings: encoding.couplings.clone(),
             factors,
             rest_speeds: still,
         }

@@ -51,10 +51,10 @@ impl JointEncoding {
         &self,
         unit: JointUnit,
     ) -> impl Iterator<Item = (&JointUnitError, UnitResiduals)> {
-        let left = self.residual.into_iter();
-        left.flat_map(move |left| {
-            let own = self.unit_errors.iter().filter(move |slip| slip.unit == unit);
-            own.map(move |slip| (slip, left))
+        let residuals = self.residual.into_iter();
+        residuals.flat_map(move |residuals| {
+            let own = self.unit_errors.iter().filter(move |unit_error| unit_error.unit == unit);
+            own.map(move |unit_error| (unit_error, residuals))
         })
     }
 }

@@ -138,13 +138,13 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
         JointMap { factor: factor.collect(), ..none.clone() }
     };
     let degree = 1f64.to_radians();
-    let mut wholes: Vec<ArmInterpretation> = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)]
+    let mut interpretations: Vec<ArmInterpretation> = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)]
         .map(|(turning, sliding)| ArmInterpretation {
             map: scaled(turning, sliding),
             is_unit: true,
         })
         .into();
-    let mut add = |map: JointMap| wholes.push(ArmInterpretation { map, is_unit: false });
+    let mut add = |map: JointMap| interpretations.push(ArmInterpretation { map, is_unit: false });
     let angles = [TAU, PI, 1e-3, 1e-6, 0.1 * degree, 0.01 * degree, 1e-3 * degree, TAU / 400.0];
     for turning in angles.into_iter().chain([2.0, 0.5]) {
         for sign in [1.0, -1.0] {
@@ -179,11 +179,11 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
         }
         add(map);
     }
-    wholes.retain(|whole| whole.map != none);
+    interpretations.retain(|interpretation| interpretation.map != none);
     let mut distinct: Vec<ArmInterpretation> = Vec::new();
-    for whole in wholes {
-        if !distinct.iter().any(|other| other.map == whole.map) {
-            distinct.push(whole);
+    for interpretation in interpretations {
+        if !distinct.iter().any(|other| other.map == interpretation.map) {
+            distinct.push(interpretation);
         }
     }
     distinct
@@ -194,11 +194,11 @@ pub(super) const MAX_PERMUTED_JOINTS: usize = 7;
 
 /// All permutations of up to `most` joints; otherwise all swaps, the reversed order, and the order by
 /// `names`.
-pub(super) fn candidate_orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
+pub(super) fn candidate_orders(names: &[String], max_orders: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();
     let mut all = Vec::new();
-    if dof <= most {
+    if dof <= max_orders {
         permutations(&mut order, 0, &mut |order| all.push(order.to_vec()));
         return all;
     }

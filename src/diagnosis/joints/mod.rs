@@ -60,7 +60,7 @@ pub(super) fn estimate_joint_encoding(
     joints: &JointTrack,
     streams: &[PoseStream],
     scales: &[f64],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> EstimateResult<JointEncoding> {
     let (stream, scale) = streams
         .iter()
@@ -70,36 +70,36 @@ pub(super) fn estimate_joint_encoding(
     let chain = stream.chain;
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
-    for lag_s in latency_candidates(joints, stream, most_lag_s) {
-        let moments = slow_simultaneous_samples(joints, stream, *scale, lag_s);
-        let have = moments.xyz.len();
+    for lag_s in latency_candidates(joints, stream, max_lag_s) {
+        let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
+        let have = samples.xyz.len();
         if have < 6 {
             return Err(NotObservable::TooFewSamples { have, need: 6 });
         }
-        if is_at_rest(chain, &moments) {
-            return encoding_at_rest(chain, &moments, stream.reference_known);
+        if is_at_rest(chain, &samples) {
+            return encoding_at_rest(chain, &samples, stream.reference_known);
         }
-        if spread(&moments.xyz) < MAX_REST_SPREAD_M {
+        if spread(&samples.xyz) < MAX_REST_SPREAD_M {
             // The joints move, the stream does not.
             return Err(NotObservable::NotExcited);
         }
-        extent = spread(&moments.xyz).max(0.01).min(extent);
-        let left = misfit(chain, &moments);
-        if left <= MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent
-            || tool_misfit(chain, &moments) <= MAX_LOGGED_RESIDUAL_SHARE * extent
+        extent = spread(&samples.xyz).max(0.01).min(extent);
+        let misfit_m = misfit(chain, &samples);
+        if misfit_m <= MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent
+            || tool_misfit(chain, &samples) <= MAX_LOGGED_RESIDUAL_SHARE * extent
         {
             return Ok(JointEncoding::default());
         }
-        as_logged = left.min(as_logged);
-        at_lags.push(moments);
+        as_logged = misfit_m.min(as_logged);
+        at_lags.push(samples);
     }
-    let most = ResidualSize {
+    let max_residual = ResidualSize {
         m: (MAX_RESIDUAL_SHARE * extent).min(as_logged / MIN_RESIDUAL_RATIO),
         rad: Some(MAX_RESIDUAL_RAD),
     };
     let views: Vec<Vec<InterpretedPoses>> =
-        at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
-    if let Some(found) = search_views(stream, &views, most, &InterpretationKind::ALL) {
+        at_lags.iter().map(|samples| views(joints, stream, samples)).collect();
+    if let Some(found) = search_views(stream, &views, max_residual, &InterpretationKind::ALL) {
         return Ok(to_encoding(joints.dof, stream, &found, as_logged));
     }
     if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent {
@@ -120,29 +120,29 @@ pub(super) fn other_encoding(
 ) -> Option<JointEncoding> {
     const MIN_LARGE_ROTATION_RESIDUAL_RAD: f64 = 0.05;
     const MAX_SMALL_POSITION_RESIDUAL_M: f64 = 5e-3;
-    let moments = slow_simultaneous_samples(joints, stream, scale, lag_s);
-    if moments.xyz.len() < 6 || is_at_rest(stream.chain, &moments) {
+    let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
+    if samples.xyz.len() < 6 || is_at_rest(stream.chain, &samples) {
         return None;
     }
     // If only rotations are wrong, positions must not get worse.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD)
         && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
-    let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &moments) } else { 0.0 };
+    let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &samples) } else { 0.0 };
     let better_m = (as_logged.m / MIN_RESIDUAL_RATIO).max(2e-4).max(stay_m);
-    let most = ResidualSize {
-        m: (MAX_RESIDUAL_SHARE * spread(&moments.xyz).max(0.01)).min(better_m),
+    let max_residual = ResidualSize {
+        m: (MAX_RESIDUAL_SHARE * spread(&samples.xyz).max(0.01)).min(better_m),
         rad: as_logged.rad.map(|rad| (rad / MIN_RESIDUAL_RATIO).clamp(1e-3, MAX_RESIDUAL_RAD)),
     };
-    let is_far = as_logged.m > MAX_LOGGED_RESIDUAL_SHARE * spread(&moments.xyz)
+    let is_far = as_logged.m > MAX_LOGGED_RESIDUAL_SHARE * spread(&samples.xyz)
         || as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD);
     let kinds = if is_far {
         &InterpretationKind::ALL[..]
     } else {
         &InterpretationKind::FOR_SMALL_RESIDUALS[..]
     };
-    let mut views = views(joints, stream, &moments);
+    let mut views = views(joints, stream, &samples);
     views.retain(|view| !turns_only || view.rotation.is_some());
-    let found = search_views(stream, &[views], most, kinds)?;
+    let found = search_views(stream, &[views], max_residual, kinds)?;
     Some(to_encoding(joints.dof, stream, &found, as_logged.m))
 }
 
@@ -150,7 +150,7 @@ pub(super) fn other_encoding(
 fn search_views(
     stream: &PoseStream,
     views: &[Vec<InterpretedPoses>],
-    most: ResidualSize,
+    max_residual: ResidualSize,
     kinds: &[InterpretationKind],
 ) -> Option<JointInterpretation> {
     /// Other lags are tried only for the simplest kind.
@@ -161,14 +161,16 @@ fn search_views(
     };
     for &freedom in both {
         for &kind in kinds {
-            let is_late = freedom != both[0] && kind > InterpretationKind::UnitAndOne;
-            if is_late || (freedom == FreeFrames::Both && kind == InterpretationKind::OrderAndOne) {
+            let is_skipped = freedom != both[0] && kind > InterpretationKind::UnitAndOneJoint;
+            if is_skipped
+                || (freedom == FreeFrames::Both && kind == InterpretationKind::OrderAndOneJoint)
+            {
                 continue;
             }
             let lags =
-                if kind == InterpretationKind::One { views.len() } else { LAGS_FOR_ALL_KINDS };
+                if kind == InterpretationKind::OneJoint { views.len() } else { LAGS_FOR_ALL_KINDS };
             for view in views.iter().take(lags).flatten() {
-                match search_kind(view, kind, freedom, most) {
+                match search_kind(view, kind, freedom, max_residual) {
                     SearchOutcome::Found(found) => {
                         return Some(JointInterpretation {
                             map: found.map.with_base_turned(),
@@ -197,53 +199,55 @@ pub(super) fn likely_encodings(
     joints: &JointTrack,
     streams: &[PoseStream],
     scales: &[f64],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<LikelyEncoding> {
     let both = streams.iter().zip(scales);
     let Some((stream, scale)) = both.max_by_key(|(stream, _)| stream.track.t_s.len()) else {
         return Vec::new();
     };
-    let lag_s = latency_candidates(joints, stream, most_lag_s).last().copied().unwrap_or(0.0);
-    let moments = slow_simultaneous_samples(joints, stream, *scale, lag_s);
+    let lag_s = latency_candidates(joints, stream, max_lag_s).last().copied().unwrap_or(0.0);
+    let samples = slow_simultaneous_samples(joints, stream, *scale, lag_s);
     let mut likely = Vec::new();
-    let mut views = views(joints, stream, &moments);
+    let mut views = views(joints, stream, &samples);
     views.extend(views.last().map(InterpretedPoses::mirrored));
     for view in views.iter().filter(|view| view.len() > 5) {
         for (map, by_range) in search::likely_maps(view) {
             let fk = view.fk(&map);
-            let left = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
-            let found = JointInterpretation { map, residual: left, runner_up_m: None };
-            let reading = to_encoding(joints.dof, stream, &found, misfit(stream.chain, &moments));
-            likely.push(LikelyEncoding { encoding: reading, by_range });
+            let residual = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
+            let found = JointInterpretation { map, residual, runner_up_m: None };
+            let encoding = to_encoding(joints.dof, stream, &found, misfit(stream.chain, &samples));
+            likely.push(LikelyEncoding { encoding, by_range });
         }
     }
     likely.sort_by_key(|one| !one.by_range);
-    let said = |one: &LikelyEncoding| {
+    let is_same = |one: &LikelyEncoding| {
         let order = one.encoding.permutation.as_ref().map(|(order, _)| order.clone());
         (one.encoding.degrees.is_some(), order, one.encoding.unit_errors.clone())
     };
-    likely.dedup_by(|a, b| said(a) == said(b));
+    likely.dedup_by(|a, b| is_same(a) == is_same(b));
     likely
 }
 
 /// Best two joints whose zero alone would greatly reduce the residual, with their offsets. `offsets` is the
 /// reference.
 pub(super) fn single_zeros(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     lag_s: f64,
     offsets: &[f64],
 ) -> Vec<(usize, f64)> {
     /// Gauss–Newton finds smaller ones.
     const MIN_ZERO_CHANGE_RAD: f64 = 0.1;
     const MAX_ZERO_RESIDUAL_RATIO: f64 = 0.3;
-    let chain = witness.chain;
-    let PoseObservations { joints, columns, .. } = *witness;
+    let chain = observations.chain;
+    let PoseObservations { joints, columns, .. } = *observations;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let (mut xyz, mut rotation, mut rows) = (Vec::new(), Vec::new(), Vec::new());
-    for k in (0..witness.len()).step_by(witness.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1)) {
-        if joints.at(witness.t_s[k] - lag_s, &mut cursor, &mut q, &mut qd) {
-            xyz.push(witness.xyz[k]);
-            rotation.push(witness.rotation[k]);
+    for k in
+        (0..observations.len()).step_by(observations.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1))
+    {
+        if joints.at(observations.t_s[k] - lag_s, &mut cursor, &mut q, &mut qd) {
+            xyz.push(observations.xyz[k]);
+            rotation.push(observations.rotation[k]);
             rows.extend(columns.iter().map(|&column| q[column]));
         }
     }
@@ -256,19 +260,19 @@ pub(super) fn single_zeros(
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
         turns: FRAME_ITERATIONS,
     };
-    let mut near = JointMap::as_logged(columns.len());
-    near.zero = columns.iter().map(|&column| offsets[column]).collect();
+    let mut nearest_zeros = JointMap::as_logged(columns.len());
+    nearest_zeros.zero = columns.iter().map(|&column| offsets[column]).collect();
     let named = ConstantFrames::default();
-    let left =
+    let residual_of =
         |map: &JointMap| view.residual_against(&view.fk(map), &named).combined_m(view.lever_m);
-    let most = MAX_ZERO_RESIDUAL_RATIO * left(&near);
+    let max_residual = MAX_ZERO_RESIDUAL_RATIO * residual_of(&nearest_zeros);
     let turning = (0..columns.len()).filter(|&j| chain.joint_kinds()[j] != JointKind::Prismatic);
     let mut zeros: Vec<(f64, usize, f64)> = turning
         .filter_map(|joint| {
-            let zero = SingleJoint::new(&view, &near, &named, joint).best_zero(1.0).0;
-            let left = left(&near.with(joint, 1.0, zero));
-            let is_off = (zero - near.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
-            (is_off && left < most).then_some((left, columns[joint], zero))
+            let zero = SingleJoint::new(&view, &nearest_zeros, &named, joint).best_zero(1.0).0;
+            let residual_of = residual_of(&nearest_zeros.with(joint, 1.0, zero));
+            let is_off = (zero - nearest_zeros.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
+            (is_off && residual_of < max_residual).then_some((residual_of, columns[joint], zero))
         })
         .collect();
     zeros.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -279,7 +283,7 @@ pub(super) fn single_zeros(
 fn views<'a>(
     joints: &JointTrack,
     stream: &PoseStream<'a>,
-    moments: &SimultaneousSamples,
+    samples: &SimultaneousSamples,
 ) -> Vec<InterpretedPoses<'a>> {
     let chain = stream.chain;
     let span = |&column: &usize| {
@@ -289,15 +293,15 @@ fn views<'a>(
     };
     let positions = InterpretedPoses {
         chain,
-        xyz: moments.xyz.clone(),
+        xyz: samples.xyz.clone(),
         rotation: None,
-        q: moments.q.clone(),
+        q: samples.q.clone(),
         spans: stream.columns.iter().map(span).collect(),
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
         turns: FRAME_ITERATIONS,
     };
     let mut views = Vec::new();
-    if let (Some(rotation), Some(inverse)) = (&moments.rotation, &moments.inverse_xyz) {
+    if let (Some(rotation), Some(inverse)) = (&samples.rotation, &samples.inverse_xyz) {
         views.push(InterpretedPoses { rotation: Some(rotation.clone()), ..positions.clone() });
         let turned = rotation.iter().map(Rotation::inverse).collect();
         views.push(InterpretedPoses {
@@ -318,7 +322,7 @@ fn to_encoding(
     as_logged: f64,
 ) -> JointEncoding {
     let (map, kinds, columns) = (&found.map, stream.chain.joint_kinds(), stream.columns);
-    let slip = UnitResiduals { as_logged, corrected: found.residual.m };
+    let unit_residuals = UnitResiduals { as_logged, corrected: found.residual.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
     /// Relative.
@@ -326,7 +330,7 @@ fn to_encoding(
     let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < SCALE_PRECISION;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
     let all_in_degrees = turning.len() > 1 && turning.iter().all(|&joint| in_degrees(joint));
-    let slips = (0..map.from.len()).filter_map(|joint| {
+    let unit_errors = (0..map.from.len()).filter_map(|joint| {
         let unit = match map.factor[joint] {
             1.0 => return None,
             _ if !slides(joint) && in_degrees(joint) && all_in_degrees => return None,
@@ -353,24 +357,24 @@ fn to_encoding(
         permutation[columns[from]] = columns[joint];
     }
     JointEncoding {
-        degrees: all_in_degrees.then_some(slip),
-        permutation: (!is_in_order).then_some((permutation, slip)),
-        unit_errors: slips.collect(),
+        degrees: all_in_degrees.then_some(unit_residuals),
+        permutation: (!is_in_order).then_some((permutation, unit_residuals)),
+        unit_errors: unit_errors.collect(),
         couplings: map.coupling.map(in_track).into_iter().collect(),
         zeros,
-        residual: Some(slip),
+        residual: Some(unit_residuals),
         runner_up_m: found.runner_up_m,
     }
 }
 
 /// Neither stream nor FK move the tip, in radians or degrees.
-fn is_at_rest(chain: &Chain, moments: &SimultaneousSamples) -> bool {
-    let radians = converted_to_radians(chain, moments);
-    let fk = |moments: &SimultaneousSamples| -> Vec<Vec3> {
-        let rows = moments.q.chunks_exact(chain.dof());
+fn is_at_rest(chain: &Chain, samples: &SimultaneousSamples) -> bool {
+    let radians = converted_to_radians(chain, samples);
+    let fk = |samples: &SimultaneousSamples| -> Vec<Vec3> {
+        let rows = samples.q.chunks_exact(chain.dof());
         rows.map(|q| chain.forward(q).translation.vector).collect()
     };
-    [&moments.xyz, &fk(moments), &fk(&radians)]
+    [&samples.xyz, &fk(samples), &fk(&radians)]
         .into_iter()
         .all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
 }
@@ -379,22 +383,24 @@ fn is_at_rest(chain: &Chain, moments: &SimultaneousSamples) -> bool {
 /// inconclusive.
 fn encoding_at_rest(
     chain: &Chain,
-    moments: &SimultaneousSamples,
+    samples: &SimultaneousSamples,
     reference_known: bool,
 ) -> EstimateResult<JointEncoding> {
-    let off = |moments: &SimultaneousSamples| -> f64 {
-        let rows = moments.q.chunks_exact(chain.dof()).zip(&moments.xyz);
+    let distance = |samples: &SimultaneousSamples| -> f64 {
+        let rows = samples.q.chunks_exact(chain.dof()).zip(&samples.xyz);
         let squares =
             rows.map(|(q, xyz)| (chain.forward(q).translation.vector - xyz).norm_squared());
-        (squares.sum::<f64>() / moments.xyz.len().max(1) as f64).sqrt()
+        (squares.sum::<f64>() / samples.xyz.len().max(1) as f64).sqrt()
     };
-    let (as_logged, corrected) = (off(moments), off(&converted_to_radians(chain, moments)));
-    let is_there = |off: f64, other: f64| {
-        off < MAX_REST_DISTANCE_SHARE * chain.max_reach_m() && off * MIN_RESIDUAL_RATIO < other
+    let (as_logged, corrected) =
+        (distance(samples), distance(&converted_to_radians(chain, samples)));
+    let is_plausible = |distance: f64, other: f64| {
+        distance < MAX_REST_DISTANCE_SHARE * chain.max_reach_m()
+            && distance * MIN_RESIDUAL_RATIO < other
     };
     let degrees = match reference_known {
-        true if is_there(as_logged, corrected) => None,
-        true if is_there(corrected, as_logged) => Some(UnitResiduals { as_logged, corrected }),
+        true if is_plausible(as_logged, corrected) => None,
+        true if is_plausible(corrected, as_logged) => Some(UnitResiduals { as_logged, corrected }),
         _ => return Err(NotObservable::AtRest),
     };
     Ok(JointEncoding { degrees, ..JointEncoding::default() })
@@ -403,14 +409,14 @@ fn encoding_at_rest(
 /// Names, units and couplings, but not the zeros.
 pub(super) fn correct_joints(
     joints: &JointTrack,
-    reading: &JointEncoding,
+    encoding: &JointEncoding,
     prismatic: &[bool],
 ) -> JointTrack {
     let mut track = joints.clone();
-    if reading.degrees.is_some() {
+    if encoding.degrees.is_some() {
         track.convert_from_degrees(prismatic);
     }
-    if let Some((permutation, _)) = &reading.permutation {
+    if let Some((permutation, _)) = &encoding.permutation {
         let named = track.clone();
         for (to, from) in [(&mut track.q, &named.q), (&mut track.qd, &named.qd)] {
             for (row, source) in to.chunks_exact_mut(joints.dof).zip(from.chunks_exact(joints.dof))
@@ -421,13 +427,13 @@ pub(super) fn correct_joints(
             }
         }
     }
-    for slip in &reading.unit_errors {
+    for unit_error in &encoding.unit_errors {
         for values in [&mut track.q, &mut track.qd] {
-            let own = values.iter_mut().skip(slip.column).step_by(joints.dof);
-            own.for_each(|value| *value *= slip.factor);
+            let own = values.iter_mut().skip(unit_error.column).step_by(joints.dof);
+            own.for_each(|value| *value *= unit_error.factor);
         }
     }
-    for JointCoupling { column, by, factor } in &reading.couplings {
+    for JointCoupling { column, by, factor } in &encoding.couplings {
         for values in [&mut track.q, &mut track.qd] {
             let rows = values.chunks_exact_mut(joints.dof);
             rows.for_each(|row| row[*column] += factor.value * row[*by]);
@@ -451,20 +457,20 @@ pub(super) fn follows_arm(
     scale: f64,
     lag_s: f64,
 ) -> bool {
-    let moments = slow_simultaneous_samples(joints, stream, scale, lag_s);
-    moments.xyz.len() >= 6
-        && misfit(stream.chain, &moments) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&moments.xyz)
+    let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
+    samples.xyz.len() >= 6
+        && misfit(stream.chain, &samples) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&samples.xyz)
 }
 
 /// Zero and peaks of the speed correlation. At slow samples a remaining error has little effect, a wrong
 /// candidate has.
-fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
+fn latency_candidates(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
     let mut lags = vec![0.0];
     // Speeds as logged, and normalised per joint.
     for joints in [Cow::Borrowed(joints), Cow::Owned(normalize_velocities(joints))] {
-        let peaks = lag_peaks(&joint_activity(&joints), &speed, most_lag_s);
+        let peaks = lag_peaks(&joint_activity(&joints), &speed, max_lag_s);
         for peak in peaks.iter().filter(|peak| peak.correlation > 0.4).take(2) {
             if lags.iter().all(|lag_s| (peak.lag_s - lag_s).abs() > 0.01) {
                 lags.push(peak.lag_s);
@@ -475,19 +481,19 @@ fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64)
 }
 
 /// Position residual with a constant tool offset, rms m.
-fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
-    let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
+fn tool_misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
+    let poses: Vec<Pose> = samples.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);
-    let plain = expected.tool_misfit(&moments.xyz);
-    moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
+    let plain = expected.tool_misfit(&samples.xyz);
+    samples.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
 /// Position residual with constant frames, rms m.
-fn misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
-    let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
+fn misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
+    let poses: Vec<Pose> = samples.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = FkColumns::from_poses(&poses);
-    let plain = expected.misfit(&moments.xyz);
-    moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
+    let plain = expected.misfit(&samples.xyz);
+    samples.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
 }
 
 #[cfg(test)]

@@ -73,11 +73,11 @@ impl JointProposal {
             }
         }
         map.remove_whole_turns(view.chain, &view.spans);
-        let left = view.residual_against(&view.fk(&map), &frames);
-        let is_turned =
+        let residual = view.residual_against(&view.fk(&map), &frames);
+        let has_rotated_tool =
             view.rotation.is_some() && frames.tool.rotation.angle() > MIN_TOOL_ROTATION_RAD;
-        let price = self.price + if is_turned { TOOL_ROTATION_PRICE } else { 0.0 };
-        RefinedProposal { map, residual: left, price }
+        let price = self.price + if has_rotated_tool { TOOL_ROTATION_PRICE } else { 0.0 };
+        RefinedProposal { map, residual, price }
     }
 
     /// Zeros, relative factors, coupling factor, tool, reference.

@@ -59,31 +59,31 @@ pub(super) enum SearchOutcome {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum InterpretationKind {
     /// One cause: a unit, reversed joints, or one joint.
-    One,
+    OneJoint,
     Order,
     /// One joint coupled to another.
     Coupled,
     /// Unit, and one joint.
-    UnitAndOne,
+    UnitAndOneJoint,
     /// Two joints.
-    Two,
+    TwoJoints,
     /// Order, and one joint.
-    OrderAndOne,
+    OrderAndOneJoint,
 }
 
 impl InterpretationKind {
     /// All kinds.
     pub const ALL: [InterpretationKind; 6] = [
-        InterpretationKind::One,
+        InterpretationKind::OneJoint,
         InterpretationKind::Order,
         InterpretationKind::Coupled,
-        InterpretationKind::UnitAndOne,
-        InterpretationKind::Two,
-        InterpretationKind::OrderAndOne,
+        InterpretationKind::UnitAndOneJoint,
+        InterpretationKind::TwoJoints,
+        InterpretationKind::OrderAndOneJoint,
     ];
     /// Kinds for a stream already close to FK.
     pub const FOR_SMALL_RESIDUALS: [InterpretationKind; 2] =
-        [InterpretationKind::One, InterpretationKind::Coupled];
+        [InterpretationKind::OneJoint, InterpretationKind::Coupled];
 }
 
 /// Accepts a residual of at most `most`.
@@ -91,37 +91,41 @@ pub(super) fn search_kind(
     view: &InterpretedPoses,
     kind: InterpretationKind,
     freedom: FreeFrames,
-    most: ResidualSize,
+    max_residual: ResidualSize,
 ) -> SearchOutcome {
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
-    if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), most) {
+    if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), max_residual) {
         // The poses fit as logged.
         return SearchOutcome::Nothing;
     }
-    if let (InterpretationKind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
+    if let (InterpretationKind::OneJoint, Some(found)) = (kind, mirrored_in_unit(view)) {
         return SearchOutcome::Found(found);
     }
     let proposals = match kind {
-        InterpretationKind::One => one_misinterpreted(view, freedom),
+        InterpretationKind::OneJoint => one_joint(view, freedom),
         InterpretationKind::Order => reordered(view, freedom),
         InterpretationKind::Coupled => coupled_pairs(view),
-        InterpretationKind::UnitAndOne => unit_and_one(view, freedom),
-        InterpretationKind::Two => two_misinterpreted(view, freedom),
-        InterpretationKind::OrderAndOne => order_and_one(view, freedom),
+        InterpretationKind::UnitAndOneJoint => unit_and_one_joint(view, freedom),
+        InterpretationKind::TwoJoints => two_joints(view, freedom),
+        InterpretationKind::OrderAndOneJoint => order_and_one_joint(view, freedom),
     };
-    refine_and_select(view, proposals, freedom, most)
+    refine_and_select(view, proposals, freedom, max_residual)
 }
 
-fn is_within(left: &ResidualSize, most: ResidualSize) -> bool {
-    left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
+fn is_within(residual: &ResidualSize, max_residual: ResidualSize) -> bool {
+    residual.m <= max_residual.m
+        && residual
+            .rad
+            .zip(max_residual.rad)
+            .is_none_or(|(residual, max_residual)| residual <= max_residual)
 }
 
 fn refine_and_select(
     view: &InterpretedPoses,
     proposals: Vec<JointProposal>,
     freedom: FreeFrames,
-    most: ResidualSize,
+    max_residual: ResidualSize,
 ) -> SearchOutcome {
     let together = |polished: &RefinedProposal| polished.residual.combined_m(view.lever_m);
     let price = |polished: &RefinedProposal| {
@@ -144,13 +148,13 @@ fn refine_and_select(
         .map(|(_, proposal)| proposal.refine(view, freedom, MAX_STEPS))
         .map(|polished| (price(&polished), polished))
         .collect();
-    let least = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
-    let enough = (MAX_COMPETITOR_RATIO * least).max(RESIDUAL_FLOOR_M);
-    let good = polished
-        .iter()
-        .filter(|(_, one)| is_within(&one.residual, most) && together(one) <= enough);
-    let Some((paid, best)) =
-        good.min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
+    let min_residual = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
+    let max_equivalent = (MAX_COMPETITOR_RATIO * min_residual).max(RESIDUAL_FLOOR_M);
+    let equivalent = polished.iter().filter(|(_, one)| {
+        is_within(&one.residual, max_residual) && together(one) <= max_equivalent
+    });
+    let Some((paid, best)) = equivalent
+        .min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
     else {
         return SearchOutcome::Nothing;
     };
@@ -181,9 +185,10 @@ fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> 
         a.apply(row, &mut by_a);
         b.apply(row, &mut by_b);
         by_a.iter().zip(&by_b).zip(kinds).all(|((a, b), kind)| {
-            let off = a - b;
-            let turns = if *kind == JointKind::Prismatic { 0.0 } else { (off / TAU).round() };
-            (off - TAU * turns).abs() < POSITION_TOLERANCE
+            let difference = a - b;
+            let turns =
+                if *kind == JointKind::Prismatic { 0.0 } else { (difference / TAU).round() };
+            (difference - TAU * turns).abs() < POSITION_TOLERANCE
         })
     })
 }
@@ -203,11 +208,11 @@ fn best_proposals(
             scored.sort_by(|a, b| a.0.total_cmp(&b.0));
             scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
         };
-    let few = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
+    let screened = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
         true => by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map)),
         false => proposals,
     };
-    by(few, most, &|map| view.misfit(map, freedom))
+    by(screened, most, &|map| view.misfit(map, freedom))
 }
 
 /// Likely part of the fault; whether the joint ranges support them.
@@ -215,7 +220,7 @@ pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
     let units: Vec<JointMap> = arm_interpretations(view.chain)
         .into_iter()
-        .filter(|whole| whole.is_unit)
+        .filter(|interpretation| interpretation.is_unit)
         .map(|w| w.map)
         .collect();
     let is_out = none.out_of_range(view.chain, &view.spans);
@@ -244,13 +249,15 @@ fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
         .collect()
 }
 
-fn one_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
-    let whole = arm_interpretations(view.chain)
+    let interpretation = arm_interpretations(view.chain)
         .into_iter()
-        .map(|whole| unrefined(whole.map, if whole.is_unit { 1.0 } else { 1.25 }))
+        .map(|interpretation| {
+            unrefined(interpretation.map, if interpretation.is_unit { 1.0 } else { 1.25 })
+        })
         .collect();
-    let mut proposals = best_proposals(view, whole, freedom, REFINED_PROPOSALS / 2);
+    let mut proposals = best_proposals(view, interpretation, freedom, REFINED_PROPOSALS / 2);
     let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
         // They can be equivalent to one mirrored axis, which is a single cause.
@@ -270,10 +277,13 @@ fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
 
 /// Reversing all joints in that unit would also fit, but with rotated frames.
 fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
-    let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
-    let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
-    let left = ResidualSize { m: MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz), rad: None };
-    Some(JointInterpretation { map, residual: left, runner_up_m: None })
+    let units =
+        arm_interpretations(view.chain).into_iter().filter(|interpretation| interpretation.is_unit);
+    let map =
+        units.map(|interpretation| interpretation.map).find(|unit| is_mirrored(view, unit))?;
+    let max_residual =
+        ResidualSize { m: MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz), rad: None };
+    Some(JointInterpretation { map, residual: max_residual, runner_up_m: None })
 }
 
 /// Reversing all joints is one cause.
@@ -342,7 +352,7 @@ fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
     let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
     let units: Vec<JointMap> = arm_interpretations(view.chain)
         .into_iter()
-        .filter(|whole| whole.is_unit)
+        .filter(|interpretation| interpretation.is_unit)
         .map(|w| w.map)
         .collect();
     let bases = std::iter::once((&none, 0.0)).chain(units.iter().map(|unit| (unit, 1.0)));
@@ -380,8 +390,9 @@ fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
         .collect()
 }
 
-fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
-    let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
+fn unit_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+    let units =
+        arm_interpretations(view.chain).into_iter().filter(|interpretation| interpretation.is_unit);
     let joints = 0..view.chain.dof();
     let pairs: Vec<(JointMap, usize)> =
         units.flat_map(|unit| joints.clone().map(move |joint| (unit.map.clone(), joint))).collect();
@@ -463,7 +474,7 @@ fn alternate_fit(
 }
 
 /// The first has its zero on a grid, forward or reversed.
-fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn two_joints(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     const ZERO_GRID_POINTS: u32 = 24;
     let thin = view.thinned(16);
     let dof = view.chain.dof();
@@ -500,11 +511,11 @@ fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
             let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
             let (thin, can_move) = (&thin, &can_move);
             seconds.flat_map(move |second| {
-                let lone = SingleJoint::new(thin, &base, &frames, second);
-                let mut ways = vec![(1.0, Some(lone.best_zero(1.0).0), 1.0)];
+                let single = SingleJoint::new(thin, &base, &frames, second);
+                let mut candidates = vec![(1.0, Some(single.best_zero(1.0).0), 1.0)];
                 if can_move.contains(&second) {
-                    ways.push((-1.0, None, 1.0));
-                    ways.push((-1.0, Some(lone.best_zero(-1.0).0), 2.0));
+                    candidates.push((-1.0, None, 1.0));
+                    candidates.push((-1.0, Some(single.best_zero(-1.0).0), 2.0));
                 }
                 let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
                     let second_zero = zero.map(|_| second);
@@ -516,14 +527,14 @@ fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
                         price: price + more,
                     }
                 };
-                ways.into_iter().map(proposal).collect::<Vec<_>>()
+                candidates.into_iter().map(proposal).collect::<Vec<_>>()
             })
         })
         .collect();
     best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)
 }
 
-fn order_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn order_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(10);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);

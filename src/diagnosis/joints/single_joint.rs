@@ -51,7 +51,7 @@ impl SingleJoint {
         let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
         let mut q = vec![0.0; dof];
-        let (mut values, mut wanted) = (Vec::new(), Vec::new());
+        let (mut values, mut required) = (Vec::new(), Vec::new());
         for (k, row) in view.q.chunks_exact(dof).enumerate() {
             map.apply(row, &mut q);
             values.push(row[map.from[joint]]);
@@ -62,7 +62,7 @@ impl SingleJoint {
             let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
             let logged = pose_numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
             let between = |a: &[f64; 12], b: &[f64; 12]| std::array::from_fn(|i| a[i] - b[i]);
-            wanted.push(if slides {
+            required.push(if slides {
                 let (zero, one) = (at(0.0), at(1.0));
                 let along = between(&one, &zero);
                 [dot(&along, &between(&logged, &zero)) / dot(&along, &along).max(1e-12), 0.0]
@@ -80,7 +80,7 @@ impl SingleJoint {
                 [dot(&a, &off), dot(&b, &off)]
             });
         }
-        Self { values, required: wanted, is_prismatic: slides, span: view.spans[map.from[joint]] }
+        Self { values, required, is_prismatic: slides, span: view.spans[map.from[joint]] }
     }
 
     /// Best zero and its score (higher is better).

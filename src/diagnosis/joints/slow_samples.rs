@@ -63,7 +63,7 @@ pub(super) fn slow_simultaneous_samples(
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
     };
-    let mut moments = SimultaneousSamples {
+    let mut samples = SimultaneousSamples {
         xyz: Vec::new(),
         rotation: rotations.map(|_| Vec::new()),
         inverse_xyz: rotations.map(|_| Vec::new()),
@@ -72,28 +72,28 @@ pub(super) fn slow_simultaneous_samples(
     for &i in by_speed.iter().step_by(step) {
         let k = covered[i].0;
         let xyz = track.xyz[k] * scale;
-        moments.xyz.push(xyz);
-        if let (Some(inverse_xyz), Some(rotations)) = (&mut moments.inverse_xyz, rotations) {
+        samples.xyz.push(xyz);
+        if let (Some(inverse_xyz), Some(rotations)) = (&mut samples.inverse_xyz, rotations) {
             inverse_xyz.push(-(rotations[k].inverse() * xyz));
         }
-        if let (Some(rotation), Some(rotations)) = (&mut moments.rotation, rotations) {
+        if let (Some(rotation), Some(rotations)) = (&mut samples.rotation, rotations) {
             rotation.push(rotations[k]);
         }
-        moments.q.extend_from_slice(&covered[i].2);
+        samples.q.extend_from_slice(&covered[i].2);
     }
-    moments
+    samples
 }
 
 pub(super) fn converted_to_radians(
     chain: &Chain,
-    moments: &SimultaneousSamples,
+    samples: &SimultaneousSamples,
 ) -> SimultaneousSamples {
     let kinds = chain.joint_kinds();
     let convert = |(i, q): (usize, &f64)| {
         if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
     };
     SimultaneousSamples {
-        q: moments.q.iter().enumerate().map(convert).collect(),
-        ..moments.clone()
+        q: samples.q.iter().enumerate().map(convert).collect(),
+        ..samples.clone()
     }
 }

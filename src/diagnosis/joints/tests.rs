@@ -76,7 +76,7 @@ fn one_joint_is_found_whatever_its_numbers_mean() {
             logged[joint] = (q[joint] - zero) / factor;
             logged
         });
-        let map = found(&view, InterpretationKind::One, FreeFrames::Tool);
+        let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
         let expected = JointMap::as_logged(6).with(joint, factor, zero);
         for (own, truth) in map.factor.iter().zip(&expected.factor) {
             assert!((own / truth - 1.0).abs() < 1e-2, "{map:?}, not {expected:?}");
@@ -90,7 +90,7 @@ fn all_joints_in_another_unit_are_one_cause() {
     let chain = ur5e();
     for factor in [1f64.to_radians(), TAU / 65536.0, -1.0, 1.0 / 101.0] {
         let view = view(&chain, tcp(), |q| q.iter().map(|q| q / factor).collect());
-        let map = found(&view, InterpretationKind::One, FreeFrames::Tool);
+        let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
         assert_near(&map.factor.iter().map(|f| f / factor).collect::<Vec<_>>(), &[1.0; 6], 1e-2);
     }
 }
@@ -99,12 +99,12 @@ fn all_joints_in_another_unit_are_one_cause() {
 fn two_joints_and_an_order_beside_one_are_found() {
     let chain = ur5e();
     let two = view(&chain, tcp(), |q| vec![q[0], q[1] - 1.9, -q[2], q[3], q[4], q[5]]);
-    let map = found(&two, InterpretationKind::Two, FreeFrames::Tool);
+    let map = found(&two, InterpretationKind::TwoJoints, FreeFrames::Tool);
     assert_near(&map.zero, &[0.0, 1.9, 0.0, 0.0, 0.0, 0.0], 0.02);
     assert_near(&map.factor, &[1.0, 1.0, -1.0, 1.0, 1.0, 1.0], 1e-6);
 
     let order = view(&chain, Pose::identity(), |q| vec![q[2], q[1], q[0], -q[3], q[4], q[5]]);
-    let map = found(&order, InterpretationKind::OrderAndOne, FreeFrames::Tool);
+    let map = found(&order, InterpretationKind::OrderAndOneJoint, FreeFrames::Tool);
     assert_eq!(map.from, [2, 1, 0, 3, 4, 5]);
     assert_near(&map.factor, &[1.0, 1.0, 1.0, -1.0, 1.0, 1.0], 1e-6);
 }
@@ -118,7 +118,7 @@ fn in_a_world_of_its_own_joints_are_read_too() {
         let moved = world * Pose::from_parts((*xyz).into(), *rotation);
         (*xyz, *rotation) = (moved.translation.vector, moved.rotation);
     }
-    let map = found(&view, InterpretationKind::One, FreeFrames::Both);
+    let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Both);
     assert_near(&map.factor, &[1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 1e-6);
 }
 

@@ -59,7 +59,7 @@ impl CoarseLatencyChange {
 pub fn detect_pose_latency_changes(
     joints: &JointTrack,
     stream: &PoseStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
     let ArmSpeeds { linear, angular, .. } =
         ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
@@ -71,7 +71,7 @@ pub fn detect_pose_latency_changes(
     for (arm, speed) in &mut pairs {
         *speed = without_spikes(arm, std::mem::take(speed));
     }
-    detect_changes(&pairs, most_lag_s)
+    detect_changes(&pairs, max_lag_s)
 }
 
 /// Removes spikes, which occur where stamps step back and distant positions have close stamps.
@@ -84,9 +84,10 @@ fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
     let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
     let fastest = arm.value.iter().copied().fold(0.0, f64::max);
     let times = (QUANTILE_MARGIN * fastest / of_arm).min(MAX_QUANTILE_RATIO);
-    let most = if times.is_finite() { times * own } else { MAX_QUANTILE_RATIO * own };
-    let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
-    let (t_s, value) = kept.unzip();
+    let max_speed = if times.is_finite() { times * own } else { MAX_QUANTILE_RATIO * own };
+    let retained =
+        speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= max_speed);
+    let (t_s, value) = retained.unzip();
     SpeedSeries { t_s, value }
 }
 
@@ -94,10 +95,10 @@ fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
 pub fn detect_imu_latency_changes(
     joints: &JointTrack,
     stream: &ImuStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
     let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
-    detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+    detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], max_lag_s)
 }
 
 /// Window with the lag of the highest correlation.
@@ -113,10 +114,9 @@ pub(crate) struct LagWindow {
 /// Uses the pair (arm, stream) that correlates best.
 fn detect_changes(
     pairs: &[(SpeedSeries, SpeedSeries)],
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let seen =
-        pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, most_lag_s)));
+    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, max_lag_s)));
     let typical = |windows: &[LagWindow]| {
         let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
         all.sort_by(f64::total_cmp);
@@ -136,24 +136,26 @@ fn detect_changes(
         .as_ref()
         .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
     // Linear growth is skew, not steps.
-    let otherwise = steps.filter(|_| of_steps < of_line);
+    let fallback = steps.filter(|_| of_steps < of_line);
     match of_gradual
         < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line.min(of_steps))
     {
-        true => Some(CoarseLatencyChange::Ramp(gradual, otherwise)),
-        false => otherwise.map(CoarseLatencyChange::Steps),
+        true => Some(CoarseLatencyChange::Ramp(gradual, fallback)),
+        false => fallback.map(CoarseLatencyChange::Steps),
     }
 }
 
 /// Drops rows whose compensated stamps precede an earlier one.
-pub(crate) fn monotonic_rows(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
-    let mut kept: Vec<(usize, f64)> = Vec::with_capacity(straight_s.size_hint().0);
-    for (row, t_s) in straight_s {
-        if kept.last().is_none_or(|(_, before_s)| t_s > *before_s) {
-            kept.push((row, t_s));
+pub(crate) fn monotonic_rows(
+    compensated_s: impl Iterator<Item = (usize, f64)>,
+) -> Vec<(usize, f64)> {
+    let mut retained: Vec<(usize, f64)> = Vec::with_capacity(compensated_s.size_hint().0);
+    for (row, t_s) in compensated_s {
+        if retained.last().is_none_or(|(_, before_s)| t_s > *before_s) {
+            retained.push((row, t_s));
         }
     }
-    kept
+    retained
 }
 
 pub(crate) fn squared_residual(
@@ -168,7 +170,7 @@ pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
     (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
 }
 
-fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<LagWindow> {
+fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64) -> Vec<LagWindow> {
     const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
     let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
         return Vec::new();
@@ -180,7 +182,7 @@ fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<
     let window = |index: usize| {
         let from_s = from_s(index);
         let own = between(arm, from_s, from_s + length_s);
-        let best = lag_peaks(&own, stream, most_lag_s).into_iter().next()?;
+        let best = lag_peaks(&own, stream, max_lag_s).into_iter().next()?;
         let middle_s = from_s + 0.5 * length_s;
         Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
     };

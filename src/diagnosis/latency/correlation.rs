@@ -81,18 +81,18 @@ impl ArmSpeeds {
         t_s: &[f64],
         xyz: &[Vec3],
         rotation: Option<&[Rotation]>,
-        most_s: f64,
+        max_lag_s: f64,
     ) -> Vec<LagPeak> {
         let linear = linear_speed(t_s, xyz);
         // Inverse poses can be identified without rotations.
         let mut found = vec![
-            lag_peaks(&self.linear, &linear, most_s),
-            lag_peaks(&self.inverse, &linear, most_s),
+            lag_peaks(&self.linear, &linear, max_lag_s),
+            lag_peaks(&self.inverse, &linear, max_lag_s),
         ];
         if let Some(rotation) = rotation {
-            found.push(lag_peaks(&self.angular, &angular_speed(t_s, rotation), most_s));
+            found.push(lag_peaks(&self.angular, &angular_speed(t_s, rotation), max_lag_s));
             let inverse = inverse_linear_speed(t_s, xyz, rotation);
-            found.push(lag_peaks(&self.linear, &inverse, most_s));
+            found.push(lag_peaks(&self.linear, &inverse, max_lag_s));
         }
         let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
@@ -167,16 +167,16 @@ pub(crate) fn norm_series(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
     SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
-/// Lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
-pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
-    let by_lag = correlation_by_lag(arm, stream, most_s);
+/// Lags within ±`max_lag_s` at correlation peaks, best first. Empty without motion or a common span.
+pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64) -> Vec<LagPeak> {
+    let by_lag = correlation_by_lag(arm, stream, max_lag_s);
     let mut peaks: Vec<LagPeak> = by_lag
         .windows(3)
         .filter_map(|around| {
             let [a, b, c] = [0, 1, 2].map(|at| around[at].correlation);
             let is_peak = b.is_finite() && b >= a && b > c;
-            let bend = a - 2.0 * b + c;
-            let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
+            let curvature = a - 2.0 * b + c;
+            let shift = if curvature < 0.0 { 0.5 * (a - c) / curvature } else { 0.0 };
             let step = around[2].lag_s - around[1].lag_s;
             let peak = LagPeak { lag_s: around[1].lag_s + shift * step, correlation: b };
             is_peak.then_some(peak)
@@ -186,26 +186,26 @@ pub(crate) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) ->
     peaks
 }
 
-/// Correlation at evenly spaced lags within ±`most_s`. NaN if not comparable. Empty without a common span.
+/// Correlation at evenly spaced lags within ±`max_lag_s`. NaN if not comparable. Empty without a common span.
 /// Long gaps split the arm's speed into pieces, whose sums are added.
 pub(crate) fn correlation_by_lag(
     arm: &SpeedSeries,
     stream: &SpeedSeries,
-    most_s: f64,
+    max_lag_s: f64,
 ) -> Vec<LagPeak> {
     /// Over all pieces.
     const MAX_STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
     let silences = periods.map(max_gap_s);
-    let pieces = pieces(&arm.t_s, silences[0]);
-    let covered_s: f64 = pieces.iter().map(|(start, end)| end - start).sum();
+    let unbroken_spans = unbroken_spans(&arm.t_s, silences[0]);
+    let covered_s: f64 = unbroken_spans.iter().map(|(start, end)| end - start).sum();
     let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / MAX_STEPS);
     if stream.t_s.is_empty() || covered_s < 20.0 * step {
         return Vec::new();
     }
-    let lags = (most_s.min(covered_s / 3.0) / step).floor() as usize;
+    let lags = (max_lag_s.min(covered_s / 3.0) / step).floor() as usize;
     let mut sums = CorrelationSums::zeros(2 * lags + 1);
-    for (start, end) in pieces {
+    for (start, end) in unbroken_spans {
         let count = ((end - start) / step) as usize + 1;
         // A late stream describes the piece after its end.
         let before = start - lags as f64 * step;
@@ -225,7 +225,7 @@ fn max_gap_s(period_s: f64) -> f64 {
 }
 
 /// Start and end of each piece without long gaps.
-fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
+fn unbroken_spans(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
     let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
     unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
 }
@@ -248,11 +248,11 @@ impl SpeedGrid {
                 right += 1;
             }
             let Some(&after) = speed.t_s.get(right) else { break };
-            let value = match right.checked_sub(1).map(|left| (left, speed.t_s[left])) {
+            let value = match right.checked_sub(1).map(|previous| (previous, speed.t_s[previous])) {
                 _ if after == t => speed.value[right],
-                Some((left, before)) if after - before <= longest_s => {
+                Some((previous, before)) if after - before <= longest_s => {
                     let share = (t - before) / (after - before);
-                    speed.value[left] + share * (speed.value[right] - speed.value[left])
+                    speed.value[previous] + share * (speed.value[right] - speed.value[previous])
                 }
                 _ => continue,
             };
@@ -324,10 +324,10 @@ impl CorrelationSums {
     fn correlations(&self) -> Vec<f64> {
         /// Speeds below this are constant; rounding stays below it.
         const MIN_RELATIVE_VARIANCE: f64 = 1e-10;
-        let fewest = self.known[0].min(self.known[1]) / 3.0;
+        let min_overlap = self.known[0].min(self.known[1]) / 3.0;
         let at = |lag: usize| {
             let [n, x, xx, y, yy, xy] = self.sums.each_ref().map(|sums| sums[lag]);
-            if n < fewest.max(0.5) {
+            if n < min_overlap.max(0.5) {
                 return f64::NAN;
             }
             let (vx, vy) = (xx - x * x / n, yy - y * y / n);

@@ -58,11 +58,11 @@ pub(crate) fn estimate_delay_jitter(
         ((spread / (n - 1.0)) / n).sqrt()
     };
     let middle = |part: &[SampleDelay]| median(&mut values(part)).unwrap_or(middle_s);
-    let apart_s = mean(&all) - middle_s;
-    let is_skewed = apart_s.abs()
+    let difference_s = mean(&all) - middle_s;
+    let is_skewed = difference_s.abs()
         > MIN_DIFFERENCE_S.max(MIN_STD_ERRORS * of_blocks(&|part| mean(part) - middle(part)));
-    let measured = |beyond_s: f64, std_error: f64| Measured {
-        value: latency_s + beyond_s,
+    let measured = |additional_s: f64, std_error: f64| Measured {
+        value: latency_s + additional_s,
         std_error,
         dof: BLOCKS as f64 - 1.0,
     };
@@ -83,19 +83,19 @@ struct SampleDelay {
 
 fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let t = &aligned.t_s;
-    let apart = |a: &Pose, b: &Pose| -> [Vec3; 2] {
+    let difference = |a: &Pose, b: &Pose| -> [Vec3; 2] {
         let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
         [a.translation.vector - b.translation.vector, turn * LEVER_M]
     };
     let dot = |a: &[Vec3; 2], b: &[Vec3; 2]| a[0].dot(&b[0]) + a[1].dot(&b[1]);
     let of = |k: usize| {
-        let left = apart(&aligned.corrected[k], &aligned.fk_at_truth[k]);
+        let residual = difference(&aligned.corrected[k], &aligned.fk_at_truth[k]);
         let span_s = t[k + 1] - t[k - 1];
-        let moved = apart(&aligned.fk_at_truth[k + 1], &aligned.fk_at_truth[k - 1]);
+        let moved = difference(&aligned.fk_at_truth[k + 1], &aligned.fk_at_truth[k - 1]);
         let velocity = moved.map(|moved| moved / span_s);
         let square = dot(&velocity, &velocity);
-        let by_s = -dot(&left, &velocity) / square.max(f64::MIN_POSITIVE);
-        let across = [0, 1].map(|kind| left[kind] + by_s * velocity[kind]);
+        let by_s = -dot(&residual, &velocity) / square.max(f64::MIN_POSITIVE);
+        let across = [0, 1].map(|kind| residual[kind] + by_s * velocity[kind]);
         SampleDelay { delay_s: by_s, speed: square.sqrt(), across: dot(&across, &across).sqrt() }
     };
     let mut all: Vec<SampleDelay> = (1..t.len().saturating_sub(1)).map(of).collect();

@@ -17,9 +17,7 @@ use shapes::{
     THREE_SEGMENT_PARAMETERS, fit_load_dependence, fit_piecewise_linear, levels_at, piecewise_chi2,
     residual_after,
 };
-use windows::{
-    LatencyWindow, NormalizedSample, chi2_beside_line, levels, samples, splits, windows,
-};
+use windows::{LatencyWindow, NormalizedSample, chi2_of_line, levels, samples, splits, windows};
 
 const WINDOW_S: f64 = 1.0;
 const MIN_WINDOW_SAMPLES: usize = 10;
@@ -116,9 +114,9 @@ impl LatencyProfile {
 
     /// Median level at the stamps, s.
     pub fn typical_s(&self, t_s: &[f64]) -> f64 {
-        let mut beyond: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
-        beyond.sort_by(f64::total_cmp);
-        beyond.get(beyond.len() / 2).copied().unwrap_or(0.0)
+        let mut latencies: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
+        latencies.sort_by(f64::total_cmp);
+        latencies.get(latencies.len() / 2).copied().unwrap_or(0.0)
     }
 
     /// Makes the levels relative to the median at the stamps.
@@ -144,27 +142,27 @@ impl LatencyProfile {
         let sign = self.swing_s.value.signum();
         self.levels.iter_mut().zip(added).for_each(|((_, level_s), added_s)| *level_s += added_s);
         let levels = || self.levels.iter().map(|level| level.1);
-        let (least, most) = (levels().fold(f64::MAX, f64::min), levels().fold(f64::MIN, f64::max));
+        let (min_s, max_s) = (levels().fold(f64::MAX, f64::min), levels().fold(f64::MIN, f64::max));
         let std_error = match self.shape {
             LatencyShape::WithLoad => rest.swing_s.std_error,
             _ => self.swing_s.std_error,
         };
-        let ends = Measured { value: sign * (most - least), std_error, ..self.swing_s };
-        self.swing_s = self.between_levels(rest).unwrap_or(ends);
+        let range = Measured { value: sign * (max_s - min_s), std_error, ..self.swing_s };
+        self.swing_s = self.between_levels(rest).unwrap_or(range);
         self
     }
 
     /// Size of a ramp from the levels before and after it, which are more accurate than its ends.
     fn between_levels(&self, rest: &Self) -> Option<Measured> {
         let LatencyShape::Ramp { from_s, to_s } = self.shape else { return None };
-        let level = |is_part: &dyn Fn(f64) -> bool| {
-            let windows = rest.windows.iter().filter(|(t_s, _)| is_part(*t_s));
-            let whole: Vec<(f64, Measured)> = windows
+        let level = |is_on_side: &dyn Fn(f64) -> bool| {
+            let windows = rest.windows.iter().filter(|(t_s, _)| is_on_side(*t_s));
+            let levels: Vec<(f64, Measured)> = windows
                 .map(|(t_s, rest)| {
                     (*t_s, Measured { value: rest.value + self.relative_s(*t_s), ..*rest })
                 })
                 .collect();
-            mean(whole.iter())
+            mean(levels.iter())
         };
         let before = level(&|t_s| t_s < from_s - 0.5 * WINDOW_S)?;
         let after = level(&|t_s| t_s > to_s + 0.5 * WINDOW_S)?;
@@ -217,116 +215,124 @@ pub(crate) struct LatencySample {
     pub joint_noise: f64,
 }
 
-/// Latency profile of `aligned` samples, which are compensated for `skew` and the gradual latency `taken`.
+/// Latency profile of `aligned` samples, which are compensated for `skew` and the gradual latency `removed_ramp`.
 /// `speed` returns the joint speed at the time of measurement, rad/s.
 pub(crate) fn latency_profile(
     aligned: &AlignedSamples,
     skew: f64,
-    taken: Option<&LatencyRamp>,
+    removed_ramp: Option<&LatencyRamp>,
     speed: impl Fn(f64) -> f64,
 ) -> EstimateResult<LatencyProfile> {
-    fit_profile(&latency_samples(aligned, speed), 2, skew, taken)
+    fit_profile(&latency_samples(aligned, speed), 2, skew, removed_ramp)
 }
 
 /// Same from residuals of this many kinds.
 pub(crate) fn fit_profile(
-    lagging: &[LatencySample],
+    latency_samples: &[LatencySample],
     kinds: usize,
     skew: f64,
-    taken: Option<&LatencyRamp>,
+    removed_ramp: Option<&LatencyRamp>,
 ) -> EstimateResult<LatencyProfile> {
-    let mut samples = samples(lagging);
-    if let Some(gradual) = taken {
-        samples.iter_mut().for_each(|sample| sample.t_s = gradual.logged_s(sample.t_s));
+    let mut samples = samples(latency_samples);
+    if let Some(ramp) = removed_ramp {
+        samples.iter_mut().for_each(|sample| sample.t_s = ramp.logged_s(sample.t_s));
     }
     let mut windows = windows(&samples, 3 * kinds);
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
     let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(NotObservable::AtRest) };
-    let vague_s = MAX_STD_ERROR_RATIO[usize::from(taken.is_some())] * typical_s;
-    windows.retain(|window| window.std_error_s < vague_s);
+    let max_std_error_s = MAX_STD_ERROR_RATIO[usize::from(removed_ramp.is_some())] * typical_s;
+    windows.retain(|window| window.std_error_s < max_std_error_s);
     if windows.len() < MIN_WINDOWS {
         return Err(NotObservable::NotExcited);
     }
     let middle_s = 0.5 * (windows[0].t_s + windows[windows.len() - 1].t_s);
-    let taken_s =
-        |t_s: f64| skew * (t_s - middle_s) + taken.map_or(0.0, |gradual| gradual.lag_s(t_s));
+    let removed_s =
+        |t_s: f64| skew * (t_s - middle_s) + removed_ramp.map_or(0.0, |ramp| ramp.lag_s(t_s));
     for window in &mut windows {
-        window.delta_s += taken_s(window.t_s);
+        window.delta_s += removed_s(window.t_s);
     }
     // Linear growth is skew, reported separately.
-    let steady = chi2_beside_line(&windows);
+    let line_chi2 = chi2_of_line(&windows);
     let free = (windows.len() - 2) as f64;
-    let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
-    let loaded = if taken.is_none() { fit_load_dependence(&samples) } else { None };
+    let measured_windows: Vec<(f64, Measured)> =
+        windows.iter().map(|w| (w.t_s, w.measured())).collect();
+    let load_dependence = if removed_ramp.is_none() { fit_load_dependence(&samples) } else { None };
     // A ramp resembles a line, and its deviation is small relative to window errors, so test for it
     // explicitly.
-    let is_bent = piecewise_chi2(&windows).is_some_and(|bent| {
-        let left = (windows.len() as f64 - THREE_SEGMENT_PARAMETERS).max(1.0);
-        steady - bent > MIN_CHI2_GAIN * (bent / left).max(1.0)
+    let is_piecewise = piecewise_chi2(&windows).is_some_and(|piecewise| {
+        let dof = (windows.len() as f64 - THREE_SEGMENT_PARAMETERS).max(1.0);
+        line_chi2 - piecewise > MIN_CHI2_GAIN * (piecewise / dof).max(1.0)
     });
-    if steady <= MIN_UNSTEADY_CHI2 * free && !is_bent && loaded.is_none() {
-        return Ok(LatencyProfile { windows: seen, ..constant_profile(&windows, typical_s) });
+    if line_chi2 <= MIN_UNSTEADY_CHI2 * free && !is_piecewise && load_dependence.is_none() {
+        return Ok(LatencyProfile {
+            windows: measured_windows,
+            ..constant_profile(&windows, typical_s)
+        });
     }
     let splits = splits(&windows);
-    let jumps = || stepped_profile(&samples, &windows, &splits, &taken_s);
-    let ungrown: Vec<NormalizedSample> = samples
+    let jumps = || stepped_profile(&samples, &windows, &splits, &removed_s);
+    let without_removed: Vec<NormalizedSample> = samples
         .iter()
         .map(|sample| {
-            let taken_s = taken_s(sample.t_s);
+            let removed_s = removed_s(sample.t_s);
             let residual =
-                std::array::from_fn(|i| sample.residual[i] - taken_s * sample.velocity[i]);
+                std::array::from_fn(|i| sample.residual[i] - removed_s * sample.velocity[i]);
             NormalizedSample { residual, ..*sample }
         })
         .collect();
     // A rise within one window is a step.
-    let is_ramp = |course: &LatencyProfile| match course.shape {
+    let is_ramp = |profile: &LatencyProfile| match profile.shape {
         LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
         _ => false,
     };
     // A piecewise linear fit exaggerates small variations.
-    let pieces = fit_piecewise_linear(&windows, &ungrown)
-        .filter(|course| taken.is_some() || is_ramp(course));
+    let piecewise_linear = fit_piecewise_linear(&windows, &without_removed)
+        .filter(|profile| removed_ramp.is_some() || is_ramp(profile));
     // Latency that remains in `samples`. The load-dependent profile was fitted to them; the others include
     // the compensated part.
-    let untold_s = |course: &LatencyProfile, t_s: f64| match course.shape {
-        LatencyShape::WithLoad => course.relative_s(t_s),
-        _ => course.relative_s(t_s) - taken_s(t_s),
+    let remaining_s = |profile: &LatencyProfile, t_s: f64| match profile.shape {
+        LatencyShape::WithLoad => profile.relative_s(t_s),
+        _ => profile.relative_s(t_s) - removed_s(t_s),
     };
     // In order of complexity.
-    let tried = [
-        loaded,
+    let fits = [
+        load_dependence,
         (splits.len() == 1).then(jumps),
-        pieces,
+        piecewise_linear,
         (splits.len() > 1).then(jumps),
         Some(wandering_profile(&windows)),
     ];
-    let tried: Vec<(f64, LatencyProfile)> = tried
+    let fits: Vec<(f64, LatencyProfile)> = fits
         .into_iter()
         .flatten()
-        .map(|course| (residual_after(&samples, |row| untold_s(&course, samples[row].t_s)), course))
+        .map(|profile| {
+            (residual_after(&samples, |row| remaining_s(&profile, samples[row].t_s)), profile)
+        })
         .collect();
     let noise = 3.0 * samples.len() as f64;
-    let least = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
+    let min_residual = fits.iter().map(|(dof, _)| *dof).fold(f64::INFINITY, f64::min);
     let level_s = levels(&windows, &[]).0[0].value;
-    let constant = residual_after(&samples, |row| level_s - taken_s(samples[row].t_s));
+    let constant = residual_after(&samples, |row| level_s - removed_s(samples[row].t_s));
     // Linearisation leaves a second-order residual that no simple profile explains.
-    let hardly_more = MAX_EXTRA_RESIDUAL[usize::from(taken.is_some())];
-    let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
-    let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
+    let extra_share = MAX_EXTRA_RESIDUAL[usize::from(removed_ramp.is_some())];
+    let max_residual =
+        min_residual + extra_share * (constant - min_residual).max(0.0) + 0.02 * noise;
+    let Some((_, profile)) = fits.into_iter().find(|(dof, _)| *dof <= max_residual) else {
         return Err(NotObservable::NotExcited);
     };
     // With many windows, noise alone has a range.
-    let is_told = course.swing_s.value.abs() > MIN_STD_ERRORS * course.swing_s.std_error;
-    let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
-    let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
-    Ok(LatencyProfile { is_unsteady, windows: seen, ..course })
+    let is_significant = profile.swing_s.value.abs() > MIN_STD_ERRORS * profile.swing_s.std_error;
+    let without_s = |t_s: f64| if removed_ramp.is_some() { level_s - removed_s(t_s) } else { 0.0 };
+    let is_unsteady =
+        is_significant && explains_residual(&samples, without_s, |t_s| remaining_s(&profile, t_s));
+    Ok(LatencyProfile { is_unsteady, windows: measured_windows, ..profile })
 }
 
 /// Whether replacing latency `without_s` by `with_s` explains most of the excess residual without
 /// increasing the position or rotation residual. A model error may imitate latency in one of them, not in
 /// both.
-fn explains(
+fn explains_residual(
     samples: &[NormalizedSample],
     without_s: impl Fn(f64) -> f64,
     with_s: impl Fn(f64) -> f64,
@@ -334,23 +340,24 @@ fn explains(
     /// Share of the excess residual.
     const MAX_RESIDUAL_RATIO: f64 = 0.5;
     /// Minimum excess relative to the noise.
-    const MAX_REMAINING_SHARE: f64 = 0.1;
+    const MIN_EXCESS_SHARE: f64 = 0.1;
     // Residuals are scaled to unit noise.
     let noise = 3.0 * samples.len() as f64;
-    let square = |kind: usize, late: bool| {
+    let square = |kind: usize, with_profile: bool| {
         let squares = samples.iter().map(|sample| {
-            let delta_s = if late { with_s(sample.t_s) } else { without_s(sample.t_s) };
-            let parts = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
-            parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
+            let delta_s = if with_profile { with_s(sample.t_s) } else { without_s(sample.t_s) };
+            let components = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
+            components
+                .map(|(residual, velocity)| (residual + delta_s * velocity).powi(2))
+                .sum::<f64>()
         });
         (squares.sum::<f64>() - noise).max(0.0)
     };
-    let [before, after] = [false, true].map(|late| [0, 1].map(|kind| square(kind, late)));
+    let [before, after] =
+        [false, true].map(|with_profile| [0, 1].map(|kind| square(kind, with_profile)));
     let is_no_worse = (0..2).all(|kind| after[kind] <= before[kind] + 0.1 * noise);
-    let is_more_than_scatter = before[0] + before[1] > MAX_REMAINING_SHARE * noise;
-    is_no_worse
-        && is_more_than_scatter
-        && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
+    let has_excess = before[0] + before[1] > MIN_EXCESS_SHARE * noise;
+    is_no_worse && has_excess && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
 }
 
 fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
@@ -359,13 +366,13 @@ fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
     let rows = 1..t.len().saturating_sub(1);
     rows.map(|k| {
-        let (is, should) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
+        let (corrected, expected) = (&aligned.corrected[k], &aligned.fk_at_truth[k]);
         let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
         let span_s = t[k + 1] - t[k - 1];
         let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
         LatencySample {
             t_s: t[k],
-            residual: [position(is, should), rotation(is, should)],
+            residual: [position(corrected, expected), rotation(corrected, expected)],
             velocity,
             loads: [speed(t[k]), velocity[0].norm()],
             joint_noise: 0.0,
@@ -411,7 +418,7 @@ fn stepped_profile(
     samples: &[NormalizedSample],
     windows: &[LatencyWindow],
     splits: &[usize],
-    taken_s: &impl Fn(f64) -> f64,
+    removed_s: &impl Fn(f64) -> f64,
 ) -> LatencyProfile {
     let (measured, _) = levels(windows, splits);
     let mut levels = vec![(f64::NEG_INFINITY, measured[0].value)];
@@ -421,18 +428,20 @@ fn stepped_profile(
         let around = (windows[split - 1].t_s - WINDOW_S, windows[split].t_s + WINDOW_S);
         let inside: Vec<&NormalizedSample> =
             samples.iter().filter(|sample| (around.0..around.1).contains(&sample.t_s)).collect();
-        let left = |sample: &NormalizedSample, level: f64| {
-            let delta_s = level - taken_s(sample.t_s);
-            let parts = sample.residual.iter().zip(&sample.velocity);
-            parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
+        let residual_at = |sample: &NormalizedSample, level: f64| {
+            let delta_s = level - removed_s(sample.t_s);
+            let components = sample.residual.iter().zip(&sample.velocity);
+            components
+                .map(|(residual_at, velocity)| (residual_at + delta_s * velocity).powi(2))
+                .sum::<f64>()
         };
         // Change of the squared residual as the step moves past each sample.
         let mut sum = 0.0;
-        let (mut least, mut at_s) = (0.0, around.0);
+        let (mut min_sum, mut at_s) = (0.0, around.0);
         for sample in inside {
-            sum += left(sample, before.value) - left(sample, after.value);
-            if sum < least {
-                (least, at_s) = (sum, sample.t_s);
+            sum += residual_at(sample, before.value) - residual_at(sample, after.value);
+            if sum < min_sum {
+                (min_sum, at_s) = (sum, sample.t_s);
             }
         }
         levels.push((at_s, after.value));

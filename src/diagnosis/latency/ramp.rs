@@ -35,9 +35,10 @@ impl LatencyRamp {
         let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
         let inner = windows.iter().map(|window| (window.middle_s, window.lag_s));
         let inner = inner.filter(|(middle_s, _)| (begin_s..end_s).contains(middle_s));
-        let whole = [(begin_s, first.lag_s)].into_iter().chain(inner);
-        let whole = whole.chain([(end_s, last.lag_s)]);
-        let knots: Vec<(f64, f64)> = whole.map(|(t_s, lag_s)| (t_s + lag_s, lag_s)).collect();
+        let knots_of_lags = [(begin_s, first.lag_s)].into_iter().chain(inner);
+        let knots_of_lags = knots_of_lags.chain([(end_s, last.lag_s)]);
+        let knots: Vec<(f64, f64)> =
+            knots_of_lags.map(|(t_s, lag_s)| (t_s + lag_s, lag_s)).collect();
         let lags = || knots.iter().map(|knot| knot.1);
         let swing_s = lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min);
         let is_in_order = knots.windows(2).all(|two| two[1].0 > two[0].0);
@@ -45,27 +46,27 @@ impl LatencyRamp {
             return None;
         }
         let mut line = Self { knots: vec![knots[0], knots[knots.len() - 1]] };
-        let of_line = line.refine(arm, stream);
-        let mut rough = Self { knots };
-        rough.refine(arm, stream);
+        let line_residual = line.refine(arm, stream);
+        let mut initial = Self { knots };
+        initial.refine(arm, stream);
         // Windows overlap, so add a knot between every two.
-        let mut gradual = Self { knots: rough.with_midpoints() };
-        let left = gradual.refine(arm, stream);
-        let bends = gradual
+        let mut piecewise = Self { knots: initial.with_midpoints() };
+        let residual = piecewise.refine(arm, stream);
+        let is_nonlinear = piecewise
             .knots
             .iter()
             .any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > MIN_LINE_DEVIATION_S);
         Some(RampFit {
-            ramp: gradual,
-            residual: if bends { left } else { of_line },
-            line_residual: of_line,
+            ramp: piecewise,
+            residual: if is_nonlinear { residual } else { line_residual },
+            line_residual,
         })
     }
 
     /// `None` if the profile is not piecewise linear.
-    pub(crate) fn from_profile(course: &LatencyProfile) -> Option<Self> {
-        let knots = &course.levels;
-        (course.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
+    pub(crate) fn from_profile(profile: &LatencyProfile) -> Option<Self> {
+        let knots = &profile.levels;
+        (profile.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
     }
 
     /// Latency at a stamp, s.
@@ -89,26 +90,26 @@ impl LatencyRamp {
     /// Minimises the speed residual over the lag at each knot. Returns the residual.
     fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
-        let mut least = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
+        let mut min_residual = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
             for knot in 0..self.knots.len() {
                 for by_s in [step_s, -step_s] {
                     self.knots[knot].1 += by_s;
                     match squared_residual(arm, stream, &|t_s| self.lag_s(t_s)) {
-                        better if better < least => least = better,
+                        lower if lower < min_residual => min_residual = lower,
                         _ => self.knots[knot].1 -= by_s,
                     }
                 }
             }
         }
-        least
+        min_residual
     }
 
     fn with_midpoints(&self) -> Vec<(f64, f64)> {
-        let amid = self.knots.windows(2).flat_map(|two| {
+        let midpoints = self.knots.windows(2).flat_map(|two| {
             let ((a_s, a), (b_s, b)) = (two[0], two[1]);
             [(a_s, a), (0.5 * (a_s + b_s), 0.5 * (a + b))]
         });
-        amid.chain(self.knots.last().copied()).collect()
+        midpoints.chain(self.knots.last().copied()).collect()
     }
 }

@@ -16,19 +16,19 @@ pub struct LatencyResidual {
 }
 
 /// Residuals of `stream` against the corrected `joints`, at latencies around zero and the estimate in
-/// `found`. Empty if no latency was estimated or too few samples have FK at all latencies.
+/// `diagnosis`. Empty if no latency was estimated or too few samples have FK at all latencies.
 pub fn residual_by_latency(
     joints: &JointTrack,
     stream: &PoseStream,
-    found: &PoseDiagnosis,
+    diagnosis: &PoseDiagnosis,
 ) -> Vec<LatencyResidual> {
     const MAX_SAMPLES: usize = 400;
     const MIN_SAMPLES: usize = 20;
-    let Ok(latency) = &found.latency_s else { return Vec::new() };
-    let aligned = &found.aligned;
+    let Ok(latency) = &diagnosis.latency_s else { return Vec::new() };
+    let aligned = &diagnosis.aligned;
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
-    let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
-    let skew = if found.is_skew_chosen { skew } else { 0.0 };
+    let skew = diagnosis.skew.as_ref().map_or(0.0, |skew| skew.value);
+    let skew = if diagnosis.is_skew_chosen { skew } else { 0.0 };
     let middle_s = match aligned.t_s.as_slice() {
         [first, .., last] => 0.5 * (first + last),
         _ => 0.0,
@@ -40,23 +40,23 @@ pub fn residual_by_latency(
     let step = aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for row in (0..aligned.t_s.len()).step_by(step) {
         let (stamp_s, corrected) = (aligned.t_s[row], &aligned.corrected[row]);
-        let left: Option<Vec<(f64, f64)>> = latencies_s
+        let residuals: Option<Vec<(f64, f64)>> = latencies_s
             .iter()
             .map(|latency_s| {
                 let truth_s = stamp_s - latency_s - skew * (stamp_s - middle_s);
-                let [own, speeds] = &mut track;
-                if !joints.at(truth_s, &mut cursor, own, speeds) {
+                let [positions, speeds] = &mut track;
+                if !joints.at(truth_s, &mut cursor, positions, speeds) {
                     return None;
                 }
-                q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = own[column]);
+                q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = positions[column]);
                 let fk = stream.chain.forward(&q);
-                let apart_m = (fk.translation.vector - corrected.translation.vector).norm();
-                Some((apart_m, angle_between(&fk.rotation, &corrected.rotation)))
+                let distance_m = (fk.translation.vector - corrected.translation.vector).norm();
+                Some((distance_m, angle_between(&fk.rotation, &corrected.rotation)))
             })
             .collect();
-        let Some(left) = left else { continue };
+        let Some(residuals) = residuals else { continue };
         compared += 1;
-        for (square, (m, rad)) in squares.iter_mut().zip(left) {
+        for (square, (m, rad)) in squares.iter_mut().zip(residuals) {
             *square = (square.0 + m * m, square.1 + rad * rad);
         }
     }
@@ -75,14 +75,14 @@ pub fn residual_by_latency(
 }
 
 /// Ascending, s. Extends beyond the estimate and zero; includes the estimate.
-fn latencies_s(found_s: f64, half_width_s: f64) -> Vec<f64> {
+fn latencies_s(estimate_s: f64, half_width_s: f64) -> Vec<f64> {
     const STEPS: usize = 120;
     /// Beyond the estimate and zero.
     const MIN_MARGIN_S: f64 = 0.01;
-    let beside_s = (0.6 * found_s.abs()).max(MIN_MARGIN_S).max(3.0 * half_width_s.min(1.0));
-    let (low_s, high_s) = (found_s.min(0.0) - beside_s, found_s.max(0.0) + beside_s);
+    let margin_s = (0.6 * estimate_s.abs()).max(MIN_MARGIN_S).max(3.0 * half_width_s.min(1.0));
+    let (low_s, high_s) = (estimate_s.min(0.0) - margin_s, estimate_s.max(0.0) + margin_s);
     let even = (0..=STEPS).map(|step| low_s + (high_s - low_s) * step as f64 / STEPS as f64);
-    let mut latencies_s: Vec<f64> = even.chain([found_s]).collect();
+    let mut latencies_s: Vec<f64> = even.chain([estimate_s]).collect();
     latencies_s.sort_by(f64::total_cmp);
     latencies_s.dedup();
     latencies_s
@@ -94,11 +94,14 @@ mod tests {
 
     #[test]
     fn the_latency_found_and_none_are_both_amid_those_tried() {
-        for found_s in [-0.3, -1e-4, 0.0, 0.022, 1.7] {
-            let tried = latencies_s(found_s, 1e-4);
-            assert!(tried.is_sorted() && tried.contains(&found_s), "{found_s}: {tried:?}");
+        for estimate_s in [-0.3, -1e-4, 0.0, 0.022, 1.7] {
+            let tried = latencies_s(estimate_s, 1e-4);
+            assert!(tried.is_sorted() && tried.contains(&estimate_s), "{estimate_s}: {tried:?}");
             let (first, last) = (tried[0], tried[tried.len() - 1]);
-            assert!(first < found_s.min(0.0) && last > found_s.max(0.0), "{found_s}: {tried:?}");
+            assert!(
+                first < estimate_s.min(0.0) && last > estimate_s.max(0.0),
+                "{estimate_s}: {tried:?}"
+            );
         }
     }
 }

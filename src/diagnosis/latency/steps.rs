@@ -57,10 +57,11 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
     let costs: Vec<Vec<f64>> =
         lags.iter().map(|&lag_s| differences(arm, stream, &rows, |_| lag_s)).collect();
     let at = |row: usize, lag: usize| costs[lag][row];
-    let least = |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
+    let min_difference =
+        |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
     let (first, last) = (*rows.first()?, *rows.last()?);
     let span_s = stream.t_s[last] - stream.t_s[first];
-    let best: f64 = (0..rows.len()).map(least).sum();
+    let best: f64 = (0..rows.len()).map(min_difference).sum();
     let price = (STEP_PRICE_S * best / span_s.max(f64::MIN_POSITIVE)).max(f64::MIN_POSITIVE);
     let mut sums: Vec<f64> = (0..lags.len()).map(|lag| at(0, lag)).collect();
     let mut came_by: Vec<Vec<usize>> = Vec::with_capacity(rows.len());
@@ -77,15 +78,15 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
         came_by.push(from);
     }
     let mut lag = (0..lags.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))?;
-    let mut way = vec![lag; rows.len()];
+    let mut path = vec![lag; rows.len()];
     for row in (1..rows.len()).rev() {
         lag = came_by[row - 1][lag];
-        way[row - 1] = lag;
+        path[row - 1] = lag;
     }
-    let mut levels: Vec<(f64, usize)> = vec![(f64::NEG_INFINITY, way[0])];
+    let mut levels: Vec<(f64, usize)> = vec![(f64::NEG_INFINITY, path[0])];
     for row in 1..rows.len() {
-        if way[row] != way[row - 1] {
-            levels.push((stream.t_s[rows[row]], way[row]));
+        if path[row] != path[row - 1] {
+            levels.push((stream.t_s[rows[row]], path[row]));
         }
     }
     // Short levels are glitches in one of the speeds.
@@ -93,19 +94,20 @@ fn assign_lags(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<
         levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
     let begin_s = stream.t_s[first];
     let lasts = |(level, end_s): (&(f64, usize), &f64)| end_s - level.0.max(begin_s) >= MIN_LEVEL_S;
-    let mut kept: Vec<(f64, usize)> =
+    let mut changes: Vec<(f64, usize)> =
         levels.iter().zip(&ends).filter(|both| lasts(*both)).map(|(level, _)| *level).collect();
-    kept.dedup_by_key(|level| level.1);
-    kept.first_mut()?.0 = f64::NEG_INFINITY;
-    let levels: Vec<(f64, f64)> = kept.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
+    changes.dedup_by_key(|level| level.1);
+    changes.first_mut()?.0 = f64::NEG_INFINITY;
+    let levels: Vec<(f64, f64)> =
+        changes.iter().map(|(from_s, lag)| (*from_s, lags[*lag])).collect();
     let steps = LatencySteps { levels };
     let clear: Vec<usize> =
         (0..rows.len()).filter(|&row| steps.is_far_from_steps(stream.t_s[rows[row]])).collect();
     let with: f64 = clear
         .iter()
         .map(|&row| {
-            let level = kept.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
-            at(row, kept[level].1)
+            let level = changes.partition_point(|level| level.0 <= stream.t_s[rows[row]]) - 1;
+            at(row, changes[level].1)
         })
         .sum();
     let alone = (0..lags.len()).map(|lag| clear.iter().map(|&row| at(row, lag)).sum::<f64>());
@@ -135,12 +137,12 @@ impl LatencySteps {
             let steps = (LAG_SEARCH_RANGE_S / LAG_SEARCH_STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + LAG_SEARCH_STEP_S * f64::from(step));
             let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
-            let Some((least, best_s)) = best_s else { return lag_s };
+            let Some((min_residual, best_s)) = best_s else { return lag_s };
             let [before, after] =
                 [best_s - LAG_SEARCH_STEP_S, best_s + LAG_SEARCH_STEP_S].map(cost);
-            let bend = before - 2.0 * least + after;
-            if bend > 0.0 {
-                best_s + 0.5 * LAG_SEARCH_STEP_S * (before - after) / bend
+            let curvature = before - 2.0 * min_residual + after;
+            if curvature > 0.0 {
+                best_s + 0.5 * LAG_SEARCH_STEP_S * (before - after) / curvature
             } else {
                 best_s
             }
@@ -214,11 +216,11 @@ impl LatencySteps {
                 LatencyStep { at_s, size_s }
             })
             .collect();
-        let is_beside = |jump: &&LatencyStep| {
+        let is_near_step = |jump: &&LatencyStep| {
             begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > MAX_MERGE_DISTANCE_S)
         };
-        let own = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
-        jumps.extend(own.iter().filter(is_beside));
+        let fine_steps = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.steps);
+        jumps.extend(fine_steps.iter().filter(is_near_step));
         jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         let size = |jump: &LatencyStep| jump.size_s.value.abs();
         let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));

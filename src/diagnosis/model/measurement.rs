@@ -237,8 +237,8 @@ pub(crate) struct PredictionBuffers {
 }
 
 impl PredictionBuffers {
-    pub fn new(witness: &PoseObservations) -> Self {
-        let (dof, track) = (witness.columns.len(), witness.joints.dof);
+    pub fn new(observations: &PoseObservations) -> Self {
+        let (dof, track) = (observations.columns.len(), observations.joints.dof);
         Self {
             cursor: 0,
             track_q: vec![0.0; track],

@@ -89,13 +89,13 @@ pub struct WeakDirection {
 impl Observability {
     /// From `information` at `state`, over the track's joints, then the stream's parameters.
     pub(crate) fn new(
-        witness: &PoseObservations,
+        observations: &PoseObservations,
         state: &StreamState,
         offsets: &[f64],
         information: &DMatrix<f64>,
     ) -> Self {
-        let dof = witness.joints.dof;
-        let joints = (0..dof).filter(|joint| witness.columns.contains(joint));
+        let dof = observations.joints.dof;
+        let joints = (0..dof).filter(|joint| observations.columns.contains(joint));
         let own = offsets.len();
         let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
         let parameter = |&column: &usize| match column.checked_sub(own) {
@@ -108,8 +108,8 @@ impl Observability {
         Self {
             parameters: kept.iter().map(parameter).collect(),
             information: part(information),
-            possible: part(&achievable_information(witness, state, offsets)),
-            travel: (0..dof).map(|joint| travel(witness.joints, joint)).collect(),
+            possible: part(&achievable_information(observations, state, offsets)),
+            travel: (0..dof).map(|joint| travel(observations.joints, joint)).collect(),
         }
     }
 
@@ -202,15 +202,15 @@ pub(crate) fn travel(joints: &JointTrack, joint: usize) -> f64 {
 
 /// Random configurations over the joints' ranges, at speeds of both signs.
 fn achievable_information(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> DMatrix<f64> {
-    let dof = witness.joints.dof;
+    let dof = observations.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
-    let kinds = witness.chain.joint_kinds();
+    let kinds = observations.chain.joint_kinds();
     let mut slides = vec![false; dof];
-    for (kind, &column) in kinds.iter().zip(witness.columns) {
+    for (kind, &column) in kinds.iter().zip(observations.columns) {
         slides[column] = *kind == JointKind::Prismatic;
     }
     let mut drawn = |most: f64| -> Vec<f64> {
@@ -223,15 +223,15 @@ fn achievable_information(
     let joints = JointTrack { t_s: t_s.clone(), dof, q, qd, noise: Vec::new() };
     let ideal = PoseObservations {
         joints: &joints,
-        chain: witness.chain,
-        columns: witness.columns,
-        gains: witness.gains,
-        reference_known: witness.reference_known,
+        chain: observations.chain,
+        columns: observations.columns,
+        gains: observations.gains,
+        reference_known: observations.reference_known,
         rest_speeds: &vec![0.0; dof],
         xyz: vec![Vec3::zeros(); CONFIGURATIONS],
         rotation: vec![Rotation::identity(); CONFIGURATIONS],
-        excluded: witness.excluded,
-        tool_part: witness.tool_part,
+        excluded: observations.excluded,
+        tool_part: observations.tool_part,
         middle_s: 0.5 * t_s[CONFIGURATIONS - 1],
         t_s,
     };

@@ -83,7 +83,7 @@ impl FourierMotion {
     /// Limits also hold between samples: a sum of K sines bounded by m at N equidistant points is bounded
     /// by `m / cos(πK/N)` everywhere (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten",
     /// Mathematische Zeitschrift 86, 1964).
-    pub(super) fn project(&mut self, joint: usize, room: &JointMargins, share: f64) {
+    pub(super) fn project(&mut self, joint: usize, margins: &JointMargins, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
         // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
         subtract_projections(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
@@ -104,10 +104,10 @@ impl FourierMotion {
         // The bound is on the absolute value, so either side includes the larger overshoot.
         let over = (between - 1.0) * most[0].max(most[1]);
         let allowed = [
-            share * room.above / (most[0] + over),
-            share * room.below / (most[1] + over),
-            room.velocity / (between * most[2]),
-            room.acceleration / (between * most[3]),
+            share * margins.above / (most[0] + over),
+            share * margins.below / (most[1] + over),
+            margins.velocity / (between * most[2]),
+            margins.acceleration / (between * most[3]),
         ];
         let factor = allowed.into_iter().fold(f64::INFINITY, f64::min);
         let factor = if factor.is_finite() { factor * (1.0 - 1e-9) } else { 0.0 };

@@ -219,9 +219,9 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// About the first `asked` parameters.
-    fn flat_query(parameters: Vec<usize>, asked: usize) -> PrecisionQuery {
+    fn flat_query(parameters: Vec<usize>, requested: usize) -> PrecisionQuery {
         let before = vec![f64::INFINITY; parameters.len()];
-        PrecisionQuery { parameters, prior: before, requested: (0..asked).collect() }
+        PrecisionQuery { parameters, prior: before, requested: (0..requested).collect() }
     }
 
     fn link(&self) -> (f64, f64) {
@@ -382,7 +382,7 @@ pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) ->
 fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
-    let witness = PoseObservations {
+    let observations = PoseObservations {
         joints: motion,
         chain,
         columns: &columns,
@@ -397,7 +397,7 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
         t_s: motion.t_s.clone(),
     };
     link_frames(
-        &witness,
+        &observations,
         &StreamState::at_latency(0.0),
         &still,
         0..motion.len(),

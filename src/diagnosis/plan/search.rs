@@ -74,19 +74,23 @@ pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
 ///
 /// # Errors
 /// If no motion satisfies the limits.
-pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
-    let room = |room: &super::JointMargins| room.above.min(room.below);
-    if !task.margins.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
+pub fn plan(requirements: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
+    let margins = |margins: &super::JointMargins| margins.above.min(margins.below);
+    if !requirements
+        .margins
+        .iter()
+        .any(|it| margins(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0)
+    {
         return Err(Infeasible::NoMargin);
     }
-    let rest_s = REST_S.min(MAX_REST_SHARE * task.seconds);
-    let seconds = task.seconds - 2.0 * rest_s;
+    let rest_s = REST_S.min(MAX_REST_SHARE * requirements.seconds);
+    let seconds = requirements.seconds - 2.0 * rest_s;
     let harmonics = (MAX_FREQUENCY_HZ * seconds).round() as usize;
     let harmonics = harmonics.clamp(*SINES_PER_JOINT.start(), *SINES_PER_JOINT.end());
-    let search = MotionSearch { task, seconds, rest_s, harmonics };
+    let search = MotionSearch { requirements, seconds, rest_s, harmonics };
     let mut last = None;
     for share in MARGIN_SHARES {
-        let mut random = Pcg64::seed_from_u64(task.seed);
+        let mut random = Pcg64::seed_from_u64(requirements.seed);
         let drawn = (0..INITIAL_MOTIONS).map(|_| search.random_motion(&mut random, share));
         let mut draws: Vec<(f64, FourierMotion)> = Vec::new();
         for series in drawn {
@@ -105,13 +109,20 @@ pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
             continue;
         }
         let promises = |motion: &JointTrack| {
-            let sight = LinearizedMotion::new(task.chain, motion, task.purpose, &task.sensing);
-            sight.map_or_else(Vec::new, |sight| sight.expected_precisions(task.chain))
+            let linearized = LinearizedMotion::new(
+                requirements.chain,
+                motion,
+                requirements.purpose,
+                &requirements.sensing,
+            );
+            linearized.map_or_else(Vec::new, |linearized| {
+                linearized.expected_precisions(requirements.chain)
+            })
         };
         return Ok(MotionPlan {
             precision: promises(&series.track(2 * EVALUATION_ROWS)),
             random_precision: promises(&middle.1.track(2 * EVALUATION_ROWS)),
-            one_by_one_precision: promises(&search.one_by_one(share, 2 * EVALUATION_ROWS)),
+            one_by_one_precision: promises(&search.single_joint_motion(share, 2 * EVALUATION_ROWS)),
             series,
             share,
         });
@@ -123,7 +134,7 @@ pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
 }
 
 struct MotionSearch<'a> {
-    task: &'a PlanRequirements<'a>,
+    requirements: &'a PlanRequirements<'a>,
     seconds: f64,
     rest_s: f64,
     harmonics: usize,
@@ -132,8 +143,8 @@ struct MotionSearch<'a> {
 impl MotionSearch<'_> {
     /// Random motion within the limits.
     fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
-        let Self { task, seconds, rest_s, harmonics } = *self;
-        let mut series = FourierMotion::at_rest(task.around, seconds, rest_s, harmonics);
+        let Self { requirements, seconds, rest_s, harmonics } = *self;
+        let mut series = FourierMotion::at_rest(requirements.around, seconds, rest_s, harmonics);
         for joint in 0..series.dof() {
             let falls = random.random_range(0.3..1.5);
             for k in 0..self.harmonics {
@@ -142,7 +153,7 @@ impl MotionSearch<'_> {
                 let at = joint * self.harmonics + k;
                 (series.sin[at], series.cos[at]) = (size * normal(), size * normal());
             }
-            series.project(joint, &self.task.margins[joint], share);
+            series.project(joint, &self.requirements.margins[joint], share);
         }
         series
     }
@@ -150,15 +161,20 @@ impl MotionSearch<'_> {
     /// Checked at `rate_hz`.
     fn first_violation(&self, series: &FourierMotion, rate_hz: f64) -> Option<ClearanceViolation> {
         let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
-        (0..track.len())
-            .find_map(|row| self.task.clearances.first_violation(self.task.chain, track.row(row)))
+        (0..track.len()).find_map(|row| {
+            self.requirements.clearances.first_violation(self.requirements.chain, track.row(row))
+        })
     }
 
     fn score(&self, series: &FourierMotion) -> f64 {
         let track = series.track(EVALUATION_ROWS);
-        let sight =
-            LinearizedMotion::new(self.task.chain, &track, self.task.purpose, &self.task.sensing);
-        sight.map_or(f64::INFINITY, |sight| sight.score())
+        let linearized = LinearizedMotion::new(
+            self.requirements.chain,
+            &track,
+            self.requirements.purpose,
+            &self.requirements.sensing,
+        );
+        linearized.map_or(f64::INFINITY, |linearized| linearized.score())
     }
 
     /// (1+1) evolution strategy, one joint at a time. The step size adapts to the success rate (Rechenberg,
@@ -181,7 +197,7 @@ impl MotionSearch<'_> {
                 let change: f64 = StandardNormal.sample(&mut *random);
                 *value += size * typical * change;
             }
-            next.project(joint, &self.task.margins[joint], share);
+            next.project(joint, &self.requirements.margins[joint], share);
             let score = self.score(&next);
             let is_better =
                 score < best.0 && self.first_violation(&next, SEARCH_CLEARANCE_HZ).is_none();
@@ -194,15 +210,15 @@ impl MotionSearch<'_> {
     }
 
     /// Each joint in turn moves forth and back once, as far and as fast as the limits allow.
-    fn one_by_one(&self, share: f64, rows: usize) -> JointTrack {
-        let dof = self.task.around.len();
+    fn single_joint_motion(&self, share: f64, rows: usize) -> JointTrack {
+        let dof = self.requirements.around.len();
         let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
         let series: Vec<FourierMotion> = (0..dof)
             .map(|joint| {
-                let mut series = FourierMotion::at_rest(self.task.around, seconds, 0.0, 2);
+                let mut series = FourierMotion::at_rest(self.requirements.around, seconds, 0.0, 2);
                 // Starts and ends at rest.
                 (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
-                series.project(joint, &self.task.margins[joint], share);
+                series.project(joint, &self.requirements.margins[joint], share);
                 series
             })
             .collect();
@@ -215,7 +231,7 @@ impl MotionSearch<'_> {
             for (joint, series) in series.iter().enumerate() {
                 let [q, qd, _] = match joint == mover {
                     true => series.at(joint, t_s - mover as f64 * seconds),
-                    false => [self.task.around[joint], 0.0, 0.0],
+                    false => [self.requirements.around[joint], 0.0, 0.0],
                 };
                 track.q.push(q);
                 track.qd.push(qd);

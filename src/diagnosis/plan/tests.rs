@@ -42,7 +42,11 @@ fn free(chain: &Chain, q: &[f64]) -> Clearances {
 }
 
 /// 20 s around [`UR`].
-fn task<'a>(chain: &'a Chain, keep: &'a Clearances, purpose: Purpose) -> PlanRequirements<'a> {
+fn requirements<'a>(
+    chain: &'a Chain,
+    keep: &'a Clearances,
+    purpose: Purpose,
+) -> PlanRequirements<'a> {
     let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
     PlanRequirements {
         chain,
@@ -59,18 +63,19 @@ fn task<'a>(chain: &'a Chain, keep: &'a Clearances, purpose: Purpose) -> PlanReq
 fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> MotionPlan {
     let keep = free(chain, &UR);
     let sensing = Sensing { outside, ..sensing() };
-    plan(&PlanRequirements { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
+    plan(&PlanRequirements { seconds: 30.0, sensing, ..requirements(chain, &keep, purpose) })
+        .unwrap()
 }
 
 /// Up to 0.4 rad within the limits.
 fn rooms(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
-    let room = |(limits, q): (&ground::robot::Limits, &f64)| JointMargins {
+    let margins = |(limits, q): (&ground::robot::Limits, &f64)| JointMargins {
         below: limits.lower.map_or(0.4, |lower| (q - lower).min(0.4)),
         above: limits.upper.map_or(0.4, |upper| (upper - q).min(0.4)),
         velocity: limits.velocity.unwrap_or(1.0),
         acceleration: 1.5,
     };
-    chain.limits().iter().zip(q).map(room).collect()
+    chain.limits().iter().zip(q).map(margins).collect()
 }
 
 /// Within the limits.
@@ -87,17 +92,17 @@ fn posture(chain: &Chain, parts: &[f64]) -> Vec<f64> {
 
 fn assert_within(series: &FourierMotion, rooms: &[JointMargins]) {
     const ROWS: usize = 4001;
-    for (joint, room) in rooms.iter().enumerate() {
+    for (joint, margins) in rooms.iter().enumerate() {
         for row in 0..ROWS {
             let t_s = series.length_s() * row as f64 / (ROWS - 1) as f64;
             let [q, qd, qdd] = series.at(joint, t_s);
             let off = q - series.around[joint];
             assert!(
-                off <= room.above + 1e-9 && -off <= room.below + 1e-9,
-                "{joint} {off} {room:?}"
+                off <= margins.above + 1e-9 && -off <= margins.below + 1e-9,
+                "{joint} {off} {margins:?}"
             );
-            assert!(qd.abs() <= room.velocity + 1e-9, "{joint} {qd} {room:?}");
-            assert!(qdd.abs() <= room.acceleration + 1e-9, "{joint} {qdd} {room:?}");
+            assert!(qd.abs() <= margins.velocity + 1e-9, "{joint} {qd} {margins:?}");
+            assert!(qdd.abs() <= margins.acceleration + 1e-9, "{joint} {qdd} {margins:?}");
             if row == 0 || row == ROWS - 1 {
                 assert!(
                     off.abs() < 1e-9 && qd.abs() < 1e-9 && qdd.abs() < 1e-8,
@@ -117,14 +122,14 @@ proptest! {
         cos in proptest::collection::vec(-1.0..1.0_f64, 12),
         seconds in 1.0..100.0_f64,
         rest_s in 0.0..3.0_f64,
-        room in [0.0..1.0_f64, 0.0..1.0, 0.01..3.0, 0.01..10.0],
+        margins in [0.0..1.0_f64, 0.0..1.0, 0.01..3.0, 0.01..10.0],
     ) {
-        let [below, above, velocity, acceleration] = room;
-        let room = JointMargins { below, above, velocity, acceleration };
+        let [below, above, velocity, acceleration] = margins;
+        let margins = JointMargins { below, above, velocity, acceleration };
         let mut series = FourierMotion::at_rest(&[0.4], seconds, rest_s, 12);
         (series.sin, series.cos) = (sin, cos);
-        series.project(0, &room, 1.0);
-        assert_within(&series, &[room]);
+        series.project(0, &margins, 1.0);
+        assert_within(&series, &[margins]);
     }
 }
 
@@ -144,10 +149,10 @@ proptest! {
         let q = posture(&chain, &parts);
         let (rooms, keep) = (rooms(&chain, &q), free(&chain, &q));
         let purpose = Purpose::ALL[purpose];
-        let task = PlanRequirements {
+        let requirements = PlanRequirements {
             chain: &chain, around: &q, margins: &rooms, seconds, purpose, sensing: sensing(), clearances: &keep, seed,
         };
-        match plan(&task) {
+        match plan(&requirements) {
             Ok(planned) => {
                 assert_within(&planned.series, &rooms);
                 let rows = (planned.series.length_s() * 50.0).ceil() as usize + 1;
@@ -168,7 +173,9 @@ fn it_is_the_same_for_the_same_seed_and_another_for_another() {
     let chain = ur5e();
     let of = |seed: u64| {
         let keep = free(&chain, &UR);
-        plan(&PlanRequirements { seed, ..task(&chain, &keep, Purpose::Latency) }).unwrap().series
+        plan(&PlanRequirements { seed, ..requirements(&chain, &keep, Purpose::Latency) })
+            .unwrap()
+            .series
     };
     assert_eq!(of(3), of(3));
     assert_ne!(of(3), of(4));
@@ -209,7 +216,8 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let chain = ur5e();
     let none = JointMargins { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
     let keep = free(&chain, &UR);
-    let none = PlanRequirements { margins: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
+    let none =
+        PlanRequirements { margins: &[none; 6], ..requirements(&chain, &keep, Purpose::Zeros) };
     assert_eq!(plan(&none).unwrap_err(), Infeasible::NoMargin);
     // Stretched out just above the floor.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
@@ -221,7 +229,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
         Some(chain.forward(&flat).translation.vector.z - 0.021),
         None,
     );
-    let dipping = PlanRequirements { around: &flat, ..task(&chain, &keep, Purpose::Zeros) };
+    let dipping = PlanRequirements { around: &flat, ..requirements(&chain, &keep, Purpose::Zeros) };
     assert!(matches!(
         plan(&dipping),
         Err(Infeasible::ClearanceViolated(Some(ClearanceViolation::Floor(..))))
@@ -265,11 +273,12 @@ fn promises_are_kept() {
     let chain = ur5e();
     let keep = free(&chain, &UR);
     let sensing = Sensing { rate_hz: 50.0, ..sensing() };
-    let task = PlanRequirements { sensing, ..task(&chain, &keep, Purpose::Zeros) };
-    let zeros = plan(&task).unwrap();
+    let requirements = PlanRequirements { sensing, ..requirements(&chain, &keep, Purpose::Zeros) };
+    let zeros = plan(&requirements).unwrap();
     let motion = zeros.series.track(1001);
-    let late =
-        expected_precision(&chain, &motion, Purpose::Latency, &task.sensing).unwrap()[0].half_width;
+    let late = expected_precision(&chain, &motion, Purpose::Latency, &requirements.sensing)
+        .unwrap()[0]
+        .half_width;
     let truth = [0.0, 0.004, -0.006, 0.005, 0.0, 0.0];
     let columns: Vec<usize> = (0..6).collect();
     let diagnosed = |track: &PoseTrack| {

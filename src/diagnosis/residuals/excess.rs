@@ -20,10 +20,10 @@ const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
 /// Below this the correlation is chance, for 95 % of chance correlations even with few blocks.
 const CHANCE_STD_ERRORS: f64 = 2.0;
 
-/// Residual of `aligned` beyond the noise. `stream` and `offsets` are estimated on `witness`.
+/// Residual of `aligned` beyond the noise. `stream` and `offsets` are estimated on `observations`.
 pub(crate) fn excess_residual(
     aligned: &AlignedSamples,
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     stream: &StreamState,
     offsets: &[f64],
 ) -> EstimateResult<StreamResidual> {
@@ -36,16 +36,16 @@ pub(crate) fn excess_residual(
     let pairs = |a: &[Pose], b: &[Pose], difference: &dyn Fn(&Pose, &Pose) -> Vec3| -> Vec<Vec3> {
         a.iter().zip(b).map(|(a, b)| difference(a, b)).collect()
     };
-    let left_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &position);
-    let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
+    let residual_m = pairs(&aligned.corrected, &aligned.fk_at_truth, &position);
+    let residual_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
     let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
     let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
-    let [common_m, common_rad] = fold_correlation(witness, stream, offsets);
+    let [common_m, common_rad] = fold_correlation(observations, stream, offsets);
     Ok(StreamResidual {
-        excess_m: excess(&left_m, &common_m),
-        excess_rad: excess(&left_rad, &common_rad),
-        rms_m: rms(&left_m),
-        rms_rad: rms(&left_rad),
+        excess_m: excess(&residual_m, &common_m),
+        excess_rad: excess(&residual_rad, &common_rad),
+        rms_m: rms(&residual_m),
+        rms_rad: rms(&residual_rad),
         before_m,
         before_rad,
     })
@@ -61,7 +61,7 @@ fn rms(vectors: &[Vec3]) -> f64 {
 fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
-    let beyond: Vec<f64> = vectors
+    let noise_free: Vec<f64> = vectors
         .chunks_exact(size)
         .map(|block| {
             let square = rms(block).powi(2);
@@ -69,7 +69,7 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
             square - 0.5 * rms(&steps).powi(2)
         })
         .collect();
-    let Measured { value: mean, std_error: mean_error, .. } = mean_of(&beyond);
+    let Measured { value: mean, std_error: mean_error, .. } = mean_of(&noise_free);
     let value = mean.max(0.0).sqrt();
     // d(√x) = dx / 2√x, limited to √dx near zero.
     let by_spread = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
@@ -94,37 +94,37 @@ fn mean_of(values: &[f64]) -> Measured {
 /// Correlation of each fold's residual with the prediction from the other folds, −1 to 1, for position and
 /// rotation.
 fn fold_correlation(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     stream: &StreamState,
     offsets: &[f64],
 ) -> [Measured; 2] {
-    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
-    let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
-    let parts: Vec<Linear> = rows
+    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
+    let rows: Vec<usize> = (0..observations.len()).step_by(stride).collect();
+    let folds: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(FOLDS).max(1))
         .map(|rows| {
-            link_frames(witness, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
+            link_frames(observations, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
         })
         .collect();
-    let normals: Vec<Normal> = parts.iter().map(normal_of).collect();
-    let foretold = |part: usize| {
-        let others = normals.iter().enumerate().filter(|(other, _)| *other != part);
-        let mut normal = Normal::zeros(parts[part].width);
+    let normals: Vec<Normal> = folds.iter().map(normal_of).collect();
+    let predicted = |fold: usize| {
+        let others = normals.iter().enumerate().filter(|(other, _)| *other != fold);
+        let mut normal = Normal::zeros(folds[fold].width);
         for (_, other) in others {
             normal.matrix += &other.matrix;
             normal.right += &other.right;
         }
-        let all: Vec<usize> = (0..parts[part].width).collect();
+        let all: Vec<usize> = (0..folds[fold].width).collect();
         damped(normal).step(&DVector::zeros(all.len()), &all)
     };
-    let steps: Vec<DVector<f64>> = (0..parts.len()).map(foretold).collect();
+    let steps: Vec<DVector<f64>> = (0..folds.len()).map(predicted).collect();
     [0, 1].map(|kind| {
         let mut pairs = Vec::new();
-        for (part, step) in parts.iter().zip(&steps) {
-            let after = part.residuals_after(step.as_slice()).swap_remove(kind);
-            pairs.extend(part.residual[kind].iter().zip(after).map(|(&left, after)| {
-                let foretold = std::array::from_fn(|axis| left[axis] - after[axis]);
-                (left, foretold)
+        for (fold, step) in folds.iter().zip(&steps) {
+            let after = fold.residuals_after(step.as_slice()).swap_remove(kind);
+            pairs.extend(fold.residual[kind].iter().zip(after).map(|(&residual, after)| {
+                let predicted = std::array::from_fn(|axis| residual[axis] - after[axis]);
+                (residual, predicted)
             }));
         }
         correlation(&pairs)
@@ -140,18 +140,20 @@ fn normal_of(linear: &Linear) -> Normal {
 
 /// Mean over blocks. Each is at least twice as long as the first series' correlation.
 fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
-    let left: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
-    let noise = Noise::estimate(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);
+    let residual_square: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
+    let noise =
+        Noise::estimate(&residual_square, &vec![1.0; residual_square.len()], f64::MIN_POSITIVE);
     let lasting = 2.0 * noise.inflation();
     let blocks = (pairs.len() as f64 / lasting) as usize;
     let blocks = blocks.clamp(*BLOCK_COUNTS.start(), *BLOCK_COUNTS.end());
     let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let of_block = |block: &[([f64; 3], [f64; 3])]| {
-        let (mut left, mut foretold, mut both) = (0.0, 0.0, 0.0);
+        let (mut residual_square, mut predicted, mut product) = (0.0, 0.0, 0.0);
         for (a, b) in block {
-            (left, foretold, both) = (left + dot(a, a), foretold + dot(b, b), both + dot(a, b));
+            (residual_square, predicted, product) =
+                (residual_square + dot(a, a), predicted + dot(b, b), product + dot(a, b));
         }
-        both / (left * foretold).sqrt().max(f64::MIN_POSITIVE)
+        product / (residual_square * predicted).sqrt().max(f64::MIN_POSITIVE)
     };
     let size = pairs.len().div_ceil(blocks).max(1);
     mean_of(&pairs.chunks(size).map(of_block).collect::<Vec<f64>>())
@@ -176,8 +178,8 @@ mod tests {
         (0..n).map(|_| next()).collect()
     }
 
-    fn reaches_zero(vectors: &[[f64; 3]], foretold: &[[f64; 3]]) -> bool {
-        let pairs: Vec<_> = vectors.iter().copied().zip(foretold.iter().copied()).collect();
+    fn reaches_zero(vectors: &[[f64; 3]], predicted: &[[f64; 3]]) -> bool {
+        let pairs: Vec<_> = vectors.iter().copied().zip(predicted.iter().copied()).collect();
         let vectors: Vec<Vec3> = vectors.iter().map(|&v| Vec3::from(v)).collect();
         excess(&vectors, &correlation(&pairs)).interval(0.95)[0] <= 0.0
     }
@@ -187,14 +189,14 @@ mod tests {
         let covered = (0..40)
             .filter(|&seed| reaches_zero(&wandering(1000, seed), &wandering(1000, 1000 + seed)));
         assert!(covered.count() >= 35);
-        let foretold = wandering(1000, 7);
+        let predicted = wandering(1000, 7);
         let noise = wandering(1000, 8);
-        let mixed: Vec<[f64; 3]> = foretold
+        let mixed: Vec<[f64; 3]> = predicted
             .iter()
             .zip(&noise)
             .map(|(f, n)| std::array::from_fn(|axis| f[axis] + 0.2 * n[axis]))
             .collect();
-        assert!(!reaches_zero(&mixed, &foretold));
+        assert!(!reaches_zero(&mixed, &predicted));
     }
 
     #[test]

@@ -117,15 +117,15 @@ impl ErrorSize {
     }
 }
 
-/// Error as logged and corrected for `found`, with corrected joint states `mended`.
+/// Error as logged and corrected for `diagnosis`, with corrected joint states `corrected_joints`.
 ///
 /// # Errors
 /// If the joint states cover too few samples.
 pub fn check_residual(
     joints: &JointTrack,
-    mended: &JointTrack,
+    corrected_joints: &JointTrack,
     stream: &PoseStream,
-    found: &PoseDiagnosis,
+    diagnosis: &PoseDiagnosis,
 ) -> EstimateResult<ResidualCheck> {
     let logged = align_with_fk(joints, stream, 0.0);
     let have = logged.t_s.len();
@@ -148,7 +148,7 @@ pub fn check_residual(
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
     let as_logged = ErrorSeries::from_poses(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
         .error(&moves, at_rest);
-    let aligned = &found.aligned;
+    let aligned = &diagnosis.aligned;
     let moves = moving(joints, stream, &aligned.t_s);
     let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
         let series = ErrorSeries::from_poses(&aligned.t_s, poses, fk, has_rotation);
@@ -160,24 +160,24 @@ pub fn check_residual(
         corrected: error(&aligned.corrected, &aligned.fk_at_truth, true),
         poses_corrected: error(&aligned.corrected, &aligned.fk, true),
         joints_corrected: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
-        calibrated: residual_with_calibration(mended, stream, found, at_rest),
+        calibrated: residual_with_calibration(corrected_joints, stream, diagnosis, at_rest),
     })
 }
 
 fn residual_with_calibration(
-    mended: &JointTrack,
+    corrected_joints: &JointTrack,
     stream: &PoseStream,
-    found: &PoseDiagnosis,
+    diagnosis: &PoseDiagnosis,
     at_rest: bool,
 ) -> Option<FkError> {
-    let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &found.aligned;
+    let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &diagnosis.aligned;
     let (first, last) = (t_s.first()?, t_s.last()?);
     if at_rest || t_s.len() < MIN_SAMPLES {
         return None;
     }
-    let still = rest_speeds(mended);
-    let witness = PoseObservations {
-        joints: mended,
+    let still = rest_speeds(corrected_joints);
+    let observations = PoseObservations {
+        joints: corrected_joints,
         chain: stream.chain,
         columns: stream.columns,
         gains: &[],
@@ -190,18 +190,19 @@ fn residual_with_calibration(
         tool_part: ToolPart::Whole,
         middle_s: 0.5 * (first + last),
     };
-    let skew = found.skew.as_ref().ok().filter(|_| found.is_skew_chosen);
+    let skew = diagnosis.skew.as_ref().ok().filter(|_| diagnosis.is_skew_chosen);
     let plain = StreamState {
         skew: skew.map_or(0.0, |skew| skew.value),
-        ..StreamState::at_latency(found.latency_s.as_ref().map_or(0.0, |latency| latency.value))
+        ..StreamState::at_latency(diagnosis.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
     let stride = t_s.len().div_ceil(MAX_CALIBRATION_SAMPLES);
-    let (mut sweep, none) = (PredictionBuffers::new(&witness), vec![0.0; mended.dof]);
+    let (mut sweep, none) =
+        (PredictionBuffers::new(&observations), vec![0.0; corrected_joints.dof]);
     let rows: Vec<usize> = (0..t_s.len())
         .step_by(stride)
-        .filter(|&row| witness.pose_at(row, &plain, &none, &mut sweep).is_some())
+        .filter(|&row| observations.pose_at(row, &plain, &none, &mut sweep).is_some())
         .collect();
-    let kinds = calibrated_residuals(&witness, &plain, stride);
+    let kinds = calibrated_residuals(&observations, &plain, stride);
     let [length, angle] = kinds.try_into().ok()?;
     let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
     let (length, angle) = (vectors(length), vectors(angle));
@@ -210,7 +211,7 @@ fn residual_with_calibration(
     }
     let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
     let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
-    let moves = moving(mended, stream, &t_s);
+    let moves = moving(corrected_joints, stream, &t_s);
     Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
@@ -299,25 +300,25 @@ impl<'a> ErrorSeries<'a> {
         let part = |rows: &[usize]| {
             let amount = self.magnitude(error, rows);
             let (first, last) = (*rows.first()?, *rows.last()?);
-            let at = self.where_largest(error, rows, amount.quantile_95);
+            let at = self.location_of_largest(error, rows, amount.quantile_95);
             Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, magnitude: amount })
         };
         ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
     }
 
     /// Mean tip position over samples with at least the error `most`.
-    fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
-        let large = rows.iter().filter(|&&row| error[row].norm() >= most);
+    fn location_of_largest(&self, error: &[Vec3], rows: &[usize], max_size: f64) -> Vec3 {
+        let large = rows.iter().filter(|&&row| error[row].norm() >= max_size);
         let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
         places.iter().sum::<Vec3>() / places.len().max(1) as f64
     }
 
     fn magnitude(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
-        let [rms, most] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
+        let [rms, quantile] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
         ErrorMagnitude {
             samples: rows.len(),
             rms,
-            quantile_95: most,
+            quantile_95: quantile,
             noise: self.noise(error, rows),
         }
     }
@@ -338,9 +339,9 @@ impl<'a> ErrorSeries<'a> {
                     .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
             let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
-            let enough = differences.len() >= MIN_SAMPLES;
+            let has_enough = differences.len() >= MIN_SAMPLES;
             let [rms, most] = sizes(differences);
-            enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
+            has_enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
         });
         noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
     }
@@ -352,9 +353,9 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
         return [0.0; 2];
     }
     let at = ((sizes.len() - 1) as f64 * ERROR_QUANTILE) as usize;
-    let most = *sizes.select_nth_unstable_by(at, f64::total_cmp).1;
-    let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
-    [(squares / sizes.len() as f64).sqrt(), most]
+    let quantile = *sizes.select_nth_unstable_by(at, f64::total_cmp).1;
+    let squares: f64 = sizes.iter().map(|size| size.min(quantile).powi(2)).sum();
+    [(squares / sizes.len() as f64).sqrt(), quantile]
 }
 
 /// Origin of the tip, and two levers from it, m.

@@ -128,41 +128,41 @@ pub struct ScoredFit {
 impl ModelFit {
     /// Smallest residual without a fault, m.
     pub fn faultless_residual_m(&self) -> f64 {
-        let harmless =
-            self.fits.iter().filter(|way| way.assumption.is_faultless() && !way.is_misinterpreted);
-        harmless.map(|way| way.residual_m).fold(f64::INFINITY, f64::min)
+        let faultless =
+            self.fits.iter().filter(|fit| fit.assumption.is_faultless() && !fit.is_misinterpreted);
+        faultless.map(|fit| fit.residual_m).fold(f64::INFINITY, f64::min)
     }
 
     /// Fit with the lowest score.
     pub fn best(&self) -> Option<ScoredFit> {
-        let ways = self.fits.iter().map(|way| ScoredFit { fit: *way, score: self.score(way) });
-        ways.min_by(|a, b| a.score.total_cmp(&b.score))
+        let fits = self.fits.iter().map(|fit| ScoredFit { fit: *fit, score: self.score(fit) });
+        fits.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
     /// Whether no faulty hypothesis can score lower, given its additional parameters.
     pub fn is_conclusive(&self) -> bool {
-        let least = self.price(0.0, 1.0);
-        self.best().is_some_and(|best| best.score <= least)
+        let min_faulty_score = self.price(0.0, 1.0);
+        self.best().is_some_and(|best| best.score <= min_faulty_score)
     }
 
-    fn score(&self, way: &HypothesisFit) -> f64 {
-        let misread = if way.is_misinterpreted { 3.0 } else { 0.0 };
-        let parameters = way.assumption.parameters() as f64 + misread;
-        self.price(way.residual_m, parameters) + self.tool_price(&way.tool_m)
+    fn score(&self, fit: &HypothesisFit) -> f64 {
+        let misread = if fit.is_misinterpreted { 3.0 } else { 0.0 };
+        let parameters = fit.assumption.parameters() as f64 + misread;
+        self.price(fit.residual_m, parameters) + self.tool_price(&fit.tool_m)
     }
 
     /// The cheapest of a link deviation, an offset along the flange axis, and an arbitrary tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
-        let each = crate::selection::model_selection::price(self.effective_samples());
+        let price = crate::selection::model_selection::price(self.effective_samples());
         let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_PRIOR_M).powi(2);
         let prior = (tool_m.norm() / TOOL_PRIOR_M).powi(2);
-        let along_axis = each + deviation(tool_m.xy().norm()) + prior;
-        deviation(tool_m.norm()).min(along_axis).min(3.0 * each + prior)
+        let along_axis = price + deviation(tool_m.xy().norm()) + prior;
+        deviation(tool_m.norm()).min(along_axis).min(3.0 * price + prior)
     }
 
-    fn price(&self, left_m: f64, parameters: f64) -> f64 {
+    fn price(&self, residual_m: f64, parameters: f64) -> f64 {
         let n = self.effective_samples();
-        n * (left_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln()
+        n * (residual_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln()
             + crate::selection::model_selection::price(n) * parameters
     }
 
@@ -184,26 +184,26 @@ pub enum FitHypotheses {
 pub fn fit_model(
     joints: &JointTrack,
     stream: &PoseStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
     tried: FitHypotheses,
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
-    let lag_s = candidate_lags(joints, stream, most_lag_s);
-    let of = |lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, most_lag_s));
-    let sights = lag_s.into_iter().filter_map(of);
-    let best = sights
-        .map(|sight| {
-            let fit = sight.fit();
-            (fit.faultless_residual_m(), sight, fit)
+    let lag_s = candidate_lags(joints, stream, max_lag_s);
+    let of = |lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s));
+    let candidates = lag_s.into_iter().filter_map(of);
+    let best = candidates
+        .map(|stream_with_fk| {
+            let fit = stream_with_fk.fit();
+            (fit.faultless_residual_m(), stream_with_fk, fit)
         })
         .min_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, sight, mut fit) = best?;
+    let (_, stream_with_fk, mut fit) = best?;
     if tried == FitHypotheses::Faultless {
         return Some(fit);
     }
-    fit.fits.extend(sight.faulty_fits());
-    if fit.fits.iter().all(|way| way.residual_m > MIN_LARGE_RESIDUAL_M) {
-        fit.fits.extend(sight.misinterpreted_fits());
+    fit.fits.extend(stream_with_fk.faulty_fits());
+    if fit.fits.iter().all(|fit| fit.residual_m > MIN_LARGE_RESIDUAL_M) {
+        fit.fits.extend(stream_with_fk.misinterpreted_fits());
     }
     Some(fit)
 }
@@ -213,18 +213,21 @@ pub fn fit_model(
 pub(crate) fn tool_fit(
     joints: &JointTrack,
     stream: &PoseStream,
-    most_lag_s: f64,
+    max_lag_s: f64,
     with_zero: bool,
 ) -> Option<ScoredFit> {
     let scale = metres_by_size(joints, stream);
     let zeros = (0..stream.chain.dof()).map(|joint| FitAssumption::Zero { joint, tool: true });
-    let sights = candidate_lags(joints, stream, most_lag_s).into_iter();
-    let sights =
-        sights.filter_map(|lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, most_lag_s)));
-    let best = sights.filter_map(|sight| {
-        let mut fit = sight.fit();
+    let candidates = candidate_lags(joints, stream, max_lag_s).into_iter();
+    let candidates =
+        candidates.filter_map(|lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, max_lag_s)));
+    let best = candidates.filter_map(|stream_with_fk| {
+        let mut fit = stream_with_fk.fit();
         if with_zero {
-            fit.fits = zeros.clone().flat_map(|needs| sight.fits_under(needs)).collect();
+            fit.fits = zeros
+                .clone()
+                .flat_map(|assumption| stream_with_fk.fits_under(assumption))
+                .collect();
         }
         fit.best()
     });
@@ -238,10 +241,10 @@ pub(crate) fn frame_price(samples: usize) -> f64 {
 }
 
 /// From the correlation of stream speed and joint activity, and zero.
-fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
+fn candidate_lags(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
-    let peaks = lag_peaks(&joint_activity(joints), &speed, most_lag_s);
+    let peaks = lag_peaks(&joint_activity(joints), &speed, max_lag_s);
     let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
     std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
 }
@@ -272,7 +275,7 @@ impl<'a> StreamWithFk<'a> {
         joints: &'a JointTrack,
         stream: &PoseStream<'a>,
         scale: f64,
-        (lag_s, most_lag_s): (f64, f64),
+        (lag_s, max_lag_s): (f64, f64),
     ) -> Option<Self> {
         let PoseStream { track, chain, columns, .. } = *stream;
         let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
@@ -289,7 +292,7 @@ impl<'a> StreamWithFk<'a> {
             joints,
             stream: *stream,
             lag_s,
-            max_lag_s: most_lag_s,
+            max_lag_s,
             t_s,
             xyz,
             inverse_xyz,
@@ -300,14 +303,15 @@ impl<'a> StreamWithFk<'a> {
 
     fn fit(&self) -> ModelFit {
         let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
-        let needs = [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
-        let ways = needs.flat_map(|needs| self.fits_under(needs)).collect();
-        let as_is = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
+        let assumption =
+            [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
+        let fits = assumption.flat_map(|assumption| self.fits_under(assumption)).collect();
+        let unfitted = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
             samples: self.t_s.len(),
             spread_m: crate::frames::position_fit::spread(&self.xyz),
-            as_is_m: as_is.0,
-            fits: ways,
+            as_is_m: unfitted.0,
+            fits,
         }
     }
 
@@ -317,21 +321,26 @@ impl<'a> StreamWithFk<'a> {
         let zeros = (0..dof)
             .flat_map(|joint| [false, true].map(|tool| FitAssumption::Zero { joint, tool }));
         let references = [false, true].map(|tool| FitAssumption::Reference { tool });
-        references.into_iter().chain(zeros).flat_map(|needs| self.fits_under(needs)).collect()
+        references
+            .into_iter()
+            .chain(zeros)
+            .flat_map(|assumption| self.fits_under(assumption))
+            .collect()
     }
 
     /// Inverted poses, joints in degrees.
     fn misinterpreted_fits(&self) -> Vec<HypothesisFit> {
-        let of = |sight: StreamWithFk<'_>| {
-            let needs = [
+        let of = |stream_with_fk: StreamWithFk<'_>| {
+            let assumption = [
                 FitAssumption::Nothing,
                 FitAssumption::Tool,
                 FitAssumption::Reference { tool: true },
             ];
-            let ways = needs.into_iter().flat_map(|needs| sight.fits_under(needs));
-            ways.map(|way| HypothesisFit { is_misinterpreted: true, ..way }).collect::<Vec<_>>()
+            let fits =
+                assumption.into_iter().flat_map(|assumption| stream_with_fk.fits_under(assumption));
+            fits.map(|fit| HypothesisFit { is_misinterpreted: true, ..fit }).collect::<Vec<_>>()
         };
-        let as_it_is = || StreamWithFk {
+        let unchanged = || StreamWithFk {
             joints: self.joints,
             stream: self.stream,
             lag_s: self.lag_s,
@@ -342,20 +351,20 @@ impl<'a> StreamWithFk<'a> {
             fk: self.fk.clone(),
             in_degrees: self.in_degrees,
         };
-        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..as_it_is() }));
-        let mut in_radians = StreamWithFk { in_degrees: true, ..as_it_is() };
+        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..unchanged() }));
+        let mut in_radians = StreamWithFk { in_degrees: true, ..unchanged() };
         in_radians.fk = in_radians.poses();
         inverted.into_iter().flatten().chain(of(in_radians)).collect()
     }
 
     fn poses(&self) -> Vec<Pose> {
-        let guess = self.initial_parameters();
-        let mut moment = ChainState::new(self);
+        let parameters = self.initial_parameters();
+        let mut chain_state = ChainState::new(self);
         let mut poses = Vec::with_capacity(self.t_s.len());
         for &t_s in &self.t_s {
-            if moment.at(t_s, &guess) {
-                moment.pose = self.stream.chain.forward(&moment.q);
-                poses.push(moment.pose);
+            if chain_state.at(t_s, &parameters) {
+                chain_state.pose = self.stream.chain.forward(&chain_state.q);
+                poses.push(chain_state.pose);
             }
         }
         poses
@@ -372,10 +381,10 @@ impl<'a> StreamWithFk<'a> {
 
     /// Fits the parameters of `assumption`, and an unknown reference. A tool is fitted twice: in any
     /// direction, and along the flange axis. Without a tool, a link deviation is fitted.
-    fn fits_under(&self, needs: FitAssumption) -> Vec<HypothesisFit> {
+    fn fits_under(&self, assumption: FitAssumption) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
-        let reference = match needs {
+        let reference = match assumption {
             FitAssumption::Reference { .. } | FitAssumption::HalfTurn { .. } if is_free => {
                 return Vec::new();
             }
@@ -383,72 +392,72 @@ impl<'a> StreamWithFk<'a> {
             _ => is_free,
         };
         let mut free = vec![0];
-        if let FitAssumption::Zero { joint, .. } = needs {
+        if let FitAssumption::Zero { joint, .. } = assumption {
             free.push(1 + joint);
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
         let from = |reference: Pose| FittedParameters { reference, ..self.initial_parameters() };
         let half_turn = Pose::rotation(Vec3::z() * std::f64::consts::PI);
-        let starts = match (needs, reference) {
+        let starts = match (assumption, reference) {
             (FitAssumption::HalfTurn { .. }, _) => vec![from(half_turn)],
             (_, false) => vec![self.initial_parameters()],
             // Collinear positions leave the rotation about the line free, so start from each usual frame.
             (_, true) => {
-                let (turned, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
-                vec![self.initial_parameters(), from(half_turn), from(turned)]
+                let (rigid, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
+                vec![self.initial_parameters(), from(half_turn), from(rigid)]
             }
         };
-        let priors: &[ToolPrior] = match needs.has_tool() {
+        let priors: &[ToolPrior] = match assumption.has_tool() {
             false => &[ToolPrior::Deviation],
             true => &[ToolPrior::None, ToolPrior::AlongAxis],
         };
-        let ways = priors.iter().filter_map(|&prior| {
-            let found = starts.iter().map(|start| self.solve(start.clone(), &free, prior));
-            let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
-            left_m.is_finite().then_some(HypothesisFit {
-                assumption: needs,
+        let fits = priors.iter().filter_map(|&prior| {
+            let solutions = starts.iter().map(|start| self.solve(start.clone(), &free, prior));
+            let (residual_m, parameters) = solutions.min_by(|a, b| a.0.total_cmp(&b.0))?;
+            residual_m.is_finite().then_some(HypothesisFit {
+                assumption,
                 is_misinterpreted: false,
-                residual_m: left_m,
-                tool_m: guess.tool,
-                lag_s: guess.lag_s,
+                residual_m,
+                tool_m: parameters.tool,
+                lag_s: parameters.lag_s,
             })
         });
-        ways.collect()
+        fits.collect()
     }
 
     /// Gauss–Newton on `free`, indexed as latency, joint zeros, reference, tool.
     fn solve(
         &self,
-        mut guess: FittedParameters,
+        mut parameters: FittedParameters,
         free: &[usize],
         prior: ToolPrior,
     ) -> (f64, FittedParameters) {
         const MAX_ROUNDS: usize = 10;
         const CONVERGED_COST_CHANGE: f64 = 1e-5;
-        let mut least = f64::INFINITY;
-        let mut best = (f64::INFINITY, guess.clone());
+        let mut min_residual_m = f64::INFINITY;
+        let mut best = (f64::INFINITY, parameters.clone());
         for round in 0..=MAX_ROUNDS {
-            let (left_m, step) = self.step(&guess, free, prior);
-            let cost = left_m.hypot(prior.pull(&guess.tool).norm());
-            let gain = least - cost;
+            let (residual_m, step) = self.step(&parameters, free, prior);
+            let cost = residual_m.hypot(prior.pull(&parameters.tool).norm());
+            let gain = min_residual_m - cost;
             if gain > 0.0 {
-                (least, best) = (cost, (left_m, guess.clone()));
+                (min_residual_m, best) = (cost, (residual_m, parameters.clone()));
             }
             let Some(step) =
                 step.filter(|_| round < MAX_ROUNDS && gain.abs() > CONVERGED_COST_CHANGE * cost)
             else {
                 break;
             };
-            let dof = guess.zeros.len();
+            let dof = parameters.zeros.len();
             for (&at, &change) in free.iter().zip(step.iter()) {
                 match at {
                     0 => {
                         let most_s = self.max_lag_s;
-                        guess.lag_s = (guess.lag_s + change).clamp(-most_s, most_s);
+                        parameters.lag_s = (parameters.lag_s + change).clamp(-most_s, most_s);
                     }
-                    at if at <= dof => guess.zeros[at - 1] += change,
-                    at if at > 6 + dof => guess.tool[at - 7 - dof] += change,
+                    at if at <= dof => parameters.zeros[at - 1] += change,
+                    at if at > 6 + dof => parameters.tool[at - 7 - dof] += change,
                     _ => {}
                 }
             }
@@ -456,7 +465,7 @@ impl<'a> StreamWithFk<'a> {
                 let at = free.iter().position(|&at| at == 1 + dof + axis);
                 at.map_or(0.0, |at| step[at])
             });
-            guess.reference = pose_of_twist(&twist) * guess.reference;
+            parameters.reference = pose_of_twist(&twist) * parameters.reference;
         }
         best
     }
@@ -465,7 +474,7 @@ impl<'a> StreamWithFk<'a> {
     /// few samples.
     fn step(
         &self,
-        guess: &FittedParameters,
+        parameters: &FittedParameters,
         free: &[usize],
         prior: ToolPrior,
     ) -> (f64, Option<DVector<f64>>) {
@@ -473,26 +482,27 @@ impl<'a> StreamWithFk<'a> {
         const DAMPING_SCALE: f64 = 0.5;
         /// At the fitted latency.
         const MIN_COVERED_SHARE: f64 = 0.75;
-        let (n, dof) = (free.len(), guess.zeros.len());
-        let mut moment = ChainState::new(self);
+        let (n, dof) = (free.len(), parameters.zeros.len());
+        let mut chain_state = ChainState::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
         let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
         let mut rows: Vec<Vec3> = Vec::with_capacity(n);
-        let turn = guess.reference.rotation;
+        let turn = parameters.reference.rotation;
         for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
-            if !moment.at(t_s, guess) {
+            if !chain_state.at(t_s, parameters) {
                 continue;
             }
-            moment.pose = self.stream.chain.forward_with_jacobian(&moment.q, &mut moment.jacobian);
-            let at = moment.tip(guess);
-            let lever = moment.pose.rotation * guess.tool;
+            chain_state.pose =
+                self.stream.chain.forward_with_jacobian(&chain_state.q, &mut chain_state.jacobian);
+            let at = chain_state.tip(parameters);
+            let lever = chain_state.pose.rotation * parameters.tool;
             rows.clear();
             rows.extend(free.iter().map(|&parameter| match parameter {
-                0 => -(turn * moment.velocity(&lever)),
-                p if p <= dof => turn * moment.along(p - 1, &lever),
+                0 => -(turn * chain_state.velocity(&lever)),
+                p if p <= dof => turn * chain_state.along(p - 1, &lever),
                 p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
                 p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
-                p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
+                p => turn * (chain_state.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
             }));
             let residual = logged - at;
             squares.push(residual.norm_squared());
@@ -508,7 +518,7 @@ impl<'a> StreamWithFk<'a> {
             return (f64::INFINITY, None);
         }
         let samples = squares.len() as f64;
-        let (weights, pull) = (prior.weights(), prior.pull(&guess.tool));
+        let (weights, pull) = (prior.weights(), prior.pull(&parameters.tool));
         for (at, &parameter) in free.iter().enumerate() {
             normal[(at, at)] += 1e-9 * samples / (DAMPING_SCALE * DAMPING_SCALE);
             if let Some(axis) = parameter.checked_sub(7 + dof) {
@@ -516,9 +526,9 @@ impl<'a> StreamWithFk<'a> {
                 right[at] -= samples * weights[axis] * pull[axis];
             }
         }
-        let left_m = rms_of_most(squares);
+        let residual_m = trimmed_rms(squares);
         // The factorisation reads the lower triangle.
-        (left_m, normal.cholesky().map(|factor| factor.solve(&right)))
+        (residual_m, normal.cholesky().map(|factor| factor.solve(&right)))
     }
 }
 
@@ -529,11 +539,11 @@ pub(crate) fn extent(xyz: &[Vec3]) -> f64 {
         ground::stats::median(&mut values).unwrap_or(0.0)
     });
     let middle = Vec3::from(middle);
-    rms_of_most(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
+    trimmed_rms(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
 }
 
 /// Rms of the smallest 90 %.
-fn rms_of_most(mut squares: Vec<f64>) -> f64 {
+fn trimmed_rms(mut squares: Vec<f64>) -> f64 {
     squares.sort_by(f64::total_cmp);
     let kept = (9 * squares.len()).div_ceil(10);
     (squares[..kept].iter().sum::<f64>() / kept.max(1) as f64).sqrt()
@@ -576,10 +586,10 @@ struct ChainState<'a> {
 }
 
 impl<'a> ChainState<'a> {
-    fn new(sight: &'a StreamWithFk<'a>) -> Self {
-        let (dof, track) = (sight.stream.chain.dof(), sight.joints.dof);
+    fn new(stream_with_fk: &'a StreamWithFk<'a>) -> Self {
+        let (dof, track) = (stream_with_fk.stream.chain.dof(), stream_with_fk.joints.dof);
         Self {
-            stream: sight,
+            stream: stream_with_fk,
             cursor: 0,
             track: (vec![0.0; track], vec![0.0; track]),
             q: vec![0.0; dof],
@@ -590,10 +600,10 @@ impl<'a> ChainState<'a> {
     }
 
     /// Moves the joints to the time of measurement. False if joint states do not cover it.
-    fn at(&mut self, t_s: f64, guess: &FittedParameters) -> bool {
+    fn at(&mut self, t_s: f64, parameters: &FittedParameters) -> bool {
         let StreamWithFk { joints, stream, in_degrees, .. } = self.stream;
         let (q, qd) = &mut self.track;
-        if !joints.at(t_s - guess.lag_s, &mut self.cursor, q, qd) {
+        if !joints.at(t_s - parameters.lag_s, &mut self.cursor, q, qd) {
             return false;
         }
         for (at, (&column, kind)) in
@@ -601,15 +611,15 @@ impl<'a> ChainState<'a> {
         {
             let turns = *in_degrees && *kind != JointKind::Prismatic;
             let unit = if turns { 1_f64.to_radians() } else { 1.0 };
-            self.q[at] = unit * q[column] + guess.zeros[at];
+            self.q[at] = unit * q[column] + parameters.zeros[at];
             self.qd[at] = unit * qd[column];
         }
         true
     }
 
     /// Tip in the stream's reference frame.
-    fn tip(&self, guess: &FittedParameters) -> Vec3 {
-        (guess.reference * (self.pose * Point3::from(guess.tool))).coords
+    fn tip(&self, parameters: &FittedParameters) -> Vec3 {
+        (parameters.reference * (self.pose * Point3::from(parameters.tool))).coords
     }
 
     /// Derivative in the base; `lever` is from the link origin.

@@ -17,9 +17,9 @@ pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
 pub(crate) const ENCODING_SAMPLES: usize = 72;
 
 /// Row ranges of a series, thinned to about `most` rows in even stretches.
-pub fn row_blocks(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
+pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usize>> {
     const BLOCKS: usize = 24;
-    let (count, rows) = if len <= most { (1, len) } else { (BLOCKS, most / BLOCKS) };
+    let (count, rows) = if len <= max_rows { (1, len) } else { (BLOCKS, max_rows / BLOCKS) };
     (0..count).map(move |at| at * len / count..at * len / count + rows)
 }
 
@@ -31,15 +31,15 @@ pub(crate) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
 }
 
 /// Candidate lags, most likely first.
-pub(crate) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
+pub(crate) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, max_lag_s: f64) -> Vec<LagPeak> {
     let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
-    arm.lag_peaks(t_s, xyz, as_rotations(orientation), most_lag_s)
+    arm.lag_peaks(t_s, xyz, as_rotations(orientation), max_lag_s)
 }
 
 /// Lag of the highest correlation, s; 0 if none is high enough.
-pub(crate) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
+pub(crate) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> f64 {
     let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
-    let peaks = stream_peaks(&arm, stream, most_lag_s);
+    let peaks = stream_peaks(&arm, stream, max_lag_s);
     let best = peaks.first().filter(|peak| peak.correlation > MIN_SPEED_CORRELATION);
     best.map_or(0.0, |peak| peak.lag_s)
 }
@@ -94,10 +94,10 @@ pub(crate) fn rest_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof)
         .map(|j| {
             let middles = (1..joints.len().saturating_sub(1)).step_by(stride);
-            let mut bends: Vec<f64> = middles
+            let mut second_differences: Vec<f64> = middles
                 .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
                 .collect();
-            let Some(median) = median(&mut bends) else { return f64::INFINITY };
+            let Some(median) = median(&mut second_differences) else { return f64::INFINITY };
             (REST_SIGMAS * STD_DEV_PER_MEDIAN * median / 6f64.sqrt()).max(2e-4)
         })
         .collect()

@@ -77,26 +77,26 @@ impl LinkDeviations {
     }
 }
 
-/// Estimates the likeliest zeros and link deviations, linearised about `offsets`. `plain` excludes causes
+/// Estimates the likeliest zeros and link deviations, linearised about `offsets`. `state` excludes causes
 /// that link deviations imitate.
 pub(crate) fn estimate_link_deviations(
-    witness: &PoseObservations,
-    plain: &StreamState,
+    observations: &PoseObservations,
+    state: &StreamState,
     offsets: &[f64],
 ) -> Option<LinkDeviations> {
-    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = DeviationModel::linearize(witness, plain, &offsets, stride)?;
+        let model = DeviationModel::linearize(observations, state, &offsets, stride)?;
         let fit = model.select_zeros(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
-            next[witness.columns[joint]] += model.measured_zero(&fit, joint)?.value;
+            next[observations.columns[joint]] += model.measured_zero(&fit, joint)?.value;
         }
         let moved = next.iter().zip(&offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if moved < 1e-6 || round == LINEARIZATION_ROUNDS {
-            return Some(model.to_link_deviations(&fit, witness, &offsets));
+            return Some(model.to_link_deviations(&fit, observations, &offsets));
         }
         (offsets, chosen) = (next, Some(fit));
     }
@@ -124,21 +124,21 @@ struct AdditionalCauses {
 
 impl AdditionalCauses {
     /// Causes that affect `stream`.
-    fn for_stream(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
-        let mut beside = Self::default();
+    fn for_stream(causes: &[Cause], observations: &PoseObservations, stream: usize) -> Self {
+        let mut additional = Self::default();
         for cause in causes {
             match *cause {
                 Cause::Zero(column) => {
-                    let joint = witness.columns.iter().position(|own| *own == column);
-                    beside.zeros.extend(joint);
+                    let joint = observations.columns.iter().position(|own| *own == column);
+                    additional.zeros.extend(joint);
                 }
-                Cause::Reference(s) => beside.reference |= s == stream,
-                Cause::Tool(s) => beside.tool |= s == stream,
-                Cause::RadialScale(s) => beside.radial_scale |= s == stream,
+                Cause::Reference(s) => additional.reference |= s == stream,
+                Cause::Tool(s) => additional.tool |= s == stream,
+                Cause::RadialScale(s) => additional.radial_scale |= s == stream,
                 Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
             }
         }
-        beside
+        additional
     }
 }
 
@@ -146,48 +146,48 @@ impl AdditionalCauses {
 /// exact. A cause is dropped if that lowers twice the log-likelihood by at most the price of a parameter.
 /// The likelihood is maximised over deviation sizes up to the usual one.
 ///
-/// The stream is linearised about `plain` and `offsets`, which exclude the causes.
+/// The stream is linearised about `state` and `offsets`, which exclude the causes.
 pub(crate) fn causes_beyond_link_deviations(
-    (witness, stream): (&PoseObservations, usize),
-    plain: &StreamState,
+    (observations, stream): (&PoseObservations, usize),
+    state: &StreamState,
     offsets: &[f64],
     causes: &[Cause],
 ) -> Vec<Cause> {
-    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
-    let Some(model) = DeviationModel::linearize(witness, plain, offsets, stride) else {
+    let stride = observations.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let Some(model) = DeviationModel::linearize(observations, state, offsets, stride) else {
         return causes.to_vec();
     };
     let evidence = |causes: &[Cause]| {
-        let beside = AdditionalCauses::for_stream(causes, witness, stream);
+        let additional = AdditionalCauses::for_stream(causes, observations, stream);
         let fits = sizes_m(LINK_PRIOR_M).filter_map(|size_m| {
-            model.fit_with(&beside, &model.uniform_sizes(size_m)).map(|fit| fit.evidence)
+            model.fit_with(&additional, &model.uniform_sizes(size_m)).map(|fit| fit.evidence)
         });
         fits.fold(f64::NEG_INFINITY, f64::max)
     };
-    let sure = price(model.dof);
-    let mut kept = causes.to_vec();
-    let mut present = evidence(&kept);
-    while !kept.is_empty() {
-        let without = (0..kept.len()).map(|at| {
-            let mut rest = kept.clone();
+    let min_gain = price(model.dof);
+    let mut retained = causes.to_vec();
+    let mut present = evidence(&retained);
+    while !retained.is_empty() {
+        let without = (0..retained.len()).map(|at| {
+            let mut rest = retained.clone();
             rest.remove(at);
             (evidence(&rest), rest)
         });
         match without.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((likelihood, rest)) if likelihood + sure >= present => {
-                (present, kept) = (present.max(likelihood), rest);
+            Some((likelihood, rest)) if likelihood + min_gain >= present => {
+                (present, retained) = (present.max(likelihood), rest);
             }
             _ => break,
         }
     }
-    kept
+    retained
 }
 
 /// Ascending grid up to `most`.
-fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
-    let (least, _, times) = DEVIATION_GRID_M;
-    let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
-    tried.take_while(move |size_m| *size_m < most).chain([most])
+fn sizes_m(max_size_m: f64) -> impl Iterator<Item = f64> {
+    let (min_size_m, _, times) = DEVIATION_GRID_M;
+    let tried = std::iter::successors(Some(min_size_m), move |size_m| Some(size_m * times));
+    tried.take_while(move |size_m| *size_m < max_size_m).chain([max_size_m])
 }
 
 /// Stream linearised in link frames, latency and zeros.
@@ -221,15 +221,16 @@ impl DeviationFit {
 
 impl DeviationModel {
     fn linearize(
-        witness: &PoseObservations,
-        plain: &StreamState,
+        observations: &PoseObservations,
+        state: &StreamState,
         offsets: &[f64],
         stride: usize,
     ) -> Option<Self> {
-        let rows = (0..witness.len()).step_by(stride);
-        let linear = link_frames(witness, plain, offsets, rows, FreeAlongside::ZerosAndRadialScale);
-        let joints = witness.columns.len();
-        let (columns, of) = parameters(witness, plain);
+        let rows = (0..observations.len()).step_by(stride);
+        let linear =
+            link_frames(observations, state, offsets, rows, FreeAlongside::ZerosAndRadialScale);
+        let joints = observations.columns.len();
+        let (columns, of) = parameters(observations, state);
         (linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
     }
 
@@ -274,13 +275,13 @@ impl DeviationModel {
     }
 
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
-        let beside = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
-        self.fit_with(&beside, sizes_m)
+        let additional = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
+        self.fit_with(&additional, sizes_m)
     }
 
-    fn fit_with(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
+    fn fit_with(&self, additional: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
         let is_of_frame = |group: usize| {
-            (beside.reference && group == 0) || (beside.tool && group == self.joints)
+            (additional.reference && group == 0) || (additional.tool && group == self.joints)
         };
         let mut variances: Vec<f64> = self
             .kinds
@@ -291,16 +292,18 @@ impl DeviationModel {
                     let frame = if is_of_frame(*group) { FREE_PRIOR } else { 0.0 };
                     (unit * sizes_m[*group]).powi(2) + frame.powi(2)
                 }
-                DeviationParameter::RadialScale => {
-                    if beside.radial_scale { RADIAL_SCALE_PRIOR } else { ABSENT_RADIAL_SCALE_PRIOR }
-                        .powi(2)
+                DeviationParameter::RadialScale => if additional.radial_scale {
+                    RADIAL_SCALE_PRIOR
+                } else {
+                    ABSENT_RADIAL_SCALE_PRIOR
                 }
+                .powi(2),
             })
             .collect();
-        for &joint in &beside.zeros {
+        for &joint in &additional.zeros {
             variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
         }
-        if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
+        if let Some(last) = self.joints.checked_sub(1).filter(|_| additional.tool) {
             // Equivalent to tool rotation about the last axis.
             variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
         }
@@ -315,7 +318,7 @@ impl DeviationModel {
         let usual_m = self.typical_size_m(sizes_m);
         let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
         Some(DeviationFit {
-            zeros: beside.zeros.clone(),
+            zeros: additional.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean)
                 - log_det
@@ -342,18 +345,18 @@ impl DeviationModel {
     }
 
     fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
-        let (least, most, _) = DEVIATION_GRID_M;
+        let (min_size_m, max_size_m, _) = DEVIATION_GRID_M;
         let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
-        (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
+        (self.groups().count() as f64 / precisions).sqrt().clamp(min_size_m, max_size_m)
     }
 
     /// Maximises the likelihood over the sizes, from `sizes_m`. Groups with little information converge
     /// slowly, so the step grows while the likelihood increases.
     fn maximize_likelihood(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
-        let (most, little) = SIZE_ITERATION_LIMITS;
+        let (max_iterations, max_change) = SIZE_ITERATION_LIMITS;
         let mut fit = self.fit(zeros, sizes_m)?;
         let mut stride = 1.0;
-        for _ in 0..most {
+        for _ in 0..max_iterations {
             let likelier = self.updated_sizes(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
@@ -362,7 +365,7 @@ impl DeviationModel {
                 Some(next) => {
                     let gained = next.evidence - fit.evidence;
                     (fit, stride) = (next, 2.0 * stride);
-                    if gained < little {
+                    if gained < max_change {
                         break;
                     }
                 }
@@ -433,41 +436,42 @@ impl DeviationModel {
     fn to_link_deviations(
         &self,
         fit: &DeviationFit,
-        witness: &PoseObservations,
+        observations: &PoseObservations,
         offsets: &[f64],
     ) -> LinkDeviations {
         let absolute = |joint: usize, zero: Measured| {
-            let column = witness.columns[joint];
+            let column = observations.columns[joint];
             (column, Measured { value: offsets[column] + zero.value, ..zero })
         };
-        let mut zeros = vec![None; witness.joints.dof];
+        let mut zeros = vec![None; observations.joints.dof];
         let others = self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &[]);
         let named =
             fit.zeros.iter().filter_map(|&joint| Some((joint, self.measured_zero(fit, joint)?)));
-        let beside = others
+        let additional = others
             .iter()
             .filter_map(|(joint, with)| Some((*joint, self.measured_zero(with, *joint)?)));
-        let told = beside.filter(|(_, zero)| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
-        for (joint, zero) in named.chain(told) {
+        let informative =
+            additional.filter(|(_, zero)| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
+        for (joint, zero) in named.chain(informative) {
             let (column, zero) = absolute(joint, zero);
             zeros[column] = Some(zero);
         }
-        let twins = |&joint: &usize| {
+        let confounders_of = |&joint: &usize| {
             let instead =
                 self.with_one_more_zero(&fit.zeros_except(joint), &fit.sizes_m, &fit.zeros);
-            let as_likely = instead
-                .into_iter()
-                .filter(|(_, it)| it.evidence > fit.evidence - MAX_LOG_RATIO_CONFOUNDER);
-            let twin = |(other, it): (usize, DeviationFit)| {
-                let (column, zero) = absolute(other, self.measured_zero(&it, other)?);
+            let as_likely = instead.into_iter().filter(|(_, fit_with_zero)| {
+                fit_with_zero.evidence > fit.evidence - MAX_LOG_RATIO_CONFOUNDER
+            });
+            let confounder = |(other, fit_with_zero): (usize, DeviationFit)| {
+                let (column, zero) = absolute(other, self.measured_zero(&fit_with_zero, other)?);
                 Some(Confounder::JointZero(column, zero.value))
             };
-            (witness.columns[joint], as_likely.filter_map(twin).collect())
+            (observations.columns[joint], as_likely.filter_map(confounder).collect())
         };
         let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
         let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
         LinkDeviations {
-            reported: fit.zeros.iter().map(twins).collect(),
+            reported: fit.zeros.iter().map(confounders_of).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
         }
@@ -478,50 +482,50 @@ impl DeviationModel {
 /// separate group) and radial scale. A link frame has six deviations, except the one equal to its joint's
 /// zero.
 fn parameters(
-    witness: &PoseObservations,
-    plain: &StreamState,
+    observations: &PoseObservations,
+    state: &StreamState,
 ) -> (DMatrix<f64>, Vec<DeviationParameter>) {
-    let joints = witness.columns.len();
+    let joints = observations.columns.len();
     let latency = 6 * (joints + 1);
-    let unit = |turns: bool| if turns { RAD_PER_M } else { 1.0 };
+    let unit = |is_rotation: bool| if is_rotation { RAD_PER_M } else { 1.0 };
     let mut columns: Vec<DVector<f64>> = Vec::new();
     let mut of = Vec::new();
-    let growth = latency + 1 + joints;
-    let axes = witness.chain.joint_axes();
-    let kinds = witness.chain.joint_kinds();
+    let radial_scale = latency + 1 + joints;
+    let axes = observations.chain.joint_axes();
+    let kinds = observations.chain.joint_kinds();
     for link in 0..=joints {
-        let is_free = is_free_parameter(6 * link, witness, plain);
+        let is_free = is_free_parameter(6 * link, observations, state);
         let joint = link.checked_sub(1).filter(|_| !is_free);
         let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
-        for (axis, turns) in (0..6).map(|i| (i % 3, i >= 3)) {
-            let is_zero = |joint: usize| turns != (kinds[joint] == JointKind::Prismatic);
+        for (axis, is_rotation) in (0..6).map(|i| (i % 3, i >= 3)) {
+            let is_zero = |joint: usize| is_rotation != (kinds[joint] == JointKind::Prismatic);
             if axis == 2 && joint.is_some_and(is_zero) {
                 continue;
             }
-            let first = 6 * link + if turns { 3 } else { 0 };
-            let mut column = DVector::zeros(growth + 1);
+            let first = 6 * link + if is_rotation { 3 } else { 0 };
+            let mut column = DVector::zeros(radial_scale + 1);
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
             of.push(match is_free {
                 true => DeviationParameter::Unconstrained,
-                false => DeviationParameter::Deviation { group: link, unit: unit(turns) },
+                false => DeviationParameter::Deviation { group: link, unit: unit(is_rotation) },
             });
         }
     }
     for own in latency..=latency + joints {
-        let mut column = DVector::zeros(growth + 1);
+        let mut column = DVector::zeros(radial_scale + 1);
         column[own] = 1.0;
         columns.push(column);
         of.push(match own.checked_sub(latency + 1) {
             None => DeviationParameter::Unconstrained,
             Some(joint) => {
-                let turns = kinds[joint] != JointKind::Prismatic;
-                DeviationParameter::Deviation { group: joints + 1, unit: unit(turns) }
+                let is_rotation = kinds[joint] != JointKind::Prismatic;
+                DeviationParameter::Deviation { group: joints + 1, unit: unit(is_rotation) }
             }
         });
     }
-    let mut column = DVector::zeros(growth + 1);
-    column[growth] = 1.0;
+    let mut column = DVector::zeros(radial_scale + 1);
+    column[radial_scale] = 1.0;
     columns.push(column);
     of.push(DeviationParameter::RadialScale);
     (DMatrix::from_columns(&columns), of)

@@ -93,20 +93,29 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 impl Linearized {
     /// Linearises about `state` with about `most` samples per stream. The weights are of the noise with all
     /// causes in `all` free.
-    pub fn new(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
-        let streams: Vec<Linear> = witnesses
+    pub fn new(
+        observations: &[&PoseObservations],
+        state: &State,
+        max_samples: usize,
+        candidates: &[Cause],
+    ) -> Self {
+        let streams: Vec<Linear> = observations
             .iter()
             .zip(&state.streams)
-            .map(|(witness, stream)| {
-                witness.linearize(stream, &state.offsets, witness.len().div_ceil(most))
+            .map(|(observations, stream)| {
+                observations.linearize(
+                    stream,
+                    &state.offsets,
+                    observations.len().div_ceil(max_samples),
+                )
             })
             .collect();
         let values = state.values();
         let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
-        let normal = normal_of(&streams, &weights, state);
+        let normal = normal_equations(&streams, &weights, state);
         let mut linearized = Self { streams, weights, normal, values, free_fit: Mutex::new(None) };
-        linearized.update_weights(state, all);
-        linearized.update_weights(state, all);
+        linearized.update_weights(state, candidates);
+        linearized.update_weights(state, candidates);
         linearized
     }
 
@@ -116,9 +125,9 @@ impl Linearized {
     fn update_weights(&mut self, state: &State, causes: &[Cause]) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
         self.weights = (0..self.streams.len())
-            .map(|s| self.streams[s].weights_after(&own_part(&step, state, s)))
+            .map(|s| self.streams[s].weights_after(&stream_step(&step, state, s)))
             .collect();
-        self.normal = normal_of(&self.streams, &self.weights, state);
+        self.normal = normal_equations(&self.streams, &self.weights, state);
         self.free_fit = Mutex::new(None);
     }
 
@@ -146,7 +155,7 @@ impl Linearized {
         let n = parameters.len();
         let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
         for (s, linear) in self.streams.iter().enumerate() {
-            let columns = targets(parameters, state, s);
+            let columns = target_columns(parameters, state, s);
             linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
         }
         let freed = Arc::new(FreeFit {
@@ -173,7 +182,7 @@ impl Linearized {
     fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
         let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
         for (s, linear) in self.streams.iter().enumerate() {
-            let columns = targets(parameters, state, s);
+            let columns = target_columns(parameters, state, s);
             let squares = linear.squares_along(&self.weights[s], &columns, influence);
             sum += squares.0;
             variance += squares.1;
@@ -196,16 +205,16 @@ impl Linearized {
 }
 
 /// Index among `parameters` of each stream parameter.
-fn targets(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
+fn target_columns(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
     let columns = columns_of(state, stream).into_iter();
     columns.map(|column| parameters.binary_search(&column).ok()).collect()
 }
 
-fn own_part(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
+fn stream_step(step: &DVector<f64>, state: &State, stream: usize) -> Vec<f64> {
     columns_of(state, stream).into_iter().map(|column| step[column]).collect()
 }
 
-fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Normal {
+fn normal_equations(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Normal {
     let mut normal = Normal::zeros(state.width());
     for (s, linear) in streams.iter().enumerate() {
         linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
@@ -246,12 +255,12 @@ pub(crate) fn price(independent: f64) -> f64 {
 }
 
 /// Optional causes with the lowest score.
-fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
+fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> CauseSet {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
-        let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
+        let causes: Vec<Cause> = candidates.always.iter().chain(set).copied().collect();
         let parameters = parameters_of(&causes, state);
-        if !set.is_empty() && is_collinear(linear, menu, &causes, state) {
+        if !set.is_empty() && is_collinear(linear, candidates, &causes, state) {
             return f64::INFINITY;
         }
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
@@ -259,13 +268,16 @@ fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> 
     };
     let mut best = CauseSet { score: score_of(&[]), causes: Vec::new() };
     // Lower bound on the cost of any set.
-    let least = linear.cost(&parameters_of(&menu.all(), state));
+    let min_cost = linear.cost(&parameters_of(&candidates.all(), state));
     let mut set = Vec::new();
-    let depth =
-        if menu.optional.len() > 16 { MAX_EXHAUSTIVE_CAUSES - 1 } else { MAX_EXHAUSTIVE_CAUSES };
-    subsets(&menu.optional, depth, &mut set, &mut |set| {
+    let depth = if candidates.optional.len() > 16 {
+        MAX_EXHAUSTIVE_CAUSES - 1
+    } else {
+        MAX_EXHAUSTIVE_CAUSES
+    };
+    subsets(&candidates.optional, depth, &mut set, &mut |set| {
         let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
-        if least + price * parameters as f64 >= best.score {
+        if min_cost + price * parameters as f64 >= best.score {
             return;
         }
         let score = score_of(set);
@@ -275,7 +287,7 @@ fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> 
     });
     // Beyond that depth, add and remove causes while the score improves.
     while best.causes.len() >= depth {
-        let grown = menu
+        let grown = candidates
             .optional
             .iter()
             .filter(|cause| !best.causes.contains(cause))
@@ -297,34 +309,35 @@ fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> 
 /// Steps keep them fixed. Another cause with such a direction, such as a joint zero, has no unique value.
 fn is_collinear(
     linear: &Linearized,
-    menu: &CandidateCauses,
+    candidates: &CandidateCauses,
     causes: &[Cause],
     state: &State,
 ) -> bool {
     let is_anywhere = |cause: &&Cause| match **cause {
-        Cause::Reference(s) | Cause::Tool(s) => menu.always.contains(&Cause::Reference(s)),
+        Cause::Reference(s) | Cause::Tool(s) => candidates.always.contains(&Cause::Reference(s)),
         _ => false,
     };
-    let (anywhere, others): (Vec<&Cause>, Vec<&Cause>) = causes.iter().partition(is_anywhere);
+    let (stream_independent, others): (Vec<&Cause>, Vec<&Cause>) =
+        causes.iter().partition(is_anywhere);
     let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
         causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
     };
-    let (anywhere, others) = (parameters(anywhere), parameters(others));
-    linear.normal.separation_beside(&anywhere, &others) < MIN_CAUSE_SEPARATION
+    let (stream_independent, others) = (parameters(stream_independent), parameters(others));
+    linear.normal.separation_given(&stream_independent, &others) < MIN_CAUSE_SEPARATION
 }
 
-fn prune(mut choice: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
+fn prune(mut set: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
     loop {
-        let shrunk = (0..choice.causes.len())
+        let shrunk = (0..set.causes.len())
             .map(|drop| {
-                let mut causes = choice.causes.clone();
+                let mut causes = set.causes.clone();
                 causes.remove(drop);
                 CauseSet { score: score_of(&causes), causes }
             })
             .min_by(|a, b| a.score.total_cmp(&b.score));
         match shrunk {
-            Some(shrunk) if shrunk.score < choice.score => choice = shrunk,
-            _ => return choice,
+            Some(shrunk) if shrunk.score < set.score => set = shrunk,
+            _ => return set,
         }
     }
 }
@@ -360,32 +373,35 @@ pub(crate) enum Approach {
 
 /// Selects from a starting state, with about `most` samples per stream.
 pub(crate) fn select_model(
-    witnesses: &[&PoseObservations],
+    observations: &[&PoseObservations],
     start: State,
-    menu: &CandidateCauses,
+    candidates: &CandidateCauses,
     approach: Approach,
-    most: usize,
+    max_samples: usize,
 ) -> SelectedModel {
-    let all = menu.all();
+    let all = candidates.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
-    let mut linear = Linearized::new(witnesses, &state, most, &all);
+    let mut linear = Linearized::new(observations, &state, max_samples, &all);
     let bold_rounds = if approach == Approach::Bold { 3 } else { 0 };
     for round in 0..12 {
         let full = round < bold_rounds;
-        let next =
-            if full { menu.optional.clone() } else { select_causes(&linear, menu, &state).causes };
-        let free: Vec<Cause> = menu.always.iter().chain(&next).copied().collect();
+        let next = if full {
+            candidates.optional.clone()
+        } else {
+            select_causes(&linear, candidates, &state).causes
+        };
+        let free: Vec<Cause> = candidates.always.iter().chain(&next).copied().collect();
         let step = linear.step(&parameters_of(&free, &state));
-        let settled = !full && next == causes && is_negligible(&step);
+        let is_converged = !full && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
-        linear = Linearized::new(witnesses, &state, most, &all);
-        if settled {
+        linear = Linearized::new(observations, &state, max_samples, &all);
+        if is_converged {
             break;
         }
     }
-    let chosen: Vec<Cause> = menu.always.iter().chain(&causes).copied().collect();
+    let chosen: Vec<Cause> = candidates.always.iter().chain(&causes).copied().collect();
     linear.update_weights(&state, &chosen);
     SelectedModel { state, causes, linear }
 }
@@ -400,15 +416,15 @@ fn is_negligible(step: &DVector<f64>) -> bool {
 ///
 /// The autocorrelation, which reduces `n`, is that of the model with the smallest residual. Otherwise small
 /// differences of it would decide between equally good models.
-pub(crate) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
-    let noises: Vec<Vec<Noise>> = explanations.iter().map(SelectedModel::noise).collect();
+pub(crate) fn best_model(models: Vec<SelectedModel>) -> Option<SelectedModel> {
+    let noises: Vec<Vec<Noise>> = models.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
     // Capped, so a smooth residual keeps enough samples.
     let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
-    let score = |(explanation, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
-        let kinds = noise.len() / explanation.linear.streams.len().max(1);
-        let samples = explanation
+    let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
+        let kinds = noise.len() / model.linear.streams.len().max(1);
+        let samples = model
             .linear
             .streams
             .iter()
@@ -417,13 +433,13 @@ pub(crate) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedMod
             .zip(noise.iter().zip(&memory))
             .map(|(n, (noise, memory))| 2.0 * n / memory * noise.sigma.ln())
             .sum();
-        fit + explanation.price()
+        fit + model.price()
     };
-    explanations
+    models
         .into_iter()
         .zip(noises)
         .min_by(|a, b| score(a).total_cmp(&score(b)))
-        .map(|(explanation, _)| explanation)
+        .map(|(model, _)| model)
 }
 
 impl SelectedModel {

@@ -36,69 +36,69 @@ const DAMPING_SCALE: f64 = 0.01;
 const MAX_SAMPLES: usize = 1000;
 const FIT_ROUNDS: usize = 4;
 
-/// Whether small changes of the link frames explain `witness` better than the causes in `state`. `plain`
+/// Whether small changes of the link frames explain `observations` better than the causes in `state`. `stream_state`
 /// has only latency and large frames, `offsets` the joint zeros too large for link deviations.
 pub(crate) fn is_nominal(
-    witness: &PoseObservations,
+    observations: &PoseObservations,
     stream: usize,
     state: &State,
-    plain: &StreamState,
+    stream_state: &StreamState,
     offsets: &[f64],
 ) -> bool {
-    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
-    let as_recorded = witness.linearize(plain, offsets, stride);
+    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
+    let as_recorded = observations.linearize(stream_state, offsets, stride);
     let rms_m = rms(&as_recorded.residual[0]);
     if rms_m > MAX_TIP_CHANGE_M || rms(&as_recorded.residual[1]) > MAX_TIP_CHANGE_RAD {
         return false;
     }
-    let calibration = LinkFrameChanges::fit(witness, plain, offsets, stride);
+    let calibration = LinkFrameChanges::fit(observations, stream_state, offsets, stride);
     let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
     let is_named = offsets.iter().any(|offset| *offset != 0.0);
-    let least_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
-    if rms_m.powi(2) - noise_m.powi(2) < least_m.powi(2) {
+    let min_excess_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
+    if rms_m.powi(2) - noise_m.powi(2) < min_excess_m.powi(2) {
         return false;
     }
-    let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);
-    let left = explained.weights_after(&vec![0.0; explained.width]);
-    calibration.gain_over(&left) > calibration.price
+    let explained = observations.linearize(&state.streams[stream], &state.offsets, stride);
+    let without_change = explained.weights_after(&vec![0.0; explained.width]);
+    calibration.gain_over(&without_change) > calibration.price
 }
 
 /// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
 /// latency `course`. Slow motion hides large latency changes, and link deviations resemble one there.
 ///
-/// `fitted` is the state with all causes, `plain` without those of calibrations, both at stamps without
+/// `fitted` is the state with all causes, `stream_state` without those of calibrations, both at stamps without
 /// `removed`.
 pub(crate) fn link_deviations_beat_profile(
-    witness: &PoseObservations,
-    [fitted, plain]: [&StreamState; 2],
+    observations: &PoseObservations,
+    [fitted, stream_state]: [&StreamState; 2],
     offsets: &[f64],
-    course: &LatencyProfile,
+    profile: &LatencyProfile,
     removed: Option<&LatencyRamp>,
 ) -> bool {
     let at_stamps = |stamp: &dyn Fn(f64) -> f64| {
-        let t_s = witness.t_s.iter().map(|t_s| stamp(*t_s)).collect();
-        PoseObservations { t_s, ..witness.clone() }
+        let t_s = observations.t_s.iter().map(|t_s| stamp(*t_s)).collect();
+        PoseObservations { t_s, ..observations.clone() }
     };
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = at_stamps(&logged_s);
-    let steady = at_stamps(&|t_s| logged_s(t_s) - course.relative_s(logged_s(t_s)));
-    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
-    let as_logged = logged.linearize(plain, offsets, stride);
+    let steady = at_stamps(&|t_s| logged_s(t_s) - profile.relative_s(logged_s(t_s)));
+    let stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
+    let as_logged = logged.linearize(stream_state, offsets, stride);
     if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
         || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
     {
         return false;
     }
-    let calibration = LinkFrameChanges::fit(&logged, plain, offsets, stride);
+    let calibration = LinkFrameChanges::fit(&logged, stream_state, offsets, stride);
     // The levels contain the skew; the constant latency absorbs its pivot.
     let mut state = StreamState { skew: 0.0, ..fitted.clone() };
     for _ in 0..2 {
         state.latency_s += steady.residual_at_latency(&state, offsets, MAX_SAMPLES).1;
     }
-    let left = steady.linearize(&state, offsets, stride);
-    let left = left.weights_after(&vec![0.0; left.width]);
-    let price = price(calibration.samples as f64) * course.parameters() as f64;
-    calibration.gain_over(&left) + price > calibration.price
+    let without_profile = steady.linearize(&state, offsets, stride);
+    let without_profile = without_profile.weights_after(&vec![0.0; without_profile.width]);
+    let price = price(calibration.samples as f64) * profile.parameters() as f64;
+    calibration.gain_over(&without_profile) + price > calibration.price
 }
 
 /// Rms length.
@@ -120,29 +120,30 @@ struct LinkFrameChanges {
 
 /// Residuals after the likeliest link frame changes, m and rad, for every `stride`-th covered sample.
 pub(crate) fn calibrated_residuals(
-    witness: &PoseObservations,
-    plain: &StreamState,
+    observations: &PoseObservations,
+    stream_state: &StreamState,
     stride: usize,
 ) -> Vec<Vec<[f64; 3]>> {
-    let few = witness.len().div_ceil(MAX_SAMPLES).max(1);
-    let none = vec![0.0; witness.joints.dof];
-    let calibration = LinkFrameChanges::fit(witness, plain, &none, few);
-    let rows = (0..witness.len()).step_by(stride.max(1));
-    link_frames(witness, plain, &none, rows, FreeAlongside::Nothing)
+    let fit_stride = observations.len().div_ceil(MAX_SAMPLES).max(1);
+    let none = vec![0.0; observations.joints.dof];
+    let calibration = LinkFrameChanges::fit(observations, stream_state, &none, fit_stride);
+    let rows = (0..observations.len()).step_by(stride.max(1));
+    link_frames(observations, stream_state, &none, rows, FreeAlongside::Nothing)
         .residuals_after(calibration.step.as_slice())
 }
 
 impl LinkFrameChanges {
     fn fit(
-        witness: &PoseObservations,
-        plain: &StreamState,
+        observations: &PoseObservations,
+        stream_state: &StreamState,
         offsets: &[f64],
         stride: usize,
     ) -> Self {
-        let rows = (0..witness.len()).step_by(stride);
-        let frames = link_frames(witness, plain, offsets, rows, FreeAlongside::Nothing);
+        let rows = (0..observations.len()).step_by(stride);
+        let frames = link_frames(observations, stream_state, offsets, rows, FreeAlongside::Nothing);
         let all: Vec<usize> = (0..frames.width).collect();
-        let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
+        let usual: Vec<f64> =
+            all.iter().map(|&i| usual_change(i, observations, stream_state)).collect();
         let none = DVector::zeros(frames.width);
         let mut weights = frames.first_weights();
         let (mut price, mut changes) = (0.0, none.clone());
@@ -162,10 +163,10 @@ impl LinkFrameChanges {
 
     /// Twice the log likelihood ratio to a fit with weights `left`, both with this fit's noise correlation,
     /// which is closer to the truth.
-    fn gain_over(&self, left: &[Weight]) -> f64 {
-        let gains = self.weights.iter().zip(left).map(|(own, other)| {
-            let independent = 3.0 * self.samples as f64 / own.noise.inflation();
-            2.0 * independent * (other.noise.sigma / own.noise.sigma).ln()
+    fn gain_over(&self, without_change: &[Weight]) -> f64 {
+        let gains = self.weights.iter().zip(without_change).map(|(weight, other)| {
+            let independent = 3.0 * self.samples as f64 / weight.noise.inflation();
+            2.0 * independent * (other.noise.sigma / weight.noise.sigma).ln()
         });
         gains.sum()
     }
@@ -173,20 +174,24 @@ impl LinkFrameChanges {
 
 /// Prior on parameter `i` of [`link_frames`]. Wide for those free without a calibration, such as an
 /// undeclared tool.
-fn usual_change(i: usize, witness: &PoseObservations, plain: &StreamState) -> f64 {
+fn usual_change(i: usize, observations: &PoseObservations, stream_state: &StreamState) -> f64 {
     match i % 6 {
-        _ if is_free_parameter(i, witness, plain) => FREE_PRIOR,
+        _ if is_free_parameter(i, observations, stream_state) => FREE_PRIOR,
         0..3 => LINK_PRIOR_M,
         _ => LINK_PRIOR_RAD,
     }
 }
 
 /// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
-pub(crate) fn is_free_parameter(i: usize, witness: &PoseObservations, plain: &StreamState) -> bool {
-    let joints = witness.columns.len();
+pub(crate) fn is_free_parameter(
+    i: usize,
+    observations: &PoseObservations,
+    stream_state: &StreamState,
+) -> bool {
+    let joints = observations.columns.len();
     match i / 6 {
-        0 => !witness.reference_known || plain.reference != Pose::identity(),
-        link if link == joints => plain.tool != Pose::identity(),
+        0 => !observations.reference_known || stream_state.reference != Pose::identity(),
+        link if link == joints => stream_state.tool != Pose::identity(),
         link => link > joints,
     }
 }
@@ -195,7 +200,8 @@ pub(crate) fn is_free_parameter(i: usize, witness: &PoseObservations, plain: &St
 /// prior precision, minus that of parameters free without a calibration.
 fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
     let all: Vec<usize> = (0..usual.len()).collect();
-    let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
+    let (free, constrained): (Vec<usize>, Vec<usize>) =
+        all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
     let narrowing = |chosen: &[usize]| -> f64 {
         let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
         let n = chosen.len();
@@ -203,7 +209,7 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
         // 1 is the prior; smaller values are rounding.
         precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
     };
-    let size: f64 = held.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
+    let size: f64 = constrained.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
     size + narrowing(&all) - narrowing(&free)
 }
 
@@ -216,16 +222,16 @@ pub(crate) enum FreeAlongside {
     ZerosAndRadialScale,
 }
 
-/// Linearises samples about `plain` and `offsets`. Columns: six changes each for the reference and every
+/// Linearises samples about `stream_state` and `offsets`. Columns: six changes each for the reference and every
 /// joint's child link frame, the latency, then the parameters in `with`.
 pub(crate) fn link_frames(
-    witness: &PoseObservations,
-    plain: &StreamState,
+    observations: &PoseObservations,
+    stream_state: &StreamState,
     offsets: &[f64],
     rows: impl Iterator<Item = usize>,
     with: FreeAlongside,
 ) -> Linear {
-    let (joints, blind) = (witness.columns.len(), witness.excluded);
+    let (joints, blind) = (observations.columns.len(), observations.excluded);
     let latency = 6 * (joints + 1);
     let width = latency
         + 1
@@ -235,16 +241,18 @@ pub(crate) fn link_frames(
             FreeAlongside::ZerosAndRadialScale => joints + 1,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-    let mut sweep = PredictionBuffers::new(witness);
+    let mut sweep = PredictionBuffers::new(observations);
     let mut links = Vec::new();
     for k in rows {
-        let Some(predicted) = witness.pose_at(k, plain, offsets, &mut sweep) else { continue };
-        witness.chain.joint_frames(sweep.q(), &mut links);
+        let Some(predicted) = observations.pose_at(k, stream_state, offsets, &mut sweep) else {
+            continue;
+        };
+        observations.chain.joint_frames(sweep.q(), &mut links);
         let (velocity, rate) = sweep.twist();
-        let mut rows = linear.push(&witness.residual(k, &predicted));
+        let mut rows = linear.push(&observations.residual(k, &predicted));
         let tip = predicted.translation.vector;
-        let base = [plain.reference];
-        let frames = links.iter().map(|link| plain.reference * link);
+        let base = [stream_state.reference];
+        let frames = links.iter().map(|link| stream_state.reference * link);
         for (i, frame) in base.into_iter().chain(frames).enumerate() {
             for axis in 0..3 {
                 let unit = frame.rotation * Vec3::ith(axis, 1.0);
@@ -255,13 +263,13 @@ pub(crate) fn link_frames(
             }
         }
         let (velocity, rate) =
-            (plain.reference.rotation * velocity, plain.reference.rotation * rate);
+            (stream_state.reference.rotation * velocity, stream_state.reference.rotation * rate);
         rows.set(0, latency, blind.mask_position((-velocity).into()));
         rows.set(1, latency, blind.mask_rotation((-rate).into()));
-        let reference = plain.reference.rotation;
+        let reference = stream_state.reference.rotation;
         let base_from_link =
-            reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
-        let lever = base_from_link * plain.tool.translation.vector;
+            reference.inverse() * predicted.rotation * stream_state.tool.rotation.inverse();
+        let lever = base_from_link * stream_state.tool.translation.vector;
         for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
             let (linear, angular) = sweep.column(joint, &lever);
             let (linear, angular) = (reference * linear, reference * angular);
@@ -269,7 +277,7 @@ pub(crate) fn link_frames(
             rows.set(1, latency + 1 + joint, blind.mask_rotation(angular.into()));
         }
         if with == FreeAlongside::ZerosAndRadialScale {
-            let from_base = tip - plain.reference.translation.vector;
+            let from_base = tip - stream_state.reference.translation.vector;
             rows.set(0, latency + 1 + joints, blind.mask_position(from_base.into()));
         }
     }

@@ -13,34 +13,34 @@ const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
 
 /// Replaces each tuned reference by a tool if that fits as well, on about `most` samples per stream.
 pub(crate) fn prefer_tool_frames(
-    witnesses: &[&PoseObservations],
-    mut explanation: SelectedModel,
-    menu: &CandidateCauses,
-    most: usize,
+    observations: &[&PoseObservations],
+    mut model: SelectedModel,
+    candidates: &CandidateCauses,
+    max_samples: usize,
 ) -> SelectedModel {
-    for s in 0..witnesses.len() {
-        let found = &explanation.state.streams[s];
-        let is_tuned = found.round_reference.is_none()
-            && explanation.causes.contains(&Cause::Reference(s))
-            && !explanation.causes.contains(&Cause::Tool(s))
-            && menu.optional.contains(&Cause::Tool(s));
+    for s in 0..observations.len() {
+        let stream = &model.state.streams[s];
+        let is_tuned = stream.round_reference.is_none()
+            && model.causes.contains(&Cause::Reference(s))
+            && !model.causes.contains(&Cause::Tool(s))
+            && candidates.optional.contains(&Cause::Tool(s));
         if !is_tuned {
             continue;
         }
-        let plain = StreamState { reference: Pose::identity(), ..found.clone() };
-        let offsets = &explanation.state.offsets;
-        let Some(tool) = tool_start(witnesses[s], &plain, offsets) else { continue };
-        let mut start = explanation.state.clone();
-        start.streams[s] = StreamState { tool, ..plain };
+        let without_reference = StreamState { reference: Pose::identity(), ..stream.clone() };
+        let offsets = &model.state.offsets;
+        let Some(tool) = tool_start(observations[s], &without_reference, offsets) else { continue };
+        let mut start = model.state.clone();
+        start.streams[s] = StreamState { tool, ..without_reference };
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
-        let optional = menu.optional.iter().filter(without).copied().collect();
-        let menu = CandidateCauses { optional, ..menu.clone() };
-        let other = select_model(witnesses, start, &menu, Approach::Careful, most);
-        if other.causes.len() <= explanation.causes.len() && fits_as_well(&other, &explanation) {
-            explanation = other;
+        let optional = candidates.optional.iter().filter(without).copied().collect();
+        let candidates = CandidateCauses { optional, ..candidates.clone() };
+        let other = select_model(observations, start, &candidates, Approach::Careful, max_samples);
+        if other.causes.len() <= model.causes.len() && fits_as_well(&other, &model) {
+            model = other;
         }
     }
-    explanation
+    model
 }
 
 fn fits_as_well(one: &SelectedModel, other: &SelectedModel) -> bool {

@@ -33,9 +33,9 @@ impl LimitViolation {
 
 /// Position limit (lower or upper) that is exceeded most. Ignores values that are not finite.
 pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<LimitViolation> {
-    let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
+    let above = limits.upper.and_then(|upper| first_violation(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
-        let found = beyond(t_s, q.iter().map(|q| -q), -lower)?;
+        let found = first_violation(t_s, q.iter().map(|q| -q), -lower)?;
         Some(LimitViolation { limit: lower, value: -found.value, ..found })
     });
     [above, below].into_iter().flatten().max_by(|a, b| a.excess().total_cmp(&b.excess()))
@@ -44,8 +44,8 @@ pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Lim
 /// Speed limit violation. Two consecutive samples must exceed the limit, and the smaller counts: one sample
 /// is an outlier.
 pub fn speed_violation(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitViolation> {
-    let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
-    beyond(t_s, held, limits.velocity?)
+    let sustained = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
+    first_violation(t_s, sustained, limits.velocity?)
 }
 
 /// Same from positions alone, with quantisation `step` (0 if none).
@@ -75,8 +75,8 @@ pub fn speed_violation_from_positions(
     }
     let period_s = (t_s[t_s.len() - 1] - t_s[0]) / (t_s.len() - 1) as f64;
     let even_s = even_times(t_s);
-    let off = t_s.iter().zip(&even_s).map(|(stamped, even)| (stamped - even).abs());
-    let jitter_s = quantile_of(off, ONE_SIGMA_SHARE).unwrap_or(0.0);
+    let jitter = t_s.iter().zip(&even_s).map(|(stamped, even)| (stamped - even).abs());
+    let jitter_s = quantile_of(jitter, ONE_SIGMA_SHARE).unwrap_or(0.0);
     let by_stamps = JITTER_SHARE * jitter_s * limit;
     let noise = noise_of(q, JointSampleKind::Positions).all.hypot(by_stamps);
     let noise = NOISE_SIGMAS * std::f64::consts::SQRT_2 * noise;
@@ -86,8 +86,8 @@ pub fn speed_violation_from_positions(
     let even = rates(&even_s, q, window_s);
     let lesser = stamped.iter().zip(even).map(|(a, b)| if b.abs() < a.abs() { b } else { *a });
     let lesser: Vec<f64> = lesser.collect();
-    let sure = Limits { velocity: Some(limit + noise / window_s), ..*limits };
-    speed_violation(t_s, &lesser, &sure).map(|excess| LimitViolation { limit, ..excess })
+    let raised = Limits { velocity: Some(limit + noise / window_s), ..*limits };
+    speed_violation(t_s, &lesser, &raised).map(|excess| LimitViolation { limit, ..excess })
 }
 
 /// Evenly spaced times: medians of the times that neighbours predict at the median interval, except across
@@ -99,23 +99,23 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
     let gap_s = MIN_GAP_PERIODS * period_s;
-    let mut after_gap = vec![0; t_s.len()];
+    let mut segments = vec![0; t_s.len()];
     for row in 1..t_s.len() {
         let is_gap = t_s[row] - t_s[row - 1] > gap_s;
-        after_gap[row] = if is_gap { row } else { after_gap[row - 1] };
+        segments[row] = if is_gap { row } else { segments[row - 1] };
     }
     let mut even_s: Vec<f64> = Vec::with_capacity(t_s.len());
     for row in 0..t_s.len() {
-        let before = (row - after_gap[row]).min(NEIGHBOURS);
-        let same_piece = |other: &usize| after_gap[*other] == after_gap[row];
-        let after = (row + 1..t_s.len()).take(before).take_while(same_piece).count();
-        let mut said = [0.0; 2 * NEIGHBOURS + 1];
-        let said = &mut said[..2 * after + 1];
+        let before = (row - segments[row]).min(NEIGHBOURS);
+        let is_same_segment = |other: &usize| segments[*other] == segments[row];
+        let after = (row + 1..t_s.len()).take(before).take_while(is_same_segment).count();
+        let mut offsets = [0.0; 2 * NEIGHBOURS + 1];
+        let offsets = &mut offsets[..2 * after + 1];
         for (at, other) in (row - after..=row + after).enumerate() {
-            said[at] = t_s[other] + (row as f64 - other as f64) * period_s;
+            offsets[at] = t_s[other] + (row as f64 - other as f64) * period_s;
         }
-        let middle = said.len() / 2;
-        let at_s = *said.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let middle = offsets.len() / 2;
+        let at_s = *offsets.select_nth_unstable_by(middle, f64::total_cmp).1;
         // Keep the times increasing.
         let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
         even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
@@ -137,7 +137,11 @@ pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
 }
 
 /// Each value lasts until the next sample, at most 1 s.
-fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<LimitViolation> {
+fn first_violation(
+    t_s: &[f64],
+    values: impl Iterator<Item = f64>,
+    limit: f64,
+) -> Option<LimitViolation> {
     const MAX_SAMPLE_S: f64 = 1.0;
     let mut found: Option<LimitViolation> = None;
     for (row, (&at_s, value)) in t_s.iter().zip(values).enumerate() {
@@ -287,9 +291,9 @@ fn speed_change(
 ) -> f64 {
     const MIN_ROWS: usize = 4;
     const MAX_ROWS: usize = 16;
-    let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= MAX_STOP_S;
-    let first = (from.saturating_sub(MAX_ROWS - 1)..=from).find(|row| near(from, *row));
-    let last = (to..values.len().min(to + MAX_ROWS)).rev().find(|row| near(to, *row));
+    let is_within_stop = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= MAX_STOP_S;
+    let first = (from.saturating_sub(MAX_ROWS - 1)..=from).find(|row| is_within_stop(from, *row));
+    let last = (to..values.len().min(to + MAX_ROWS)).rev().find(|row| is_within_stop(to, *row));
     let speed = |rows: std::ops::RangeInclusive<usize>| {
         let (t_s, values) = (&t_s[rows.clone()], &values[rows]);
         if values.len() < MIN_ROWS {
@@ -359,7 +363,7 @@ impl Noise {
             .get(near)
             .unwrap_or_default()
             .iter()
-            .fold(self.all, |most, noise| most.max(*noise))
+            .fold(self.all, |max_noise, noise| max_noise.max(*noise))
     }
 }
 
@@ -396,13 +400,13 @@ fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
 
 /// Rms of the smallest share `kept`, scaled to the full normal distribution. Within `z` standard deviations
 /// the variance is 1 − 2zφ(z)/kept.
-fn trimmed_rms(values: impl Iterator<Item = f64>, kept: f64) -> f64 {
+fn trimmed_rms(values: impl Iterator<Item = f64>, retained_share: f64) -> f64 {
     let normal = Normal::standard();
-    let z = normal.inverse_cdf(0.5 * (1.0 + kept));
-    let variance = 1.0 - 2.0 * z * normal.pdf(z) / kept;
+    let z = normal.inverse_cdf(0.5 * (1.0 + retained_share));
+    let variance = 1.0 - 2.0 * z * normal.pdf(z) / retained_share;
     let mut squares: Vec<f64> = values.map(|value| value * value).collect();
     squares.retain(|square| square.is_finite());
-    let count = (squares.len() as f64 * kept) as usize;
+    let count = (squares.len() as f64 * retained_share) as usize;
     if count == 0 {
         return 0.0;
     }
@@ -468,8 +472,8 @@ impl Fit {
         for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
             let x = (t - t_s[row]) / scale;
             // Velocities need a line; three samples determine no more.
-            let bend = if self.series == JointSampleKind::Positions { x * x } else { 0.0 };
-            let powers = Vector3::new(1.0, x, bend);
+            let curvature = if self.series == JointSampleKind::Positions { x * x } else { 0.0 };
+            let powers = Vector3::new(1.0, x, curvature);
             normal += powers * powers.transpose();
             right += powers * (value - values[row]);
         }
@@ -486,9 +490,9 @@ impl Fit {
     /// Accelerations at consecutive rows from `first`.
     fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
         let count = accelerations.len();
-        let beside = |place: usize| &values[first - self.half + place..][..count];
+        let shifted = |place: usize| &values[first - self.half + place..][..count];
         let middle = self.weights[self.half];
-        for (sum, value) in accelerations.iter_mut().zip(beside(self.half)) {
+        for (sum, value) in accelerations.iter_mut().zip(shifted(self.half)) {
             *sum = middle * value;
         }
         // Coefficients are symmetric or antisymmetric.
@@ -496,7 +500,7 @@ impl Fit {
             let mirrored = self.weights.len() - 1 - place;
             let (weight, sign) = (self.weights[mirrored], self.weights[place].signum());
             let sign = sign * weight.signum();
-            let pairs = beside(place).iter().zip(beside(mirrored));
+            let pairs = shifted(place).iter().zip(shifted(mirrored));
             for (sum, (before, after)) in accelerations.iter_mut().zip(pairs) {
                 *sum += weight * (after + sign * before);
             }

@@ -77,18 +77,18 @@ impl TimeSeries {
     /// Cubic Hermite. `None` outside the series and in gaps.
     fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
         let times = &self.t_s;
-        let is_left =
+        let is_before =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
-        let near = (*cursor..*cursor + 3).find(|&at| is_left(at));
-        let left = match near {
-            Some(left) => left,
+        let candidates = (*cursor..*cursor + 3).find(|&at| is_before(at));
+        let before = match candidates {
+            Some(before) => before,
             None => times
                 .partition_point(|&t| t <= t_s)
                 .checked_sub(1)?
                 .min(times.len().checked_sub(2)?),
         };
-        *cursor = left;
-        let (from_s, to_s) = (times[left], times[left + 1]);
+        *cursor = before;
+        let (from_s, to_s) = (times[before], times[before + 1]);
         let length_s = to_s - from_s;
         if t_s > to_s || length_s > self.longest_s {
             return None;
@@ -97,8 +97,8 @@ impl TimeSeries {
         let mut values = [0.0; MAX_COLUMNS];
         for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
         {
-            let ends = [column[left], column[left + 1]];
-            *value = hermite(part, ends, [slope[left] * length_s, slope[left + 1] * length_s]);
+            let ends = [column[before], column[before + 1]];
+            *value = hermite(part, ends, [slope[before] * length_s, slope[before + 1] * length_s]);
         }
         Some(values)
     }
@@ -281,22 +281,22 @@ impl ResponseChanges {
         fine_s: f64,
     ) -> (f64, f64) {
         const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
-        let left = |delay_s: f64| self.unexplained_at(reference, delay_s);
+        let residual_at = |delay_s: f64| self.unexplained_at(reference, delay_s);
         let mut inner = [high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)];
-        let mut found = inner.map(left);
+        let mut samples = inner.map(residual_at);
         while high - low > fine_s {
-            if found[0] <= found[1] {
+            if samples[0] <= samples[1] {
                 high = inner[1];
                 inner = [high - GOLDEN_RATIO * (high - low), inner[0]];
-                found = [left(inner[0]), found[0]];
+                samples = [residual_at(inner[0]), samples[0]];
             } else {
                 low = inner[0];
                 inner = [inner[1], low + GOLDEN_RATIO * (high - low)];
-                found = [found[1], left(inner[1])];
+                samples = [samples[1], residual_at(inner[1])];
             }
         }
-        let best = usize::from(found[1] < found[0]);
-        (inner[best], found[best])
+        let best = usize::from(samples[1] < samples[0]);
+        (inner[best], samples[best])
     }
 
     /// Standard error of the delay and its degrees of freedom, for any correlation within time blocks
@@ -322,7 +322,7 @@ impl ResponseChanges {
                 .collect(),
             ..self.clone()
         };
-        let beside = sloped.fit(&references);
+        let sloped_fit = sloped.fit(&references);
         let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
             return (f64::INFINITY, 1.0);
         };
@@ -330,13 +330,14 @@ impl ResponseChanges {
         let (mut information, mut blocks) = (0.0, std::collections::BTreeMap::new());
         for (row, reference) in references.iter().enumerate() {
             let (Some(reference), Some(_)) = (reference, slope(row)) else { continue };
-            let told = self.predicted(&fit, reference);
-            let taken = self.predicted(&beside, reference);
+            let predicted = self.predicted(&fit, reference);
+            let predicted_later = self.predicted(&sloped_fit, reference);
             let block = ((self.windows[row].0 - first.0) / block_s) as u64;
             for at in 0..self.width {
-                let own = sloped.changes[row][at] - taken[at];
-                information += own * own;
-                *blocks.entry(block).or_insert(0.0) += own * (self.changes[row][at] - told[at]);
+                let change = sloped.changes[row][at] - predicted_later[at];
+                information += change * change;
+                *blocks.entry(block).or_insert(0.0) +=
+                    change * (self.changes[row][at] - predicted[at]);
             }
         }
         let count = blocks.len() as f64;
@@ -361,14 +362,14 @@ impl ResponseChanges {
         (mean_gain(&fit), fit.unexplained_share())
     }
 
-    /// Response to `reference`, for delays within ±`most_s`.
+    /// Response to `reference`, for delays within ±`max_delay_s`.
     ///
     /// # Errors
     /// If too little is explained, or several delays explain it equally.
     pub fn estimate_response(
         &self,
         reference: &TimeSeries,
-        most_s: f64,
+        max_delay_s: f64,
     ) -> Result<Response, NotObservable> {
         const MIN_EXPLAINED_SHARE: f64 = 0.8;
         const DELAY_RESOLUTION_S: f64 = 2e-5;
@@ -377,33 +378,37 @@ impl ResponseChanges {
         let mut lengths: Vec<f64> =
             self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
         let step_s = (median(&mut lengths).unwrap_or(0.1) / 4.0).max(5e-3);
-        let steps = (most_s / step_s).ceil() as i64;
+        let steps = (max_delay_s / step_s).ceil() as i64;
         let tried = |step: i64| step as f64 * step_s;
-        let left: Vec<f64> =
+        let residuals: Vec<f64> =
             (-steps..=steps).map(|step| self.unexplained_at(reference, tried(step))).collect();
         let is_low = |at: usize| {
-            let beside = |at: Option<usize>| at.and_then(|at| left.get(at)).copied().unwrap_or(1.0);
-            left[at] <= beside(at.checked_sub(1)) && left[at] < beside(Some(at + 1))
+            let residual_at =
+                |at: Option<usize>| at.and_then(|at| residuals.get(at)).copied().unwrap_or(1.0);
+            residuals[at] <= residual_at(at.checked_sub(1))
+                && residuals[at] < residual_at(Some(at + 1))
         };
-        let lows: Vec<(f64, f64)> = (0..left.len())
+        let lows: Vec<(f64, f64)> = (0..residuals.len())
             .filter(|&at| is_low(at))
             .map(|at| {
                 let middle = tried(at as i64 - steps);
                 self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
             })
             .collect();
-        let Some(&(delay_s, least)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+        let Some(&(delay_s, min_residual)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
             return Err(NotObservable::DoesNotFollow(0.0));
         };
-        let (low_pass_s, delay_s, left) = self.fit_low_pass(reference, (delay_s, least), most_s);
-        if 1.0 - left < MIN_EXPLAINED_SHARE {
-            return Err(NotObservable::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
+        let (low_pass_s, delay_s, residuals) =
+            self.fit_low_pass(reference, (delay_s, min_residual), max_delay_s);
+        if 1.0 - residuals < MIN_EXPLAINED_SHARE {
+            return Err(NotObservable::DoesNotFollow((1.0 - residuals).max(0.0).sqrt()));
         }
-        let is_rival =
-            |low: &&(f64, f64)| low.1 < COMPETITOR_TOLERANCE.0 * least + COMPETITOR_TOLERANCE.1;
-        let rivals: Vec<f64> = lows.iter().filter(is_rival).map(|low| low.0).collect();
-        if rivals.len() > 1 {
-            return Err(NotObservable::Periodic(rivals));
+        let is_competitor = |low: &&(f64, f64)| {
+            low.1 < COMPETITOR_TOLERANCE.0 * min_residual + COMPETITOR_TOLERANCE.1
+        };
+        let competitors: Vec<f64> = lows.iter().filter(is_competitor).map(|low| low.0).collect();
+        if competitors.len() > 1 {
+            return Err(NotObservable::Periodic(competitors));
         }
         let filtered = (low_pass_s > 0.0).then(|| reference.filtered(low_pass_s));
         let reference = filtered.as_ref().unwrap_or(reference);
@@ -412,8 +417,8 @@ impl ResponseChanges {
             delay_s: Measured { value: delay_s + low_pass_s, std_error, dof },
             low_pass_s,
             gain: mean_gain(&self.fit_at(reference, delay_s)),
-            explained: 1.0 - left,
-            by_delay_alone: 1.0 - least,
+            explained: 1.0 - residuals,
+            by_delay_alone: 1.0 - min_residual,
         })
     }
 
@@ -423,7 +428,7 @@ impl ResponseChanges {
         &self,
         reference: &TimeSeries,
         pure: (f64, f64),
-        most_s: f64,
+        max_delay_s: f64,
     ) -> (f64, f64, f64) {
         /// Unexplained share relative to a pure delay.
         const MAX_LOW_PASS_RATIO: f64 = 0.75;
@@ -441,20 +446,20 @@ impl ResponseChanges {
             let around_s = (0.5 * constant_s).max(5e-3);
             let fine_s =
                 REMAINING_DELAY_RESOLUTION.0.max(REMAINING_DELAY_RESOLUTION.1 * constant_s);
-            let (delay_s, left) =
+            let (delay_s, residual) =
                 self.refined(&filtered, (middle_s - around_s, middle_s + around_s), fine_s);
-            (constant_s, delay_s, left)
+            (constant_s, delay_s, residual)
         };
         if pure.1 < MIN_GAIN {
             return (0.0, pure.0, pure.1);
         }
-        let ratio = (most_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
+        let ratio = (max_delay_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
         let tried =
             (0..=TIME_CONSTANT_STEPS).map(|at| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32)));
-        let by_left = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
-        let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
+        let by_residual = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
+        let Some(coarse) = tried.min_by(by_residual) else { return (0.0, pure.0, pure.1) };
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
-        let best = finer.min_by(by_left).unwrap_or(coarse);
+        let best = finer.min_by(by_residual).unwrap_or(coarse);
         let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1
             && pure.1 - best.2 > MIN_GAIN
             && best.0 > MIN_LOW_PASS_SHARE * (best.0 + best.1);

@@ -52,19 +52,21 @@ const MIN_STEP_LOG_RATIO: f64 = 5.0;
 const MAX_FITS: usize = 128;
 
 /// `None` if there are fewer than [`MIN_RUNS`] runs, or all at one time.
-pub fn estimate_trend(told: &[RunEstimate]) -> Option<Trend> {
-    let mut told: Vec<RunEstimate> = told.iter().copied().filter(is_usable).collect();
-    told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-    if told.len() < MIN_RUNS {
+pub fn estimate_trend(estimates: &[RunEstimate]) -> Option<Trend> {
+    let mut estimates: Vec<RunEstimate> = estimates.iter().copied().filter(is_usable).collect();
+    estimates.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    if estimates.len() < MIN_RUNS {
         return None;
     }
     // Preserves precision.
-    let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
-    let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
-    let line = LineFit::fit(&told, &times_s)?;
-    let step = most_likely_step(&told)
+    let origin_s = estimates.iter().map(|one| one.time_s).sum::<f64>() / estimates.len() as f64;
+    let times_s: Vec<f64> = estimates.iter().map(|one| one.time_s - origin_s).collect();
+    let line = LineFit::fit(&estimates, &times_s)?;
+    let step = most_likely_step(&estimates)
         .filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + MIN_STEP_LOG_RATIO)
-        .filter(|(between_s, fit)| persists_without_any_run(&told, between_s[1], fit.slope.value));
+        .filter(|(between_s, fit)| {
+            persists_without_any_run(&estimates, between_s[1], fit.slope.value)
+        });
     Some(Trend {
         rate_per_s: line.slope,
         level: line.level,
@@ -74,29 +76,30 @@ pub fn estimate_trend(told: &[RunEstimate]) -> Option<Trend> {
     })
 }
 
-fn is_usable(told: &RunEstimate) -> bool {
-    let RunEstimate { time_s, value, std_error } = told;
+fn is_usable(estimates: &RunEstimate) -> bool {
+    let RunEstimate { time_s, value, std_error } = estimates;
     time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
 }
 
 /// With at least two runs on each side. Searches many runs from coarse to fine.
-fn most_likely_step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
-    let (mut places, mut best) = (2..told.len() - 1, None::<(usize, LineFit)>);
+fn most_likely_step(estimates: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
+    let (mut places, mut best) = (2..estimates.len() - 1, None::<(usize, LineFit)>);
     loop {
         let stride = places.len().div_ceil(MAX_FITS).max(1);
         for first_after in places.clone().step_by(stride) {
-            if told[first_after - 1].time_s == told[first_after].time_s {
+            if estimates[first_after - 1].time_s == estimates[first_after].time_s {
                 continue;
             }
-            let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
-            let Some(fit) = LineFit::fit(told, &side) else { continue };
+            let side: Vec<f64> =
+                (0..estimates.len()).map(|run| f64::from(run >= first_after)).collect();
+            let Some(fit) = LineFit::fit(estimates, &side) else { continue };
             if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
                 best = Some((first_after, fit));
             }
         }
         let (first_after, fit) = best?;
         if stride == 1 {
-            return Some(([told[first_after - 1].time_s, told[first_after].time_s], fit));
+            return Some(([estimates[first_after - 1].time_s, estimates[first_after].time_s], fit));
         }
         places = places.start.max(first_after.saturating_sub(stride))
             ..places.end.min(first_after + stride);
@@ -105,15 +108,15 @@ fn most_likely_step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
 
 /// Whether the step after `after_s` persists without any single run. Of many runs, only those furthest from
 /// the median are left out.
-fn persists_without_any_run(told: &[RunEstimate], after_s: f64, by: f64) -> bool {
+fn persists_without_any_run(estimates: &[RunEstimate], after_s: f64, by: f64) -> bool {
     const MIN_PERSISTING_SHARE: f64 = 0.5;
-    let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
+    let mut values: Vec<f64> = estimates.iter().map(|one| one.value).collect();
     let middle = median(&mut values).unwrap_or(0.0);
-    let off = |run: usize| (told[run].value - middle).abs();
-    let mut runs: Vec<usize> = (0..told.len()).collect();
-    runs.sort_by(|a, b| off(*b).total_cmp(&off(*a)));
+    let deviation = |run: usize| (estimates[run].value - middle).abs();
+    let mut runs: Vec<usize> = (0..estimates.len()).collect();
+    runs.sort_by(|a, b| deviation(*b).total_cmp(&deviation(*a)));
     runs.into_iter().take(MAX_FITS).all(|out| {
-        let rest: Vec<RunEstimate> = [&told[..out], &told[out + 1..]].concat();
+        let rest: Vec<RunEstimate> = [&estimates[..out], &estimates[out + 1..]].concat();
         let side: Vec<f64> =
             rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();
         LineFit::fit(&rest, &side).is_some_and(|fit| fit.slope.value / by >= MIN_PERSISTING_SHARE)
@@ -132,10 +135,12 @@ struct LineFit {
 
 impl LineFit {
     /// `None` if all of `x` are equal.
-    fn fit(told: &[RunEstimate], x: &[f64]) -> Option<Self> {
-        let dof = told.len() as f64 - 2.0;
-        let squares = |variance: f64| WeightedFit::fit(told, x, variance).map(|fit| fit.squares);
-        let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
+    fn fit(estimates: &[RunEstimate], x: &[f64]) -> Option<Self> {
+        let dof = estimates.len() as f64 - 2.0;
+        let squares =
+            |variance: f64| WeightedFit::fit(estimates, x, variance).map(|fit| fit.squares);
+        let mut high =
+            estimates.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
         // Zero if the squares allow it, else bisect: they decrease with the spread.
         if squares(0.0)? > dof {
@@ -149,8 +154,8 @@ impl LineFit {
         } else {
             high = 0.0;
         }
-        let fit = WeightedFit::fit(told, x, high)?;
-        let logs: f64 = told.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
+        let fit = WeightedFit::fit(estimates, x, high)?;
+        let logs: f64 = estimates.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
         let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
         Some(Self {
             slope: measured(fit.slope, fit.slope_variance),
@@ -173,9 +178,10 @@ struct WeightedFit {
 }
 
 impl WeightedFit {
-    fn fit(told: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
+    fn fit(estimates: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
         let rows = || {
-            told.iter()
+            estimates
+                .iter()
                 .zip(x)
                 .map(|(one, &x)| (1.0 / (one.std_error.powi(2) + variance), x, one.value))
         };
@@ -187,8 +193,8 @@ impl WeightedFit {
             return None;
         }
         let slope = rows().map(|(w, x, y)| w * (x - middle) * (y - level)).sum::<f64>() / across;
-        let left = |x: f64, y: f64| y - level - slope * (x - middle);
-        let squares = rows().map(|(w, x, y)| w * left(x, y).powi(2)).sum();
+        let residual = |x: f64, y: f64| y - level - slope * (x - middle);
+        let squares = rows().map(|(w, x, y)| w * residual(x, y).powi(2)).sum();
         let (slope_variance, level_variance) = (1.0 / across, 1.0 / weight);
         Some(Self { slope, slope_variance, level, level_variance, middle, squares })
     }
@@ -207,21 +213,21 @@ mod tests {
     fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<RunEstimate> {
         let mut random = Pcg64::seed_from_u64(seed);
         let noise = Normal::new(0.0, 1.0).expect("a distribution");
-        let told = (0..count).map(|day| {
+        let estimates = (0..count).map(|day| {
             let std_error = if day % 3 == 0 { 0.5 } else { 0.1 };
             let error = std_error * noise.sample(&mut random);
             let value = course(day as f64) + spread * noise.sample(&mut random) + error;
             RunEstimate { time_s: 1.78e9 + day as f64 * DAY_S, value, std_error }
         });
-        told.collect()
+        estimates.collect()
     }
 
     #[test]
     fn the_interval_covers_the_rate_as_often_as_it_says() {
         for spread in [0.0, 0.4] {
             let covered = (0..400).filter(|&seed| {
-                let told = runs(12, spread, seed, |day| 3.0 + 0.2 * day);
-                let rate = estimate_trend(&told).expect("a trend").rate_per_s.scaled(DAY_S);
+                let estimates = runs(12, spread, seed, |day| 3.0 + 0.2 * day);
+                let rate = estimate_trend(&estimates).expect("a trend").rate_per_s.scaled(DAY_S);
                 let [low, high] = rate.interval(0.95);
                 (low..=high).contains(&0.2)
             });
@@ -258,9 +264,9 @@ mod tests {
     #[test]
     fn one_run_that_is_off_is_no_step() {
         for (seed, at) in [1, 2, 10, 17, 18].into_iter().enumerate() {
-            let mut told = runs(20, 0.1, seed as u64, |_| 0.0);
-            told[at].value += 4.0;
-            assert_eq!(estimate_trend(&told).expect("a trend").step, None, "run {at} of 20");
+            let mut estimates = runs(20, 0.1, seed as u64, |_| 0.0);
+            estimates[at].value += 4.0;
+            assert_eq!(estimate_trend(&estimates).expect("a trend").step, None, "run {at} of 20");
         }
     }
 
@@ -273,11 +279,11 @@ mod tests {
 
     #[test]
     fn too_few_runs_or_one_time_tell_nothing() {
-        let mut told = runs(4, 0.1, 1, |day| day);
-        assert!(estimate_trend(&told).is_some() && estimate_trend(&told[..3]).is_none());
-        told.iter_mut().for_each(|one| one.time_s = 0.0);
-        assert_eq!(estimate_trend(&told), None);
-        told.iter_mut().for_each(|one| one.std_error = f64::INFINITY);
-        assert_eq!(estimate_trend(&told), None);
+        let mut estimates = runs(4, 0.1, 1, |day| day);
+        assert!(estimate_trend(&estimates).is_some() && estimate_trend(&estimates[..3]).is_none());
+        estimates.iter_mut().for_each(|one| one.time_s = 0.0);
+        assert_eq!(estimate_trend(&estimates), None);
+        estimates.iter_mut().for_each(|one| one.std_error = f64::INFINITY);
+        assert_eq!(estimate_trend(&estimates), None);
     }
 }

@@ -99,10 +99,10 @@ pub fn diagnose_velocity(
     // Noise variance is known to ±50 %. Overlapping windows count once.
     let count = (0.5 * compared).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
-    let [most, least] =
+    let [max_window_s, min_window_s] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
     // The root may be zero as well.
-    let std_error = (most - value).max(value - least) / INTERVAL_STD_ERRORS;
+    let std_error = (max_window_s - value).max(value - min_window_s) / INTERVAL_STD_ERRORS;
     let shape = match value < MIN_RELATIVE_ERROR {
         true => VelocityShape::Rates,
         false => shape(joints, index, &windows, &curve, by_noise * rate_square),
@@ -169,11 +169,11 @@ impl VelocityWindows {
         }
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
-        let (least, most) =
+        let (min_window_s, max_window_s) =
             q.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
         let integral = Integral::new(&t_s, &v);
         let mut noise = noise(&t_s, &q, &v);
-        if most - least < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
+        if max_window_s - min_window_s < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
             return Err(NotObservable::AtRest);
         }
         let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
@@ -199,11 +199,11 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
         .windows(2)
         .map(|pair| (pair[1] - pair[0] - period_s).clamp(-period_s, period_s))
         .collect();
-    let bends: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
+    let second_differences: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
     let quantum = quantisation_step(q);
     Noise {
         position: sample_noise(q).powi(2).max(quantum * quantum / 12.0),
-        velocity: mean_square(&bends) / 6.0 * period_s,
+        velocity: mean_square(&second_differences) / 6.0 * period_s,
         stamp: 0.5 * mean_square(&jitter),
         between: 0.0,
     }
@@ -255,10 +255,10 @@ impl Integral {
         let mut at = vec![[0.0; 2]];
         for row in 1..t_s.len() {
             let length_s = t_s[row] - t_s[row - 1];
-            let straight = 0.5 * length_s * (v[row] + v[row - 1]);
-            let bend = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
-            let [cubic_before, straight_before] = at[row - 1];
-            at.push([cubic_before + straight - bend, straight_before + straight]);
+            let trapezoid = 0.5 * length_s * (v[row] + v[row - 1]);
+            let correction = length_s * length_s / 12.0 * (slopes[row] - slopes[row - 1]);
+            let [cubic_before, trapezoid_before] = at[row - 1];
+            at.push([cubic_before + trapezoid - correction, trapezoid_before + trapezoid]);
         }
         Self { at }
     }
@@ -271,11 +271,11 @@ impl Integral {
         breaks: &[f64],
         window_s: f64,
     ) -> (ResponseChanges, Vec<f64>, f64) {
-        let [cubic, straight] =
+        let [cubic, trapezoid] =
             [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
         let all =
-            ResponseChanges::from_windows(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+            ResponseChanges::from_windows(t_s, &[cubic, trapezoid, q.to_vec()], span, window_s);
         let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
         // Unknown velocity in a gap, unknown position across a break.
         let is_gap = |pair: &&[f64]| {
@@ -311,16 +311,16 @@ fn shape(
     /// Rms relative to the derivatives.
     const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
     /// Share of the squared error after a cause.
-    const MAX_REMAINING_SHARE: f64 = 0.2;
+    const MAX_RESIDUAL_RATIO: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
-    let (own, rates) = (mean_square(&by), mean_square(moved));
-    if own <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
+    let (square, rates) = (mean_square(&by), mean_square(moved));
+    if square <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
         return VelocityShape::Zero;
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
     // As a share of the response's energy.
-    let allowed = (MAX_REMAINING_SHARE * mean_square(&errors) + by_noise).min(0.5 * own) / own;
+    let allowed = (MAX_RESIDUAL_RATIO * mean_square(&errors) + by_noise).min(0.5 * square) / square;
     let signed = |sign: f64| {
         let by = changes.changes.iter().map(|by| by.map(|by| sign * by)).collect();
         ResponseChanges { changes: by, ..changes.clone() }
@@ -329,33 +329,36 @@ fn shape(
     let sign = if along < 0.0 { -1.0 } else { 1.0 };
     let gain_of = |curve: &TimeSeries| {
         let fits = [1.0, -1.0].map(|sign| (sign, signed(sign).gain(curve)));
-        let [(sign, (gain, left)), _] = match fits[0].1.1 <= fits[1].1.1 {
+        let [(sign, (gain, residual)), _] = match fits[0].1.1 <= fits[1].1.1 {
             true => fits,
             false => [fits[1], fits[0]],
         };
-        (sign * gain, left)
+        (sign * gain, residual)
     };
-    let (gain, left) = gain_of(curve);
-    if left <= allowed {
+    let (gain, residual) = gain_of(curve);
+    if residual <= allowed {
         return VelocityShape::Scaled(gain);
     }
-    let of_others = joints.iter().enumerate().filter(|(other, _)| *other != index);
-    let of_others = of_others.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
-        let (gain, left) =
-            gain_of(&TimeSeries::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
-        (left, other, gain)
-    });
-    let other = of_others.min_by(|a, b| a.0.total_cmp(&b.0));
+    let other_joints = joints.iter().enumerate().filter(|(other, _)| *other != index);
+    let other_joints =
+        other_joints.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
+            let (gain, residual) =
+                gain_of(&TimeSeries::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
+            (residual, other, gain)
+        });
+    let other = other_joints.min_by(|a, b| a.0.total_cmp(&b.0));
     let response = signed(sign)
         .estimate_response(curve, MAX_LAG_S)
         .ok()
         .map(|response| Response { gain: sign * response.gain, ..response });
-    let left = response.map_or(1.0, |response| 1.0 - response.explained);
+    let residual = response.map_or(1.0, |response| 1.0 - response.explained);
     match other {
-        Some((left_by_other, other, gain)) if left_by_other <= allowed.min(0.2 * left) => {
+        Some((residual_by_other, other, gain))
+            if residual_by_other <= allowed.min(0.2 * residual) =>
+        {
             VelocityShape::OfJoint(other, gain)
         }
-        _ => match response.filter(|_| left <= allowed) {
+        _ => match response.filter(|_| residual <= allowed) {
             Some(response) => VelocityShape::Filtered(response),
             None => VelocityShape::Unrelated,
         },

@@ -95,21 +95,21 @@ pub fn estimate_vibration(
             let second = spectrum.vibration_in_window(&path[hop..], work(hop), t_s[start + length]);
             if first.rms_m < second.rms_m { first } else { second }
         };
-        let mut least = of(&path, work.as_deref());
+        let mut weakest = of(&path, work.as_deref());
         // Stamps or samples may jitter; real vibration appears in both.
         let times = &t_s[start..start + block];
         let has_jitter = times
             .windows(2)
             .any(|pair| ((pair[1] - pair[0]) / period_s - 1.0).abs() > MAX_INTERVAL_DEVIATION);
-        if least.rms_m > 0.0 && has_jitter {
+        if weakest.rms_m > 0.0 && has_jitter {
             let work = work.map(|work| resample_evenly(times, &work));
             let as_stamped = of(&resample_evenly(times, &path), work.as_deref());
-            if as_stamped.rms_m < least.rms_m {
-                least = as_stamped;
+            if as_stamped.rms_m < weakest.rms_m {
+                weakest = as_stamped;
             }
         }
-        if strongest.is_none_or(|strongest| least.rms_m > strongest.rms_m) {
-            strongest = Some(least);
+        if strongest.is_none_or(|strongest| weakest.rms_m > strongest.rms_m) {
+            strongest = Some(weakest);
         }
     }
     strongest.ok_or(VibrationFailure::Uneven)
@@ -243,19 +243,19 @@ impl Spectrum {
     }
 
     /// First bin above the commanded motion, at most `most`.
-    fn end_of_commanded_motion(&self, power: &[f64], most: usize, length: usize) -> usize {
-        let least = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
-        let mut fast = power.get(most..length.div_ceil(2)).unwrap_or_default().to_vec();
+    fn end_of_commanded_motion(&self, power: &[f64], max_bin: usize, length: usize) -> usize {
+        let min_bin = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
+        let mut fast = power.get(max_bin..length.div_ceil(2)).unwrap_or_default().to_vec();
         // Encoder noise.
         let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
-        let mut beyond = 0.0;
-        for bin in (least..most).rev() {
-            beyond += (power.get(bin).unwrap_or(&0.0) - 3.0 * floor).max(0.0);
-            if beyond > MIN_COMMANDED_MOTION_M.powi(2) {
+        let mut power_above = 0.0;
+        for bin in (min_bin..max_bin).rev() {
+            power_above += (power.get(bin).unwrap_or(&0.0) - 3.0 * floor).max(0.0);
+            if power_above > MIN_COMMANDED_MOTION_M.powi(2) {
                 return bin + 1;
             }
         }
-        least
+        min_bin
     }
 
     /// From bin `from` upwards.
@@ -292,17 +292,17 @@ fn remove_step(path: &mut [Vec3]) {
     /// Relative to this quantile of deviations from linear interpolation.
     const MIN_STEP_RATIO: f64 = 10.0;
     const DEVIATION_QUANTILE: f64 = 0.95;
-    let beside = |at: usize| {
+    let around = |at: usize| {
         let [a, b, c, d] = [path[at - 1], path[at], path[at + 1], path[at + 2]];
         (c - b) - 0.5 * ((b - a) + (d - c))
     };
     let steps: Vec<(f64, usize)> =
-        (1..path.len().saturating_sub(2)).map(|at| (beside(at).norm(), at)).collect();
+        (1..path.len().saturating_sub(2)).map(|at| (around(at).norm(), at)).collect();
     let Some(&(largest, at)) = steps.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
     let mut sizes: Vec<f64> = steps.iter().map(|step| step.0).collect();
     let usual = quantile(&mut sizes, DEVIATION_QUANTILE).unwrap_or(largest);
     if largest > MIN_STEP_RATIO * usual {
-        let step = beside(at);
+        let step = around(at);
         path[at + 1..].iter_mut().for_each(|point| *point -= step);
     }
 }

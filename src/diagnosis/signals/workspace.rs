@@ -134,7 +134,7 @@ impl Workspace {
             let (a, b) = (&known.base_from_tip.rotation, &reached.base_from_tip.rotation);
             angle_between(a, b) < MIN_ORIENTATION_DIFFERENCE_RAD
         };
-        let is_same_way = |known: &ReachedPose| {
+        let is_same_configuration = |known: &ReachedPose| {
             known
                 .q
                 .iter()
@@ -144,7 +144,7 @@ impl Workspace {
         let mut oriented =
             place.poses.iter().filter(|at| is_oriented(&self.poses[**at])).peekable();
         let is_new_orientation = oriented.peek().is_none();
-        match oriented.find(|at| is_same_way(&self.poses[**at])) {
+        match oriented.find(|at| is_same_configuration(&self.poses[**at])) {
             Some(&known) => self.poses[known].samples += 1,
             None => {
                 place.orientations += usize::from(is_new_orientation);
@@ -169,8 +169,8 @@ pub fn cell_centre_m(cell: [i32; 3]) -> [f64; 3] {
 pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f64, f64)> {
     let distances = rows.map(|q| chain.forward(&q).translation.vector.norm());
     distances.filter(|distance| distance.is_finite()).fold(None, |ends, distance| {
-        let (least, most) = ends.unwrap_or((distance, distance));
-        Some((distance.min(least), distance.max(most)))
+        let (min_m, max_m) = ends.unwrap_or((distance, distance));
+        Some((distance.min(min_m), distance.max(max_m)))
     })
 }
 

@@ -147,15 +147,15 @@ impl Linear {
 
     /// Selects samples by index.
     pub fn subset(&self, samples: &[usize]) -> Self {
-        let mut part = Self::new(self.width, &self.floor);
+        let mut subset_of = Self::new(self.width, &self.floor);
         let each = 3 * self.kinds() * self.width;
         for &sample in samples {
-            for (own, all) in part.residual.iter_mut().zip(&self.residual) {
-                own.push(all[sample]);
+            for (selected, all) in subset_of.residual.iter_mut().zip(&self.residual) {
+                selected.push(all[sample]);
             }
-            part.design.extend_from_slice(&self.design[sample * each..(sample + 1) * each]);
+            subset_of.design.extend_from_slice(&self.design[sample * each..(sample + 1) * each]);
         }
-        part
+        subset_of
     }
 
     /// Weights from the spread of the residuals, assuming white noise.
@@ -184,12 +184,12 @@ impl Linear {
 
     /// Row `row` of every sample, and its transpose.
     fn design_of(&self, row: usize) -> [DMatrixView<'_, f64, Dyn, Dyn>; 2] {
-        let apart = 3 * self.kinds() * self.width;
+        let start = 3 * self.kinds() * self.width;
         let own = self.design.get(row * self.width..).unwrap_or_default();
         let (samples, width) = (self.len(), self.width);
         [
-            DMatrixView::from_slice_with_strides(own, samples, width, apart, 1),
-            DMatrixView::from_slice_with_strides(own, width, samples, 1, apart),
+            DMatrixView::from_slice_with_strides(own, samples, width, start, 1),
+            DMatrixView::from_slice_with_strides(own, width, samples, 1, start),
         ]
     }
 
@@ -269,7 +269,7 @@ impl Linear {
         let chosen = chosen(columns);
         let rows = 3 * self.kinds();
         let mut squares = Triangle::zeros(chosen.len());
-        let reaching = self.each_score(weights, &chosen, |_, score| {
+        let reaching = self.for_each_score(weights, &chosen, |_, score| {
             squares.add_squares([&score.white, &score.lasting], 1.0);
         });
         // Innovations after the last sample have no residual.
@@ -298,7 +298,7 @@ impl Linear {
     ) -> (f64, f64) {
         let chosen = chosen(columns);
         let (mut sum, mut fourth) = (0.0, 0.0);
-        self.each_score(weights, &chosen, |_, score| {
+        self.for_each_score(weights, &chosen, |_, score| {
             let along = |part: &[f64]| -> f64 {
                 part.iter().zip(&chosen).map(|(s, &(_, target))| s * influence[target]).sum()
             };
@@ -313,7 +313,7 @@ impl Linear {
 
     /// Visits the score of every sample. Returns the weights with which each row continues beyond the last
     /// sample.
-    fn each_score(
+    fn for_each_score(
         &self,
         weights: &[Weight],
         chosen: &[(usize, usize)],
@@ -321,7 +321,7 @@ impl Linear {
     ) -> Vec<f64> {
         let (rows, width) = (3 * self.kinds(), chosen.len());
         let mut reaching = vec![0.0; width * rows];
-        let mut own = vec![0.0; width];
+        let mut derivatives = vec![0.0; width];
         let mut score = Score { white: vec![0.0; width], lasting: vec![0.0; width] };
         for sample in 0..self.len() {
             score.white.fill(0.0);
@@ -329,15 +329,20 @@ impl Linear {
             for (r, reaching) in reaching.chunks_exact_mut(width.max(1)).enumerate() {
                 let weight = &weights[r / 3];
                 let Noise { share, rho, .. } = weight.noise;
-                let (row, left) = (self.row(sample, r), self.residual(sample, r));
-                own.iter_mut().zip(chosen).for_each(|(own, &(column, _))| *own = row[column]);
-                let weighted = weight.component(sample) * left;
+                let (row, residual) = (self.row(sample, r), self.residual(sample, r));
+                derivatives
+                    .iter_mut()
+                    .zip(chosen)
+                    .for_each(|(derivatives, &(column, _))| *derivatives = row[column]);
+                let weighted = weight.component(sample) * residual;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
                 let parts = score.white.iter_mut().zip(&mut score.lasting);
-                for (((white, lasting), reaching), own) in parts.zip(reaching).zip(&own) {
-                    *reaching = rho * *reaching + own;
-                    *white += at_once * own;
+                for (((white, lasting), reaching), derivatives) in
+                    parts.zip(reaching).zip(&derivatives)
+                {
+                    *reaching = rho * *reaching + derivatives;
+                    *white += at_once * derivatives;
                     *lasting += later * *reaching;
                 }
             }
@@ -448,11 +453,11 @@ impl Normal {
     }
 
     /// Same, where `beside` also precede.
-    pub fn separation_beside(&self, beside: &[usize], parameters: &[usize]) -> f64 {
-        let all = [beside, parameters].concat();
+    pub fn separation_given(&self, given: &[usize], parameters: &[usize]) -> f64 {
+        let all = [given, parameters].concat();
         let cholesky = self.scaled(&all).0.cholesky();
         let share = |cholesky: nalgebra::Cholesky<f64, Dyn>| {
-            let own = cholesky.l_dirty().diagonal().rows(beside.len(), parameters.len()).min();
+            let own = cholesky.l_dirty().diagonal().rows(given.len(), parameters.len()).min();
             own.powi(2)
         };
         if parameters.is_empty() { 1.0 } else { cholesky.map_or(0.0, share) }

@@ -103,8 +103,8 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
     // Means over many lags are more accurate, but coloured noise correlates the lags.
     let weight = |one: &Correlation| one.width().sqrt();
     let misfit = |share: f64, rho: f64| -> f64 {
-        let left = |one: &Correlation| one.mean - share * one.mean_autoregression(rho);
-        correlations.iter().map(|one| weight(one) * left(one).powi(2)).sum()
+        let residual = |one: &Correlation| one.mean - share * one.mean_autoregression(rho);
+        correlations.iter().map(|one| weight(one) * residual(one).powi(2)).sum()
     };
     let none = misfit(0.0, 0.0);
     let mut best = (0.0, 0.0, none);

@@ -1,7 +1,7 @@
 //! Data series of plots for single findings.
 
 use super::RunClock;
-use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, vibration_path};
+use crate::diagnosis::{CommandDiagnosis, PoseSeries, rates, vibration_path};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, RunEvidence, StreamEvidence};
 use crate::finding::{Cause, Finding, Picture, Subject};
 use crate::geometry::{
@@ -110,7 +110,7 @@ impl<'a> FigureSource<'a> {
         })
     }
 
-    fn commands(&self) -> Option<(&'a ReferenceContent, &'a ReferenceDiagnosis)> {
+    fn commands(&self) -> Option<(&'a ReferenceContent, &'a CommandDiagnosis)> {
         let (_, facts) = self.arm()?;
         let own = facts.references.iter().find(|of| of.topic() == self.topic())?;
         let run = self.clock.run;

@@ -281,11 +281,11 @@ pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Jo
 fn seen_joint_topics<'a>(
     streams: &'a [Stream],
     timing: &Timing,
-    most_lag_s: f64,
+    max_lag_s: f64,
 ) -> Vec<JointTopic<'a>> {
     let mut topics = joint_topics(streams, timing);
     for topic in &mut topics {
-        topic.rows = timing.filtered_rows(streams, topic.stream, 0, most_lag_s);
+        topic.rows = timing.filtered_rows(streams, topic.stream, 0, max_lag_s);
     }
     topics
 }

@@ -71,7 +71,7 @@ pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedCol
 struct Search<'a> {
     cells: &'a Cells,
     arms: Vec<Candidate>,
-    most_lag_s: f64,
+    max_lag_s: f64,
 }
 
 impl<'a> Search<'a> {
@@ -98,7 +98,7 @@ impl<'a> Search<'a> {
                 is_whole.then(|| Candidate { name: robot.name.clone(), chain })
             })
         });
-        Self { cells, arms: arms.collect(), most_lag_s: options.max_latency_s.min(1.0) }
+        Self { cells, arms: arms.collect(), max_lag_s: options.max_latency_s.min(1.0) }
     }
 
     fn chains(&self) -> Vec<&Chain> {
@@ -120,7 +120,7 @@ impl<'a> Search<'a> {
                 joints: joints.as_deref(),
                 position,
                 taken: &taken,
-                most_lag_s: self.most_lag_s,
+                max_lag_s: self.max_lag_s,
             };
             let mut mappings = self.cells.sheet.mappings(&wanted);
             mappings.retain(|mapping| self.takes_whole_arrays(mapping));
@@ -267,7 +267,7 @@ impl<'a> Search<'a> {
                 "{} as joints of {}, residual {} in {} ([columns] {})",
                 self.said(&it.joints),
                 self.arms[it.arm].name,
-                crate::finding::Unit::Metre.show(it.left_m),
+                crate::finding::Unit::Metre.show(it.residual_m),
                 self.said(&it.position),
                 self.lines(it)
             )
@@ -285,7 +285,7 @@ impl<'a> Search<'a> {
             joints: None,
             position: None,
             taken: &[],
-            most_lag_s: self.most_lag_s,
+            max_lag_s: self.max_lag_s,
         };
         let mut ways: Vec<String> = Vec::new();
         let mut first = 0;

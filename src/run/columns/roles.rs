@@ -187,14 +187,14 @@ impl Search<'_> {
                 "; the next best mapping, {} with {}, matches within {}",
                 name(&rival.joints),
                 name(&rival.position),
-                Unit::Metre.show(rival.left_m)
+                Unit::Metre.show(rival.residual_m)
             )
         });
         let fits = format!(
             "FK of {arm} with {} in {unit} matches {} within {}, for {} of motion{next}",
             name(&mapping.joints),
             name(&mapping.position),
-            Unit::Metre.show(mapping.left_m),
+            Unit::Metre.show(mapping.residual_m),
             Unit::Metre.show(mapping.spread_m)
         );
         let velocities = sheet.rates_of(&mapping.joints);
@@ -259,7 +259,7 @@ impl Search<'_> {
             joints: Some(&joints),
             position: Some(best.position),
             taken: &[],
-            most_lag_s: wanted.most_lag_s,
+            max_lag_s: wanted.max_lag_s,
         };
         let found = self.cells.sheet.mappings(&wanted).into_iter().next()?;
         Some(ColumnMapping { arm: best.arm, ..found })

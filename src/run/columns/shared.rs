@@ -125,7 +125,7 @@ impl Search<'_> {
         for arm in &shared.arms {
             let found = self
                 .chain_of(arm)
-                .and_then(|chain| self.cells.sheet.refit(&arm.mapping, chain, self.most_lag_s));
+                .and_then(|chain| self.cells.sheet.refit(&arm.mapping, chain, self.max_lag_s));
             let found = found.filter(|found| found.spread_m > MOVES_M);
             let (name, position) = (&arm.arm, self.said(&arm.mapping.position));
             let here = match &found {
@@ -134,7 +134,7 @@ impl Search<'_> {
                     let of = Unit::Metre.show(found.spread_m);
                     format!(
                         "here FK has a residual of {} in {of} of motion in {position}",
-                        Unit::Metre.show(found.left_m)
+                        Unit::Metre.show(found.residual_m)
                     )
                 }
             };

@@ -119,7 +119,7 @@ fn gain(
     imu: &StreamEvidence<ImuEvidence>,
     threshold: &Threshold,
 ) -> Option<SubjectResult> {
-    let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.shape?.scale;
+    let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.scale_error?.scale;
     let worst = scale.iter().max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
     let subjects = scale.len() * case.evidence.subjects();
     let decision = decide(worst, threshold, subjects);

@@ -36,35 +36,41 @@ impl GyroModel<'_> {
         const MAX_RESIDUAL_RATIO: f64 = 0.5;
         /// Relative to those with any other change.
         const MAX_RESIDUAL_RATIO_TO_OTHERS: f64 = 0.8;
-        let shaped = Self { has_scale_error: true, ..self.clone() };
-        let (linear, t_s) = shaped.linearized();
+        let with_scale_error = Self { has_scale_error: true, ..self.clone() };
+        let (linear, t_s) = with_scale_error.linearized();
         let mut base: Vec<usize> = Self::BIAS.chain(self.change_parameters()).collect();
         if moves {
-            base.extend(Self::MOUNT.chain(Self::SHAPE).chain([Self::LATENCY]));
+            base.extend(Self::MOUNT.chain(Self::SCALE_ERROR).chain([Self::LATENCY]));
         }
-        let asked = ExtensionTests::new(&linear, t_s, &base, FLOOR_RAD_S);
-        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_significant);
+        let tests = ExtensionTests::new(&linear, t_s, &base, FLOOR_RAD_S);
+        let if_significant =
+            |extension: Option<ModelExtension>| extension.filter(ModelExtension::is_significant);
         let bias: Vec<usize> = Self::BIAS.collect();
-        let of_bias = |course: fn(&ModelExtension) -> GyroBiasProfile,
-                       better: Option<ModelExtension>| {
-            let better = sure(better)?;
-            Some((better.squares, Self { bias_profile: Some(course(&better)), ..self.clone() }))
+        let of_bias = |profile: fn(&ModelExtension) -> GyroBiasProfile,
+                       extension: Option<ModelExtension>| {
+            let extension = if_significant(extension)?;
+            Some((
+                extension.residual_squares,
+                Self { bias_profile: Some(profile(&extension)), ..self.clone() },
+            ))
         };
         let is_constant = self.bias_profile.is_none();
-        let step = is_constant.then(|| of_bias(step_profile, asked.step(&bias))).flatten();
-        let decay = is_constant.then(|| of_bias(warm_up_profile, asked.decay(&bias))).flatten();
+        let step = is_constant.then(|| of_bias(step_profile, tests.step(&bias))).flatten();
+        let decay = is_constant.then(|| of_bias(warm_up_profile, tests.decay(&bias))).flatten();
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip = (moves && self.slip.is_none()).then(|| sure(asked.step(&mount))).flatten();
+        let slip =
+            (moves && self.slip.is_none()).then(|| if_significant(tests.step(&mount))).flatten();
         let slip = slip.map(|slip| {
-            let slipped = Some((slip.at_s, slip.interval_s, Rotation::identity()));
-            (slip.squares, Self { slip: slipped, ..self.clone() })
+            let change = Some((slip.at_s, slip.interval_s, Rotation::identity()));
+            (slip.residual_squares, Self { slip: change, ..self.clone() })
         });
         let of_bias = [step, decay].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0));
-        let rival = of_bias.as_ref().map_or(asked.squares, |(squares, _)| *squares);
+        let best_alternative =
+            of_bias.as_ref().map_or(tests.residual_squares, |(squares, _)| *squares);
         match slip {
             Some((squares, model))
-                if squares < MAX_RESIDUAL_RATIO_TO_OTHERS * rival
-                    && squares < MAX_RESIDUAL_RATIO * asked.squares =>
+                if squares < MAX_RESIDUAL_RATIO_TO_OTHERS * best_alternative
+                    && squares < MAX_RESIDUAL_RATIO * tests.residual_squares =>
             {
                 Some(model)
             }
@@ -87,10 +93,10 @@ impl GyroModel<'_> {
     }
 }
 
-fn step_profile(better: &ModelExtension) -> GyroBiasProfile {
-    GyroBiasProfile::Step { at_s: better.at_s, interval_s: better.interval_s }
+fn step_profile(extension: &ModelExtension) -> GyroBiasProfile {
+    GyroBiasProfile::Step { at_s: extension.at_s, interval_s: extension.interval_s }
 }
 
-fn warm_up_profile(better: &ModelExtension) -> GyroBiasProfile {
-    GyroBiasProfile::WarmUp { time_constant_s: better.at_s }
+fn warm_up_profile(extension: &ModelExtension) -> GyroBiasProfile {
+    GyroBiasProfile::WarmUp { time_constant_s: extension.at_s }
 }

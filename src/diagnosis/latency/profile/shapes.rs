@@ -14,19 +14,19 @@ pub(super) fn residual_after(
 ) -> f64 {
     let mut row = 0;
     by_window(samples)
-        .map(|own| {
+        .map(|window| {
             let (mut sum, mut square) = ([0.0; 6], 0.0);
-            for sample in own {
+            for sample in window {
                 let delta_s = beyond_s(row);
                 row += 1;
-                let left: [f64; 6] =
+                let residual: [f64; 6] =
                     std::array::from_fn(|i| sample.residual[i] + delta_s * sample.velocity[i]);
-                for (sum, left) in sum.iter_mut().zip(left) {
-                    *sum += left;
-                    square += left * left;
+                for (sum, residual) in sum.iter_mut().zip(residual) {
+                    *sum += residual;
+                    square += residual * residual;
                 }
             }
-            square - sum.iter().map(|sum| sum * sum).sum::<f64>() / own.len() as f64
+            square - sum.iter().map(|sum| sum * sum).sum::<f64>() / window.len() as f64
         })
         .sum()
 }
@@ -101,7 +101,7 @@ pub(super) fn fit_load_dependence(samples: &[NormalizedSample]) -> Option<Latenc
     let constant = residual_after(samples, {
         let zero = vec![0.0; samples.len()];
         let sums = load_windows(samples, &zero)
-            .fold(LoadSums::default(), |sum, own| sum.combined_with(&own, 1.0));
+            .fold(LoadSums::default(), |sum, addend| sum.combined_with(&addend, 1.0));
         let level_s = sums.right[0] / sums.matrix[0].max(f64::MIN_POSITIVE);
         move |_| level_s
     });
@@ -109,30 +109,33 @@ pub(super) fn fit_load_dependence(samples: &[NormalizedSample]) -> Option<Latenc
     let fit = |kind: usize, slow_s: f64| {
         let load = filtered(samples, kind, slow_s);
         let windows: Vec<LoadSums> = load_windows(samples, &load).collect();
-        let all = windows.iter().fold(LoadSums::default(), |sum, own| sum.combined_with(own, 1.0));
+        let all =
+            windows.iter().fold(LoadSums::default(), |sum, addend| sum.combined_with(addend, 1.0));
         let [level_s, slope] = all.solve()?;
-        let left = residual_after(samples, |row| level_s + slope * load[row]);
-        Some((left, load, windows, all, [level_s, slope]))
+        let residual = residual_after(samples, |row| level_s + slope * load[row]);
+        Some((residual, load, windows, all, [level_s, slope]))
     };
     let tried = [0, 1].into_iter().flat_map(|kind| FILTER_TIMES_S.map(|slow_s| (kind, slow_s)));
     let fits = tried.filter_map(|(kind, slow_s)| fit(kind, slow_s));
-    let (left, load, windows, all, [level_s, slope]) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    if left - noise > MAX_RESIDUAL_RATIO * (constant - noise) {
+    let (residual, load, windows, all, [level_s, slope]) =
+        fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    if residual - noise > MAX_RESIDUAL_RATIO * (constant - noise) {
         return None;
     }
     let size = windows.len().div_ceil(JACKKNIFE_BLOCKS).max(1);
-    let without = windows.chunks(size).filter_map(|part| {
-        let rest = part.iter().fold(all, |sum, own| sum.combined_with(own, -1.0));
+    let without = windows.chunks(size).filter_map(|block| {
+        let rest = block.iter().fold(all, |sum, addend| sum.combined_with(addend, -1.0));
         Some(rest.solve()?[1])
     });
     let without: Vec<f64> = without.collect();
     let parts = without.len() as f64;
     let spread: f64 = without.iter().map(|one| (one - slope).powi(2)).sum();
     let std_error = ((parts - 1.0).max(1.0) / parts * spread).sqrt();
-    let (least, most) = load
-        .iter()
-        .fold((f64::MAX, f64::MIN), |(least, most), load| (least.min(*load), most.max(*load)));
-    let range = most - least;
+    let (min_load, max_load) =
+        load.iter().fold((f64::MAX, f64::MIN), |(min_load, max_load), load| {
+            (min_load.min(*load), max_load.max(*load))
+        });
+    let range = max_load - min_load;
     let swing_s = Measured { value: slope * range, std_error: std_error * range, dof: parts };
     let is_certain = parts >= 4.0 && slope.abs() > MIN_STD_ERRORS * std_error;
     is_certain.then(|| LatencyProfile {
@@ -191,12 +194,12 @@ pub(super) fn fit_piecewise_linear(
     let (first, last) = (windows.first()?, windows.last()?);
     let mut knots = vec![first.t_s, last.t_s];
     let of_windows = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
-    let mut least = of_windows(&knots)?;
+    let mut min_chi2 = of_windows(&knots)?;
     // One knot barely improves the fit of a ramp within the run, so try two.
-    if let Some((left, two)) = two_knots(windows, &knots, &of_windows)
-        && least - left > MIN_CHI2_GAIN * (left / windows.len() as f64).max(1.0)
+    if let Some((chi2, two)) = two_knots(windows, &knots, &of_windows)
+        && min_chi2 - chi2 > MIN_CHI2_GAIN * (chi2 / windows.len() as f64).max(1.0)
     {
-        (least, knots) = (left, two);
+        (min_chi2, knots) = (chi2, two);
     }
     while knots.len() < (windows.len() / 2).min(MAX_KNOTS + 2) {
         let tried = windows.iter().map(|window| window.t_s).filter(|t_s| !knots.contains(t_s));
@@ -207,34 +210,36 @@ pub(super) fn fit_piecewise_linear(
             Some((of_windows(&with)?, with))
         });
         let Some((_, mut with)) = with.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        let better = shift_knots(&mut with, &[1.0, 0.5], &of_windows)?;
+        let shifted_chi2 = shift_knots(&mut with, &[1.0, 0.5], &of_windows)?;
         let free = (windows.len() as f64 - 2.0 * with.len() as f64).max(1.0);
-        if least - better < MIN_CHI2_GAIN * (better / free).max(1.0) {
+        if min_chi2 - shifted_chi2 < MIN_CHI2_GAIN * (shifted_chi2 / free).max(1.0) {
             break;
         }
-        (least, knots) = (better, with);
+        (min_chi2, knots) = (shifted_chi2, with);
     }
     let stride = samples.len().div_ceil(MAX_SAMPLES).max(1);
     let thinned: Vec<NormalizedSample> = samples.iter().step_by(stride).copied().collect();
     let of_samples =
         |knots: &[f64]| Some(solve_levels(knots, total(&sample_sums(&thinned, knots)))?.1);
-    let mut least = shift_knots(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
+    let mut min_chi2 = shift_knots(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
     // A later knot can make one redundant.
     loop {
-        let fewer = (1..knots.len() - 1).filter_map(|at| {
-            let mut fewer = knots.clone();
-            fewer.remove(at);
-            Some((shift_knots(&mut fewer, &[0.5, 0.25, 0.1], &of_samples)?, fewer))
+        let fewer_knots = (1..knots.len() - 1).filter_map(|at| {
+            let mut fewer_knots = knots.clone();
+            fewer_knots.remove(at);
+            Some((shift_knots(&mut fewer_knots, &[0.5, 0.25, 0.1], &of_samples)?, fewer_knots))
         });
-        let Some((left, fewer)) = fewer.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        if left - least > MIN_KNOT_GAIN * least.max(3.0 * thinned.len() as f64) {
+        let Some((chi2, fewer_knots)) = fewer_knots.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+            break;
+        };
+        if chi2 - min_chi2 > MIN_KNOT_GAIN * min_chi2.max(3.0 * thinned.len() as f64) {
             break;
         }
-        (least, knots) = (left, fewer);
+        (min_chi2, knots) = (chi2, fewer_knots);
     }
-    let least = shift_knots(&mut knots, &[0.25, 0.1, 0.05], &of_samples);
+    let min_chi2 = shift_knots(&mut knots, &[0.25, 0.1, 0.05], &of_samples);
     let sums = sample_sums(&thinned, &knots);
-    let (level_s, _) = solve_levels(&knots, total(&sums)).filter(|_| least.is_some())?;
+    let (level_s, _) = solve_levels(&knots, total(&sums)).filter(|_| min_chi2.is_some())?;
     let at = |knot: usize| level_s[knot];
     let order = |a: &usize, b: &usize| at(*a).total_cmp(&at(*b));
     let all = || 0..knots.len();
@@ -244,17 +249,17 @@ pub(super) fn fit_piecewise_linear(
         Some(level_s[high] - level_s[low])
     });
     let (swing, from, to) = (at(high) - at(low), low.min(high), low.max(high));
-    let is_near =
+    let is_same_level =
         |knot: usize, other: usize| (at(knot) - at(other)).abs() < MAX_LEVEL_DIFFERENCE * swing;
     let (mut begin, mut end) = (from, to);
-    while begin + 1 < to && is_near(begin + 1, from) {
+    while begin + 1 < to && is_same_level(begin + 1, from) {
         begin += 1;
     }
-    while end > begin + 1 && is_near(end - 1, to) {
+    while end > begin + 1 && is_same_level(end - 1, to) {
         end -= 1;
     }
-    let is_level = (0..begin).all(|knot| is_near(knot, from))
-        && (end..knots.len()).all(|knot| is_near(knot, to));
+    let is_level = (0..begin).all(|knot| is_same_level(knot, from))
+        && (end..knots.len()).all(|knot| is_same_level(knot, to));
     let (shape, value) = match is_level && end == begin + 1 {
         true => (LatencyShape::Ramp { from_s: knots[begin], to_s: knots[end] }, at(to) - at(from)),
         false => (LatencyShape::Wander, swing),
@@ -276,15 +281,15 @@ pub(super) const THREE_SEGMENT_PARAMETERS: f64 = 6.0;
 /// Best path with three segments.
 pub(super) fn piecewise_chi2(windows: &[LatencyWindow]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
-    let left = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
-    Some(two_knots(windows, &ends, &left)?.0)
+    let chi2_of = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
+    Some(two_knots(windows, &ends, &chi2_of)?.0)
 }
 
 /// Inner knots with the smallest residual; returns it and all knots.
 fn two_knots(
     windows: &[LatencyWindow],
     ends: &[f64],
-    left: &impl Fn(&[f64]) -> Option<f64>,
+    chi2_of: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<(f64, Vec<f64>)> {
     const MAX_TRIAL_TIMES: usize = 40;
     let inner = windows.get(1..windows.len().saturating_sub(1))?;
@@ -297,7 +302,7 @@ fn two_knots(
         times.iter().enumerate().flat_map(|(at, a)| times[at + 1..].iter().map(move |b| (*a, *b)));
     let with = pairs.filter_map(|(a, b)| {
         let knots = vec![ends[0], a, b, ends[1]];
-        Some((left(&knots)?, knots))
+        Some((chi2_of(&knots)?, knots))
     });
     with.min_by(|a, b| a.0.total_cmp(&b.0))
 }
@@ -358,7 +363,7 @@ fn solve_levels(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
     const LEVEL_TIE_WEIGHT: f64 = 1e-5;
     let KnotEquations { mut matrix, right, square } = sums;
     debug_assert_eq!(right.len(), knots.len());
-    let plain = matrix.clone();
+    let unregularized = matrix.clone();
     let tie = LEVEL_TIE_WEIGHT * matrix.trace() / knots.len() as f64;
     for knot in 1..knots.len() {
         matrix[(knot - 1, knot - 1)] += tie;
@@ -367,8 +372,8 @@ fn solve_levels(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
         matrix[(knot, knot - 1)] -= tie;
     }
     let level = matrix.cholesky()?.solve(&right);
-    let left = square - 2.0 * level.dot(&right) + level.dot(&(plain * &level));
-    Some((level.iter().copied().collect(), left))
+    let chi2 = square - 2.0 * level.dot(&right) + level.dot(&(unregularized * &level));
+    Some((level.iter().copied().collect(), chi2))
 }
 
 fn window_sums(windows: &[LatencyWindow], knots: &[f64]) -> KnotEquations {
@@ -388,34 +393,37 @@ fn window_sums(windows: &[LatencyWindow], knots: &[f64]) -> KnotEquations {
 /// Least squares of `residual = c − level·velocity` with a constant c per window.
 fn sample_sums(samples: &[NormalizedSample], knots: &[f64]) -> Vec<KnotEquations> {
     let n = knots.len();
-    let of_window = |own: &[NormalizedSample]| {
+    let of_window = |window: &[NormalizedSample]| {
         let mut sums = KnotEquations::zeros(n);
-        let (mut moved, mut left) = (vec![[0.0; 6]; n], [0.0; 6]);
+        let (mut moved, mut residual) = (vec![[0.0; 6]; n], [0.0; 6]);
         let mut touched: Vec<usize> = Vec::new();
-        for sample in own {
+        for sample in window {
             let hats = hats(knots, sample.t_s);
             let dot = |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let (vv, vr) =
                 (dot(&sample.velocity, &sample.velocity), dot(&sample.velocity, &sample.residual));
             sums.square += dot(&sample.residual, &sample.residual);
-            left.iter_mut().zip(sample.residual).for_each(|(sum, own)| *sum += own);
+            residual.iter_mut().zip(sample.residual).for_each(|(sum, window)| *sum += window);
             for (row, a) in hats {
                 if !touched.contains(&row) {
                     touched.push(row);
                 }
-                moved[row].iter_mut().zip(sample.velocity).for_each(|(sum, own)| *sum += a * own);
+                moved[row]
+                    .iter_mut()
+                    .zip(sample.velocity)
+                    .for_each(|(sum, window)| *sum += a * window);
                 sums.right[row] -= a * vr;
                 for (column, b) in hats {
                     sums.matrix[(row, column)] += a * b * vv;
                 }
             }
         }
-        let count = own.len().max(1) as f64;
+        let count = window.len().max(1) as f64;
         let dot =
             |a: &[f64; 6], b: &[f64; 6]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / count;
-        sums.square -= dot(&left, &left);
+        sums.square -= dot(&residual, &residual);
         for &row in &touched {
-            sums.right[row] += dot(&moved[row], &left);
+            sums.right[row] += dot(&moved[row], &residual);
             for &column in &touched {
                 sums.matrix[(row, column)] -= dot(&moved[row], &moved[column]);
             }
@@ -432,14 +440,14 @@ fn total(sums: &[KnotEquations]) -> KnotEquations {
 }
 
 /// Standard error from the windows' sums.
-fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) -> f64 {
+fn jackknife(sums: &[KnotEquations], statistic: impl Fn(KnotEquations) -> Option<f64>) -> f64 {
     let all = total(sums);
     let parts = sums.chunks(sums.len().div_ceil(JACKKNIFE_BLOCKS).max(1));
     let without: Vec<f64> = parts
         .filter_map(|part| {
             let mut rest = all.clone();
             part.iter().for_each(|own| rest.add(own, -1.0));
-            of(rest)
+            statistic(rest)
         })
         .collect();
     let n = without.len() as f64;
@@ -455,10 +463,10 @@ fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) 
 fn shift_knots(
     knots: &mut [f64],
     steps_s: &[f64],
-    left: &impl Fn(&[f64]) -> Option<f64>,
+    chi2_of: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<f64> {
     const MIN_KNOT_SEPARATION_S: f64 = 0.2;
-    let mut best = left(knots)?;
+    let mut best = chi2_of(knots)?;
     for &step_s in steps_s {
         for knot in 1..knots.len().saturating_sub(1) {
             for by_s in [step_s, -step_s] {
@@ -467,7 +475,7 @@ fn shift_knots(
                     knots[knot] += by_s;
                     let is_between = knots[knot] > knots[knot - 1] + MIN_KNOT_SEPARATION_S
                         && knots[knot] < knots[knot + 1] - MIN_KNOT_SEPARATION_S;
-                    let tried = is_between.then(|| left(knots)).flatten();
+                    let tried = is_between.then(|| chi2_of(knots)).flatten();
                     match tried.filter(|tried| *tried < best) {
                         Some(better) => best = better,
                         None => {

@@ -38,16 +38,16 @@ fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedS
 #[test]
 fn a_jump_is_found_with_its_moment_and_size() {
     for (at_s, size_s) in [(7.3, 0.012), (12.41, -0.03)] {
-        let course = course_at(
+        let profile = course_at(
             &aligned(|t_s| if t_s < at_s { 0.001 } else { 0.001 + size_s }, 1e-4, 0.0),
             0.0,
         );
-        let course = course.expect("a course");
-        let [jump] = course.steps.as_slice() else { panic!("{course:?}") };
+        let profile = profile.expect("a course");
+        let [jump] = profile.steps.as_slice() else { panic!("{profile:?}") };
         assert!((jump.size_s.value - size_s).abs() < 1e-3, "{jump:?}");
         assert!((jump.at_s - at_s).abs() < 0.2, "{jump:?}");
         let t_s = [1.0, 2.0, 18.0, 19.0];
-        let straight = course.compensated(&t_s);
+        let straight = profile.compensated(&t_s);
         let apart = (straight[2].1 - straight[1].1) - (18.0 - 2.0);
         assert!((apart + size_s).abs() < 1e-3, "{straight:?}");
     }
@@ -55,10 +55,10 @@ fn a_jump_is_found_with_its_moment_and_size() {
 
 #[test]
 fn a_latency_that_wanders_is_measured_from_least_to_most() {
-    let course = course_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
-    let course = course.expect("a course");
-    assert!(course.is_unsteady, "{course:?}");
-    assert!((0.016..0.024).contains(&course.swing_s.value.abs()), "{course:?}");
+    let profile = course_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
+    let profile = profile.expect("a course");
+    assert!(profile.is_unsteady, "{profile:?}");
+    assert!((0.016..0.024).contains(&profile.swing_s.value.abs()), "{profile:?}");
 }
 
 #[test]

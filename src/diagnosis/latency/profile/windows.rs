@@ -31,12 +31,13 @@ pub(super) struct NormalizedSample {
     pub(super) joint_noise: f64,
 }
 
-pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
+pub(super) fn samples(latency_samples: &[LatencySample]) -> Vec<NormalizedSample> {
     let noise = [0, 1].map(|kind| {
-        let steps = lagging.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
+        let steps =
+            latency_samples.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
         // Floor, m and rad.
-        (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
+        (square / (6 * latency_samples.len().max(1)) as f64).sqrt().max(1e-6)
     });
     let scaled =
         |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
@@ -47,7 +48,7 @@ pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
         loads: of.loads,
         joint_noise: of.joint_noise / noise[1],
     };
-    lagging.iter().map(sample).collect()
+    latency_samples.iter().map(sample).collect()
 }
 
 /// Uses windows with enough variation of velocity.
@@ -118,7 +119,7 @@ pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<
 }
 
 /// χ² relative to the best line.
-pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
+pub(super) fn chi2_of_line(windows: &[LatencyWindow]) -> f64 {
     let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
     let mean = |of: &dyn Fn(&LatencyWindow) -> f64| {
         windows.iter().map(|window| window.weight() * of(window)).sum::<f64>() / weight
@@ -127,8 +128,8 @@ pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
     let spread = mean(&|window| (window.t_s - t).powi(2));
     let slope =
         mean(&|window| (window.t_s - t) * (window.delta_s - delta)) / spread.max(f64::MIN_POSITIVE);
-    let beside = |window: &LatencyWindow| window.delta_s - delta - slope * (window.t_s - t);
-    windows.iter().map(|window| window.weight() * beside(window).powi(2)).sum()
+    let deviation = |window: &LatencyWindow| window.delta_s - delta - slope * (window.t_s - t);
+    windows.iter().map(|window| window.weight() * deviation(window).powi(2)).sum()
 }
 
 /// Levels between `splits`, and the total χ².

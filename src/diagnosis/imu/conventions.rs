@@ -83,10 +83,10 @@ pub struct GyroSaturation {
 
 impl ImuConventions {
     /// Detects the conventions by comparison with FK.
-    pub fn detect(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
+    pub fn detect(joints: &JointTrack, stream: &ImuStream, max_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
-        let peak = link.peaks(most_lag_s).into_iter().next();
+        let peak = link.peaks(max_lag_s).into_iter().next();
         let follows = peak.filter(|peak| peak.correlation > MIN_CORRELATION);
         let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
         let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
@@ -142,22 +142,22 @@ impl Link<'_> {
     /// Samples while the arm moves.
     fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
         let track = self.stream.track;
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         let rows = (0..track.t_s.len()).step_by(self.stride());
         rows.filter_map(|k| {
-            let moment = self.at(track.t_s[k] - lag_s, &mut sweep)?;
-            let rate = moment.rotation.inverse() * moment.rate;
-            moment.moving.then_some((k, track.gyro[k], rate))
+            let link_state = self.at(track.t_s[k] - lag_s, &mut buffers)?;
+            let rate = link_state.rotation.inverse() * link_state.rate;
+            link_state.moving.then_some((k, track.gyro[k], rate))
         })
         .collect()
     }
 
     fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
         let track = self.stream.track;
-        let mut sweep = self.sweep();
+        let mut buffers = self.buffers();
         let rows = (0..track.t_s.len()).step_by(self.stride());
         rows.filter(|&k| {
-            self.at(track.t_s[k] - lag_s, &mut sweep).is_some_and(|moment| !moment.moving)
+            self.at(track.t_s[k] - lag_s, &mut buffers).is_some_and(|link_state| !link_state.moving)
         })
         .collect()
     }

@@ -6,7 +6,7 @@ use super::super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
 use super::super::extension_tests::{ExtensionTests, ModelExtension};
 use super::super::solve::Solved;
 use super::super::yaw;
-use super::{OrientationModel, Settled};
+use super::{OrientationModel, OrientationSolution};
 use crate::Measured;
 use crate::model::measurement::FLOOR_RAD;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
@@ -41,7 +41,7 @@ impl YawTerm {
 
 impl<'a> OrientationModel<'a> {
     pub(super) fn first_jump(&self) -> usize {
-        Self::TERM_COLUMNS_START + self.terms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
+        Self::TERM_COLUMNS_START + self.terms.iter().map(|term| term.sizes_rad.len()).sum::<usize>()
     }
 
     pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
@@ -68,27 +68,29 @@ impl<'a> OrientationModel<'a> {
         /// Relative to those with a jump of the world frame.
         const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         let (linear, rows) = self.linearized();
-        let asked = ExtensionTests::new(
+        let tests = ExtensionTests::new(
             &linear,
             self.stamps(&rows),
             &Self::constant_parameters(moves),
             FLOOR_RAD,
         );
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip = asked.step(&mount).filter(ModelExtension::is_significant)?;
-        if slip.squares > MAX_RESIDUAL_RATIO * asked.squares {
+        let slip = tests.step(&mount).filter(ModelExtension::is_significant)?;
+        if slip.residual_squares > MAX_RESIDUAL_RATIO * tests.residual_squares {
             return None;
         }
         let world: Vec<usize> = Self::WORLD.collect();
-        let rivals = asked.step(&world).into_iter().chain(
+        let alternatives = tests.step(&world).into_iter().chain(
             self.headings_by_axis(&rows)
                 .into_iter()
-                .filter_map(|(_, weights)| asked.best_extension(&Self::YAW, &weights)),
+                .filter_map(|(_, weights)| tests.best_extension(&Self::YAW, &weights)),
         );
-        let rival = rivals.map(|rival| rival.squares).fold(f64::INFINITY, f64::min);
-        let slipped = Some((slip.at_s, slip.interval_s, Rotation::identity()));
-        (slip.squares < MAX_RESIDUAL_RATIO_TO_JUMP * rival)
-            .then(|| Self { slip: slipped, ..self.clone() })
+        let best_alternative = alternatives
+            .map(|best_alternative| best_alternative.residual_squares)
+            .fold(f64::INFINITY, f64::min);
+        let change = Some((slip.at_s, slip.interval_s, Rotation::identity()));
+        (slip.residual_squares < MAX_RESIDUAL_RATIO_TO_JUMP * best_alternative)
+            .then(|| Self { slip: change, ..self.clone() })
     }
 
     pub(super) fn longer_side(&self) -> (f64, f64) {
@@ -111,7 +113,7 @@ impl<'a> OrientationModel<'a> {
     const YAW: [usize; 1] = [Self::WORLD.start + 2];
 
     /// `None` unless the term is significant and removes most of the walk without adding jumps.
-    pub(super) fn with_yaw_term(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
+    pub(super) fn with_yaw_term(&self, moves: bool) -> Option<(Self, OrientationSolution<'a>)> {
         /// Relative to the residual squares of the base model.
         const MAX_RESIDUAL_RATIO: f64 = 0.5;
         /// Relative to those with a jump.
@@ -119,37 +121,39 @@ impl<'a> OrientationModel<'a> {
         /// Share of the walk that remains.
         const MAX_WALK_SHARE: f64 = 0.3;
         let (linear, rows) = self.linearized();
-        let asked = ExtensionTests::new(
+        let tests = ExtensionTests::new(
             &linear,
             self.stamps(&rows),
             &Self::constant_parameters(moves),
             FLOOR_RAD,
         );
-        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_significant);
+        let if_significant =
+            |extension: Option<ModelExtension>| extension.filter(ModelExtension::is_significant);
         let headings = self.headings_by_axis(&rows).into_iter().filter_map(|(axis, weights)| {
-            let better = sure(asked.best_extension(&Self::YAW, &weights))?;
-            Some((better.squares, YawTermKind::Heading(axis)))
+            let extension = if_significant(tests.best_extension(&Self::YAW, &weights))?;
+            Some((extension.residual_squares, YawTermKind::Heading(axis)))
         });
-        let decay = sure(asked.decay(&Self::YAW));
-        let decay = decay.map(|decay| (decay.squares, YawTermKind::WarmUp(decay.at_s)));
-        let all = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
+        let decay = if_significant(tests.decay(&Self::YAW));
+        let decay = decay.map(|decay| (decay.residual_squares, YawTermKind::WarmUp(decay.at_s)));
+        let best = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
         let (squares, kind) =
-            all.filter(|(squares, _)| *squares < MAX_RESIDUAL_RATIO * asked.squares)?;
-        let jump = asked.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.squares);
+            best.filter(|(squares, _)| *squares < MAX_RESIDUAL_RATIO * tests.residual_squares)?;
+        let jump = tests.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.residual_squares);
         if squares > MAX_RESIDUAL_RATIO_TO_JUMP * jump {
             return None;
         }
         let before = yaw::decompose_yaw(&self.yaw_without_terms()).parts;
         let mut model = self.with_term(kind);
-        let mut settled = model.fit(moves);
+        let mut solution = model.fit(moves);
         if matches!(kind, YawTermKind::Heading(_)) {
-            model = Self { terms: Vec::new(), ..settled.model }.with_term(kind);
-            settled = model.fit(moves);
+            model = Self { terms: Vec::new(), ..solution.model }.with_term(kind);
+            solution = model.fit(moves);
         }
-        let after = yaw::decompose_yaw(&settled.model.yaw_without_terms()).parts;
+        let after = yaw::decompose_yaw(&solution.model.yaw_without_terms()).parts;
         let walk = before.walk_rad_per_sqrt_s.unwrap_or(f64::INFINITY);
-        let is_steady = after.walk_rad_per_sqrt_s.is_none_or(|left| left < MAX_WALK_SHARE * walk);
-        (is_steady && after.jumps.len() <= before.jumps.len()).then_some((model, settled))
+        let is_steady =
+            after.walk_rad_per_sqrt_s.is_none_or(|walk_after| walk_after < MAX_WALK_SHARE * walk);
+        (is_steady && after.jumps.len() <= before.jumps.len()).then_some((model, solution))
     }
 
     fn with_term(&self, kind: YawTermKind) -> Self {
@@ -158,7 +162,7 @@ impl<'a> OrientationModel<'a> {
             YawTermKind::Heading(axis) => self
                 .headings_by_axis(&rows)
                 .into_iter()
-                .find(|(own, _)| *own == axis)
+                .find(|(term_axis, _)| *term_axis == axis)
                 .map(|(_, weights)| weights)
                 .unwrap_or_default(),
             YawTermKind::WarmUp(tau_s) => {
@@ -167,19 +171,20 @@ impl<'a> OrientationModel<'a> {
                 vec![t_s.iter().map(|t_s| (-(t_s - first_s) / tau_s).exp()).collect()]
             }
         };
-        let forms = self.terms.iter().cloned().chain([YawTerm::new(kind, weights)]).collect();
-        Self { terms: forms, ..self.clone() }
+        let terms = self.terms.iter().cloned().chain([YawTerm::new(kind, weights)]).collect();
+        Self { terms, ..self.clone() }
     }
 
     /// Harmonics per IMU axis.
     fn headings_by_axis(&self, rows: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
         let t_s = self.stamps(rows);
-        let mut sweep = self.link.sweep();
+        let mut buffers = self.link.buffers();
         let by_fk: Vec<Rotation> = t_s
             .iter()
             .map(|stamp| {
-                let moment = self.link.at(self.delay.truth_s(*stamp), &mut sweep);
-                let rotation = moment.map_or(Rotation::identity(), |moment| moment.rotation);
+                let link_state = self.link.at(self.delay.truth_s(*stamp), &mut buffers);
+                let rotation =
+                    link_state.map_or(Rotation::identity(), |link_state| link_state.rotation);
                 self.world_from_base * rotation * self.mount_at(*stamp)
             })
             .collect();
@@ -189,12 +194,12 @@ impl<'a> OrientationModel<'a> {
         };
         let harmonics = |axis: usize| -> Vec<Vec<f64>> {
             let heading = heading(axis);
-            let course = |of: fn(f64) -> f64| heading.iter().map(|one| of(*one)).collect();
+            let function = |of: fn(f64) -> f64| heading.iter().map(|one| of(*one)).collect();
             vec![
-                course(f64::sin),
-                course(f64::cos),
-                course(|one| (2.0 * one).sin()),
-                course(|one| (2.0 * one).cos()),
+                function(f64::sin),
+                function(f64::cos),
+                function(|one| (2.0 * one).sin()),
+                function(|one| (2.0 * one).cos()),
             ]
         };
         (0..3).map(|axis| (axis, harmonics(axis))).collect()
@@ -206,25 +211,25 @@ impl<'a> OrientationModel<'a> {
     ) -> (Option<HeadingError>, Option<YawWarmUp>) {
         let (mut heading, mut warm_up) = (None, None);
         let mut column = Self::TERM_COLUMNS_START;
-        for form in &self.terms {
-            let columns: Vec<usize> = (column..column + form.sizes_rad.len()).collect();
+        for term in &self.terms {
+            let columns: Vec<usize> = (column..column + term.sizes_rad.len()).collect();
             column += columns.len();
-            match form.kind {
+            match term.kind {
                 YawTermKind::Heading(axis) => {
-                    let turned = (0..self.rows.len()).map(|row| (row, form.at(row)));
-                    let least = turned.clone().min_by(|a, b| a.1.total_cmp(&b.1));
-                    let most = turned.max_by(|a, b| a.1.total_cmp(&b.1));
-                    heading = least.zip(most).and_then(|(least, most)| {
-                        let half = |weight: &Vec<f64>| 0.5 * (weight[most.0] - weight[least.0]);
-                        let along: Vec<f64> = form.weights.iter().map(half).collect();
-                        let half = 0.5 * (most.1 - least.1);
+                    let errors = (0..self.rows.len()).map(|row| (row, term.at(row)));
+                    let min = errors.clone().min_by(|a, b| a.1.total_cmp(&b.1));
+                    let max = errors.max_by(|a, b| a.1.total_cmp(&b.1));
+                    heading = min.zip(max).and_then(|(min, max)| {
+                        let half = |weight: &Vec<f64>| 0.5 * (weight[max.0] - weight[min.0]);
+                        let along: Vec<f64> = term.weights.iter().map(half).collect();
+                        let half = 0.5 * (max.1 - min.1);
                         let amplitude_rad =
                             solved.measure_combination(&columns, &along, half).ok()?;
                         Some(HeadingError { amplitude_rad, axis })
                     });
                 }
                 YawTermKind::WarmUp(time_constant_s) => {
-                    let size = solved.measure(columns[0], form.sizes_rad[0]);
+                    let size = solved.measure(columns[0], term.sizes_rad[0]);
                     warm_up = size.ok().map(|size| {
                         let times = |by: f64| Measured {
                             value: size.value * by,
