@@ -15,7 +15,7 @@ use crate::log;
 use crate::places::Places;
 use crate::report::{PlanInputs, Trouble, TroubleKind, plan_command};
 use crate::robot::Robot;
-use crate::run::{Arm, PoseSource, PoseSourceKind, Run, robot_of};
+use crate::run::{Arm, PoseSource, PoseSourceKind, Run, load_robot};
 use crate::stream::JointTrack;
 
 /// Larger frame offsets are not link deviations, m and rad.
@@ -174,7 +174,7 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
         chain: &chain,
         joints: &stream.joints,
         columns: &stream.columns,
-        model: name.and_then(|name| Some((name.clone(), robot_of(&name).ok()?))),
+        model: name.and_then(|name| Some((name.clone(), load_robot(&name).ok()?))),
         log: &stream.log,
         log_options: String::new(),
     })?;
@@ -374,7 +374,7 @@ fn taken(
         reading: reading(diagnosis),
         base: source.chain.base_name().to_owned(),
         tip: source.chain.tip_name().to_owned(),
-        joints: unzeroed.corrected_joints(&arm.joints, &arm.slides()),
+        joints: unzeroed.corrected_joints(&arm.joints, &arm.are_prismatic()),
         columns: source.columns.clone(),
         t_s: diagnosis.aligned.t_s.clone(),
         poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),

@@ -160,8 +160,9 @@ impl Audited {
     }
 
     pub(crate) fn figures(&self) -> Figures {
-        let corrected =
-            |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
+        let corrected = |arm: &Arm, of: &ArmEvidence| {
+            of.diagnosis.corrected_joints(&arm.joints, &arm.are_prismatic())
+        };
         let drawn = build_figures(&self.run, &self.evidence, corrected, &self.report.findings);
         Figures { is_longest_segment: self.is_part, ..drawn }
     }

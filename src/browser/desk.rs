@@ -7,7 +7,7 @@ use poseaudit::desk::{
     paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
 };
 use poseaudit::report::Trouble;
-use poseaudit::run::robot_of;
+use poseaudit::run::load_robot;
 use serde::Deserialize;
 
 use crate::{Answer, misuse};
@@ -43,7 +43,7 @@ pub fn answer(asked: &Asked) -> Result<Answer, Trouble> {
         });
     };
     let b = paste(other).map_err(trouble("pose B"))?;
-    let robot = asked.robot.as_deref().map(robot_of).transpose()?;
+    let robot = asked.robot.as_deref().map(load_robot).transpose()?;
     let names = |of: &Pasted| FrameNames { parent: of.parent.clone(), child: of.child.clone() };
     let question = Question {
         is: coded,

@@ -8,7 +8,7 @@ use poseaudit::output::tables::{Configurations, TableError, kinematics_frame, wr
 use poseaudit::places::Places;
 use poseaudit::report::{Trouble, sanitize_display};
 use poseaudit::robot::{Chain, Robot};
-use poseaudit::run::robot_of;
+use poseaudit::run::load_robot;
 use serde_json::json;
 
 use super::output::Format;
@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     args.file.iter().for_each(|file| places.reads("the file of joint positions", file));
     args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
     places.check()?;
-    let robot = robot_of(&args.robot)
+    let robot = load_robot(&args.robot)
         .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;
     let chain = chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
     match (&args.file, &args.output) {

@@ -10,7 +10,7 @@ use poseaudit::desk::{
 };
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
-use poseaudit::run::robot_of;
+use poseaudit::run::load_robot;
 
 use super::output::Format;
 use super::{Outcome, misuse, output};
@@ -183,7 +183,7 @@ fn reconcile_pairs(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome
     let is = frame_names(&is, "--is-frames", args.is_frames.as_deref())?;
     let but: Vec<&Pasted> = pairs.iter().map(|pair| &pair.but).collect();
     let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
-    let robot = args.robot.as_deref().map(robot_of).transpose();
+    let robot = args.robot.as_deref().map(load_robot).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
     // Message frames may be a world or camera; frames on the command line must be links.
     for (option, given, names) in

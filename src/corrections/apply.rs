@@ -113,7 +113,7 @@ impl GivenCorrections<'_> {
         let topics: Vec<String> = run.streams.iter().map(|stream| stream.topic.clone()).collect();
         for arm in &mut run.arms {
             let joint_correction = self.joint_correction(arm, &topics)?;
-            if !joint_correction.is_nothing() {
+            if !joint_correction.is_identity() {
                 arm.correct_joints(joint_correction);
             }
         }
@@ -125,11 +125,11 @@ impl GivenCorrections<'_> {
         arm: &Arm,
         topics: &[String],
     ) -> Result<JointStateCorrection, Trouble> {
-        let mut joint_correction = JointStateCorrection::none(arm.joint_names.len());
+        let mut joint_correction = JointStateCorrection::identity(arm.joint_names.len());
         let column = |name: &String| arm.joint_names.iter().position(|joint| joint == name);
         for correction in &self.corrections.topics {
             let is_of_topic = |column: usize| {
-                let facts = arm.joint_facts.get(column);
+                let facts = arm.joint_sources.get(column);
                 facts.is_some_and(|facts| is_same_topic(&topics[facts.stream], &correction.name))
             };
             if let Some(JointOrder { is, read_as }) = &correction.joint_order {
@@ -272,10 +272,10 @@ fn correct_poses(
     max_lag_s: f64,
     unapplied: &mut UnappliedParts,
 ) {
-    let is_joints = |facts: &crate::run::JointFacts| {
+    let is_joints = |facts: &crate::run::JointSource| {
         is_same_topic(&run.streams[facts.stream].topic, &correction.name)
     };
-    if run.arms[arm].joint_facts.iter().any(is_joints) {
+    if run.arms[arm].joint_sources.iter().any(is_joints) {
         unapplied.mark_applied("angle_unit");
     }
     for index in 0..run.arms[arm].poses.len() {

@@ -137,9 +137,10 @@ pub(super) fn arm_evidence(
     options: &RunOptions,
 ) -> ArmEvidence {
     let arm = &run.arms[index];
-    let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
+    let joints_stream = arm.joint_sources.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
-    let corrected_track = found.without_eccentricity().corrected_joints(&arm.joints, &arm.slides());
+    let corrected_track =
+        found.without_eccentricity().corrected_joints(&arm.joints, &arm.are_prismatic());
     let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
     let max_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
@@ -159,13 +160,14 @@ pub(super) fn arm_evidence(
         unidentified_columns: unidentified_columns(run, source),
         has_independent_stamps: !source.stamps_copied,
         has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
-        is_undeclared: source.track.declared.is_none() && run.streams[source.stream].is_bare(),
+        is_undeclared: source.track.declared.is_none()
+            && run.streams[source.stream].lacks_encoding(),
         declared: source.track.declared.as_ref().map(|units| DeclaredUnits {
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,
         }),
         alternation: run
-            .alternations
+            .tool_switching
             .iter()
             .find(|(stream, _)| *stream == source.stream)
             .map(|(_, alternation)| alternation.converted_to_m(&found)),
@@ -185,19 +187,23 @@ pub(super) fn arm_evidence(
         };
         arm_stream_evidence(run, arm, source.stream, found)
     });
-    let samples = run.joint_samples(&arm.joint_facts);
+    let samples = run.joint_samples(&arm.joint_sources);
     let change_points = change_points(&found, arm.joint_names.len());
     let velocities = velocities(&samples, &change_points);
     let joint_correction = mending(arm, &found);
-    let actual =
-        arm.recorded.as_ref().map(|(_, mending)| mending).or(joint_correction.as_ref()).cloned();
-    let samples = match &arm.recorded {
-        Some((_, mending)) => mending.corrected_samples(&samples),
+    let actual = arm
+        .before_correction
+        .as_ref()
+        .map(|(_, mending)| mending)
+        .or(joint_correction.as_ref())
+        .cloned();
+    let samples = match &arm.before_correction {
+        Some((_, mending)) => mending.apply_to_samples(&samples),
         None => samples,
     };
     let (samples, track) = match joint_correction {
         Some(mending) => {
-            (mending.corrected_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+            (mending.apply_to_samples(&samples), Cow::Owned(mending.apply(&arm.joints)))
         }
         None => (samples, Cow::Borrowed(&*arm.joints)),
     };
@@ -215,7 +221,7 @@ pub(super) fn arm_evidence(
         )
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
-        if run.streams[source.stream].holds_no_rotation() {
+        if run.streams[source.stream].lacks_rotation() {
             found.encoding = Err(NotObservable::NoOrientation);
         }
         let in_other_units = matches!(found.length_unit, Ok(Some(_)));
@@ -254,7 +260,7 @@ pub(super) fn arm_evidence(
         span: span_or_run(run, joints_stream),
         joints,
         reach_m: arm.chain.max_reach_m(),
-        better_model: arm.better.clone(),
+        better_model: arm.competing.clone(),
         indistinguishable_models: arm.indistinguishable.clone(),
         dh: diagnosis.dh,
         is_in_degrees_by_magnitude,

@@ -7,7 +7,7 @@ use crate::diagnosis::{
     fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
-use crate::run::{Arm, ImuSource, Run, realign_moving_bases, together};
+use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
 use crate::stream::JointTrack;
 
 /// DH table of a robot.
@@ -44,7 +44,7 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
         match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
                 let convention = declared.other().name();
-                arm.found += &format!(", DH table interpreted as {convention}");
+                arm.identified_by += &format!(", DH table interpreted as {convention}");
                 run.replace_arm(index, arm);
                 ArmStreamsDiagnosis { dh, ..other }
             }
@@ -127,14 +127,14 @@ fn position_factor(found: &PoseDiagnosis) -> f64 {
 
 fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
     let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
-    let together = together(arm);
+    let together = common_diagnosis_count(arm);
     let mut diagnosis = diagnose_with_latency_compensation(
         &arm.joints,
         &streams[..together],
-        &arm.slides(),
+        &arm.are_prismatic(),
         max_lag_s,
     );
-    let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.slides());
+    let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.are_prismatic());
     let derived_streams = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
         match same {
@@ -152,7 +152,7 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
         let found = diagnose_derived(&arm.joints, reading, stream, max_lag_s);
         // Transforms in the log were published without corrections.
         let as_recorded = arm
-            .recorded
+            .before_correction
             .as_ref()
             .map(|(recorded, _)| diagnose_derived(recorded, None, stream, max_lag_s));
         match as_recorded {
@@ -186,5 +186,5 @@ fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
 /// Corrected joint states. `None` if no encoding of the joints fits the poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
     let is_unread = matches!(found.joints.encoding, Err(NotObservable::NotExcited));
-    (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))
+    (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.are_prismatic()))
 }

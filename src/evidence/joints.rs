@@ -56,11 +56,11 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointStateCor
     };
     let offset: Vec<f64> = (0..found.offsets.len()).map(coded_zero).collect();
     let mut mending =
-        JointStateCorrection { offset, ..JointStateCorrection::none(arm.joint_names.len()) };
+        JointStateCorrection { offset, ..JointStateCorrection::identity(arm.joint_names.len()) };
     if let Some((really, _)) = &reading.permutation {
         really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
     }
-    for (factor, slides) in mending.factor.iter_mut().zip(arm.slides()) {
+    for (factor, slides) in mending.factor.iter_mut().zip(arm.are_prismatic()) {
         *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
     }
     reading.unit_errors.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
@@ -77,7 +77,7 @@ pub(super) fn joint_evidence(
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
     let mut motion = JointMotion::default();
-    if let Some(source) = arm.joint_facts.get(joint) {
+    if let Some(source) = arm.joint_sources.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
         let is_wrapped = run
             .wrapped

@@ -16,7 +16,7 @@ use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
 use crate::log::{self, Loss, Note, Repeat};
-use crate::run::{Arm, Frozen, Norms, NotAudited, NotAuditedReason, Run, RunOptions};
+use crate::run::{Arm, Frozen, NormDefects, NotAudited, NotAuditedReason, Run, RunOptions};
 use crate::time::Stamp;
 
 pub use arm::ArmEvidence;
@@ -54,7 +54,7 @@ pub struct RunEvidence {
     /// TF topics and their problems.
     pub tf: TfEvidence,
     /// Deviation from rotations, if those have more than three numbers.
-    pub norms: Vec<StreamEvidence<Vec<Norms>>>,
+    pub norms: Vec<StreamEvidence<Vec<NormDefects>>>,
     /// Outliers of joint states, tool poses and transforms.
     pub outliers: Vec<StreamEvidence<OutlierEvidence>>,
     /// Frozen intervals of streams compared with the arm.

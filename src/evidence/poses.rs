@@ -120,7 +120,7 @@ pub(super) fn euler(
 
 /// Unidentified columns that may be the rotation of positions without one.
 pub(super) fn unidentified_columns(run: &Run, source: &PoseSource) -> Vec<String> {
-    if !run.streams[source.stream].holds_no_rotation() {
+    if !run.streams[source.stream].lacks_rotation() {
         return Vec::new();
     }
     let is_left = |stream: &&Stream| matches!(stream.role, Role::Ignored | Role::Unassigned);

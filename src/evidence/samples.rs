@@ -1,6 +1,6 @@
 use super::{StreamEvidence, stream_evidence};
 use crate::robot::JointKind;
-use crate::run::{Frozen, Norms, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
+use crate::run::{Frozen, NormDefects, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
 use crate::stream::Columns;
 
 /// Unusable samples of a stream.
@@ -41,13 +41,13 @@ pub struct RepeatedValueEvidence {
 }
 
 /// Grouped by stream.
-pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<Norms>>> {
+pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<NormDefects>>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
-    let mut streams: Vec<StreamEvidence<Vec<Norms>>> = Vec::new();
+    let mut streams: Vec<StreamEvidence<Vec<NormDefects>>> = Vec::new();
     let mut last = None;
-    for norms in &run.norms {
+    for norms in &run.norm_defects {
         let Some(stream) = run.streams.get(norms.stream) else { continue };
         let is_rotations = match &stream.columns {
             // Only a pose has a quaternion as four bare numbers.
@@ -84,7 +84,7 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
             Some(Columns::Joints(joints)) => {
                 let names = joints.joints.iter().map(|joint| joint.name.as_str());
                 let of_arm = names.zip(&joints.unusable).filter(|(name, _)| {
-                    let mut of_arms = run.arms.iter().flat_map(|arm| &arm.joint_facts);
+                    let mut of_arms = run.arms.iter().flat_map(|arm| &arm.joint_sources);
                     run.arms.is_empty() || of_arms.any(|joint| joint.name == *name)
                 });
                 let worst = of_arm.max_by_key(|(_, count)| **count);
@@ -96,7 +96,8 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
             }
             Some(Columns::Poses(_) | Columns::Transforms(_)) => {
                 // Without any orientation, the part has no rotations.
-                let some = run.norms.iter().filter(|norms| norms.stream == index && norms.rows > 0);
+                let some =
+                    run.norm_defects.iter().filter(|norms| norms.stream == index && norms.rows > 0);
                 facts.unset = some.map(|norms| norms.unset as u64).sum();
             }
             Some(Columns::Array(array)) => {
@@ -154,7 +155,7 @@ pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
         Some(stream_evidence(run, index, times.copied().collect()))
     };
     let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
-    joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
+    joints.chain(run.searched_for_frozen.iter().copied()).filter_map(frozen).collect()
 }
 
 pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvidence>> {
@@ -174,7 +175,7 @@ pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvid
         run.arms.iter().any(|arm| {
             let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;
             arm.tf.as_ref().is_ok_and(follows)
-                && arm.joint_facts.iter().any(|joint| repeats(joint.stream))
+                && arm.joint_sources.iter().any(|joint| repeats(joint.stream))
         })
     };
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));

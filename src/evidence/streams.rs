@@ -101,7 +101,7 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
         let found = RhythmEvidence {
             due: expected_timing(run, stream)?,
             rate_hz: stream.rate_hz,
-            declared_hz: stream.said_hz,
+            declared_hz: stream.expected_hz,
             unstamped: run
                 .clocks
                 .iter()
@@ -111,7 +111,7 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
             in_other_frames: others
                 .iter()
                 .filter(|found| found.stream == rhythm.stream)
-                .map(|found| match found.why {
+                .map(|found| match found.reason {
                     NotAuditedReason::OtherFrames { samples, .. } => samples,
                     _ => 0,
                 })

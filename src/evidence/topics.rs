@@ -100,10 +100,10 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudite
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
         matches!(found.encoding, Err(NotObservable::OrientationNotSet))
-            && !run.streams[source.stream].holds_no_rotation()
+            && !run.streams[source.stream].lacks_rotation()
     });
     let why = NotAuditedReason::NoOrientation;
-    unset.map(|(source, _)| NotAudited { stream: source.stream, why: why.clone() }).collect()
+    unset.map(|(source, _)| NotAudited { stream: source.stream, reason: why.clone() }).collect()
 }
 
 /// Topics with further poses in frames not connected to the arm.
@@ -139,7 +139,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
             samples: others.iter().map(|other| other.count).sum(),
             of: all.iter().map(|&index| run.streams[index].count).sum(),
         };
-        Some(NotAudited { stream: index, why })
+        Some(NotAudited { stream: index, reason: why })
     };
     tied.iter().filter_map(|&index| of(index)).collect()
 }
@@ -153,8 +153,8 @@ pub(super) fn not_audited(
         return Vec::new();
     }
     let why_not = |(index, stream): (usize, &Stream)| {
-        let known = run.unaudited.iter().chain(unset).filter(|found| found.stream == index);
-        let why: Vec<NotAuditedReason> = known.map(|found| found.why.clone()).collect();
+        let known = run.not_audited.iter().chain(unset).filter(|found| found.stream == index);
+        let why: Vec<NotAuditedReason> = known.map(|found| found.reason.clone()).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
         is_asked.then(|| stream_evidence(run, index, why))
     };
@@ -225,7 +225,7 @@ fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
         return Vec::new();
     }
     let is_read = |name: &str| {
-        run.arms.iter().any(|arm| arm.joint_facts.iter().any(|joint| joint.name == name))
+        run.arms.iter().any(|arm| arm.joint_sources.iter().any(|joint| joint.name == name))
     };
     let is_of_an_arm = |name: &str| run.arms.iter().any(|arm| arm.robot.joint(name).is_some());
     let is_silent = |joint: &&JointColumn| {

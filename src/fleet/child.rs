@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use super::dataset::{Shared, learnt};
+use super::dataset::{SharedMapping, learnt};
 use super::settle::{is_of_memory, settle};
 use super::sources::path_of;
 use super::store::Store;
@@ -44,7 +44,7 @@ pub struct Job {
     pub path: Vec<u8>,
     pub task: Task,
     /// Common properties of its dataset.
-    pub shared: Option<Shared>,
+    pub shared: Option<SharedMapping>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -54,7 +54,7 @@ enum Told {
     Begun(usize),
     /// Results of the first logs of the order; their rows are stored.
     Answers(Vec<Ended>),
-    Learnt(Option<Shared>),
+    Learnt(Option<SharedMapping>),
     /// Why the rows could not be written.
     Fault(String),
 }
@@ -122,7 +122,7 @@ impl Worker {
         }
     }
 
-    pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<Shared>, Death> {
+    pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<SharedMapping>, Death> {
         match self.told(&Order::Learn(path)).map_err(|(_, death)| death)? {
             Told::Learnt(shared) => Ok(shared),
             _ => Err(self.gone()),

@@ -9,7 +9,7 @@ use crate::boundary::catch_panic;
 use crate::log::{self, SourceName, enclosing_dataset, is_store, is_table, is_url, split_episode};
 use crate::report::Trouble;
 use crate::robot::catalogue;
-pub use crate::run::Shared;
+pub use crate::run::SharedMapping;
 use crate::run::{Run, identify_columns};
 
 /// Indices of the logs of each dataset.
@@ -56,11 +56,11 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
     asked
 }
 
-pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
+pub fn learnt(path: &Path, options: &Options) -> Option<SharedMapping> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
     let from = SourceName::from_path(path).to_string();
     let from = from.rsplit('/').next().unwrap_or_default().to_owned();
-    let learn = || -> Result<Shared, Trouble> {
+    let learn = || -> Result<SharedMapping, Trouble> {
         let mut log = log::open(&options.logs, &options.read)?;
         let mut columns = identify_columns(&mut log, &options.run);
         if let Some(columns) = &mut columns {
@@ -72,13 +72,13 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
             _ => None,
         });
         let robot = robot.filter(|name| catalogue::find(name).is_some());
-        Ok(Shared { from: vec![from], robot, columns })
+        Ok(SharedMapping { from: vec![from], robot, columns })
     };
     catch_panic(learn).ok()?.ok()
 }
 
 /// The arm if all agree, and the columns if all conclusive logs agree.
-pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
+pub fn together(told: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping> {
     let first = told.first()?;
     // Tables in one folder may belong to several arms.
     let is_one =
@@ -87,7 +87,7 @@ pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     let robot = robot.filter(|_| is_one && told.iter().all(|it| it.robot == first.robot));
     let decided: Vec<_> = told
         .iter()
-        .filter_map(|it| it.columns.as_ref().filter(|columns| columns.is_told()))
+        .filter_map(|it| it.columns.as_ref().filter(|columns| columns.is_determined()))
         .collect();
     let columns = match decided.as_slice() {
         [] => first.columns.clone().filter(|_| told.iter().all(|it| it.columns.is_some())),
@@ -96,11 +96,13 @@ pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
         }
     };
     let from = told.iter().flat_map(|it| it.from.clone()).collect();
-    Some(Shared { from, robot, columns }).filter(|it| it.robot.is_some() || it.columns.is_some())
+    Some(SharedMapping { from, robot, columns })
+        .filter(|it| it.robot.is_some() || it.columns.is_some())
 }
 
 /// Whether the columns are undetermined and another log may help.
-pub fn is_open(told: &[Shared]) -> bool {
-    let is_told = |it: &Shared| it.columns.as_ref().is_some_and(|columns| columns.is_told());
+pub fn is_open(told: &[SharedMapping]) -> bool {
+    let is_told =
+        |it: &SharedMapping| it.columns.as_ref().is_some_and(|columns| columns.is_determined());
     told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)
 }

@@ -11,7 +11,7 @@ use std::{io, mem};
 
 use super::child::{Death, Job, Limits, Worker};
 use super::content::{Content, Identity, Stand, key_of};
-use super::dataset::{self, Groups, Shared};
+use super::dataset::{self, Groups, SharedMapping};
 use super::labels::{Labels, Template};
 use super::outcomes::{Failure, Outcomes};
 use super::settings::AuditSettings;
@@ -114,7 +114,7 @@ struct Engine<'a> {
     contents: HashMap<String, String>,
     /// Datasets of the logs, and their shared properties.
     groups: Groups,
-    shared: Mutex<HashMap<PathBuf, Option<Shared>>>,
+    shared: Mutex<HashMap<PathBuf, Option<SharedMapping>>>,
     next: AtomicUsize,
     since_merge: AtomicUsize,
     book: Mutex<Book>,
@@ -265,7 +265,11 @@ impl Engine<'_> {
     }
 
     /// Inferred once from a sample, and stored.
-    fn shared(&self, path: &Path, worker: &mut Option<Worker>) -> Result<Option<Shared>, Trouble> {
+    fn shared(
+        &self,
+        path: &Path,
+        worker: &mut Option<Worker>,
+    ) -> Result<Option<SharedMapping>, Trouble> {
         let group = dataset::group_of(path);
         if group.as_os_str().is_empty() {
             return Ok(None);
@@ -279,7 +283,7 @@ impl Engine<'_> {
         let shared = match (kept, self.groups.get(&group)) {
             (Some(kept), _) => Some(kept),
             (None, Some(members)) => {
-                let mut told: Vec<Shared> = Vec::new();
+                let mut told: Vec<SharedMapping> = Vec::new();
                 for at in dataset::asked(members) {
                     if told.len() >= dataset::ASKED && !dataset::is_open(&told) {
                         break;

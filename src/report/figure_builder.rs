@@ -57,7 +57,8 @@ pub(crate) fn build_figures(
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
             // The publisher of the log's transforms uses uncorrected joint states.
-            let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
+            let joints =
+                arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
             let drawn = pose_figure(&clock, joints, source, facts, stream);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
         }

@@ -12,7 +12,7 @@ use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
 use crate::finding::{CheckRow, Finding, Word, word};
 use crate::robot::{Chain, JointKind, Robot};
-use crate::run::{Arm, PoseSourceKind, Run, RunOptions, robot_of};
+use crate::run::{Arm, PoseSourceKind, Run, RunOptions, load_robot};
 use crate::stream::JointTrack;
 
 /// Motion that would resolve inconclusive checks.
@@ -136,7 +136,7 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     match given {
         Some(given) => Some((given.model.clone(), given.robot().ok()?)),
         None if arm.robot.text().is_none() => {
-            Some((arm.robot.name.clone(), robot_of(&arm.robot.name).ok()?))
+            Some((arm.robot.name.clone(), load_robot(&arm.robot.name).ok()?))
         }
         None => None,
     }

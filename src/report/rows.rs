@@ -96,7 +96,7 @@ pub(crate) fn join_segments(rows: impl Iterator<Item = StreamRow>) -> Vec<Stream
 pub(crate) fn robot_rows(run: &Run) -> Vec<RobotRow> {
     let row = |arm: &Arm| RobotRow {
         name: arm.name.clone(),
-        source: arm.found.clone(),
+        source: arm.identified_by.clone(),
         base: arm.chain.base_name().to_owned(),
         tip: arm.chain.tip_name().to_owned(),
         joints: arm.chain.joint_names().to_vec(),

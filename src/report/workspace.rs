@@ -125,7 +125,7 @@ struct JointRows<'a> {
 
 impl<'a> JointRows<'a> {
     fn new(run: &'a Run, arm: &'a Arm) -> Self {
-        let samples = run.joint_samples(&arm.joint_facts);
+        let samples = run.joint_samples(&arm.joint_sources);
         let is_shared = match samples.as_slice() {
             [first, others @ ..] => others.iter().all(|other| other.is_beside(first)),
             [] => false,

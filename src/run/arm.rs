@@ -8,12 +8,12 @@ use crate::stream::JointTrack;
 use crate::time::Stamp;
 
 use super::error::RunError;
-use super::joints::{JointFacts, JointSamples, JointTopics};
-use super::model::{CompetingModel, FrameNames, Model};
-use super::role::{Place, words};
+use super::joints::{JointSamples, JointSource, JointTopics};
+use super::model::{CompetingModel, FrameNames, LogModel};
+use super::namespace::{Namespace, NamespaceMatch};
+use super::role::{FrameKind, split_words};
 use super::skeleton::{self, ArmPath, driver};
 use super::sources::{ImuSource, PoseSource};
-use super::space::{Claim, Space};
 use super::tf_error::TfError;
 use super::tf_tree::{TfTree, without_slash};
 
@@ -25,9 +25,9 @@ pub struct Arm {
     /// The robot, with the log's joint names.
     pub robot: Robot,
     /// How the robot was identified.
-    pub found: String,
+    pub identified_by: String,
     /// Arm that fits far better than the named `robot`.
-    pub better: Option<CompetingModel>,
+    pub competing: Option<CompetingModel>,
     /// Other catalogue arms that fit about as well as the guessed `robot`.
     pub indistinguishable: Vec<String>,
     /// Chain from base to tip.
@@ -41,9 +41,9 @@ pub struct Arm {
     /// Joint states.
     pub joints: Arc<JointTrack>,
     /// Origin of each column.
-    pub joint_facts: Vec<JointFacts>,
+    pub joint_sources: Vec<JointSource>,
     /// Joint states before the correction, and the correction.
-    pub recorded: Option<(Arc<JointTrack>, JointStateCorrection)>,
+    pub before_correction: Option<(Arc<JointTrack>, JointStateCorrection)>,
     /// Measured and candidate tool poses.
     pub poses: Vec<PoseSource>,
     /// Tip poses from the log's transforms, or why there are none.
@@ -58,13 +58,13 @@ pub struct Arm {
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
     pub(super) joint_stamps: Arc<[Stamp]>,
-    pub(super) space: Space,
+    pub(super) namespace: Namespace,
     pub(super) tree: Arc<TfTree>,
 }
 
 impl Arm {
     /// Whether each joint column is prismatic.
-    pub fn slides(&self) -> Vec<bool> {
+    pub fn are_prismatic(&self) -> Vec<bool> {
         let slides = |name: &String| {
             self.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
         };
@@ -85,39 +85,39 @@ pub struct JointStateCorrection {
 
 impl JointStateCorrection {
     /// No correction.
-    pub fn none(joints: usize) -> Self {
+    pub fn identity(joints: usize) -> Self {
         let from = (0..joints).collect();
         Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
     }
 
     /// Whether there is no correction.
-    pub fn is_nothing(&self) -> bool {
-        *self == Self::none(self.from.len())
+    pub fn is_identity(&self) -> bool {
+        *self == Self::identity(self.from.len())
     }
 
     /// Corrected joint states.
-    pub fn mended(&self, track: &JointTrack) -> JointTrack {
-        let mut mended = track.clone();
+    pub fn apply(&self, track: &JointTrack) -> JointTrack {
+        let mut corrected = track.clone();
         for start in (0..track.q.len()).step_by(track.dof.max(1)) {
             for (joint, &from) in self.from.iter().enumerate() {
                 let factor = self.factor[joint];
-                mended.q[start + joint] = factor * track.q[start + from] + self.offset[joint];
-                mended.qd[start + joint] = factor * track.qd[start + from];
+                corrected.q[start + joint] = factor * track.q[start + from] + self.offset[joint];
+                corrected.qd[start + joint] = factor * track.qd[start + from];
             }
         }
-        mended
+        corrected
     }
 
     /// Corrected samples of each joint.
-    pub fn corrected_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
-        let mended = self.from.iter().enumerate().map(|(joint, &from)| {
+    pub fn apply_to_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
+        let corrected = self.from.iter().enumerate().map(|(joint, &from)| {
             let mut samples = samples[from].clone();
             let (factor, offset) = (self.factor[joint], self.offset[joint]);
             samples.position.to_mut().iter_mut().for_each(|q| *q = factor * *q + offset);
             samples.velocity.to_mut().iter_mut().for_each(|qd| *qd *= factor);
             samples
         });
-        mended.collect()
+        corrected.collect()
     }
 }
 
@@ -151,13 +151,13 @@ pub enum TfUnavailable {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Anchor {
+pub(super) struct FrameAnchor {
     pub link: LinkId,
     pub link_from_frame: Pose,
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Ends<'a> {
+pub(super) struct ChainEnds<'a> {
     pub base: Option<&'a str>,
     pub tip: Option<&'a str>,
 }
@@ -168,9 +168,9 @@ impl Arm {
     /// # Errors
     /// If base or tip are not links, a joint between them is missing, or no time has samples of all joints.
     pub(super) fn new(
-        model: &Model,
+        model: &LogModel,
         path: &ArmPath,
-        ends: Ends<'_>,
+        ends: ChainEnds<'_>,
         joints: &JointTopics<'_>,
     ) -> Result<Self, RunError> {
         let robot = &model.robot;
@@ -213,20 +213,20 @@ impl Arm {
             robot: robot.name.clone(),
             joints: joint_names.clone(),
         })?;
-        let columns = columns_of(&joint_names, &chain).unwrap_or_default();
+        let columns = joint_columns(&joint_names, &chain).unwrap_or_default();
         Ok(Self {
             name: robot.name.clone(),
             robot: robot.clone(),
-            found: model.found.clone(),
-            better: model.better.clone(),
+            identified_by: model.identified_by.clone(),
+            competing: model.competing.clone(),
             indistinguishable: model.indistinguishable.clone(),
             chain,
             columns,
             tip_named: ends.tip.is_some(),
             joint_names,
             joints: merged.track,
-            joint_facts: merged.facts,
-            recorded: None,
+            joint_sources: merged.sources,
+            before_correction: None,
             poses: Vec::new(),
             tf: Err(TfUnavailable::NoTransforms),
             from_model: Vec::new(),
@@ -236,7 +236,7 @@ impl Arm {
             unnamed_base: model.controller_base.unwrap_or(base),
             frames: model.frames.clone(),
             joint_stamps: merged.stamps,
-            space: Space::default(),
+            namespace: Namespace::default(),
             tree: Arc::default(),
         })
     }
@@ -270,47 +270,47 @@ impl Arm {
         })
     }
 
-    pub(crate) fn correct_joints(&mut self, mending: JointStateCorrection) {
-        let mended = mending.mended(&self.joints);
-        let recorded = std::mem::replace(&mut self.joints, Arc::new(mended));
-        self.recorded = Some((recorded, mending));
+    pub(crate) fn correct_joints(&mut self, correction: JointStateCorrection) {
+        let corrected = correction.apply(&self.joints);
+        let recorded = std::mem::replace(&mut self.joints, Arc::new(corrected));
+        self.before_correction = Some((recorded, correction));
     }
 
     /// Whether this arm includes a joint of `path`.
-    pub(super) fn is_along(&self, path: &ArmPath) -> bool {
+    pub(super) fn has_joint_of(&self, path: &ArmPath) -> bool {
         self.chain.joint_names().iter().any(|joint| path.joints.contains(joint))
     }
 
     /// The chain between two links with its columns, if all its joints are logged.
     pub(super) fn chain_between(&self, base: LinkId, tip: LinkId) -> Option<(Chain, Vec<usize>)> {
         let chain = self.robot.chain(base, tip).ok()?;
-        let columns = columns_of(&self.joint_names, &chain)?;
+        let columns = joint_columns(&self.joint_names, &chain)?;
         Some((chain, columns))
     }
 
     /// Classifies a frame, and returns the link that it is or is tied to.
-    pub(super) fn place(&self, frame: &str) -> (Place, Option<Anchor>) {
+    pub(super) fn classify_frame(&self, frame: &str) -> (FrameKind, Option<FrameAnchor>) {
         if frame.is_empty() {
-            return (Place::Unnamed, None);
+            return (FrameKind::Unnamed, None);
         }
         let link_of = |frame: &str| self.frames.link_of(&self.robot, frame);
         let (anchor, is_link) = match link_of(frame) {
-            Some(link) => (Anchor { link, link_from_frame: Pose::identity() }, true),
+            Some(link) => (FrameAnchor { link, link_from_frame: Pose::identity() }, true),
             None => {
                 let tied = self.tree.tied(frame, |other| link_of(other).is_some());
                 let anchor = tied.and_then(|(name, link_from_frame)| {
-                    Some(Anchor { link: link_of(name)?, link_from_frame })
+                    Some(FrameAnchor { link: link_of(name)?, link_from_frame })
                 });
                 match anchor {
                     Some(anchor) => (anchor, false),
-                    None => return (Place::Unknown, None),
+                    None => return (FrameKind::Unknown, None),
                 }
             }
         };
-        let place = match (self.moves(anchor.link), is_link) {
-            (true, _) => Place::MovingLink,
-            (false, true) => Place::StillLink,
-            (false, false) => Place::Tied,
+        let place = match (self.can_move(anchor.link), is_link) {
+            (true, _) => FrameKind::MovingLink,
+            (false, true) => FrameKind::StillLink,
+            (false, false) => FrameKind::StaticallyTied,
         };
         (place, Some(anchor))
     }
@@ -321,59 +321,63 @@ impl Arm {
         Some(chain.map(|chain| chain.joint_names().to_vec()).unwrap_or_default())
     }
 
-    pub(super) fn moves(&self, link: LinkId) -> bool {
-        self.joints_above(link) > 0
+    pub(super) fn can_move(&self, link: LinkId) -> bool {
+        self.count_joints_above(link) > 0
     }
 
     /// A joint that moves `link` but has no joint states.
-    pub(super) fn unlogged_above(&self, link: LinkId) -> Option<&str> {
+    pub(super) fn unlogged_joint_above(&self, link: LinkId) -> Option<&str> {
         skeleton::moving_joints_above(&self.robot, link)
             .map(|joint| driver(&self.robot, joint).name.as_str())
-            .find(|name| !self.reads(name))
+            .find(|name| !self.has_joint_states_of(name))
     }
 
-    fn reads(&self, name: &str) -> bool {
+    fn has_joint_states_of(&self, name: &str) -> bool {
         self.joint_names.iter().any(|known| known == name)
     }
 
-    pub(super) fn knows_between(&self, a: &str, b: &str) -> bool {
+    pub(super) fn has_logged_joint_between(&self, a: &str, b: &str) -> bool {
         let joints = self.joints_between(a, b);
-        joints.is_some_and(|joints| joints.iter().any(|joint| self.reads(joint)))
+        joints.is_some_and(|joints| joints.iter().any(|joint| self.has_joint_states_of(joint)))
     }
 
-    pub(super) fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
-        self.space.claim(names)
+    pub(super) fn match_names<'n>(
+        &self,
+        names: impl IntoIterator<Item = &'n str>,
+    ) -> NamespaceMatch {
+        self.namespace.match_names(names)
     }
 
-    fn joints_above(&self, link: LinkId) -> usize {
+    fn count_joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);
-        above.filter(|joint| self.reads(&driver(&self.robot, joint).name)).count()
+        above.filter(|joint| self.has_joint_states_of(&driver(&self.robot, joint).name)).count()
     }
 
-    pub(super) fn has_most_between(&self, base: LinkId, tip: LinkId) -> bool {
-        const FEWEST: usize = 4;
+    pub(super) fn has_most_joints_between(&self, base: LinkId, tip: LinkId) -> bool {
+        const MIN_JOINTS: usize = 4;
         let own = self.chain.joint_names();
         self.chain_between(base, tip).is_some_and(|(chain, _)| {
             let shared = chain.joint_names().iter().filter(|name| own.contains(name)).count();
-            shared >= FEWEST && 2 * shared > own.len()
+            shared >= MIN_JOINTS && 2 * shared > own.len()
         })
     }
 
     /// Whether most of the arm's joints move this frame.
-    pub(super) fn is_far_out(&self, name: &str) -> bool {
+    pub(super) fn is_moved_by_most_joints(&self, name: &str) -> bool {
         let link = self.frames.link_of(&self.robot, name);
-        link.is_some_and(|link| 2 * self.joints_above(link) > self.joint_names.len())
+        link.is_some_and(|link| 2 * self.count_joints_above(link) > self.joint_names.len())
     }
 
     /// Words of most joint names, and of the tip's name.
-    pub(super) fn words(&self) -> Vec<String> {
-        let of_joints: Vec<Vec<String>> = self.joint_names.iter().map(|name| words(name)).collect();
+    pub(super) fn name_words(&self) -> Vec<String> {
+        let of_joints: Vec<Vec<String>> =
+            self.joint_names.iter().map(|name| split_words(name)).collect();
         let is_of_most = |word: &String| {
             2 * of_joints.iter().filter(|words| words.contains(word)).count() > of_joints.len()
         };
         let mut own: Vec<String> = of_joints.iter().flatten().cloned().collect();
         own.retain(is_of_most);
-        own.extend(words(&self.frame_of(self.tip)));
+        own.extend(split_words(&self.frame_of(self.tip)));
         own.sort_unstable();
         own.dedup();
         own
@@ -389,7 +393,7 @@ impl Arm {
 }
 
 /// The controller's base, else the root. The arm's first link if an unlogged joint moves it.
-fn default_base(model: &Model, path: &ArmPath) -> LinkId {
+fn default_base(model: &LogModel, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
     let known = |joint: &Joint| path.joints.contains(&driver(robot, joint).name);
     let wanted = model.controller_base.unwrap_or(robot.root());
@@ -398,7 +402,7 @@ fn default_base(model: &Model, path: &ArmPath) -> LinkId {
     if is_reachable { wanted } else { path.base }
 }
 
-fn columns_of(joint_names: &[String], chain: &Chain) -> Option<Vec<usize>> {
+fn joint_columns(joint_names: &[String], chain: &Chain) -> Option<Vec<usize>> {
     let column = |name: &String| joint_names.iter().position(|known| known == name);
     chain.joint_names().iter().map(column).collect()
 }

@@ -17,14 +17,14 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 use super::arm::Arm;
-use super::by_order;
 use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
-use super::norms::{norms, release};
+use super::joint_order;
+use super::namespace::Namespace;
+use super::norm_defects::{measure_norm_defects, release_values};
+use super::resolve::resolve;
 use super::role::Role;
-use super::settle::settle;
-use super::space::Space;
 use super::stale;
 use super::streams::{Stream, split};
 use super::tf_problems::detect_tf_problems;
@@ -32,9 +32,9 @@ use super::timing::Timing;
 use super::topics;
 use super::unwrap::{self, unwrap_joints};
 use super::{Run, RunOptions};
-use super::{calibrations, models};
+use super::{given_calibrations, models};
 
-use arms::{Said, joint_topics};
+use arms::{RobotInfo, joint_topics};
 use assembly::{Assembly, is_topic};
 use transforms::tf_tree;
 
@@ -52,7 +52,7 @@ impl Run {
     ) -> Result<Run, E> {
         let mut run = Run::assemble(log, options)?;
         mend(&mut run)?;
-        settle(&mut run, options.max_latency_s);
+        resolve(&mut run, options.max_latency_s);
         Ok(run)
     }
 
@@ -61,16 +61,16 @@ impl Run {
     /// # Errors
     /// If the caller's options are invalid. Faults of the log itself are in [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
-        let given = models::given_or_shared(options)?;
-        let calibrations = calibrations::given(&options.calibrations)?;
+        let given = models::read_given_or_shared(options)?;
+        let calibrations = given_calibrations::given(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
         let mut topics_of_log = log.topics;
-        let robots = models::for_numbers(&given, log.robot_type.as_deref());
-        by_order::name_counted(&mut topics_of_log, &robots);
+        let robots = models::robots_for_numbered_joints(&given, log.robot_type.as_deref());
+        joint_order::name_numbered_joints(&mut topics_of_log, &robots);
         let mut streams = split(topics_of_log);
         for declared in &options.declared {
             // A topic that only the config expects is a finding, not an error.
-            let by_config = options.topics.iter().any(|said| said.is_of(&declared.topic));
+            let by_config = options.topics.iter().any(|info| info.is_of(&declared.topic));
             let has_columns =
                 |stream: &Stream| is_topic(stream, &declared.topic) && stream.columns.is_some();
             if !by_config || streams.iter().any(has_columns) {
@@ -81,7 +81,7 @@ impl Run {
         let wrapped = unwrap_joints(&mut streams);
         let timing = Timing::new(&mut streams, options.stamp, options.max_latency_s);
         let origin = origin(&streams);
-        let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
+        let tf = Arc::new(tf_tree(&streams, &timing, &Namespace::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
             log.descriptions.into_iter().partition(|found| found.text.starts_with('<'));
         let descriptions = descriptions(&streams, attached);
@@ -98,13 +98,13 @@ impl Run {
             origin,
             tf,
             arms: Vec::new(),
-            strangers: Vec::new(),
-            unaudited: Vec::new(),
+            unmatched_joint_topics: Vec::new(),
+            not_audited: Vec::new(),
             shared_streams: Vec::new(),
             frozen: Vec::new(),
-            watched: Vec::new(),
+            searched_for_frozen: Vec::new(),
         };
-        let said = Said {
+        let info = RobotInfo {
             given,
             calibrations,
             descriptions: &descriptions,
@@ -112,7 +112,7 @@ impl Run {
             robot_type: log.robot_type.as_deref(),
             question: log.question,
         };
-        let no_arm = match assembly.find_arms(&said) {
+        let no_arm = match assembly.find_arms(&info) {
             Ok(()) => None,
             Err(error) if error.is_of_the_call() => return Err(error),
             Err(error) => Some(error),
@@ -123,27 +123,27 @@ impl Run {
         for stream in 0..assembly.streams.len() {
             assembly.assign(stream)?;
         }
-        assembly.name_joints();
+        assembly.assign_joint_topics();
         unwrap::add_remarks(&mut assembly.streams, &wrapped);
-        say_columns(&mut assembly.streams);
+        append_column_reasons(&mut assembly.streams);
         let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly {
             mut streams,
             timing,
             tf,
             arms,
-            unaudited,
+            not_audited: unaudited,
             shared_streams,
             frozen,
-            watched,
+            searched_for_frozen: watched,
             ..
         } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let (tf_problems, norms) = (
             detect_tf_problems(&streams, &timing.sample_filter.publishers),
-            norms(&streams, &timing.clocks),
+            measure_norm_defects(&streams, &timing.clocks),
         );
-        release(&mut streams, &norms);
+        release_values(&mut streams, &norms);
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let Timing { clocks, excerpts, sample_filter } = timing;
         Ok(Run {
@@ -159,15 +159,15 @@ impl Run {
             rhythms,
             tf_problems,
             wrapped,
-            norms,
+            norm_defects: norms,
             shared_streams,
-            unaudited,
+            not_audited: unaudited,
             leaders: Vec::new(),
             undecided: Vec::new(),
             frozen: stale::times(&sample_filter.stale).chain(frozen).collect(),
-            alternations: Vec::new(),
+            tool_switching: Vec::new(),
             sample_filter,
-            watched,
+            searched_for_frozen: watched,
             excerpts,
             has_clock_topic,
             no_arm,
@@ -176,7 +176,7 @@ impl Run {
     }
 }
 
-fn say_columns(streams: &mut [Stream]) {
+fn append_column_reasons(streams: &mut [Stream]) {
     for stream in streams {
         if let Some(read_as) = &stream.read_as {
             stream.reason += &format!("; {read_as}");
@@ -193,10 +193,10 @@ fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunErro
         (_, false) => "the topic has no poses",
         (_, true) => return Ok(()),
     };
-    Err(not_so(declared, what.to_owned()))
+    Err(declaration_error(declared, what.to_owned()))
 }
 
-fn not_so(declared: &Declaration, what: String) -> RunError {
+fn declaration_error(declared: &Declaration, what: String) -> RunError {
     let remedy = "check the topic's name and type with `poseaudit info`";
     RunError::Declared { place: declared.place.clone(), what, remedy }
 }
@@ -241,7 +241,7 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 
 impl Assembly<'_> {
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize) -> f64 {
-        let joints = arm.joint_facts.first().map_or(stream, |joint| joint.stream);
+        let joints = arm.joint_sources.first().map_or(stream, |joint| joint.stream);
         self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
     }
 

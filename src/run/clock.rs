@@ -58,9 +58,9 @@ pub struct StreamClock {
     /// Whether the first received header stamp is zero.
     pub begins_at_zero: bool,
     /// Valid times, ns; others are discarded.
-    pub near: RangeInclusive<i64>,
+    pub valid_range: RangeInclusive<i64>,
     /// Number of rows outside that range.
-    pub far: u64,
+    pub out_of_range: u64,
     /// Median of log time minus header stamp, s; `None` if the headers are not [`HeaderStamps::Sound`].
     pub log_minus_header_s: Option<f64>,
     /// 1 % quantile of the same, s; negative if received before the stamps.
@@ -78,7 +78,7 @@ impl StreamClock {
         let may_be_unset = self.clock == Clock::Header;
         let rows = times.nanos_on(self.clock).iter().zip(0..);
         rows.filter(move |(nanos, _)| !may_be_unset || **nanos != 0)
-            .filter(|(nanos, _)| self.near.contains(*nanos))
+            .filter(|(nanos, _)| self.valid_range.contains(*nanos))
             .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
     }
 
@@ -87,12 +87,12 @@ impl StreamClock {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let nanos = *times.nanos_on(self.clock).get(row)?;
         let set = self.clock != Clock::Header || nanos != 0;
-        let set = set && self.near.contains(&nanos);
+        let set = set && self.valid_range.contains(&nanos);
         set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
     }
 }
 
-pub(super) struct Source<'a> {
+pub(super) struct ClockSource<'a> {
     pub stream: usize,
     pub frame: Option<&'a str>,
     /// Times of all rows, per transform.
@@ -102,7 +102,7 @@ pub(super) struct Source<'a> {
     pub is_joints: bool,
 }
 
-impl Source<'_> {
+impl ClockSource<'_> {
     fn rows(&self) -> usize {
         self.times.iter().map(|times| times.len()).sum()
     }
@@ -139,33 +139,33 @@ impl Source<'_> {
 
     /// Valid range: the central 90 % of the rows, extended by a day or 100 times their span. A single far
     /// stamp would else extend the run by centuries.
-    fn near(&self, clock: Clock) -> RangeInclusive<i64> {
-        const DAY: i64 = 86_400_000_000_000;
+    fn valid_range(&self, clock: Clock) -> RangeInclusive<i64> {
+        const MIN_MARGIN_NS: i64 = 86_400_000_000_000;
         /// Fewer rows are not checked; more do not improve the estimate.
-        const ROWS: RangeInclusive<usize> = 20..=100_000;
-        let every = self.rows().div_ceil(*ROWS.end()).max(1);
+        const CHECKED_ROWS: RangeInclusive<usize> = 20..=100_000;
+        let every = self.rows().div_ceil(*CHECKED_ROWS.end()).max(1);
         let mut nanos: Vec<i64> = self.nanos(clock).step_by(every).collect();
-        if nanos.len() < *ROWS.start() {
+        if nanos.len() < *CHECKED_ROWS.start() {
             return i64::MIN..=i64::MAX;
         }
         let (low, high) = (nanos.len() / 20, nanos.len() - 1 - nanos.len() / 20);
         let first = *nanos.select_nth_unstable(low).1;
         let last = *nanos.select_nth_unstable(high).1;
-        let margin = last.saturating_sub(first).saturating_mul(100).max(DAY);
+        let margin = last.saturating_sub(first).saturating_mul(100).max(MIN_MARGIN_NS);
         first.saturating_sub(margin)..=last.saturating_add(margin)
     }
 
-    fn beyond(&self, clock: Clock, near: &RangeInclusive<i64>) -> u64 {
+    fn count_outside(&self, clock: Clock, near: &RangeInclusive<i64>) -> u64 {
         self.nanos(clock).filter(|nanos| !near.contains(nanos)).count() as u64
     }
 
     /// Log time minus time on `clock`, of rows with a stamp.
-    fn delay(&self, clock: Clock) -> Option<Delay> {
-        const ENOUGH: usize = 100_000;
+    fn delay(&self, clock: Clock) -> Option<DelayStats> {
+        const MAX_DELAY_ROWS: usize = 100_000;
         let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.nanos_on(clock)));
-        let rows = rows.step_by(self.rows().div_ceil(ENOUGH).max(1));
+        let rows = rows.step_by(self.rows().div_ceil(MAX_DELAY_ROWS).max(1));
         let stamped = rows.filter(|(_, stamp)| clock != Clock::Header || **stamp != 0);
-        Delay::of(stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect())
+        DelayStats::from_delays(stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect())
     }
 }
 
@@ -173,20 +173,20 @@ impl Source<'_> {
 ///
 /// Each is given by child frame and times. A group has one kind of stamps, and median delays within
 /// `max_latency_s`. Returns each group with its transforms' indices.
-pub(super) fn by_clock<'a>(
+pub(super) fn group_by_clock<'a>(
     stream: usize,
     transforms: impl Iterator<Item = (&'a str, &'a Times)>,
     max_latency_s: f64,
-) -> Vec<(Source<'a>, Vec<usize>)> {
-    let mut groups: Vec<(Source<'a>, Vec<usize>)> = Vec::new();
-    let mut seen: Vec<(HeaderStamps, Option<Delay>)> = Vec::new();
+) -> Vec<(ClockSource<'a>, Vec<usize>)> {
+    let mut groups: Vec<(ClockSource<'a>, Vec<usize>)> = Vec::new();
+    let mut seen: Vec<(HeaderStamps, Option<DelayStats>)> = Vec::new();
     for (index, (child, times)) in transforms.enumerate() {
         let frame = Some(child);
         let alone =
-            Source { stream, frame, times: vec![times], has_header: true, is_joints: false };
+            ClockSource { stream, frame, times: vec![times], has_header: true, is_joints: false };
         let (stamps, _) = alone.header_stamps();
         let delay = alone.delay(Clock::Header);
-        let fits = |(other, group): &(HeaderStamps, Option<Delay>)| {
+        let fits = |(other, group): &(HeaderStamps, Option<DelayStats>)| {
             let close =
                 delay.zip(*group).is_some_and(|(a, b)| a.is_within(max_latency_s, b.median));
             stamps == *other && (stamps != HeaderStamps::Sound || close)
@@ -210,14 +210,14 @@ pub(super) fn by_clock<'a>(
 
 /// Delays of a stream, ns.
 #[derive(Clone, Copy, Debug)]
-struct Delay {
+struct DelayStats {
     median: i64,
     /// 1 % quantile: near the minimum, robust against one stamp from the future.
     floor: i64,
 }
 
-impl Delay {
-    fn of(mut delays: Vec<i64>) -> Option<Self> {
+impl DelayStats {
+    fn from_delays(mut delays: Vec<i64>) -> Option<Self> {
         let at = |part: usize| delays.len() * part / 100;
         let (middle, low) = (at(50), at(1));
         if delays.is_empty() {
@@ -243,8 +243,8 @@ impl Delay {
 /// Alignment uses the minimum of log time minus stamp: the clock offset plus the minimum transport delay.
 /// Subtracting that of a stream on the common clock removes the delay. Streams on log time are aligned
 /// as well if the common clock is not the recorder's.
-pub(super) fn settle(
-    sources: &[Source<'_>],
+pub(super) fn select_clocks(
+    sources: &[ClockSource<'_>],
     wanted: Clock,
     max_latency_s: f64,
 ) -> Vec<StreamClock> {
@@ -255,7 +255,7 @@ pub(super) fn settle(
         let falls_back = wanted == Clock::Header && stamps != HeaderStamps::Sound;
         let clock = if falls_back { Clock::Log } else { wanted };
         let is_sound = stamps == HeaderStamps::Sound;
-        let near = source.near(clock);
+        let near = source.valid_range(clock);
         let header = is_sound.then(|| source.delay(Clock::Header)).flatten();
         delays.push(if clock == Clock::Header { header } else { source.delay(clock) });
         clocks.push(StreamClock {
@@ -266,8 +266,8 @@ pub(super) fn settle(
             rows: source.rows() as u64,
             zero: zero as u64,
             begins_at_zero: source.begins_at_zero(),
-            far: source.beyond(clock, &near),
-            near,
+            out_of_range: source.count_outside(clock, &near),
+            valid_range: near,
             log_minus_header_s: header.map(|delay| seconds(delay.median)),
             soonest_s: header.map(|delay| seconds(delay.floor)),
             epoch: Epoch::Common,
@@ -281,20 +281,20 @@ pub(super) fn settle(
 }
 
 fn align(
-    sources: &[Source<'_>],
+    sources: &[ClockSource<'_>],
     clocks: &mut [StreamClock],
-    delays: &[Option<Delay>],
+    delays: &[Option<DelayStats>],
     max_latency_s: f64,
 ) {
-    let votes: Vec<(usize, Delay)> = (0..clocks.len())
+    let votes: Vec<(usize, DelayStats)> = (0..clocks.len())
         .filter(|&i| clocks[i].clock == Clock::Header)
         .filter_map(|i| Some((i, delays[i]?)))
         .collect();
-    let agreeing = |delay: Delay| {
+    let agreeing = |delay: DelayStats| {
         votes.iter().filter(|(_, other)| other.is_within(max_latency_s, delay.median)).count()
     };
     // Joint states, then the earlier stream.
-    let rank = |&&(i, delay): &&(usize, Delay)| {
+    let rank = |&&(i, delay): &&(usize, DelayStats)| {
         (agreeing(delay), sources[i].is_joints, std::cmp::Reverse(i))
     };
     let Some(&(_, common)) = votes.iter().max_by_key(rank) else { return };
@@ -336,8 +336,8 @@ mod tests {
         times
     }
 
-    fn source(stream: usize, times: &Times) -> Source<'_> {
-        Source {
+    fn source(stream: usize, times: &Times) -> ClockSource<'_> {
+        ClockSource {
             stream,
             frame: None,
             times: vec![times],
@@ -351,7 +351,7 @@ mod tests {
         let good = times(|_, truth| truth);
         let foreign = times(|_, truth| truth - 1_700_000_000_000_000_000);
         let sources = [source(0, &foreign), source(JOINTS, &good), source(2, &good)];
-        let clocks = settle(&sources, Clock::Header, 5.0);
+        let clocks = select_clocks(&sources, Clock::Header, 5.0);
         assert_eq!(
             clocks.iter().map(|c| c.epoch).collect::<Vec<_>>(),
             [Epoch::Foreign, Epoch::Common, Epoch::Common]
@@ -373,13 +373,13 @@ mod tests {
             _ => truth + 3_600_000_000_000,
         };
         let odd = times(odd);
-        let clocks = settle(&[source(JOINTS, &odd)], Clock::Header, 5.0);
-        assert_eq!((clocks[0].far, clocks[0].rows), (2, 1000));
+        let clocks = select_clocks(&[source(JOINTS, &odd)], Clock::Header, 5.0);
+        assert_eq!((clocks[0].out_of_range, clocks[0].rows), (2, 1000));
         assert_eq!((clocks[0].stamp_of(&odd, 500), clocks[0].stamp_of(&odd, 501)), (None, None));
         assert_eq!(clocks[0].rows_of(&odd).count(), 998);
         let foreign = times_of_1970();
-        let clocks = settle(&[source(JOINTS, &foreign)], Clock::Header, 5.0);
-        assert_eq!(clocks[0].far, 0);
+        let clocks = select_clocks(&[source(JOINTS, &foreign)], Clock::Header, 5.0);
+        assert_eq!(clocks[0].out_of_range, 0);
     }
 
     fn times_of_1970() -> Times {
@@ -391,7 +391,7 @@ mod tests {
         let good = times(|_, truth| truth);
         let late = times(|_, truth| truth + 1_500_000_000);
         let sources = [source(JOINTS, &good), source(0, &late)];
-        let clocks = settle(&sources, Clock::Header, 5.0);
+        let clocks = select_clocks(&sources, Clock::Header, 5.0);
         assert!(
             clocks.iter().all(|clock| clock.alignment.is_none() && clock.epoch == Epoch::Common)
         );
@@ -402,7 +402,7 @@ mod tests {
         let good = times(|_, truth| truth);
         let foreign = times(|_, truth| truth - 100_000_000_000);
         let sources = [source(0, &good), source(JOINTS, &foreign)];
-        let clocks = settle(&sources, Clock::Header, 5.0);
+        let clocks = select_clocks(&sources, Clock::Header, 5.0);
         assert_eq!(clocks[0].epoch, Epoch::Foreign);
         assert_eq!(clocks[1].epoch, Epoch::CommonButNotTheRecorders);
         assert_eq!(clocks[0].alignment.unwrap().offset_nanos, -100_000_000_000);
@@ -416,7 +416,7 @@ mod tests {
         let mut sources =
             [source(0, &zero), source(1, &constant), source(2, &some_zero), source(3, &zero)];
         sources[3].has_header = false;
-        let clocks = settle(&sources, Clock::Header, 5.0);
+        let clocks = select_clocks(&sources, Clock::Header, 5.0);
         let seen: Vec<_> = clocks.iter().map(|c| (c.clock, c.stamps, c.zero)).collect();
         assert_eq!(
             seen,
@@ -437,7 +437,7 @@ mod tests {
         let array = times(|_, _| 0);
         let mut sources = [source(JOINTS, &simulated), source(1, &array)];
         sources[1].has_header = false;
-        let clocks = settle(&sources, Clock::Header, 5.0);
+        let clocks = select_clocks(&sources, Clock::Header, 5.0);
         assert_eq!(clocks[0].epoch, Epoch::CommonButNotTheRecorders);
         let first = clocks[1].stamp_of(&array, 0).unwrap();
         assert!(seconds(first.nanos()).abs() < 0.003, "{first}");
@@ -449,17 +449,20 @@ mod tests {
         let foreign = times(|_, truth| truth - 100_000_000_000);
         let unset = times(|_, _| 0);
         let edges = [("a", &good), ("b", &foreign), ("c", &good), ("d", &unset), ("e", &unset)];
-        let groups = by_clock(3, edges.into_iter(), 5.0);
+        let groups = group_by_clock(3, edges.into_iter(), 5.0);
         let members: Vec<_> =
             groups.iter().map(|(source, of)| (source.frame, of.as_slice())).collect();
         assert_eq!(members, [(Some("a"), &[0, 2][..]), (Some("b"), &[1]), (Some("d"), &[3, 4])]);
-        assert_eq!(by_clock(3, [("a", &good), ("c", &good)].into_iter(), 5.0)[0].0.frame, None);
+        assert_eq!(
+            group_by_clock(3, [("a", &good), ("c", &good)].into_iter(), 5.0)[0].0.frame,
+            None
+        );
     }
 
     #[test]
     fn other_clocks_are_taken_as_they_are() {
         let foreign = times(|_, truth| truth - 100_000_000_000);
-        let clocks = settle(&[source(JOINTS, &foreign)], Clock::Log, 5.0);
+        let clocks = select_clocks(&[source(JOINTS, &foreign)], Clock::Log, 5.0);
         assert_eq!((clocks[0].clock, clocks[0].alignment), (Clock::Log, None));
     }
 }

@@ -10,7 +10,7 @@ use crate::robot::Robot;
 use crate::stream::Columns;
 
 use super::error::RunError;
-use super::models::robot_of;
+use super::models::load_robot;
 
 /// Source of a robot: `FILE`, a catalogue `NAME`, or either after `PREFIX=`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,7 +36,7 @@ impl RobotSource {
     pub fn robot(&self) -> Result<Robot, RunError> {
         match &self.text {
             Some(text) => Ok(Robot::from_text(text, &self.model)?),
-            None => robot_of(&self.model),
+            None => load_robot(&self.model),
         }
     }
 }
@@ -153,11 +153,11 @@ impl FromStr for Declaration {
     type Err = DeclarationError;
 
     fn from_str(text: &str) -> Result<Self, DeclarationError> {
-        let (topic, said) = text
+        let (topic, encoding_text) = text
             .split_once('=')
-            .filter(|(topic, said)| !topic.is_empty() && !said.is_empty())
+            .filter(|(topic, encoding_text)| !topic.is_empty() && !encoding_text.is_empty())
             .ok_or_else(|| DeclarationError::NoConvention(text.to_owned()))?;
-        let mut words = said.split(',');
+        let mut words = encoding_text.split(',');
         let name = words.next().unwrap_or_default();
         let vendor = vendors::find(name);
         let coding = match vendor {

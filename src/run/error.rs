@@ -51,7 +51,7 @@ pub enum RunError {
         /// Joints of the model.
         modelled: Vec<String>,
         /// Options that match them.
-        ways: Vec<String>,
+        matches: Vec<String>,
     },
     /// Several catalogue arms with other joint names fit equally well.
     SameMotion {
@@ -171,16 +171,22 @@ impl RunError {
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
                 format!("'{robot}' has no movable joint, but the log has {}", few(logged))
             }
-            Self::UnknownJoints { robot, logged, modelled, ways, .. } => {
-                let said = match ways.as_slice() {
+            Self::UnknownJoints { robot, logged, modelled, matches, .. } => {
+                let alternatives = match matches.as_slice() {
                     [] => String::new(),
                     [way] => format!("; matched by order, the poses do not fit ({way})"),
-                    ways => {
-                        format!("; {} ways fit equally well: {}", ways.len(), ways.join(" or "))
+                    matches => {
+                        format!(
+                            "; {} ways fit equally well: {}",
+                            matches.len(),
+                            matches.join(" or ")
+                        )
                     }
                 };
                 let (logged, modelled) = (few(logged), few(modelled));
-                format!("joint names differ: the log has {logged}, {robot} has {modelled}{said}")
+                format!(
+                    "joint names differ: the log has {logged}, {robot} has {modelled}{alternatives}"
+                )
             }
             Self::SameMotion { arms } => format!(
                 "no catalogue arm has these joint names, and {} arms fit equally well in their order: {}",

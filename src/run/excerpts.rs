@@ -12,7 +12,7 @@ use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 use super::role::Role;
 use super::rows::Rows;
 use super::sample_filter::SampleFilter;
-use super::streams::{Clocks, Stream};
+use super::streams::{Stream, StreamClocks};
 
 /// Maximum duration that is used completely, s.
 const WHOLE_S: i64 = 300;
@@ -33,7 +33,7 @@ impl Excerpts {
     /// `None` if the run is used completely, or has no joint states.
     pub(super) fn select(
         streams: &[Stream],
-        clocks: &Clocks,
+        clocks: &StreamClocks,
         sample_filter: &SampleFilter,
     ) -> Option<Self> {
         let topics = joints(streams, clocks, sample_filter);
@@ -89,7 +89,7 @@ impl Excerpts {
 
 fn joints<'a>(
     streams: &'a [Stream],
-    clocks: &Clocks,
+    clocks: &StreamClocks,
     sample_filter: &SampleFilter,
 ) -> Vec<(&'a JointColumns, Rows)> {
     let is_joints = |(_, stream): &(usize, &Stream)| stream.role == Role::Joints;
@@ -221,7 +221,7 @@ mod tests {
             cells: Vec::new(),
             span: None,
         }]);
-        let clocks = Clocks::settle(&streams, crate::time::Clock::Header, 5.0);
+        let clocks = StreamClocks::select(&streams, crate::time::Clock::Header, 5.0);
         Excerpts::select(&streams, &clocks, &SampleFilter::default())
     }
 

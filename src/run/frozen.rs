@@ -9,7 +9,7 @@ use crate::time::Stamp;
 
 use super::Run;
 use super::arm::Arm;
-use super::poses::Stamped;
+use super::poses::StampedTrack;
 use super::sources::PoseSource;
 
 /// Minimum duration, s; slow sources repeat values for less.
@@ -48,12 +48,12 @@ pub struct Frozen {
 /// If the stream may belong to another arm (not `known`), keeps it when little would remain.
 pub(super) fn take_frozen(
     stream: usize,
-    poses: &mut Stamped<PoseTrack>,
+    poses: &mut StampedTrack<PoseTrack>,
     joints: &JointTrack,
     columns: &[usize],
     (known, max_lag_s): (bool, f64),
 ) -> Vec<Frozen> {
-    let Stamped { track, stamps } = poses;
+    let StampedTrack { track, stamps } = poses;
     let holds = holds(track);
     if holds.is_empty() {
         return Vec::new();

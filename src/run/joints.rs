@@ -14,7 +14,7 @@ use super::velocities::{Smoothed, Velocities, agreement, smoothed};
 
 /// Origin of one joint.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct JointFacts {
+pub struct JointSource {
     /// Joint name in the log.
     pub name: String,
     /// Index of its stream.
@@ -53,7 +53,7 @@ impl JointTopic<'_> {
 pub(super) struct JointTopics<'a> {
     pub topics: Vec<JointTopic<'a>>,
     origin: Stamp,
-    merged: Mutex<Vec<(Vec<String>, Option<Merged>)>>,
+    merged: Mutex<Vec<(Vec<String>, Option<MergedJoints>)>>,
 }
 
 impl<'a> JointTopics<'a> {
@@ -63,7 +63,7 @@ impl<'a> JointTopics<'a> {
     }
 
     /// The named joints, merged by [`merge`].
-    pub fn merged(&self, names: &[String]) -> Option<Merged> {
+    pub fn merged(&self, names: &[String]) -> Option<MergedJoints> {
         let known = || self.merged.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known().iter().find(|(of, _)| of == names).map(|(_, merged)| merged.clone());
         found.unwrap_or_else(|| {
@@ -76,11 +76,11 @@ impl<'a> JointTopics<'a> {
 
 /// Merged track of some joints.
 #[derive(Clone)]
-pub(super) struct Merged {
+pub(super) struct MergedJoints {
     pub track: Arc<JointTrack>,
     /// Stamps of the track's samples.
     pub stamps: Arc<[Stamp]>,
-    pub facts: Vec<JointFacts>,
+    pub sources: Vec<JointSource>,
 }
 
 /// Finite samples, strictly increasing in time.
@@ -96,14 +96,14 @@ pub(super) struct Samples {
 /// Each joint comes from the topic with the most requested joints, then the most rows. Gaps are
 /// interpolated; times are skipped before a joint's start, after its end, and in gaps with motion. Times
 /// are relative to `origin`. `None` if a joint has no sample, or fewer than two times remain.
-fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
+fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<MergedJoints> {
     let mut ranked: Vec<&JointTopic<'_>> = topics.iter().collect();
     let holds = |topic: &JointTopic<'_>| {
         topic.columns.joints.iter().filter(|joint| names.contains(&joint.name)).count()
     };
     ranked.sort_by_key(|topic| std::cmp::Reverse((holds(topic), topic.columns.times.len())));
 
-    let mut facts = Vec::with_capacity(names.len());
+    let mut sources = Vec::with_capacity(names.len());
     let mut joints = Vec::with_capacity(names.len());
     let found = names.par_iter().map(|name| {
         let samples = ranked.iter().map(|topic| (topic, Samples::of(topic, name)));
@@ -114,7 +114,7 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     for (name, found) in names.iter().zip(found.collect::<Vec<_>>()) {
         let (topic, samples, track, velocities) = found?;
         let count = samples.stamps.len();
-        facts.push(JointFacts {
+        sources.push(JointSource {
             name: name.clone(),
             stream: topic.stream,
             samples: count,
@@ -145,7 +145,7 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
         track.qd.extend(row.iter().map(|(_, velocity)| velocity));
     }
     let is_track = track.len() > 1;
-    is_track.then(|| Merged { track: Arc::new(track), stamps: stamps.into(), facts })
+    is_track.then(|| MergedJoints { track: Arc::new(track), stamps: stamps.into(), sources })
 }
 
 /// Finite samples of an arm's joint, strictly increasing in time.
@@ -168,7 +168,7 @@ impl JointSamples<'_> {
 
 impl Run {
     /// Samples of each joint, also outside the excerpts.
-    pub fn joint_samples(&self, joints: &[JointFacts]) -> Vec<JointSamples<'_>> {
+    pub fn joint_samples(&self, joints: &[JointSource]) -> Vec<JointSamples<'_>> {
         let mut topics: Vec<(JointTopic<'_>, Option<Arc<[f64]>>)> = Vec::new();
         let mut samples = Vec::with_capacity(joints.len());
         for joint in joints {
@@ -308,17 +308,17 @@ mod tests {
         JointTopic { stream: 0, columns, rows }
     }
 
-    fn merged(topics: &[JointTopic<'_>]) -> Merged {
+    fn merged(topics: &[JointTopic<'_>]) -> MergedJoints {
         merge(topics, &["b".to_owned(), "a".to_owned()], Stamp::from_nanos(1)).unwrap()
     }
 
     #[test]
     fn joints_are_in_the_order_asked_for() {
         let columns = columns(|_, v| v);
-        let Merged { track, facts, .. } = merged(&[topic(&columns)]);
+        let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
         assert_eq!((track.len(), track.dof), (300, 2));
         assert_eq!(track.row(50), [1.5_f64.sin(), 1.0_f64.sin()]);
-        assert!(facts.iter().all(|joint| joint.velocities == Velocities::Logged));
+        assert!(sources.iter().all(|joint| joint.velocities == Velocities::Logged));
     }
 
     #[test]
@@ -327,8 +327,8 @@ mod tests {
             [|_: f64, _: f64| 0.0, |_, v: f64| v.to_degrees(), |_, v: f64| -v, |_, _| f64::NAN]
         {
             let columns = columns(wrong);
-            let Merged { track, facts, .. } = merged(&[topic(&columns)]);
-            assert!(facts.iter().all(|joint| joint.velocities == Velocities::Derived));
+            let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
+            assert!(sources.iter().all(|joint| joint.velocities == Velocities::Derived));
             for row in 0..track.len() {
                 let truth = 3.0 * (3.0 * track.t_s[row]).cos();
                 assert!((track.qd[2 * row] - truth).abs() < 2e-3, "row {row}");
@@ -349,8 +349,8 @@ mod tests {
     fn samples_that_are_not_finite_are_interpolated_and_not_used() {
         let mut columns = columns(|_, v| v);
         columns.joints[0].position[77] = f64::NAN;
-        let Merged { track, facts, .. } = merged(&[topic(&columns)]);
-        assert_eq!(facts.iter().map(|joint| joint.samples).collect::<Vec<_>>(), [300, 299]);
+        let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
+        assert_eq!(sources.iter().map(|joint| joint.samples).collect::<Vec<_>>(), [300, 299]);
         assert_eq!(track.len(), 300);
         assert!((track.row(77)[1] - 1.54_f64.sin()).abs() < 1e-7);
     }
@@ -376,8 +376,8 @@ mod tests {
         rail.joints[0].velocity.truncate(150);
         let mut topics = [topic(&arm), topic(&rail)];
         topics[1].stream = 7;
-        let Merged { track, facts, .. } = merged(&topics);
-        assert_eq!((facts[0].stream, facts[1].stream), (0, 7));
+        let MergedJoints { track, sources, .. } = merged(&topics);
+        assert_eq!((sources[0].stream, sources[1].stream), (0, 7));
         assert_eq!(track.len(), rail_rows.len() - 1);
         let truth = (2.0 * (track.t_s[40] - 0.003)).sin();
         assert!((track.row(40)[1] - truth).abs() < 1e-7);
@@ -388,7 +388,7 @@ mod tests {
         let mut columns = columns(|_, v| v);
         columns.times.header[10] = columns.times.header[9];
         columns.times.header.swap(20, 21);
-        let Merged { track, .. } = merged(&[topic(&columns)]);
+        let MergedJoints { track, .. } = merged(&[topic(&columns)]);
         assert_eq!(track.len(), 299);
         assert!(track.t_s.is_sorted_by(|a, b| a < b));
     }

@@ -6,40 +6,40 @@
 
 mod arm;
 mod assemble;
-mod by_order;
 mod cadence;
-mod calibrations;
-mod catalogued;
+mod catalogue_selection;
 mod clock;
 mod columns;
 mod declaration;
 mod error;
 mod excerpts;
 mod frozen;
-mod grid;
+mod given_calibrations;
+mod joint_order;
 mod joints;
 mod model;
 mod models;
 mod moving_base;
-mod norms;
+mod namespace;
+mod norm_defects;
+mod not_audited;
 mod outliers;
+mod part_series;
 mod periodic;
 mod pose_distance;
 mod poses;
 mod publishers;
 mod repeated;
+mod resolve;
 mod role;
 mod rounded;
 mod rows;
 mod sample_filter;
 mod segments;
-mod series;
-mod settle;
 mod shared_stream;
 mod skeleton;
 mod source_kind;
 mod sources;
-mod space;
 mod stale;
 mod streams;
 mod targets;
@@ -48,9 +48,9 @@ mod tests;
 mod tf_error;
 mod tf_problems;
 mod tf_tree;
+mod tick_grid;
 mod timing;
 mod topics;
-mod unaudited;
 mod unwrap;
 mod velocities;
 
@@ -65,24 +65,25 @@ pub use arm::{Arm, JointStateCorrection, TfUnavailable};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
-pub use columns::{Shared, SharedColumns, SharedRow, identify_columns, selectors};
+pub use columns::{SharedColumns, SharedMapping, SharedRow, identify_columns, selectors};
 pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use frozen::Frozen;
-pub use joints::{JointFacts, JointSamples};
+pub use joints::{JointSamples, JointSource};
 pub use model::CompetingModel;
-pub use models::robot_of;
-pub use norms::{Norms, Written};
+pub use models::load_robot;
+pub use norm_defects::{NormDefects, RotationStorage};
+pub use not_audited::{NotAudited, NotAuditedReason};
 pub use outliers::{FEWEST_SAMPLES, Outliers};
 pub use pose_distance::PoseDistance;
 pub use publishers::Publishers;
 pub use repeated::RepeatedValues;
+pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
 pub use role::Role;
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
 pub use segments::{Segment, segments};
-pub(crate) use settle::{realign_moving_bases, together};
 pub use shared_stream::{CandidateArm, SharedStream};
 pub use source_kind::PoseSourceKind;
 pub use sources::MovingBase;
@@ -93,16 +94,15 @@ pub use tf_error::TfError;
 pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{RoleSetting, TopicSettings};
-pub use unaudited::{NotAudited, NotAuditedReason};
 pub use unwrap::WrappedJoint;
 pub use velocities::Velocities;
 
 /// Minimum speed correlation of a stream that follows the arm.
-const FOLLOWS: f64 = 0.7;
+const MIN_FOLLOWER_CORRELATION: f64 = 0.7;
 
-/// Speed correlation below which a stream does not follow, whatever its frame. Less than [`FOLLOWS`],
+/// Speed correlation below which a stream does not follow, whatever its frame. Less than [`MIN_FOLLOWER_CORRELATION`],
 /// because faulty clocks or conventions also lower it.
-const CONTRADICTS: f64 = 0.4;
+const MIN_PRESUMED_CORRELATION: f64 = 0.4;
 
 /// The caller's options for a run.
 #[derive(Clone, Debug)]
@@ -126,7 +126,7 @@ pub struct RunOptions {
     /// Other settings for single topics.
     pub topics: Vec<TopicSettings>,
     /// Robot and columns from other logs of the dataset.
-    pub shared: Option<Shared>,
+    pub shared: Option<SharedMapping>,
 }
 
 impl Default for RunOptions {
@@ -174,11 +174,11 @@ pub struct Run {
     /// Joints logged modulo one turn, now unwrapped.
     pub wrapped: Vec<WrappedJoint>,
     /// Norm defects of quaternions and matrices.
-    pub norms: Vec<Norms>,
+    pub norm_defects: Vec<NormDefects>,
     /// Streams that may belong to several arms.
     pub shared_streams: Vec<SharedStream>,
     /// Streams not audited, or only in part.
-    pub unaudited: Vec<NotAudited>,
+    pub not_audited: Vec<NotAudited>,
     /// Streams that lead the arm, and the lead, s: commands, or tool poses with late joint states.
     pub leaders: Vec<(usize, f64)>,
     /// Candidates that the motion neither confirms nor rejects.
@@ -188,9 +188,9 @@ pub struct Run {
     /// Frozen spans while the arm moved, also excluded.
     pub frozen: Vec<Frozen>,
     /// Streams that were searched for frozen spans.
-    pub watched: Vec<usize>,
+    pub searched_for_frozen: Vec<usize>,
     /// Streams alternating between rigid bodies on the tool, converted to the main body.
-    pub alternations: Vec<(usize, ToolSwitching)>,
+    pub tool_switching: Vec<(usize, ToolSwitching)>,
     /// Excerpts for estimation; `None` if all is used.
     pub excerpts: Option<Excerpts>,
     /// Whether `/clock` indicates simulated time.
@@ -202,7 +202,7 @@ pub struct Run {
 }
 
 /// Standard error of receive times, s: transport delays vary by about a millisecond.
-const TRANSPORT_S: f64 = 1e-3;
+const TRANSPORT_STD_ERROR_S: f64 = 1e-3;
 
 impl Run {
     /// Pose source as diagnosis input.
@@ -214,7 +214,11 @@ impl Run {
             chain: &source.chain,
             columns: &source.columns,
             reference_known: source.reference_known,
-            stamp_error_s: source.stamp_error_s.max(if received { TRANSPORT_S } else { 0.0 }),
+            stamp_error_s: source.stamp_error_s.max(if received {
+                TRANSPORT_STD_ERROR_S
+            } else {
+                0.0
+            }),
             stamps_copied: source.stamps_copied,
             removed_ramp: None,
         }
@@ -244,10 +248,10 @@ impl Run {
     /// Makes `stream`, which has no arm, the hand pose for the target on `topic`: their angular speeds
     /// correlate.
     pub fn resolve_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
-        let Some(settled) = self.streams.get_mut(stream) else { return };
-        if settled.role == Role::Unassigned {
-            settled.role = Role::Pose;
-            settled.reason = format!(
+        let Some(resolved) = self.streams.get_mut(stream) else { return };
+        if resolved.role == Role::Unassigned {
+            resolved.role = Role::Pose;
+            resolved.reason = format!(
                 "it rotates with the target on '{topic}' (angular speed correlation {correlation:.2})"
             );
         }
@@ -257,28 +261,28 @@ impl Run {
     /// arm, 0 to 1, or `None` if the motion does not decide.
     ///
     /// A rejected candidate is unassigned; a non-candidate keeps its role.
-    pub fn settle(&mut self, stream: usize, peak: Option<f64>) {
-        let Some(settled) = self.streams.get_mut(stream) else { return };
-        let Role::Candidate { presumed } = settled.role else { return };
+    pub fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
+        let Some(resolved) = self.streams.get_mut(stream) else { return };
+        let Role::Candidate { presumed } = resolved.role else { return };
         let (is_pose, verdict) = match peak {
-            Some(peak) if peak >= FOLLOWS => {
+            Some(peak) if peak >= MIN_FOLLOWER_CORRELATION => {
                 (true, format!("it follows the arm (speed correlation {peak:.2})"))
             }
-            Some(peak) if presumed && peak >= CONTRADICTS => {
+            Some(peak) if presumed && peak >= MIN_PRESUMED_CORRELATION => {
                 (true, format!("its motion is consistent with that (speed correlation {peak:.2})"))
             }
             Some(peak) => (
                 false,
                 format!(
-                    "it does not follow the arm (speed correlation {}, below {FOLLOWS})",
+                    "it does not follow the arm (speed correlation {}, below {MIN_FOLLOWER_CORRELATION})",
                     rounded(peak, 2)
                 ),
             ),
             None if presumed => (true, "the motion neither confirms nor refutes it".to_owned()),
             None => (false, "the motion does not show whether it follows the arm".to_owned()),
         };
-        settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
-        settled.reason = format!("{}; {verdict}", settled.reason);
+        resolved.role = if is_pose { Role::Pose } else { Role::Unassigned };
+        resolved.reason = format!("{}; {verdict}", resolved.reason);
         if peak.is_none() && !is_pose {
             self.undecided.push(stream);
         }
@@ -286,24 +290,24 @@ impl Run {
             self.targets.retain(|target| target.stream != stream);
             self.references.retain(|reference| reference.stream != stream);
         } else {
-            let reason = settled.reason.clone();
-            self.settle_by_name(stream, reason);
+            let reason = resolved.reason.clone();
+            self.assign_role_by_name(stream, reason);
         }
     }
 
-    pub(crate) fn settle_by_name(&mut self, stream: usize, reason: String) {
+    pub(crate) fn assign_role_by_name(&mut self, stream: usize, reason: String) {
         self.unassign(stream, reason);
-        let Some(settled) = self.streams.get_mut(stream) else { return };
-        settled.role = role::beside_arm(&settled.topic);
+        let Some(resolved) = self.streams.get_mut(stream) else { return };
+        resolved.role = role::role_outside_arm(&resolved.topic);
     }
 
     /// Makes candidate `stream` a command: it leads the arm by `lead_s`.
     pub fn resolve_leader(&mut self, stream: usize, lead_s: f64) {
-        let Some(settled) = self.streams.get(stream) else { return };
+        let Some(resolved) = self.streams.get(stream) else { return };
         let reason = format!(
             "{}; it leads the arm: received {:.0} ms before the arm made the same motion, like a command \
              (hand tracker, leader arm), or because the joint states are recorded late",
-            settled.reason,
+            resolved.reason,
             1e3 * lead_s
         );
         self.unassign(stream, reason);

@@ -3,15 +3,15 @@
 use std::collections::BTreeSet;
 
 use super::declaration::JointName;
-use super::role::words;
-use super::space::{Claim, Space};
+use super::namespace::{Namespace, NamespaceMatch};
+use super::role::split_words;
 use crate::robot::{LinkId, Robot, catalogue};
 
 #[derive(Clone, Debug)]
-pub(super) struct Model {
+pub(super) struct LogModel {
     /// Robot with the log's joint names.
     pub robot: Robot,
-    pub found: String,
+    pub identified_by: String,
     /// Its link names in the log.
     pub frames: FrameNames,
     /// Reference link of controller poses.
@@ -19,8 +19,8 @@ pub(super) struct Model {
     /// Tip link of controller poses.
     pub controller_tip: Option<LinkId>,
     /// Whether joints are matched by order, because names differ.
-    pub by_order: bool,
-    pub better: Option<CompetingModel>,
+    pub is_matched_by_order: bool,
+    pub competing: Option<CompetingModel>,
     pub indistinguishable: Vec<String>,
 }
 
@@ -32,16 +32,21 @@ pub struct CompetingModel {
     /// Topic of the poses.
     pub topic: String,
     /// Residual of the named model without frame or zero offset, rms m.
-    pub named_m: f64,
+    pub named_residual_m: f64,
     /// Residual with this arm, rms m.
-    pub left_m: f64,
+    pub residual_m: f64,
     /// Required tool length, m; `None` without a tool.
     pub tool_m: Option<f64>,
 }
 
-impl Model {
-    pub(super) fn new(robot: Robot, found: String, joint_prefix: &str, clues: &Clues<'_>) -> Self {
-        let frames = FrameNames::fit(&robot, joint_prefix, clues.frames, clues.space);
+impl LogModel {
+    pub(super) fn new(
+        robot: Robot,
+        found: String,
+        joint_prefix: &str,
+        clues: &ModelClues<'_>,
+    ) -> Self {
+        let frames = FrameNames::fit(&robot, joint_prefix, clues.frames, clues.namespace);
         let known = controller_links(&robot, clues.joints);
         let link = |own: &Option<String>, known: Option<String>| {
             own.as_deref().and_then(|own| robot.link(own)).or_else(|| robot.link(&known?))
@@ -50,18 +55,18 @@ impl Model {
         let controller_tip = link(&robot.controller_tip, known.1);
         Self {
             robot,
-            found,
+            identified_by: found,
             frames,
             controller_base,
             controller_tip,
-            by_order: false,
-            better: None,
+            is_matched_by_order: false,
+            competing: None,
             indistinguishable: Vec::new(),
         }
     }
 }
 
-pub(super) struct Clues<'a> {
+pub(super) struct ModelClues<'a> {
     /// Joints with samples, in order of appearance.
     pub joints: &'a [String],
     /// Frames of streams and transforms.
@@ -72,7 +77,7 @@ pub(super) struct Clues<'a> {
     /// The caller's joint names.
     pub joint_map: &'a [JointName],
     /// Names that distinguish this arm.
-    pub space: &'a Space,
+    pub namespace: &'a Namespace,
     /// Robot type in the metadata.
     pub robot_type: Option<&'a str>,
 }
@@ -94,8 +99,8 @@ fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option
 
 /// Whether trackers and maps also use this name.
 fn is_world(link: &str) -> bool {
-    const WORLDS: &[&str] = &["world", "map", "odom", "origin", "earth"];
-    words(link).iter().all(|word| WORLDS.contains(&word.as_str()))
+    const WORLD_WORDS: &[&str] = &["world", "map", "odom", "origin", "earth"];
+    split_words(link).iter().all(|word| WORLD_WORDS.contains(&word.as_str()))
 }
 
 /// Frame names in the log: link names with one prefix removed, another added.
@@ -110,13 +115,18 @@ impl FrameNames {
     /// another, such as a `tf_prefix`.
     ///
     /// Ignores prefixes only of generic names such as `world`. Two arms have their own prefixes.
-    fn fit(robot: &Robot, joint_prefix: &str, frames: &BTreeSet<String>, space: &Space) -> Self {
+    fn fit(
+        robot: &Robot,
+        joint_prefix: &str,
+        frames: &BTreeSet<String>,
+        namespace: &Namespace,
+    ) -> Self {
         let links: Vec<&str> = robot.links().map(|link| robot.link_name(link)).collect();
         let prefixes: BTreeSet<&str> = frames
             .iter()
             .flat_map(|frame| links.iter().filter_map(move |link| frame.strip_suffix(link)))
             .filter(|prefix| prefix.ends_with(['/', '_', '-', '.']))
-            .filter(|prefix| space.claim([*prefix]) != Claim::Foreign)
+            .filter(|prefix| namespace.match_names([*prefix]) != NamespaceMatch::Foreign)
             .filter(|prefix| {
                 let is_logged = |link: &str| frames.contains(&format!("{prefix}{link}"));
                 links.iter().any(|link| is_logged(link) && !is_world(link))
@@ -129,7 +139,7 @@ impl FrameNames {
         );
         let logged = |naming: &Self| {
             let count = links.iter().filter(|link| frames.contains(&naming.frame_of(link))).count();
-            (count, space.claim([naming.add.as_str()]) == Claim::Own)
+            (count, namespace.match_names([naming.add.as_str()]) == NamespaceMatch::Own)
         };
         // The first of equal namings changes nothing.
         namings.into_iter().rev().max_by_key(logged).unwrap_or_default()

@@ -5,32 +5,34 @@ use std::path::Path;
 
 use crate::robot::{Robot, catalogue, nearest};
 
-use super::by_order;
-use super::catalogued::{RankingCriteria, from_catalogue, mapped_from_catalogue, of_type};
+use super::catalogue_selection::{
+    RankingCriteria, arm_of_type, mapped_models_from_catalogue, models_from_catalogue,
+};
 use super::declaration::{JointName, RobotSource};
 use super::error::RunError;
-use super::model::{Clues, Model};
+use super::joint_order;
+use super::model::{LogModel, ModelClues};
+use super::namespace::{Namespace, NamespaceMatch};
 use super::skeleton::is_own;
-use super::space::{Claim, Space};
-use super::{RunOptions, Shared};
+use super::{RunOptions, SharedMapping};
 
 /// A robot given by the caller, and its joint name prefix, or a word of its topic.
-pub(super) struct Given {
+pub(super) struct GivenRobot {
     robot: Robot,
     prefix: Option<String>,
-    by: String,
+    selected_by: String,
 }
 
 /// Reads the caller's robots.
 ///
 /// # Errors
 /// If one is neither a file nor in the catalogue, or its file is invalid.
-pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
+pub(super) fn read_given(sources: &[RobotSource]) -> Result<Vec<GivenRobot>, RunError> {
     sources
         .iter()
         .map(|source| {
             let (robot, prefix) = (source.robot()?, source.prefix.clone());
-            Ok(Given { robot, prefix, by: "--robot".to_owned() })
+            Ok(GivenRobot { robot, prefix, selected_by: "--robot".to_owned() })
         })
         .collect()
 }
@@ -39,24 +41,24 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
 ///
 /// # Errors
 /// Those of [`given`].
-pub(super) fn given_or_shared(options: &RunOptions) -> Result<Vec<Given>, RunError> {
-    let Some(Shared { robot: Some(robot), from, .. }) = &options.shared else {
-        return given(&options.robots);
+pub(super) fn read_given_or_shared(options: &RunOptions) -> Result<Vec<GivenRobot>, RunError> {
+    let Some(SharedMapping { robot: Some(robot), from, .. }) = &options.shared else {
+        return read_given(&options.robots);
     };
     if !options.robots.is_empty() {
-        return given(&options.robots);
+        return read_given(&options.robots);
     }
     let by = format!("the catalogue, as for {}", from.join(", "));
-    Ok(vec![Given { robot: robot_of(robot)?, prefix: None, by }])
+    Ok(vec![GivenRobot { robot: load_robot(robot)?, prefix: None, selected_by: by }])
 }
 
 /// Models that may name numbered joints, with prefixes: the caller's, or the metadata's catalogue arm.
-pub(super) fn for_numbers<'a>(
-    given: &'a [Given],
+pub(super) fn robots_for_numbered_joints<'a>(
+    given: &'a [GivenRobot],
     robot_type: Option<&str>,
 ) -> Vec<(&'a Robot, Option<&'a str>)> {
     if given.is_empty() {
-        return robot_type.and_then(of_type).map(|robot| (robot, None)).into_iter().collect();
+        return robot_type.and_then(arm_of_type).map(|robot| (robot, None)).into_iter().collect();
     }
     given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
 }
@@ -65,7 +67,7 @@ pub(super) fn for_numbers<'a>(
 ///
 /// # Errors
 /// If the file is invalid, or the catalogue lacks the name.
-pub fn robot_of(model: &str) -> Result<Robot, RunError> {
+pub fn load_robot(model: &str) -> Result<Robot, RunError> {
     let path = Path::new(model);
     if path.is_file() || path.extension().is_some() {
         return Ok(Robot::from_file(path)?);
@@ -77,48 +79,50 @@ pub fn robot_of(model: &str) -> Result<Robot, RunError> {
 }
 
 /// Robots of the log: the caller's, else the log's, else catalogue arms with matching joints. Of equal
-/// names, takes the one with the fewest causes by `judges`.
+/// names, takes the one with the fewest causes by `criteria`.
 ///
 /// # Errors
 /// If no robot has the joints.
-pub(super) fn models(
-    given: &[Given],
-    clues: &Clues<'_>,
+pub(super) fn select_models(
+    given: &[GivenRobot],
+    clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
-) -> Result<Vec<Model>, RunError> {
+) -> Result<Vec<LogModel>, RunError> {
     if !given.is_empty() {
         let alone = given.len() == 1;
-        let models = given.iter().map(|given| of_given(given, alone, clues, criteria));
-        if !clues.space.is_one_of_several() {
+        let models = given.iter().map(|given| models_of_given(given, alone, clues, criteria));
+        if !clues.namespace.is_one_of_several() {
             return models.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
         }
         // Each model may belong to one of several arms.
         let (found, refused): (Vec<_>, Vec<_>) = models.partition(Result::is_ok);
-        let found: Vec<Model> = found.into_iter().flatten().flatten().collect();
+        let found: Vec<LogModel> = found.into_iter().flatten().flatten().collect();
         return match refused.into_iter().next() {
             Some(refusal) if found.is_empty() => refusal,
             _ => Ok(found),
         };
     }
     let mut refusal = None;
-    let mut described: Vec<Model> = Vec::new();
+    let mut described: Vec<LogModel> = Vec::new();
     let places: Vec<&String> = clues.descriptions.iter().map(|(place, _)| place).collect();
-    let spaces = Space::of_names(&places);
-    for ((place, text), space) in clues.descriptions.iter().zip(&spaces) {
+    let namespaces = Namespace::from_names(&places);
+    for ((place, text), namespace) in clues.descriptions.iter().zip(&namespaces) {
         let found = format!("the description in the log ({place})");
         // Each of several descriptions describes the joints of its topic name.
-        let is_its = |joint: &&String| space.claim([joint.as_str()]) == Claim::Own;
+        let is_its =
+            |joint: &&String| namespace.match_names([joint.as_str()]) == NamespaceMatch::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
         let models = Robot::from_text(text, place).map_err(RunError::from).and_then(|robot| {
             let given = (&robot, joints.as_slice(), true);
-            called(given, clues, criteria, &found)
+            match_names(given, clues, criteria, &found)
         });
         match models {
             Ok(models) => {
-                let is_new =
-                    |model: &Model| !described.iter().any(|other| same_joints(other, model));
-                let new: Vec<Model> = models.into_iter().filter(is_new).collect();
+                let is_new = |model: &LogModel| {
+                    !described.iter().any(|other| have_same_joints(other, model))
+                };
+                let new: Vec<LogModel> = models.into_iter().filter(is_new).collect();
                 described.extend(new);
             }
             Err(error) => refusal = refusal.or(Some(error)),
@@ -127,13 +131,13 @@ pub(super) fn models(
     if !described.is_empty() {
         return Ok(described);
     }
-    let maps = maps(clues.joint_map, clues.joints);
+    let maps = joint_maps(clues.joint_map, clues.joints);
     let mut catalogued = match maps.is_empty() {
-        true => from_catalogue(clues, criteria)?,
-        false => mapped_from_catalogue(&maps, clues, criteria)?,
+        true => models_from_catalogue(clues, criteria)?,
+        false => mapped_models_from_catalogue(&maps, clues, criteria)?,
     };
     if catalogued.is_empty() {
-        catalogued = by_order::catalogued(clues, criteria)?;
+        catalogued = joint_order::match_catalogue(clues, criteria)?;
     }
     if catalogued.is_empty() {
         let none = || RunError::NoModel { logged: clues.joints.to_vec() };
@@ -141,36 +145,38 @@ pub(super) fn models(
     }
     if let Some(RunError::Robot(error)) = refusal {
         for model in &mut catalogued {
-            model.found += &format!("; the description in the log was skipped: {error}");
+            model.identified_by += &format!("; the description in the log was skipped: {error}");
         }
     }
     Ok(catalogued)
 }
 
-fn of_given(
-    given: &Given,
+fn models_of_given(
+    given: &GivenRobot,
     alone: bool,
-    clues: &Clues<'_>,
+    clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
-) -> Result<Vec<Model>, RunError> {
-    let is_of_space =
-        given.prefix.as_deref().is_some_and(|prefix| clues.space.claim([prefix]) == Claim::Own);
+) -> Result<Vec<LogModel>, RunError> {
+    let is_of_space = given
+        .prefix
+        .as_deref()
+        .is_some_and(|prefix| clues.namespace.match_names([prefix]) == NamespaceMatch::Own);
     let fits = |name: &&String| {
         is_of_space || given.prefix.as_deref().is_none_or(|prefix| name.starts_with(prefix))
     };
     let joints: Vec<String> = clues.joints.iter().filter(fits).cloned().collect();
     let may_repeat = alone && given.prefix.is_none();
-    called((&given.robot, &joints, may_repeat), clues, criteria, &given.by)
+    match_names((&given.robot, &joints, may_repeat), clues, criteria, &given.selected_by)
 }
 
 /// Matches a robot's joint names by the caller's mapping, else spelling, else order.
-fn called(
+fn match_names(
     (robot, joints, may_repeat): (&Robot, &[String], bool),
-    clues: &Clues<'_>,
+    clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
     found: &str,
-) -> Result<Vec<Model>, RunError> {
-    let maps = maps(clues.joint_map, joints);
+) -> Result<Vec<LogModel>, RunError> {
+    let maps = joint_maps(clues.joint_map, joints);
     if !maps.is_empty() {
         let found = format!("{found}, joints mapped by --joint-map");
         let mapped = maps.iter().map(|map| {
@@ -183,14 +189,15 @@ fn called(
                 return Err(RunError::JointMap { what });
             }
             let what = format!("two joints of {} would have the same name", robot.name);
-            let renamed = by_order::renamed(robot, map).ok_or(RunError::JointMap { what })?;
-            named(&renamed, clues, joints.to_vec(), false, &found)
+            let renamed =
+                joint_order::rename_joints(robot, map).ok_or(RunError::JointMap { what })?;
+            match_by_prefix(&renamed, clues, joints.to_vec(), false, &found)
         });
         return mapped.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
     }
-    match named(robot, clues, joints.to_vec(), may_repeat, found) {
+    match match_by_prefix(robot, clues, joints.to_vec(), may_repeat, found) {
         Err(RunError::UnknownJoints { .. }) => {
-            by_order::matched(robot, joints, clues, criteria, found)
+            joint_order::match_robot(robot, joints, clues, criteria, found)
         }
         models => models,
     }
@@ -198,9 +205,10 @@ fn called(
 
 /// The caller's mapping as logged and model names; one map per arm if several logged joints share a model
 /// joint.
-fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
+fn joint_maps(names: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
     let mut maps: Vec<Vec<(String, String)>> = Vec::new();
-    for JointName { logged, modelled } in said.iter().filter(|said| joints.contains(&said.logged)) {
+    for JointName { logged, modelled } in names.iter().filter(|name| joints.contains(&name.logged))
+    {
         let lacks = |map: &&mut Vec<(String, String)>| map.iter().all(|pair| pair.1 != *modelled);
         let pair = (logged.clone(), modelled.clone());
         match maps.iter_mut().find(lacks) {
@@ -213,16 +221,16 @@ fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
 
 /// Renames `robot` with the best prefix. If it `may_repeat`, adds a model per equally good set of names
 /// (two arms of one model).
-fn named(
+fn match_by_prefix(
     robot: &Robot,
-    clues: &Clues<'_>,
+    clues: &ModelClues<'_>,
     mut joints: Vec<String>,
     may_repeat: bool,
     found: &str,
-) -> Result<Vec<Model>, RunError> {
-    let unprefixed = without_space(robot, clues.space, &joints);
+) -> Result<Vec<LogModel>, RunError> {
+    let unprefixed = without_space(robot, clues.namespace, &joints);
     let robot = unprefixed.as_ref().unwrap_or(robot);
-    let mut models: Vec<Model> = Vec::new();
+    let mut models: Vec<LogModel> = Vec::new();
     let mut fitted = 0;
     while let Some(names) = robot.match_joint_names(&joints).into_iter().next() {
         let is_enough = match models.is_empty() {
@@ -245,7 +253,7 @@ fn named(
                 names.to_prefix, names.from_prefix
             ),
         };
-        models.push(Model::new(renamed, found, &names.to_prefix, clues));
+        models.push(LogModel::new(renamed, found, &names.to_prefix, clues));
     }
     if models.is_empty() {
         let own = robot.joints().iter().filter(|joint| is_own(joint));
@@ -254,7 +262,7 @@ fn named(
             source: robot.source.clone(),
             logged: clues.joints.to_vec(),
             modelled: own.map(|joint| joint.name.clone()).collect(),
-            ways: Vec::new(),
+            matches: Vec::new(),
         });
     }
     Ok(models)
@@ -262,13 +270,13 @@ fn named(
 
 /// Removes an arm's prefix that the log has in the topic name: model `left_elbow`, `elbow` on
 /// `/left/joint_states`.
-fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robot> {
+fn without_space(robot: &Robot, namespace: &Namespace, joints: &[String]) -> Option<Robot> {
     let known = |robot: &Robot| joints.iter().filter(|name| robot.joint(name).is_some()).count();
     let own: Vec<&str> = robot
         .joints()
         .iter()
         .map(|joint| joint.name.as_str())
-        .filter(|name| space.claim([*name]) == Claim::Own)
+        .filter(|name| namespace.match_names([*name]) == NamespaceMatch::Own)
         .collect();
     let prefixes: BTreeSet<&str> = own
         .iter()
@@ -276,8 +284,8 @@ fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robo
         .filter(|prefix| !prefix.is_empty())
         .collect();
     let bare = prefixes.into_iter().filter_map(|prefix| {
-        let strip = |name: &str| match space.claim([name]) {
-            Claim::Own => name.strip_prefix(prefix).unwrap_or(name).to_owned(),
+        let strip = |name: &str| match namespace.match_names([name]) {
+            NamespaceMatch::Own => name.strip_prefix(prefix).unwrap_or(name).to_owned(),
             _ => name.to_owned(),
         };
         robot.with_joints_renamed(strip)
@@ -303,8 +311,8 @@ fn with_plain_names(renamed: &Robot, robot: &Robot, joints: &[String]) -> Option
     })
 }
 
-fn same_joints(a: &Model, b: &Model) -> bool {
-    let names = |model: &Model| -> BTreeSet<String> {
+fn have_same_joints(a: &LogModel, b: &LogModel) -> bool {
+    let names = |model: &LogModel| -> BTreeSet<String> {
         model
             .robot
             .joints()
@@ -318,7 +326,7 @@ fn same_joints(a: &Model, b: &Model) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::calibrations::{GivenCalibration, overlay_all};
+    use super::super::given_calibrations::{GivenCalibration, overlay_all};
     use super::*;
     use crate::robot::Calibration;
 
@@ -331,16 +339,16 @@ mod tests {
         "wrist_3_joint",
     ];
 
-    static ALONE: std::sync::LazyLock<Space> = std::sync::LazyLock::new(Space::default);
+    static ALONE: std::sync::LazyLock<Namespace> = std::sync::LazyLock::new(Namespace::default);
 
-    fn no_clues() -> Clues<'static> {
+    fn no_clues() -> ModelClues<'static> {
         let (joints, frames) = (&[], const { &BTreeSet::new() });
-        Clues {
+        ModelClues {
             joints,
             frames,
             descriptions: &[],
             calibrations: &[],
-            space: &ALONE,
+            namespace: &ALONE,
             robot_type: None,
             joint_map: &[],
         }
@@ -353,10 +361,10 @@ mod tests {
         UR.iter().map(|name| format!("{prefix}{name}")).collect()
     }
 
-    fn ur5e(joints: &[String], frames: &[&str]) -> Result<Vec<Model>, RunError> {
+    fn ur5e(joints: &[String], frames: &[&str]) -> Result<Vec<LogModel>, RunError> {
         let frames = frames.iter().map(|&frame| frame.to_owned()).collect();
-        let clues = Clues { joints, frames: &frames, ..no_clues() };
-        models(&given(&["ur5e".into()])?, &clues, &NOBODY)
+        let clues = ModelClues { joints, frames: &frames, ..no_clues() };
+        select_models(&read_given(&["ur5e".into()])?, &clues, &NOBODY)
     }
 
     #[test]
@@ -389,8 +397,8 @@ mod tests {
         let joints = ["rail revolute base cart", "a1 revolute cart l1", "a2 revolute l1 l2"];
         let robot = crate::run::skeleton::tests::robot(&joints);
         let logged = ["rail", "x_a1", "x_a2"].map(str::to_owned);
-        let clues = Clues { joints: &logged, ..no_clues() };
-        let found = named(&robot, &clues, logged.to_vec(), true, "test").unwrap();
+        let clues = ModelClues { joints: &logged, ..no_clues() };
+        let found = match_by_prefix(&robot, &clues, logged.to_vec(), true, "test").unwrap();
         assert!(logged.iter().all(|name| found[0].robot.joint(name).is_some()));
     }
 
@@ -400,9 +408,9 @@ mod tests {
             ["left_a1 revolute base l1", "left_a2 revolute l1 l2", "right_a1 revolute base r1"];
         let robot = crate::run::skeleton::tests::robot(&joints);
         let logged = ["a1", "a2"].map(str::to_owned);
-        let spaces = Space::of_names(&["/left/joint_states", "/right/joint_states"]);
-        let clues = Clues { joints: &logged, space: &spaces[0], ..no_clues() };
-        let found = named(&robot, &clues, logged.to_vec(), true, "test").unwrap();
+        let namespaces = Namespace::from_names(&["/left/joint_states", "/right/joint_states"]);
+        let clues = ModelClues { joints: &logged, namespace: &namespaces[0], ..no_clues() };
+        let found = match_by_prefix(&robot, &clues, logged.to_vec(), true, "test").unwrap();
         assert!(found[0].robot.joint("a2").is_some() && found[0].robot.joint("right_a1").is_some());
     }
 
@@ -432,7 +440,7 @@ mod tests {
         for (name, meant) in
             [("ur5f", "'ur5'"), ("fer", "'franka_fer'"), ("iiwa_14", "'kuka_lbr_iiwa14'")]
         {
-            let text = given(&[name.into()]).err().map(|error| error.to_string()).unwrap();
+            let text = read_given(&[name.into()]).err().map(|error| error.to_string()).unwrap();
             assert!(text.contains("did you mean ") && text.contains(meant), "{name}: {text}");
         }
     }
@@ -447,7 +455,7 @@ kinematics:
   wrist_3: {x: 0, y: 0.0996, z: 0.0001, roll: 1.5716, pitch: 3.14159265, yaw: -3.14159262}
   hash: calib_1";
 
-    fn height_of_shoulder(model: &Model, prefix: &str) -> f64 {
+    fn height_of_shoulder(model: &LogModel, prefix: &str) -> f64 {
         let joint = model.robot.joint(&format!("{prefix}shoulder_pan_joint")).unwrap();
         joint.parent_from_joint.translation.z
     }
@@ -456,22 +464,24 @@ kinematics:
     fn a_calibration_in_the_log_is_laid_over_the_ur() {
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
-        let clues = Clues { joints: &joints, calibrations: &found, ..no_clues() };
-        let mut models = models(&given(&["ur5e".into()]).unwrap(), &clues, &NOBODY).unwrap();
+        let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
+        let mut models =
+            select_models(&read_given(&["ur5e".into()]).unwrap(), &clues, &NOBODY).unwrap();
         overlay_all(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1627);
-        assert!(models[0].found.ends_with("with the calibration arm.yaml (calib_1)"));
+        assert!(models[0].identified_by.ends_with("with the calibration arm.yaml (calib_1)"));
     }
 
     #[test]
     fn a_calibration_in_the_log_that_is_of_another_arm_is_left_out_and_said() {
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
-        let clues = Clues { joints: &joints, calibrations: &found, ..no_clues() };
-        let mut models = models(&given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
+        let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
+        let mut models =
+            select_models(&read_given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
         overlay_all(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
-        assert!(models[0].found.contains("was skipped"), "{}", models[0].found);
+        assert!(models[0].identified_by.contains("was skipped"), "{}", models[0].identified_by);
     }
 
     #[test]

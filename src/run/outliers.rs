@@ -13,12 +13,12 @@ use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumn
 use crate::time::Stamp;
 
 use super::pose_distance::PoseDistance;
-use super::poses::Layout;
+use super::poses::MatrixOrder;
 use super::publishers::Publishers;
 use super::role::Role;
 use super::rows::Rows;
 use super::stale::HARDEST;
-use super::streams::{Clocks, Stream};
+use super::streams::{Stream, StreamClocks};
 
 /// Maximum number of consecutive outliers.
 const LONGEST: usize = 3;
@@ -76,7 +76,7 @@ pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mu
 /// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ.
 pub(super) fn detect_outliers(
     streams: &[Stream],
-    clocks: &Clocks,
+    clocks: &StreamClocks,
     publishers: &[Publishers],
 ) -> Vec<Outliers> {
     let is_of_two = |stream: usize, piece: usize| {
@@ -188,7 +188,7 @@ fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Optio
 
 /// Outliers of unnamed positions; angles may jump by a turn.
 fn of_array(array: &ArrayColumns, at: At) -> Option<PartOutliers> {
-    let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten();
+    let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten();
     let xyz = |row: usize| match layout {
         Some(layout) => layout.split(array.row(row)).0,
         None => [0, 1, 2].map(|axis| array.row(row)[axis]),

@@ -13,7 +13,7 @@ use super::declaration::Declaration;
 use super::rows::Rows;
 
 #[derive(Clone, Debug)]
-pub(super) struct Stamped<T> {
+pub(super) struct StampedTrack<T> {
     pub track: T,
     pub stamps: Vec<Stamp>,
 }
@@ -26,11 +26,11 @@ fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
     rows
 }
 
-const MOST_SAMPLES: usize = 20_000;
+const MAX_SAMPLES: usize = 20_000;
 
-/// Keeps every n-th element, at most [`MOST_SAMPLES`].
-pub(super) fn thinned<T>(seen: &mut Vec<T>) {
-    let stride = seen.len().div_ceil(MOST_SAMPLES).max(1);
+/// Keeps every n-th element, at most [`MAX_SAMPLES`].
+pub(super) fn thin<T>(seen: &mut Vec<T>) {
+    let stride = seen.len().div_ceil(MAX_SAMPLES).max(1);
     let mut index = 0..;
     seen.retain(|_| index.next().is_some_and(|index: usize| index.is_multiple_of(stride)));
 }
@@ -39,7 +39,7 @@ fn track_of(
     rows: &Rows,
     origin: Stamp,
     sample: impl Fn(usize) -> Option<(Vec3, Rotation)>,
-) -> Stamped<PoseTrack> {
+) -> StampedTrack<PoseTrack> {
     let mut samples: Vec<_> = rows.iter().filter_map(|row| Some((*row, sample(row.1)?))).collect();
     samples.sort_by_key(|((stamp, _), _)| *stamp);
     samples.dedup_by_key(|((stamp, _), _)| *stamp);
@@ -53,10 +53,10 @@ fn stamped<T>(
     rows: &[(Stamp, usize)],
     origin: Stamp,
     track: impl FnOnce(Vec<f64>) -> T,
-) -> Stamped<T> {
+) -> StampedTrack<T> {
     let stamps: Vec<Stamp> = rows.iter().map(|(stamp, _)| *stamp).collect();
     let t_s = stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
-    Stamped { track: track(t_s), stamps }
+    StampedTrack { track: track(t_s), stamps }
 }
 
 /// Track without invalid quaternions.
@@ -68,7 +68,7 @@ pub(super) fn from_poses(
     rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
-) -> Result<Stamped<PoseTrack>, String> {
+) -> Result<StampedTrack<PoseTrack>, String> {
     if declared.is_some_and(|declared| matches!(declared.coding, RotationEncoding::Three(_))) {
         return Err("the topic contains quaternions, not three rotation numbers".to_owned());
     }
@@ -99,7 +99,7 @@ pub(super) fn from_array(
     rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
-) -> Result<Stamped<PoseTrack>, String> {
+) -> Result<StampedTrack<PoseTrack>, String> {
     read_array(array, rows, declared, origin).map(|track| with_units(track, declared))
 }
 
@@ -108,7 +108,7 @@ fn read_array(
     rows: &Rows,
     declared: Option<&Declaration>,
     origin: Stamp,
-) -> Result<Stamped<PoseTrack>, String> {
+) -> Result<StampedTrack<PoseTrack>, String> {
     let scale = unit_m(declared);
     let xyz = |row: usize| Vec3::from_column_slice(&array.row(row)[..3]) * scale;
     let is_quaternion = declared.map(|declared| !declared.coding.has_angles());
@@ -148,7 +148,7 @@ fn read_array(
             Some((xyz(row), rotation_from_xyzw(as_xyzw(logged, declared))?))
         })),
         _ => {
-            let layout = Layout::of(array).ok_or_else(|| {
+            let layout = MatrixOrder::detect(array).ok_or_else(|| {
                 format!("its {} numbers per row are not a pose matrix", array.width)
             })?;
             Ok(track_of(rows, origin, |row| {
@@ -164,7 +164,10 @@ fn unit_m(declared: Option<&Declaration>) -> f64 {
     declared.map_or(1.0, |declared| declared.length.in_m())
 }
 
-fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> Stamped<PoseTrack> {
+fn with_units(
+    mut track: StampedTrack<PoseTrack>,
+    declared: Option<&Declaration>,
+) -> StampedTrack<PoseTrack> {
     if let Some(&Declaration { length, angle, .. }) = declared {
         let known = track.track.declared.take().unwrap_or_default();
         track.track.declared = Some(DeclaredUnits { length, angle, ..known });
@@ -181,14 +184,14 @@ fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
 
 /// Memory order of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layout {
+pub(super) enum MatrixOrder {
     RowMajor,
     ColumnMajor,
 }
 
-impl Layout {
+impl MatrixOrder {
     /// The order with the most valid poses: by 0 0 0 1 for 16 numbers, orthonormality for 12.
-    pub(super) fn of(array: &ArrayColumns) -> Option<Self> {
+    pub(super) fn detect(array: &ArrayColumns) -> Option<Self> {
         let rows = array.times.len();
         [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
             let fits = (0..rows).filter(|&row| layout.fits(array.row(row))).count();
@@ -222,7 +225,7 @@ impl Layout {
 
 /// `before · logged · after`. Unnamed numbers have no frames and stay; positions without orientations
 /// change only their reference.
-pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
+pub(super) fn transform_track(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
     if let Orientations::Unset(_) = track.orientation {
         let moved = |xyz: &Vec3| (before * nalgebra::Point3::from(*xyz)).coords;
         track.xyz = track.xyz.iter().map(moved).collect();
@@ -235,7 +238,7 @@ pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> Pos
     track
 }
 
-pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stamped<PoseTrack> {
+pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> StampedTrack<PoseTrack> {
     let rows: Rows = samples.iter().map(|(stamp, _)| *stamp).zip(0..).collect();
     track_of(&rows, origin, |row| {
         let pose = samples[row].1;
@@ -244,7 +247,7 @@ pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stampe
 }
 
 /// IMU track. Omits rows without orientation if most have one, else all orientations.
-pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<ImuTrack> {
+pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> StampedTrack<ImuTrack> {
     let rotation = |row: usize| rotation_from_xyzw(imu.q_xyzw[row]);
     let all = imu.q_xyzw.len();
     let has_orientation =
@@ -356,7 +359,8 @@ mod tests {
         rows[4].0 = rows[3].0;
         (rows[1].0, rows[5].0) = (rows[5].0, rows[1].0);
         rows.remove(0);
-        let Stamped { track, stamps } = from_poses(&poses, &rows, None, Stamp::default()).unwrap();
+        let StampedTrack { track, stamps } =
+            from_poses(&poses, &rows, None, Stamp::default()).unwrap();
         let x: Vec<f64> = track.xyz.iter().map(|xyz| xyz.x).collect();
         assert_eq!(x, [5.0, 3.0, 1.0]);
         assert!(stamps.is_sorted_by(|a, b| a < b));

@@ -9,11 +9,11 @@ use rayon::prelude::*;
 
 use crate::time::seconds;
 
-use super::grid::Grid;
+use super::part_series::{Series, Values};
 use super::periodic::{FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by};
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
-use super::series::{Series, Values};
+use super::tick_grid::Grid;
 
 /// Two publishers of one part of a stream.
 #[derive(Clone, Debug, PartialEq)]

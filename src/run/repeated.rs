@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
+use super::part_series::{Series, Values};
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
-use super::series::{Series, Values};
 
 /// Repeated values of one part of a stream.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -11,7 +11,7 @@ pub enum Role {
     Joints,
     /// A measured tool pose.
     Pose,
-    /// A tool pose if it follows the arm; see `Run::settle`.
+    /// A tool pose if it follows the arm; see `Run::resolve_candidate`.
     Candidate {
         /// Whether its frame suggests a tool pose, which holds if the motion does not decide.
         presumed: bool,
@@ -52,16 +52,16 @@ impl Role {
     }
 }
 
-pub(super) type Verdict = (Role, String);
+pub(super) type RoleDecision = (Role, String);
 
 /// Names of joints outside an arm.
-pub(super) const OTHER_JOINTS: &[&str] = &[
+pub(super) const NON_ARM_JOINT_WORDS: &[&str] = &[
     "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels", "caster",
     "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
 ];
 
 /// Words of command topics.
-const GOALS: &[&str] = &[
+const COMMAND_WORDS: &[&str] = &[
     "goal",
     "goals",
     "target",
@@ -84,7 +84,7 @@ const GOALS: &[&str] = &[
 ];
 
 /// Words of camera detections.
-pub(super) const SIGHTS: &[&str] = &[
+pub(super) const DETECTION_WORDS: &[&str] = &[
     "tag",
     "tags",
     "apriltag",
@@ -103,20 +103,20 @@ pub(super) const SIGHTS: &[&str] = &[
     "objects",
 ];
 
-/// Of [`SIGHTS`], also used for tracked bodies on a tool.
-const BODIES: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
-/// Of [`GOALS`], also used for tracked bodies on a tool.
-const AIMS: &[&str] = &["target", "targets"];
+/// Of [`DETECTION_WORDS`], also used for tracked bodies on a tool.
+const BODY_WORDS: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
+/// Of [`COMMAND_WORDS`], also used for tracked bodies on a tool.
+const TARGET_WORDS: &[&str] = &["target", "targets"];
 
 /// Words of camera frames.
-pub(super) const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
+pub(super) const CAMERA_WORDS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
 
 /// Words of mobile base poses.
-const MOBILE: &[&str] =
+const MOBILE_BASE_WORDS: &[&str] =
     &["odom", "odometry", "amcl", "slam", "localization", "gps", "initialpose", "footprint"];
 
 /// Words of arrays that are not poses.
-const NO_POSE: &[&str] = &[
+const NON_POSE_WORDS: &[&str] = &[
     "joint",
     "joints",
     "velocity",
@@ -135,7 +135,7 @@ const NO_POSE: &[&str] = &[
 ];
 
 /// Consecutive topic words of measured tool poses, and their drivers.
-const DRIVERS: &[(&[&str], &str)] = &[
+const DRIVER_TOPICS: &[(&[&str], &str)] = &[
     (&["tcp", "pose"], "UR drivers"),
     (&["o", "t", "ee"], "Franka drivers"),
     (&["current", "pose"], "Cartesian controllers"),
@@ -152,7 +152,7 @@ const DRIVERS: &[(&[&str], &str)] = &[
 
 /// Relation of a stream's frame to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum FrameKind {
     /// No frame is named.
     Unnamed,
     /// A link that the arm does not move.
@@ -164,9 +164,9 @@ pub(super) enum Place {
     /// A link that moves with the tool whose pose it expresses.
     Tool,
     /// Tied to an unmoved link by static transforms.
-    Tied,
+    StaticallyTied,
     /// Tied to one by dynamic transforms, such as odometry.
-    Carried,
+    DynamicallyTied,
     /// Not tied to the robot.
     Unknown,
 }
@@ -177,15 +177,15 @@ pub(super) struct PoseTopic<'a> {
     pub topic: &'a str,
     pub frame_id: &'a str,
     pub child_frame_id: &'a str,
-    pub frame: Place,
-    pub child: Place,
+    pub frame: FrameKind,
+    pub child: FrameKind,
     pub is_declared: bool,
 }
 
-pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
-    let words = words(topic);
+pub(super) fn role_by_content(topic: &str, columns: &Columns) -> Option<RoleDecision> {
+    let words = split_words(topic);
     let verdict = match columns {
-        Columns::Joints(_) => match goal(topic, &words) {
+        Columns::Joints(_) => match command_word(topic, &words) {
             Some(word) => (Role::Reference, format!("joint commands, by the word '{word}'")),
             None => (Role::Joints, "joint states".to_owned()),
         },
@@ -204,56 +204,56 @@ pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
 }
 
 /// Role by topic name alone.
-pub(super) fn named_role(topic: &str) -> Role {
-    let (frame, child) = (Place::Unnamed, Place::Unnamed);
+pub(super) fn role_by_name(topic: &str) -> Role {
+    let (frame, child) = (FrameKind::Unnamed, FrameKind::Unnamed);
     let unnamed =
         PoseTopic { topic, frame_id: "", child_frame_id: "", frame, child, is_declared: false };
     pose_role(&unnamed).0
 }
 
 /// Role by topic name, unless a tool pose.
-pub(super) fn beside_arm(topic: &str) -> Role {
-    match named_role(topic) {
+pub(super) fn role_outside_arm(topic: &str) -> Role {
+    match role_by_name(topic) {
         role @ (Role::Target | Role::Reference) => role,
         _ => Role::Unassigned,
     }
 }
 
 /// Whether a stream has a role, or has it by name while open.
-pub(super) fn may_be(stream: &Stream, role: Role) -> bool {
+pub(super) fn may_have_role(stream: &Stream, role: Role) -> bool {
     let is_open = matches!(stream.role, Role::Candidate { .. })
         && matches!(stream.columns, Some(Columns::Poses(_)));
-    stream.role == role || (is_open && beside_arm(&stream.topic) == role)
+    stream.role == role || (is_open && role_outside_arm(&stream.topic) == role)
 }
 
 /// Role of a pose stream with frames.
-pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
+pub(super) fn pose_role(pose: &PoseTopic<'_>) -> RoleDecision {
     let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;
-    let topic_words = words(topic);
+    let topic_words = split_words(topic);
     if pose.is_declared {
         return (Role::Pose, "declared".to_owned());
     }
-    let is_of_camera = shared(&words(frame_id), CAMERAS).is_some();
-    if let Some(found) = open_role(&topic_words, pose.frame).filter(|_| !is_of_camera) {
+    let is_of_camera = find_word(&split_words(frame_id), CAMERA_WORDS).is_some();
+    if let Some(found) = ambiguous_role(&topic_words, pose.frame).filter(|_| !is_of_camera) {
         return found;
     }
-    if let Some(word) = shared(&topic_words, SIGHTS) {
+    if let Some(word) = find_word(&topic_words, DETECTION_WORDS) {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
     }
-    if pose.child != Place::MovingLink && is_of_camera {
+    if pose.child != FrameKind::MovingLink && is_of_camera {
         return (Role::Target, format!("seen by a camera: its frame is '{frame_id}'"));
     }
-    if let Some(word) = shared(&topic_words, GOALS) {
+    if let Some(word) = find_word(&topic_words, COMMAND_WORDS) {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     match pose.child {
-        Place::MovingLink => {
+        FrameKind::MovingLink => {
             return (
                 Role::Pose,
                 format!("its child frame '{child_frame_id}' is a link that the arm moves"),
             );
         }
-        Place::StillLink | Place::Tied => {
+        FrameKind::StillLink | FrameKind::StaticallyTied => {
             return (
                 Role::Unassigned,
                 format!("the arm does not move its child frame '{child_frame_id}'"),
@@ -261,30 +261,32 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
         }
         _ => {}
     }
-    let child_words = words(child_frame_id);
-    if let Some(word) = shared(&topic_words, MOBILE).or_else(|| shared(&child_words, MOBILE)) {
+    let child_words = split_words(child_frame_id);
+    if let Some(word) = find_word(&topic_words, MOBILE_BASE_WORDS)
+        .or_else(|| find_word(&child_words, MOBILE_BASE_WORDS))
+    {
         return (Role::Unassigned, format!("the pose of a mobile base, by the word '{word}'"));
     }
-    if let Some(driver) = driver_of(&topic_words) {
+    if let Some(driver) = find_driver(&topic_words) {
         return (Role::Pose, format!("the topic name that {driver} use for the tool pose"));
     }
     match pose.frame {
-        Place::MovingLink => {
+        FrameKind::MovingLink => {
             (Role::Unassigned, format!("its frame '{frame_id}' is moved by the arm itself"))
         }
-        Place::Tool => (
+        FrameKind::Tool => (
             Role::Candidate { presumed: false },
             format!("its frame '{frame_id}' is the tool's own, where the tool cannot move"),
         ),
-        Place::StillLink | Place::Upstream => (
+        FrameKind::StillLink | FrameKind::Upstream => (
             Role::Candidate { presumed: true },
             format!("its frame '{frame_id}' is a link of the robot"),
         ),
-        Place::Carried => (
+        FrameKind::DynamicallyTied => (
             Role::Candidate { presumed: false },
             format!("its frame '{frame_id}' moves relative to the arm's base, by the transforms"),
         ),
-        Place::Tied | Place::Unnamed | Place::Unknown => (
+        FrameKind::StaticallyTied | FrameKind::Unnamed | FrameKind::Unknown => (
             Role::Candidate { presumed: false },
             "neither its name nor its frames identify the body".to_owned(),
         ),
@@ -292,34 +294,39 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
 }
 
 /// Role of ambiguous names: tracked bodies on a tool, or camera targets and goals. The motion decides.
-fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
+fn ambiguous_role(topic_words: &[String], frame: FrameKind) -> Option<RoleDecision> {
     let is_only = |known: &[&'static str], open: &[&'static str]| {
         let others = || known.iter().copied().filter(|word| !open.contains(word));
         let has = |word: &str| topic_words.iter().any(|own| own == word);
-        shared(topic_words, open).filter(|_| !others().any(has))
+        find_word(topic_words, open).filter(|_| !others().any(has))
     };
-    let word = match (is_only(SIGHTS, BODIES), is_only(GOALS, AIMS), frame) {
-        (_, _, Place::Unnamed) => return None,
-        (Some(word), _, _) if shared(topic_words, GOALS).is_none() => word,
-        (_, Some(word), Place::Unknown) if shared(topic_words, SIGHTS).is_none() => word,
-        _ => return None,
-    };
+    let word =
+        match (is_only(DETECTION_WORDS, BODY_WORDS), is_only(COMMAND_WORDS, TARGET_WORDS), frame) {
+            (_, _, FrameKind::Unnamed) => return None,
+            (Some(word), _, _) if find_word(topic_words, COMMAND_WORDS).is_none() => word,
+            (_, Some(word), FrameKind::Unknown)
+                if find_word(topic_words, DETECTION_WORDS).is_none() =>
+            {
+                word
+            }
+            _ => return None,
+        };
     let why =
         format!("the word '{word}' in its name may be a tracker's name for a body on the tool");
     Some((Role::Candidate { presumed: false }, why))
 }
 
 /// Role of unnamed numbers, `width` per row.
-pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdict {
-    let topic_words = words(topic);
+pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> RoleDecision {
+    let topic_words = split_words(topic);
     let is_pose_width = matches!(width, 6 | 7 | 12 | 16);
     if is_declared && is_pose_width {
         return (Role::Pose, "declared".to_owned());
     }
-    if let Some(word) = goal(topic, &topic_words) {
+    if let Some(word) = command_word(topic, &topic_words) {
         return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
-    if let Some(word) = shared(&topic_words, NO_POSE) {
+    if let Some(word) = find_word(&topic_words, NON_POSE_WORDS) {
         return (Role::Ignored, format!("not a pose, by the word '{word}' in its name"));
     }
     if !is_pose_width {
@@ -332,30 +339,31 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
 }
 
 /// Word that marks a command. Table columns use additional words.
-fn goal(topic: &str, words: &[String]) -> Option<&'static str> {
-    const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
+fn command_word(topic: &str, words: &[String]) -> Option<&'static str> {
+    const COMMAND_COLUMN_WORDS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
-    shared(words, GOALS).or_else(|| shared(words, OF_COLUMNS).filter(|_| is_column))
+    find_word(words, COMMAND_WORDS)
+        .or_else(|| find_word(words, COMMAND_COLUMN_WORDS).filter(|_| is_column))
 }
 
-pub(super) fn is_sight(frame: &str) -> bool {
-    let words = words(frame);
-    shared(&words, SIGHTS).or_else(|| shared(&words, CAMERAS)).is_some()
+pub(super) fn is_detection_frame(frame: &str) -> bool {
+    let words = split_words(frame);
+    find_word(&words, DETECTION_WORDS).or_else(|| find_word(&words, CAMERA_WORDS)).is_some()
 }
 
-pub(super) fn driver_of(topic_words: &[String]) -> Option<&'static str> {
+pub(super) fn find_driver(topic_words: &[String]) -> Option<&'static str> {
     let has =
         |sequence: &[&str]| topic_words.windows(sequence.len()).any(|window| window == sequence);
-    DRIVERS.iter().find(|(sequence, _)| has(sequence)).map(|(_, driver)| *driver)
+    DRIVER_TOPICS.iter().find(|(sequence, _)| has(sequence)).map(|(_, driver)| *driver)
 }
 
-pub(super) fn shared(words: &[String], known: &[&'static str]) -> Option<&'static str> {
+pub(super) fn find_word(words: &[String], known: &[&'static str]) -> Option<&'static str> {
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
 
 /// Words in lower case: split at other characters than letters and digits, and before a capital after a
 /// small letter.
-pub(super) fn words(name: &str) -> Vec<String> {
+pub(super) fn split_words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';
     for c in name.chars() {
@@ -373,12 +381,12 @@ pub(super) fn words(name: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Place::{MovingLink, StillLink, Tied, Unknown, Unnamed};
+    use FrameKind::{MovingLink, StaticallyTied, StillLink, Unknown, Unnamed};
 
     fn role(
         topic: &str,
-        (frame_id, frame): (&str, Place),
-        (child_frame_id, child): (&str, Place),
+        (frame_id, frame): (&str, FrameKind),
+        (child_frame_id, child): (&str, FrameKind),
     ) -> Role {
         pose_role(&PoseTopic { topic, frame_id, child_frame_id, frame, child, is_declared: false })
             .0
@@ -386,9 +394,12 @@ mod tests {
 
     #[test]
     fn words_are_cut_at_marks_and_capitals() {
-        assert_eq!(words("/iiwa/state/CartesianPose"), ["iiwa", "state", "cartesian", "pose"]);
-        assert_eq!(words("O_T_EE"), ["o", "t", "ee"]);
-        assert_eq!(words("//"), [""; 0]);
+        assert_eq!(
+            split_words("/iiwa/state/CartesianPose"),
+            ["iiwa", "state", "cartesian", "pose"]
+        );
+        assert_eq!(split_words("O_T_EE"), ["o", "t", "ee"]);
+        assert_eq!(split_words("//"), [""; 0]);
     }
 
     #[test]
@@ -418,7 +429,7 @@ mod tests {
             ("/object_pose", none, none, Role::Target),
             ("/vision/pose", ("camera_color_optical_frame", MovingLink), none, Role::Target),
             ("/hand_pose", base, none, strong),
-            ("/hand_pose", ("world", Tied), none, weak),
+            ("/hand_pose", ("world", StaticallyTied), none, weak),
             ("/camera_mount_pose", map, none, weak),
             ("/vrpn/tool", map, none, weak),
             ("/vrpn/tool", ("odom", Unknown), ("tool0", MovingLink), Role::Pose),
@@ -452,11 +463,17 @@ mod tests {
     #[test]
     fn joint_commands_are_no_joint_states() {
         let joints = Columns::Joints(crate::stream::JointColumns::default());
-        assert_eq!(plain_role("/joint_states", &joints).map(|(role, _)| role), Some(Role::Joints));
+        assert_eq!(
+            role_by_content("/joint_states", &joints).map(|(role, _)| role),
+            Some(Role::Joints)
+        );
         for topic in ["/isaac_joint_commands", "/arm_controller/state.reference"] {
-            assert_eq!(plain_role(topic, &joints).map(|(role, _)| role), Some(Role::Reference));
+            assert_eq!(
+                role_by_content(topic, &joints).map(|(role, _)| role),
+                Some(Role::Reference)
+            );
         }
-        let feedback = plain_role("/arm_controller/controller_state", &joints);
+        let feedback = role_by_content("/arm_controller/controller_state", &joints);
         assert_eq!(feedback.map(|(role, _)| role), Some(Role::Joints));
     }
 }

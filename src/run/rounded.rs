@@ -8,10 +8,10 @@
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
 
-use super::grid::Grid;
+use super::part_series::Values;
 use super::role::Role;
-use super::series::Values;
 use super::streams::Stream;
+use super::tick_grid::Grid;
 
 /// A part with rounded stamps, restored from the row order.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 
 use super::outliers::{self, Outliers, detect_outliers};
+use super::part_series::{Values, series};
 use super::publishers::{self, Publishers, publishers};
 use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
 use super::rows::Rows;
-use super::series::{Values, series};
 use super::stale::{self, StaleJoints, detect_stale_joints};
-use super::streams::{Clocks, Stream};
+use super::streams::{Stream, StreamClocks};
 
 /// Samples excluded from estimation.
 #[derive(Debug, Default)]
@@ -25,7 +25,7 @@ pub struct SampleFilter {
 }
 
 impl SampleFilter {
-    pub(super) fn new(streams: &[Stream], clocks: &Clocks) -> Self {
+    pub(super) fn new(streams: &[Stream], clocks: &StreamClocks) -> Self {
         let mut series = series(streams, clocks);
         let publishers = publishers(&series);
         for series in &mut series {

@@ -2,10 +2,10 @@
 
 use super::Run;
 use super::arm::TfUnavailable;
+use super::not_audited::{NotAudited, NotAuditedReason};
 use super::role::Role;
 use super::streams::Stream;
 use super::targets::HandKind;
-use super::unaudited::{NotAudited, NotAuditedReason};
 
 /// A stream that may belong to several arms.
 #[derive(Clone, Debug)]
@@ -50,7 +50,7 @@ impl Run {
             );
             self.unassign(*stream, reason);
             let why = NotAuditedReason::WhoseArm { arms: names };
-            self.unaudited.push(NotAudited { stream: *stream, why });
+            self.not_audited.push(NotAudited { stream: *stream, reason: why });
             return;
         };
         for (index, arm) in
@@ -104,7 +104,7 @@ impl Run {
         for arm in &mut self.arms {
             arm.poses.retain(|source| source.stream != stream);
         }
-        self.unaudited.retain(|unaudited| unaudited.stream != stream);
+        self.not_audited.retain(|unaudited| unaudited.stream != stream);
         let Some(stream) = self.streams.get_mut(stream) else { return };
         (stream.role, stream.reason) = (Role::Unassigned, reason);
         (stream.arm, stream.reference, stream.link, stream.source_kind) = (None, None, None, None);
@@ -113,6 +113,6 @@ impl Run {
     /// Unassigns a stream, and records the reason.
     pub fn exclude(&mut self, stream: usize, why: NotAuditedReason, reason: String) {
         self.unassign(stream, reason);
-        self.unaudited.push(NotAudited { stream, why });
+        self.not_audited.push(NotAudited { stream, reason: why });
     }
 }

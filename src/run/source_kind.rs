@@ -7,7 +7,7 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use super::role::{Place, driver_of, shared, words};
+use super::role::{FrameKind, find_driver, find_word, split_words};
 
 /// Source of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
@@ -70,7 +70,7 @@ pub(super) struct PoseNames<'a> {
     pub frame_id: &'a str,
     pub child_frame_id: &'a str,
     /// Relation of the poses' frame to the arm.
-    pub frame: Place,
+    pub frame: FrameKind,
     /// Whether its stamps are the joints'.
     pub stamps_copied: bool,
 }
@@ -79,17 +79,17 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();
     let of_package = |known: &[&str]| known.iter().any(|start| package.starts_with(start));
-    let topic_words = words(topic);
+    let topic_words = split_words(topic);
     let outside = [topic, frame_id, child_frame_id]
         .into_iter()
-        .find_map(|name| shared(&words(name), EXTERNAL_WORDS));
+        .find_map(|name| find_word(&split_words(name), EXTERNAL_WORDS));
     if let Some(word) = outside {
         return (PoseSourceKind::External, format!("the word '{word}' in its names"));
     }
     if of_package(TRACKERS) {
         return (PoseSourceKind::External, format!("messages of {package}"));
     }
-    if let Some(driver) = driver_of(&topic_words) {
+    if let Some(driver) = find_driver(&topic_words) {
         return (
             PoseSourceKind::Controller,
             format!("the topic name that {driver} use for the tool pose"),
@@ -98,14 +98,14 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
     if of_package(CONTROLLERS) {
         return (PoseSourceKind::Controller, format!("messages of {package}"));
     }
-    if shared(&words(child_frame_id), &["controller"]).is_some() {
+    if find_word(&split_words(child_frame_id), &["controller"]).is_some() {
         return (PoseSourceKind::Controller, format!("its child frame '{child_frame_id}'"));
     }
     if names.stamps_copied {
         return (PoseSourceKind::Controller, "its stamps, copied from the joint states".to_owned());
     }
     match names.frame {
-        Place::Unknown => {
+        FrameKind::Unknown => {
             let why = format!("its frame '{frame_id}', which is not fixed to the robot");
             (PoseSourceKind::External, why)
         }
@@ -116,9 +116,13 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Place::{StillLink, Tied, Unknown, Unnamed};
+    use FrameKind::{StaticallyTied, StillLink, Unknown, Unnamed};
 
-    fn witness(topic: &str, type_name: &str, (frame_id, frame): (&str, Place)) -> PoseSourceKind {
+    fn witness(
+        topic: &str,
+        type_name: &str,
+        (frame_id, frame): (&str, FrameKind),
+    ) -> PoseSourceKind {
         let (child_frame_id, stamps_copied) = ("", false);
         let names = PoseNames { topic, type_name, frame_id, child_frame_id, frame, stamps_copied };
         source_kind_of(&names).0
@@ -134,9 +138,9 @@ mod tests {
             ("/franka_robot_state_broadcaster/current_pose", POSE, ("", Unnamed), Controller),
             ("/state", "franka_msgs/msg/FrankaRobotState", ("", Unnamed), Controller),
             ("/tcp_pose_broadcaster/pose", POSE, ("mocap_world", Unknown), External),
-            ("/vrpn_client_node/tool/pose", POSE, ("world", Tied), External),
+            ("/vrpn_client_node/tool/pose", POSE, ("world", StaticallyTied), External),
             ("/tool/apriltag", POSE, ("base", StillLink), External),
-            ("/hand_pose", POSE, ("camera_color_optical_frame", Tied), External),
+            ("/hand_pose", POSE, ("camera_color_optical_frame", StaticallyTied), External),
             ("/hand_pose", POSE, ("map", Unknown), External),
             ("/hand_pose", POSE, ("base", StillLink), Nobody),
             ("/hand_pose", POSE, ("", Unnamed), Nobody),

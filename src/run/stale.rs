@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use crate::stream::{JointColumn, sample_noise};
 
 use super::frozen::Frozen;
+use super::part_series::{Series, Values};
 use super::rows::Rows;
-use super::series::{Series, Values};
 
 /// Minimum duration, s, and rows; slow sources have shorter spans.
 const LEAST_S: f64 = 0.25;

@@ -6,8 +6,8 @@ use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
-use super::clock::{self, Source, StreamClock};
-use super::role::{Role, named_role, plain_role, words};
+use super::clock::{self, ClockSource, StreamClock};
+use super::role::{Role, role_by_content, role_by_name, split_words};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
@@ -43,7 +43,7 @@ pub struct Stream {
     /// Rate, Hz; a TF topic's most frequent transform.
     pub rate_hz: Option<f64>,
     /// Expected rate, Hz.
-    pub said_hz: Option<f64>,
+    pub expected_hz: Option<f64>,
     /// First row, on the audit's clock.
     pub start: Option<Stamp>,
     /// Last row.
@@ -82,13 +82,13 @@ impl Stream {
     }
 
     /// Whether it has table positions without rotation.
-    pub fn holds_no_rotation(&self) -> bool {
+    pub fn lacks_rotation(&self) -> bool {
         !self.cells.is_empty() && matches!(self.columns, Some(Columns::Poses(_)))
     }
 
     /// Whether its numbers lack unit and convention.
-    pub fn is_bare(&self) -> bool {
-        matches!(self.columns, Some(Columns::Array(_))) || self.holds_no_rotation()
+    pub fn lacks_encoding(&self) -> bool {
+        matches!(self.columns, Some(Columns::Array(_))) || self.lacks_rotation()
     }
 
     fn mark_empty(&mut self) {
@@ -103,7 +103,7 @@ impl Stream {
         }
     }
 
-    pub(super) fn of_pose(&self, poses: PoseColumns) -> Self {
+    pub(super) fn with_single_pose(&self, poses: PoseColumns) -> Self {
         let (count, dropped) = (poses.times.len() as u64, poses.not_finite);
         Stream {
             frame_id: without_slash(&poses.frame_id).to_owned(),
@@ -137,15 +137,15 @@ impl Stream {
 
 /// Streams in topic order, with roles that need no robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
-    let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
+    let mut streams: Vec<Stream> = topics.into_iter().flat_map(streams_of_topic).collect();
     streams.iter_mut().for_each(Stream::mark_empty);
-    leave_joints_to_named(&mut streams);
+    ignore_unnamed_joints(&mut streams);
     demote_fake_controllers(&mut streams);
     streams
 }
 
 /// Ignores unnamed joint states if another topic has as many named joints, else the arm would appear twice.
-fn leave_joints_to_named(streams: &mut [Stream]) {
+fn ignore_unnamed_joints(streams: &mut [Stream]) {
     let joints = |stream: &Stream, unnamed: bool| match (stream.role, &stream.columns) {
         (Role::Joints, Some(Columns::Joints(joints))) if joints.unnamed == unnamed => {
             Some(joints.joints.len())
@@ -176,7 +176,7 @@ fn demote_fake_controllers(streams: &mut [Stream]) {
             _ => None,
         }
     };
-    let is_fake = |stream: &Stream| words(&stream.topic).iter().any(|word| word == "fake");
+    let is_fake = |stream: &Stream| split_words(&stream.topic).iter().any(|word| word == "fake");
     for index in 0..streams.len() {
         let Some(own) = joints(&streams[index]).filter(|_| is_fake(&streams[index])) else {
             continue;
@@ -192,7 +192,7 @@ fn demote_fake_controllers(streams: &mut [Stream]) {
     }
 }
 
-fn of_topic(topic: Topic) -> Vec<Stream> {
+fn streams_of_topic(topic: Topic) -> Vec<Stream> {
     let undecodable = topic.undecodable.as_ref().map_or(0, |undecodable| undecodable.messages);
     let mut stream = Stream {
         topic: topic.name,
@@ -208,7 +208,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         count: topic.messages,
         dropped: undecodable,
         rate_hz: None,
-        said_hz: None,
+        expected_hz: None,
         start: topic.span.map(|(start, _)| start),
         end: topic.span.map(|(_, end)| end),
         is_empty: false,
@@ -242,7 +242,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     if let Columns::Poses(poses) = columns {
         (stream.role, stream.reason) = (Role::Unassigned, "it matches no arm".to_owned());
         let mut streams: Vec<Stream> =
-            poses.into_iter().map(|poses| stream.of_pose(poses)).collect();
+            poses.into_iter().map(|poses| stream.with_single_pose(poses)).collect();
         if let Some(first) = streams.first_mut() {
             first.dropped += undecodable;
         }
@@ -251,7 +251,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         }
         return streams;
     }
-    match plain_role(&stream.topic, &columns) {
+    match role_by_content(&stream.topic, &columns) {
         Some((role, reason)) => (stream.role, stream.reason) = (role, reason),
         None => {
             stream.role = Role::Unassigned;
@@ -270,8 +270,8 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
 
 fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
     let role = match columns {
-        Columns::Poses(_) => Some(named_role(&stream.topic)),
-        columns => plain_role(&stream.topic, columns).map(|(role, _)| role),
+        Columns::Poses(_) => Some(role_by_name(&stream.topic)),
+        columns => role_by_content(&stream.topic, columns).map(|(role, _)| role),
     };
     matches!(role, Some(Role::Joints | Role::Pose | Role::Tf | Role::Imu))
 }
@@ -288,17 +288,17 @@ fn dropped_in(columns: &Columns) -> u64 {
     }
 }
 
-pub(super) struct Clocks {
+pub(super) struct StreamClocks {
     pub all: Vec<StreamClock>,
     /// Clock index per stream and part.
-    of: Vec<Vec<usize>>,
+    index_of_part: Vec<Vec<usize>>,
     /// Parts with rounded stamps.
     pub rounded: Vec<RoundedStamps>,
 }
 
-impl Clocks {
+impl StreamClocks {
     /// Selects the clock of every stamped stream.
-    pub fn settle(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
+    pub fn select(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let mut sources = Vec::new();
         let mut of: Vec<Vec<usize>> = vec![Vec::new(); streams.len()];
         for (index, stream) in streams.iter().enumerate() {
@@ -308,7 +308,7 @@ impl Clocks {
                         .iter()
                         .map(|poses| (poses.child_frame_id.as_str(), &poses.times));
                     of[index] = vec![0; transforms.len()];
-                    for (source, members) in clock::by_clock(index, pieces, max_latency_s) {
+                    for (source, members) in clock::group_by_clock(index, pieces, max_latency_s) {
                         for member in members {
                             of[index][member] = sources.len();
                         }
@@ -318,7 +318,7 @@ impl Clocks {
                 Some(Columns::Transforms(_) | Columns::Text(_)) | None => {}
                 Some(_) => {
                     of[index] = vec![sources.len()];
-                    sources.push(Source {
+                    sources.push(ClockSource {
                         stream: index,
                         frame: None,
                         times: stream.times(),
@@ -328,7 +328,11 @@ impl Clocks {
                 }
             }
         }
-        Self { all: clock::settle(&sources, wanted, max_latency_s), of, rounded: Vec::new() }
+        Self {
+            all: clock::select_clocks(&sources, wanted, max_latency_s),
+            index_of_part: of,
+            rounded: Vec::new(),
+        }
     }
 
     /// Clock of a part; `None` for static data.
@@ -337,7 +341,7 @@ impl Clocks {
     }
 
     pub fn index(&self, stream: usize, piece: usize) -> Option<usize> {
-        self.of.get(stream)?.get(piece).copied()
+        self.index_of_part.get(stream)?.get(piece).copied()
     }
 
     /// Stamped rows of a part.
@@ -370,14 +374,14 @@ impl Clocks {
 
     /// Shares a part's clock with a new stream.
     pub fn share(&mut self, stream: usize, piece: usize) {
-        let to = self.of.len();
+        let to = self.index_of_part.len();
         let shared = self.rounded_stamps(stream, piece).cloned();
         self.rounded.extend(shared.map(|shared| RoundedStamps { stream: to, piece: 0, ..shared }));
-        self.of.push(vec![self.of[stream][piece]]);
+        self.index_of_part.push(vec![self.index_of_part[stream][piece]]);
     }
 
     pub fn streams(&self) -> usize {
-        self.of.len()
+        self.index_of_part.len()
     }
 
     /// Rounding of a part's stamps, if rounded.
@@ -405,7 +409,7 @@ impl Clocks {
     /// Sets time range and rate of streams, and counts unstamped rows.
     pub fn measure(&self, streams: &mut [Stream]) {
         for (index, stream) in streams.iter_mut().enumerate() {
-            let pieces = self.of[index].len();
+            let pieces = self.index_of_part[index].len();
             let (mut rate_hz, mut bounds, mut unstamped) = (None, None, 0);
             for piece in 0..pieces {
                 let times = stream.times();

@@ -5,7 +5,7 @@ use crate::robot::{Chain, LinkId};
 use crate::stream::PoseTrack;
 
 use super::arm::Arm;
-use super::role::{CAMERAS, Place, SIGHTS, shared, words};
+use super::role::{CAMERA_WORDS, DETECTION_WORDS, FrameKind, find_word, split_words};
 use super::tf_tree::{EdgeKind, TfTree};
 
 /// Axis convention of a camera frame.
@@ -80,7 +80,7 @@ impl HandKind {
         arm: &Arm,
         camera: &str,
     ) -> Option<(Self, [Option<Pose>; 2])> {
-        let (place, anchor) = arm.place(camera);
+        let (place, anchor) = arm.classify_frame(camera);
         // A camera next to a rail does not move with it.
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();
@@ -90,7 +90,7 @@ impl HandKind {
         };
         let fixed = |link: LinkId| arm.robot.fixed_transform(base, link);
         let (hand, hand_from_camera, base_from_camera) = match (place, anchor) {
-            (Place::MovingLink, Some(anchor)) => {
+            (FrameKind::MovingLink, Some(anchor)) => {
                 let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
                 match tip_from_link {
                     Some(tip_from_link) => {
@@ -113,12 +113,13 @@ impl HandKind {
 
 /// Whether names make a dynamic transform a camera detection.
 pub(super) fn is_sighting(frame: &str, child: &str) -> bool {
-    let is_camera = |name: &str| shared(&words(name), CAMERAS).is_some();
-    is_camera(frame) && (!is_camera(child) || shared(&words(child), SIGHTS).is_some())
+    let is_camera = |name: &str| find_word(&split_words(name), CAMERA_WORDS).is_some();
+    is_camera(frame)
+        && (!is_camera(child) || find_word(&split_words(child), DETECTION_WORDS).is_some())
 }
 
 pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
-    let is_optical = |frame: &str| words(frame).iter().any(|word| word == "optical");
+    let is_optical = |frame: &str| split_words(frame).iter().any(|word| word == "optical");
     if is_optical(camera) {
         return Some(CameraAxes::Optical);
     }

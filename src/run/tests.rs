@@ -125,7 +125,7 @@ fn a_pose_measured_onto_tf_is_a_candidate_and_no_part_of_the_arm() {
         .collect();
     assert_eq!(children, [("tool0_controller", "unassigned"), ("tool0", "pose")]);
     assert_eq!(run.candidates().collect::<Vec<_>>(), [3]);
-    run.settle(3, Some(0.97));
+    run.resolve_candidate(3, Some(0.97));
     assert_eq!(run.streams[3].role, Role::Pose);
     assert_eq!(run.arms[0].poses.len(), 2);
 }
@@ -137,7 +137,7 @@ fn a_candidate_that_does_not_follow_is_unassigned_with_the_reason() {
     recording.add_pose("/hand_pose", poses("base", "", |_| some_pose()));
     let mut run = recording.run();
     for (stream, peak) in [(1, Some(0.5)), (2, Some(0.5))] {
-        run.settle(stream, peak);
+        run.resolve_candidate(stream, peak);
     }
     assert_eq!(role_of(&run, "/camera_mount_pose").0, "unassigned");
     assert!(role_of(&run, "/camera_mount_pose").1.contains("speed correlation 0.50"));
@@ -180,7 +180,7 @@ fn joints_outside_the_arm_are_ignored_with_the_reason() {
     assert!(role_of(&run, "/joint_states").1.contains("finger_joint"));
     assert_eq!(role_of(&run, "/joint_commands").0, "reference");
     assert_eq!(run.arms[0].joints.len(), ROWS as usize);
-    let samples: Vec<usize> = run.arms[0].joint_facts.iter().map(|joint| joint.samples).collect();
+    let samples: Vec<usize> = run.arms[0].joint_sources.iter().map(|joint| joint.samples).collect();
     assert_eq!(samples.iter().sum::<usize>(), 6 * ROWS as usize - 1);
 }
 
@@ -258,7 +258,7 @@ fn a_controllers_feedback_is_the_arm_and_its_reference_is_not() {
     let run = recording.run();
     let roles: Vec<Role> = run.streams.iter().map(|stream| stream.role).collect();
     assert_eq!(roles, [Role::Joints, Role::Reference]);
-    assert!(run.arms[0].joint_facts.iter().all(|joint| joint.stream == 0));
+    assert!(run.arms[0].joint_sources.iter().all(|joint| joint.stream == 0));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::stream::{Columns, PoseColumns};
 use super::Run;
 use super::pose_distance::PoseDistance;
 use super::publishers::Publishers;
-use super::role::{Place, Role};
+use super::role::{FrameKind, Role};
 use super::streams::Stream;
 use super::tf_error::TfError;
 use super::tf_tree::{Edge, EdgeKind, without_slash};
@@ -326,9 +326,9 @@ impl Run {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
-            let (place, _) = arm.place(&stream.frame_id);
+            let (place, _) = arm.classify_frame(&stream.frame_id);
             let base = arm.frame_of(arm.base);
-            let is_loose = place == Place::Unknown;
+            let is_loose = place == FrameKind::Unknown;
             is_loose.then(|| self.apart(&stream.topic, &stream.frame_id, &base)).flatten()
         });
         of_streams.collect()

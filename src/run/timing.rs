@@ -4,11 +4,11 @@ use super::excerpts::Excerpts;
 use super::rounded;
 use super::rows::Rows;
 use super::sample_filter::SampleFilter;
-use super::streams::{Clocks, Stream};
+use super::streams::{Stream, StreamClocks};
 use crate::time::Clock;
 
 pub(super) struct Timing {
-    pub clocks: Clocks,
+    pub clocks: StreamClocks,
     pub excerpts: Option<Excerpts>,
     pub sample_filter: SampleFilter,
 }
@@ -17,7 +17,7 @@ impl Timing {
     /// Selects clocks, measures rates, and checks rows.
     pub fn new(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let rounded = rounded::restore(streams, wanted);
-        let mut clocks = Clocks::settle(streams, wanted, max_latency_s);
+        let mut clocks = StreamClocks::select(streams, wanted, max_latency_s);
         clocks.rounded = rounded;
         clocks.measure(streams);
         let sample_filter = SampleFilter::new(streams, &clocks);

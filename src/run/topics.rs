@@ -8,7 +8,7 @@ use crate::stream::Columns;
 
 use super::arm::Arm;
 use super::error::RunError;
-use super::role::{Place, Role};
+use super::role::{FrameKind, Role};
 use super::source_kind::PoseSourceKind;
 use super::streams::Stream;
 use super::tf_tree::{TfTree, without_slash};
@@ -140,24 +140,24 @@ fn content(columns: &Columns) -> &'static str {
 /// # Errors
 /// If a topic's content does not fit its settings.
 pub(super) fn apply(settings: &[TopicSettings], streams: &mut [Stream]) -> Result<(), RunError> {
-    for said in settings {
-        for stream in streams.iter_mut().filter(|stream| said.is_of(&stream.topic)) {
-            apply_to(said, stream)?;
+    for topic_settings in settings {
+        for stream in streams.iter_mut().filter(|stream| topic_settings.is_of(&stream.topic)) {
+            apply_to(topic_settings, stream)?;
         }
     }
     Ok(())
 }
 
-fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
+fn apply_to(topic_settings: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     const ROLE: &str = "check the content of the topic with `poseaudit info`";
-    stream.said_hz = said.rate_hz;
-    if said.role == Some(RoleSetting::Ignored) {
+    stream.expected_hz = topic_settings.rate_hz;
+    if topic_settings.role == Some(RoleSetting::Ignored) {
         (stream.role, stream.is_empty, stream.columns) = (Role::Ignored, false, None);
-        stream.reason = format!("its role is set ({})", said.place);
+        stream.reason = format!("its role is set ({})", topic_settings.place);
         return Ok(());
     }
     let Some(columns) = &stream.columns else { return Ok(()) };
-    if let Some(role) = said.role {
+    if let Some(role) = topic_settings.role {
         if !role.fits(columns) {
             let what = format!(
                 "'{}' contains {} and cannot have the role `{}`",
@@ -165,24 +165,26 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
                 content(columns),
                 role.name()
             );
-            return Err(said.refused(what, ROLE));
+            return Err(topic_settings.refused(what, ROLE));
         }
         stream.role = role.role();
-        stream.reason = format!("its role is set ({})", said.place);
+        stream.reason = format!("its role is set ({})", topic_settings.place);
     }
     let has_link = matches!(columns, Columns::Poses(_) | Columns::Array(_));
     let has_frame = has_link || matches!(columns, Columns::Imu(_));
-    for (key, name, has) in [("frame", &said.frame, has_frame), ("link", &said.link, has_link)] {
+    for (key, name, has) in
+        [("frame", &topic_settings.frame, has_frame), ("link", &topic_settings.link, has_link)]
+    {
         if name.is_some() && !has {
             let what =
                 format!("'{}' contains {}, which have no `{key}`", stream.topic, content(columns));
-            return Err(said.refused(what, ROLE));
+            return Err(topic_settings.refused(what, ROLE));
         }
     }
-    if let Some(frame) = &said.frame {
+    if let Some(frame) = &topic_settings.frame {
         stream.frame_id = without_slash(frame).to_owned();
     }
-    if let Some(link) = &said.link {
+    if let Some(link) = &topic_settings.link {
         stream.child_frame_id = without_slash(link).to_owned();
     }
     Ok(())
@@ -203,11 +205,15 @@ pub(super) fn check_frames(
     if arms.is_empty() {
         return Ok(());
     }
-    let is_known = |name: &str| arms.iter().any(|arm| arm.place(name).0 != Place::Unknown);
-    for said in settings.iter().filter(|said| streams.iter().any(|one| said.is_of(&one.topic))) {
+    let is_known =
+        |name: &str| arms.iter().any(|arm| arm.classify_frame(name).0 != FrameKind::Unknown);
+    for topic_settings in settings
+        .iter()
+        .filter(|topic_settings| streams.iter().any(|one| topic_settings.is_of(&one.topic)))
+    {
         let links = arms.iter().flat_map(|arm| arm.robot.links().map(|link| arm.frame_of(link)));
         let known: Vec<String> = links.chain(tf.frames().map(str::to_owned)).collect();
-        for (key, name) in [("frame", &said.frame), ("link", &said.link)] {
+        for (key, name) in [("frame", &topic_settings.frame), ("link", &topic_settings.link)] {
             let Some(name) = name.as_deref().map(without_slash) else { continue };
             if is_known(name) || known.iter().any(|frame| frame == name) {
                 continue;
@@ -215,10 +221,11 @@ pub(super) fn check_frames(
             let near = nearest(name, known.iter().map(String::as_str));
             if let Some(near) = near.first() {
                 let what = format!("{key} '{name}' is unknown; did you mean '{near}'?");
-                return Err(said.refused(what, REMEDY));
+                return Err(topic_settings.refused(what, REMEDY));
             }
             if key == "link" {
-                return Err(said.refused(format!("link '{name}' is not a link of an arm"), REMEDY));
+                return Err(topic_settings
+                    .refused(format!("link '{name}' is not a link of an arm"), REMEDY));
             }
         }
     }

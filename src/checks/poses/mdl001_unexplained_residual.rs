@@ -485,7 +485,7 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
 }
 
 fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outcome {
-    let CompetingModel { name, named_m, left_m, tool_m, .. } = better;
+    let CompetingModel { name, named_residual_m: named_m, residual_m: left_m, tool_m, .. } = better;
     let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
     let with = match tool_m {
         Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(*tool_m)),

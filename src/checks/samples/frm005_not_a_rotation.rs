@@ -4,7 +4,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
-use crate::run::{Norms, Written};
+use crate::run::{NormDefects, RotationStorage};
 
 rule! {
     /// Quaternions are not unit-norm, or matrices not orthonormal.
@@ -49,7 +49,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.norms.iter().map(|norms| judge(case, norms)).collect()
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> SubjectResult {
+fn judge(case: &Case, stream: &StreamEvidence<Vec<NormDefects>>) -> SubjectResult {
     let threshold = case.thresholds.threshold(&FRM005, THRESHOLD);
     let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
@@ -57,7 +57,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> SubjectResult {
         return stream.judged(outcome);
     };
     let unset: usize = stream.iter().map(|part| part.unset).sum();
-    let concerned: Vec<&Norms> =
+    let concerned: Vec<&NormDefects> =
         stream.iter().filter(|part| threshold.severity(part.largest).is_some()).collect();
     let subject = match concerned.as_slice() {
         [only] if stream.len() > 1 => {
@@ -79,32 +79,34 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> SubjectResult {
     SubjectResult::new(subject, outcome)
         .within(stream.span)
         .estimated(Estimate::exact("largest defect", Unit::One.symbol(), worst.largest))
-        .with_evidence("written", word(worst.written))
+        .with_evidence("written", word(worst.storage))
         .with_evidence("median", worst.median)
         .with_evidence("unset", unset)
         .with_evidence("at_ns", worst.at.map(|at| at.to_string()))
         .with_evidence("frames", frames)
 }
 
-fn word(written: Written) -> &'static str {
+fn word(written: RotationStorage) -> &'static str {
     match written {
-        Written::Quaternion => "quaternion",
-        Written::Matrix => "matrix",
+        RotationStorage::Quaternion => "quaternion",
+        RotationStorage::Matrix => "matrix",
     }
 }
 
-fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
+fn fault(case: &Case, worst: &NormDefects, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
     let half = match case.thresholds.threshold(&FRM005, THRESHOLD).severity(worst.median) {
         Some(_) => format!("median {}", Unit::One.show(worst.median)),
         None => "most samples are within the limit".to_owned(),
     };
-    let (title, what) = match worst.written {
-        Written::Quaternion => {
+    let (title, what) = match worst.storage {
+        RotationStorage::Quaternion => {
             ("quaternion is not of unit norm", "quaternion norms deviate from 1")
         }
-        Written::Matrix => ("matrix is not orthonormal", "matrices deviate from orthonormal"),
+        RotationStorage::Matrix => {
+            ("matrix is not orthonormal", "matrices deviate from orthonormal")
+        }
     };
     Fault {
         cause: Cause::Pictured(Picture::RotationNorm),

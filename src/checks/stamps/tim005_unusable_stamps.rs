@@ -65,7 +65,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> SubjectResult {
             Severity::Warning
         }
     };
-    let far = stream.clock.far;
+    let far = stream.clock.out_of_range;
     let are_few = far <= 3 || far as f64 <= 1e-3 * rows as f64;
     let (severity, title, message) = match stream.clock.stamps {
         HeaderStamps::Sound if zero <= 1 && far > 0 => (

@@ -5,7 +5,7 @@ use std::path::Path;
 use poseaudit::log::{self, ReadOptions};
 use poseaudit::report::Trouble;
 use poseaudit::robot::{Chain, JointKind, Robot};
-use poseaudit::run::{Run, RunOptions, robot_of};
+use poseaudit::run::{Run, RunOptions, load_robot};
 
 use super::super::{fk, misuse};
 use super::Args;
@@ -18,7 +18,7 @@ pub struct PlannedArm {
 
 impl PlannedArm {
     pub fn from_args(args: &Args) -> Result<Self, Trouble> {
-        let unread = match robot_of(&args.robot) {
+        let unread = match load_robot(&args.robot) {
             Ok(robot) => {
                 let chain = fk::chain(&robot, args.base.as_deref(), args.tip.as_deref())?;
                 return Ok(Self { robot, chain });

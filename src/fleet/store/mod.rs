@@ -17,7 +17,7 @@ use polars::prelude::{Column, DataFrame, PolarsError};
 use serde::{Deserialize, Serialize};
 
 use super::content::key_of;
-use super::dataset::Shared;
+use super::dataset::SharedMapping;
 use super::settings::AuditSettings;
 use super::task::Answer;
 pub use super::task::Status;
@@ -188,7 +188,7 @@ impl Store {
     }
 
     /// Shared properties of a dataset under these settings.
-    pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<Shared> {
+    pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<SharedMapping> {
         let text = fs::read_to_string(self.dataset_file(dataset, settings)).ok()?;
         let kept: KeptDataset = serde_json::from_str(&text).ok()?;
         Some(kept.shared)
@@ -213,7 +213,7 @@ impl Store {
         &self,
         dataset: &Path,
         settings: &str,
-        shared: &Shared,
+        shared: &SharedMapping,
     ) -> Result<(), StoreError> {
         let path = self.dataset_file(dataset, settings);
         let dataset = dataset.display().to_string();
@@ -368,7 +368,7 @@ pub struct KeptDataset {
     pub dataset: String,
     /// Hash.
     pub settings: String,
-    pub shared: Shared,
+    pub shared: SharedMapping,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]

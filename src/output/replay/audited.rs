@@ -78,11 +78,11 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
         chain: &arm.chain,
         columns: &arm.columns,
         received: arm
-            .joint_facts
+            .joint_sources
             .first()
             .map_or_else(Receipts::default, |joint| receipts(run, joint.stream)),
-        recorded: arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
-        corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.slides()),
+        recorded: arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
+        corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.are_prismatic()),
         streams: poses.chain(tf).collect(),
         imus: imus
             .map(|(source, facts)| ReplayImu {

@@ -155,7 +155,7 @@ impl<'a> FigureSource<'a> {
         let mut own = self.facts.norms.iter().filter(|of| of.topic() == self.topic());
         let parts = own.next()?;
         let worst = parts.iter().max_by(|a, b| a.largest.total_cmp(&b.largest))?;
-        let rows = self.clock.run.norm_defects(worst).into_iter();
+        let rows = self.clock.run.defect_series(worst).into_iter();
         Some(FindingFigure::RotationNorms(
             rows.map(|(at, off)| [self.clock.seconds_of_stamp(at), off]).collect(),
         ))
@@ -219,7 +219,7 @@ impl<'a> FigureSource<'a> {
         let named = |name: &str| self.subject.joint.as_deref() == Some(name);
         let at = facts.joints.iter().position(|joint| named(&joint.name)).unwrap_or(0);
         let (joint, &column) = (facts.joints.get(at)?, arm.columns.get(at)?);
-        let samples = self.clock.run.joint_samples(&arm.joint_facts);
+        let samples = self.clock.run.joint_samples(&arm.joint_sources);
         let own = samples.get(column)?;
         let has_velocity = own.velocity.iter().any(|velocity| velocity.is_finite());
         Some(JointFigure {

@@ -6,28 +6,28 @@ use std::sync::Arc;
 use crate::robot::nearest;
 use crate::stream::{Columns, JointColumn};
 
-use super::super::arm::{Arm, Ends};
-use super::super::calibrations::{self, GivenCalibration};
-use super::super::catalogued::RankingCriteria;
+use super::super::arm::{Arm, ChainEnds};
+use super::super::catalogue_selection::RankingCriteria;
 use super::super::declaration::JointName;
 use super::super::error::RunError;
+use super::super::given_calibrations::{self, GivenCalibration};
 use super::super::joints::JointTopic;
-use super::super::model::Clues;
-use super::super::models::{self, Given};
-use super::super::role::{OTHER_JOINTS, Role, shared, words};
+use super::super::model::ModelClues;
+use super::super::models::{self, GivenRobot};
+use super::super::namespace::{Namespace, NamespaceMatch};
+use super::super::not_audited::{NotAudited, NotAuditedReason};
+use super::super::role::{NON_ARM_JOINT_WORDS, Role, find_word, split_words};
 use super::super::skeleton;
-use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use super::super::tf_tree::TfTree;
 use super::super::timing::Timing;
-use super::super::unaudited::{NotAudited, NotAuditedReason};
 use super::assembly::Assembly;
-use super::groups::{Group, groups};
-use super::ranking::ByPoses;
+use super::groups::{JointStateGroup, group_joint_topics};
+use super::ranking::PoseRanking;
 use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};
 
-pub(super) struct Said<'a> {
-    pub given: Vec<Given>,
+pub(super) struct RobotInfo<'a> {
+    pub given: Vec<GivenRobot>,
     pub calibrations: Vec<GivenCalibration>,
     pub descriptions: &'a [(String, String)],
     pub logged_calibrations: &'a [(String, String)],
@@ -36,36 +36,36 @@ pub(super) struct Said<'a> {
 }
 
 impl Assembly<'_> {
-    pub(super) fn find_arms(&mut self, said: &Said<'_>) -> Result<(), RunError> {
-        let topics = seen_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
-        if held_by(&topics).is_empty() {
+    pub(super) fn find_arms(&mut self, info: &RobotInfo<'_>) -> Result<(), RunError> {
+        let topics = filtered_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
+        if joints_in(&topics).is_empty() {
             let is_command = |stream: &&Stream| {
                 stream.role == Role::Reference && matches!(stream.columns, Some(Columns::Joints(_)))
             };
             let commands = self.streams.iter().filter(is_command);
             return Err(RunError::NoJointStates {
                 commands: commands.map(|stream| stream.topic.clone()).collect(),
-                question: said.question.clone(),
+                question: info.question.clone(),
             });
         }
-        let joints = held_by(&topics);
-        let is_missing = |said: &&JointName| !joints.contains(&said.logged);
-        if let Some(said) = self.options.joint_map.iter().find(is_missing) {
-            let near = nearest(&said.logged, joints.iter().map(String::as_str));
+        let joints = joints_in(&topics);
+        let is_missing = |mapped: &&JointName| !joints.contains(&mapped.logged);
+        if let Some(mapped) = self.options.joint_map.iter().find(is_missing) {
+            let near = nearest(&mapped.logged, joints.iter().map(String::as_str));
             let near =
                 near.first().map_or(String::new(), |near| format!("; did you mean '{near}'?"));
-            let what = format!("the log has no joint '{}'{near}", said.logged);
+            let what = format!("the log has no joint '{}'{near}", mapped.logged);
             return Err(RunError::JointMap { what });
         }
-        let groups = groups(&self.streams, topics, self.origin);
+        let groups = group_joint_topics(&self.streams, topics, self.origin);
         let is_alone = groups.len() == 1;
         let (mut arms, mut strangers, mut refusal) = (Vec::new(), Vec::new(), None);
         for group in &groups {
             let mut tree = match is_alone {
                 true => std::mem::take(&mut self.tf),
-                false => Arc::new(tf_tree(&self.streams, &self.timing, &group.space)),
+                false => Arc::new(tf_tree(&self.streams, &self.timing, &group.namespace)),
             };
-            match self.arms_of(group, &mut tree, said) {
+            match self.build_arms(group, &mut tree, info) {
                 Ok(found) => arms.extend(found),
                 Err(error) => {
                     strangers.extend(group.joints.topics.iter().map(|topic| topic.stream));
@@ -82,7 +82,7 @@ impl Assembly<'_> {
         if arms.is_empty() {
             return Err(refusal.unwrap_or(RunError::NoModel { logged: Vec::new() }));
         }
-        tell_apart(&mut arms);
+        make_names_unique(&mut arms);
         if !is_alone {
             let all = Arc::make_mut(&mut self.tf);
             arms.iter().for_each(|arm| add_fixed_joints(all, arm));
@@ -93,60 +93,65 @@ impl Assembly<'_> {
                 Err(reason) => arm.tf = Err(reason),
             }
         }
-        (self.arms, self.strangers) = (arms, strangers);
+        (self.arms, self.unmatched_joint_topics) = (arms, strangers);
         Ok(())
     }
 
     /// Arms of a group of joint states. Adds the model's fixed joints and odometry to `tree`.
-    fn arms_of(
+    fn build_arms(
         &self,
-        group: &Group<'_>,
+        group: &JointStateGroup<'_>,
         tree: &mut Arc<TfTree>,
-        said: &Said<'_>,
+        info: &RobotInfo<'_>,
     ) -> Result<Vec<Arm>, RunError> {
-        let Group { joints: states, space } = group;
-        let is_own = |names: &[&str]| space.claim(names.iter().copied()) != Claim::Foreign;
-        let joints = held_by(&states.topics);
+        let JointStateGroup { joints: states, namespace } = group;
+        let is_own = |names: &[&str]| {
+            namespace.match_names(names.iter().copied()) != NamespaceMatch::Foreign
+        };
+        let joints = joints_in(&states.topics);
         let streams = self.streams.iter().filter(|stream| is_own(&[&stream.topic]));
         let named = streams.flat_map(|stream| [&stream.frame_id, &stream.child_frame_id]);
         let frames: BTreeSet<String> =
             tree.frames().chain(named.map(String::as_str)).map(str::to_owned).collect();
-        let of_group = |wanted: Claim| {
-            let descriptions = said.descriptions.iter();
-            descriptions.filter(move |(place, _)| space.claim([place.as_str()]) == wanted).cloned()
+        let of_group = |wanted: NamespaceMatch| {
+            let descriptions = info.descriptions.iter();
+            descriptions
+                .filter(move |(place, _)| namespace.match_names([place.as_str()]) == wanted)
+                .cloned()
         };
-        let mut descriptions: Vec<(String, String)> = of_group(Claim::Own).collect();
+        let mut descriptions: Vec<(String, String)> = of_group(NamespaceMatch::Own).collect();
         if descriptions.is_empty() {
-            descriptions = of_group(Claim::Neutral).collect();
+            descriptions = of_group(NamespaceMatch::Neutral).collect();
         }
-        let clues = Clues {
+        let clues = ModelClues {
             joints: &joints,
             frames: &frames,
             descriptions: &descriptions,
-            calibrations: said.logged_calibrations,
+            calibrations: info.logged_calibrations,
             joint_map: &self.options.joint_map,
-            space,
-            robot_type: said.robot_type,
+            namespace,
+            robot_type: info.robot_type,
         };
-        let poses = ByPoses { assembly: self, group, tree };
+        let poses = PoseRanking { assembly: self, group, tree };
         let criteria = RankingCriteria {
             by_transforms: &|model| misfit_m(tree, &model.robot, &model.frames),
-            by_poses: &|models| poses.ranking(models),
+            by_poses: &|models| poses.rank(models),
         };
-        let mut models = models::models(&said.given, &clues, &criteria)?;
-        calibrations::overlay_all(&mut models, &said.calibrations, &clues)?;
+        let mut models = models::select_models(&info.given, &clues, &criteria)?;
+        given_calibrations::overlay_all(&mut models, &info.calibrations, &clues)?;
         for model in &mut models {
-            model.better = poses.better(model, &clues);
+            model.competing = poses.find_competing_model(model, &clues);
         }
-        let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
+        let ends =
+            ChainEnds { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let (mut arms, mut refusal) = (Vec::new(), None);
         for model in &models {
             for path in
                 skeleton::arms(&model.robot, |name| joints.iter().any(|joint| joint == name))
             {
                 match Arm::new(model, &path, ends, states) {
-                    Ok(arm) if arm.is_along(&path) => {
-                        arms.push(Arm { space: space.clone(), ..arm });
+                    Ok(arm) if arm.has_joint_of(&path) => {
+                        arms.push(Arm { namespace: namespace.clone(), ..arm });
                     }
                     Ok(_) => {}
                     Err(error) => refusal = refusal.or(Some(error)),
@@ -164,7 +169,7 @@ impl Assembly<'_> {
         Ok(arms)
     }
 
-    pub(super) fn name_joints(&mut self) {
+    pub(super) fn assign_joint_topics(&mut self) {
         let arms = &self.arms;
         if arms.is_empty() {
             return;
@@ -175,7 +180,7 @@ impl Assembly<'_> {
                 continue;
             };
             let reads = |arm: &Arm, name: &str| {
-                arm.joint_facts.iter().any(|joint| joint.stream == index && joint.name == name)
+                arm.joint_sources.iter().any(|joint| joint.stream == index && joint.name == name)
             };
             let (used, ignored): (Vec<&str>, Vec<&str>) = columns
                 .joints
@@ -183,15 +188,15 @@ impl Assembly<'_> {
                 .map(|joint| joint.name.as_str())
                 .partition(|name| arms.iter().any(|arm| reads(arm, name)));
             stream.arm = arms.iter().position(|arm| used.iter().any(|name| reads(arm, name)));
-            let is_stranger = self.strangers.contains(&index);
+            let is_stranger = self.unmatched_joint_topics.contains(&index);
             let is_known =
                 |joint: &JointColumn| arms.iter().any(|arm| arm.robot.joint(&joint.name).is_some());
             let unknown: Vec<&JointColumn> =
                 columns.joints.iter().filter(|joint| is_stranger || !is_known(joint)).collect();
-            if are_of_an_arm(&unknown) {
+            if are_arm_joints(&unknown) {
                 let joints = unknown.iter().map(|joint| joint.name.clone()).collect();
                 let why = NotAuditedReason::NoModel { joints };
-                self.unaudited.push(NotAudited { stream: index, why });
+                self.not_audited.push(NotAudited { stream: index, reason: why });
             }
             if used.is_empty() {
                 stream.role = Role::Ignored;
@@ -209,20 +214,21 @@ impl Assembly<'_> {
 }
 
 /// Whether joints look like an arm's rather than a gripper's, wheels' or legs'.
-fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
-    const FEWEST: usize = 4;
-    const MOVES: f64 = 0.02;
+fn are_arm_joints(joints: &[&JointColumn]) -> bool {
+    const MIN_JOINTS: usize = 4;
+    const MIN_MOTION: f64 = 0.02;
     let moves = |joint: &JointColumn| {
         let finite = joint.position.iter().copied().filter(|q| q.is_finite());
         let (low, high) = finite
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
-        high - low > MOVES
+        high - low > MIN_MOTION
     };
-    let is_arms = |joint: &JointColumn| shared(&words(&joint.name), OTHER_JOINTS).is_none();
-    joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= FEWEST
+    let is_arms =
+        |joint: &JointColumn| find_word(&split_words(&joint.name), NON_ARM_JOINT_WORDS).is_none();
+    joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= MIN_JOINTS
 }
 
-fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
+fn joints_in(topics: &[JointTopic<'_>]) -> Vec<String> {
     let mut joints: Vec<String> = Vec::new();
     for topic in topics {
         let names = topic.columns.joints.iter().map(|joint| &joint.name);
@@ -234,11 +240,11 @@ fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
 }
 
 /// Distinguishes arms of equal names by words of their topics, the tip or the first joint.
-fn tell_apart(arms: &mut [Arm]) {
+fn make_names_unique(arms: &mut [Arm]) {
     let is_double =
         |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
     let labels: [fn(&Arm) -> Option<String>; 3] = [
-        |arm| arm.space.label(),
+        |arm| arm.namespace.label(),
         |arm| Some(arm.chain.tip_name().to_owned()),
         |arm| arm.joint_names.first().cloned(),
     ];
@@ -256,9 +262,9 @@ fn tell_apart(arms: &mut [Arm]) {
         }
     }
     let words: Vec<Vec<String>> =
-        arms.iter().map(|arm| [arm.space.words(), &arm.words()].concat()).collect();
-    for (arm, space) in arms.iter_mut().zip(Space::of_words(&words)) {
-        arm.space = space;
+        arms.iter().map(|arm| [arm.namespace.own_words(), &arm.name_words()].concat()).collect();
+    for (arm, namespace) in arms.iter_mut().zip(Namespace::from_words(&words)) {
+        arm.namespace = namespace;
     }
 }
 
@@ -278,7 +284,7 @@ pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Jo
 
 /// Joint state topics with the rows used for estimation. They extend beyond other streams by the maximum
 /// latency.
-fn seen_joint_topics<'a>(
+fn filtered_joint_topics<'a>(
     streams: &'a [Stream],
     timing: &Timing,
     max_lag_s: f64,

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use crate::run::RunOptions;
 use crate::run::arm::Arm;
 use crate::run::frozen::Frozen;
+use crate::run::not_audited::NotAudited;
 use crate::run::shared_stream::SharedStream;
 use crate::run::streams::Stream;
 use crate::run::tf_tree::TfTree;
 use crate::run::timing::Timing;
-use crate::run::unaudited::NotAudited;
 use crate::time::Stamp;
 
 pub(super) struct Assembly<'a> {
@@ -20,11 +20,11 @@ pub(super) struct Assembly<'a> {
     pub(super) tf: Arc<TfTree>,
     pub(super) arms: Vec<Arm>,
     /// Joint state streams without an arm.
-    pub(super) strangers: Vec<usize>,
-    pub(super) unaudited: Vec<NotAudited>,
+    pub(super) unmatched_joint_topics: Vec<usize>,
+    pub(super) not_audited: Vec<NotAudited>,
     pub(super) shared_streams: Vec<SharedStream>,
     pub(super) frozen: Vec<Frozen>,
-    pub(super) watched: Vec<usize>,
+    pub(super) searched_for_frozen: Vec<usize>,
 }
 
 pub(super) fn is_topic(stream: &Stream, topic: &str) -> bool {

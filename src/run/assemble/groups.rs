@@ -3,29 +3,29 @@
 use std::collections::HashSet;
 
 use super::super::joints::{JointTopic, JointTopics, Samples};
-use super::super::space::{Claim, Space};
+use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::streams::Stream;
 use crate::time::Stamp;
 
 /// Joint state topics in which each name refers to a single joint.
-pub(super) struct Group<'a> {
+pub(super) struct JointStateGroup<'a> {
     pub joints: JointTopics<'a>,
-    pub space: Space,
+    pub namespace: Namespace,
 }
 
-const SAMPLES: usize = 200;
+const MAX_SAMPLES: usize = 200;
 /// Maximum spread of a joint at rest, rad or m.
-const AT_REST: f64 = 0.01;
+const MAX_REST_SPREAD: f64 = 0.01;
 /// Maximum difference between two measurements of one joint, as a share of its motion.
-const AGREE: f64 = 0.01;
+const MAX_DIFFERENCE_SHARE: f64 = 0.01;
 
 /// Groups topics of one robot. Topics with different positions for the same joint name belong to different
 /// arms. A topic without a shared joint, such as a rail, joins the group that its name matches, or all.
-pub(super) fn groups<'a>(
+pub(super) fn group_joint_topics<'a>(
     streams: &[Stream],
     topics: Vec<JointTopic<'a>>,
     origin: Stamp,
-) -> Vec<Group<'a>> {
+) -> Vec<JointStateGroup<'a>> {
     let name = |topic: &JointTopic<'_>| streams[topic.stream].topic.clone();
     let mut ranked: Vec<usize> = (0..topics.len()).collect();
     ranked.sort_by_key(|&index| std::cmp::Reverse(topics[index].columns.joints.len()));
@@ -37,11 +37,11 @@ pub(super) fn groups<'a>(
                 let names = [&topics[other], &topics[index]].map(name);
                 relation(&topics[other], &topics[index], are_siblings(&names[0], &names[1]))
             });
-            known.fold(Relation::Strangers, Relation::and)
+            known.fold(Relation::Unrelated, Relation::and)
         };
         let relations: Vec<Relation> = groups.iter().map(kin).collect();
         let is = |wanted: Relation| relations.iter().position(|found| *found == wanted);
-        match (is(Relation::One), is(Relation::Two)) {
+        match (is(Relation::SameArm), is(Relation::DifferentArms)) {
             (Some(group), _) => groups[group].push(index),
             (None, Some(_)) => groups.push(vec![index]),
             (None, None) if groups.is_empty() => groups.push(vec![index]),
@@ -49,13 +49,15 @@ pub(super) fn groups<'a>(
         }
     }
     let heads: Vec<String> = groups.iter().map(|members| name(&topics[members[0]])).collect();
-    let spaces = Space::of_names(&heads);
+    let namespaces = Namespace::from_names(&heads);
     for index in alone {
-        let claims: Vec<Claim> =
-            spaces.iter().map(|space| space.claim([name(&topics[index]).as_str()])).collect();
-        let is_claimed = claims.contains(&Claim::Own);
+        let claims: Vec<NamespaceMatch> = namespaces
+            .iter()
+            .map(|namespace| namespace.match_names([name(&topics[index]).as_str()]))
+            .collect();
+        let is_claimed = claims.contains(&NamespaceMatch::Own);
         for (members, claim) in groups.iter_mut().zip(claims) {
-            if !is_claimed || claim == Claim::Own {
+            if !is_claimed || claim == NamespaceMatch::Own {
                 members.push(index);
             }
         }
@@ -63,46 +65,49 @@ pub(super) fn groups<'a>(
     if let [members] = groups.as_mut_slice() {
         // In the order of the log.
         members.sort_unstable();
-        return vec![Group { joints: JointTopics::new(topics, origin), space: Space::default() }];
+        return vec![JointStateGroup {
+            joints: JointTopics::new(topics, origin),
+            namespace: Namespace::default(),
+        }];
     }
-    let group = |(mut members, space): (Vec<usize>, Space)| {
+    let group = |(mut members, namespace): (Vec<usize>, Namespace)| {
         members.sort_unstable();
         let topics = members.into_iter().map(|index| topics[index].clone()).collect();
-        Group { joints: JointTopics::new(topics, origin), space }
+        JointStateGroup { joints: JointTopics::new(topics, origin), namespace }
     };
-    groups.into_iter().zip(spaces).map(group).collect()
+    groups.into_iter().zip(namespaces).map(group).collect()
 }
 
 fn are_siblings(a: &str, b: &str) -> bool {
-    let space = |topic: &str| -> Vec<String> {
+    let namespace = |topic: &str| -> Vec<String> {
         let mut parts: Vec<String> =
             topic.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
         parts.pop();
         parts
     };
-    let (a, b) = (space(a), space(b));
+    let (a, b) = (namespace(a), namespace(b));
     !a.starts_with(&b) && !b.starts_with(&a)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Relation {
-    Strangers,
-    One,
-    Two,
+    Unrelated,
+    SameArm,
+    DifferentArms,
 }
 
 impl Relation {
     fn and(self, other: Self) -> Self {
         match (self, other) {
-            (Self::Two, _) | (_, Self::Two) => Self::Two,
-            (Self::One, _) | (_, Self::One) => Self::One,
-            _ => Self::Strangers,
+            (Self::DifferentArms, _) | (_, Self::DifferentArms) => Self::DifferentArms,
+            (Self::SameArm, _) | (_, Self::SameArm) => Self::SameArm,
+            _ => Self::Unrelated,
         }
     }
 }
 
 /// One joint in two topics, at some stamps of the second; the first is interpolated.
-struct Beside {
+struct JointComparison {
     a: Vec<f64>,
     b: Vec<f64>,
     /// Share of the second topic's values that occur in the first.
@@ -114,10 +119,11 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
     let shared: Vec<&String> =
         names.filter(|name| a.holds(name) && b.holds(name)).take(8).collect();
     if shared.is_empty() {
-        return Relation::Strangers;
+        return Relation::Unrelated;
     }
-    let beside: Vec<Beside> = shared.iter().filter_map(|name| beside(a, b, name)).collect();
-    let mean = |values: &dyn Fn(&Beside) -> f64| {
+    let beside: Vec<JointComparison> =
+        shared.iter().filter_map(|name| compare_joint(a, b, name)).collect();
+    let mean = |values: &dyn Fn(&JointComparison) -> f64| {
         beside.iter().map(values).sum::<f64>() / beside.len().max(1) as f64
     };
     // Relays repeat values, even with other stamps.
@@ -126,25 +132,26 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
         false => mean(&|joint| joint.copied),
     };
     let moved = mean(&|joint| spread(&joint.a).max(spread(&joint.b)));
-    let apart =
-        |joint: &Beside| -> Vec<f64> { joint.a.iter().zip(&joint.b).map(|(a, b)| a - b).collect() };
+    let apart = |joint: &JointComparison| -> Vec<f64> {
+        joint.a.iter().zip(&joint.b).map(|(a, b)| a - b).collect()
+    };
     let gap = mean(&|joint| root_mean_square(&apart(joint)));
     let about_mean = mean(&|joint| spread(&apart(joint)));
-    let is_one = match (moved < AT_REST, siblings) {
+    let is_one = match (moved < MAX_REST_SPREAD, siblings) {
         _ if copied > 0.9 => true,
-        (true, siblings) => !siblings && gap < AT_REST,
-        (false, true) => gap < 0.1 * AGREE * moved,
+        (true, siblings) => !siblings && gap < MAX_REST_SPREAD,
+        (false, true) => gap < 0.1 * MAX_DIFFERENCE_SHARE * moved,
         // Two readouts of one joint may have different zeros.
-        (false, false) => about_mean < AGREE * moved,
+        (false, false) => about_mean < MAX_DIFFERENCE_SHARE * moved,
     };
-    if is_one { Relation::One } else { Relation::Two }
+    if is_one { Relation::SameArm } else { Relation::DifferentArms }
 }
 
-fn beside(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<Beside> {
+fn compare_joint(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<JointComparison> {
     let (a, b) = (Samples::of(a, name), Samples::of(b, name));
     let bits: HashSet<u32> = a.position.iter().map(|q| (*q as f32).to_bits()).collect();
-    let step = b.stamps.len().div_ceil(SAMPLES).max(1);
-    let mut both = Beside { a: Vec::new(), b: Vec::new(), copied: 0.0 };
+    let step = b.stamps.len().div_ceil(MAX_SAMPLES).max(1);
+    let mut both = JointComparison { a: Vec::new(), b: Vec::new(), copied: 0.0 };
     for row in (0..b.stamps.len()).step_by(step) {
         let (stamp, value) = (b.stamps[row], b.position[row]);
         let right = a.stamps.partition_point(|&other| other < stamp);

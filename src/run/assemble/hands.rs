@@ -5,14 +5,14 @@ use crate::stream::{Columns, PoseTrack};
 use crate::time::Stamp;
 
 use super::super::poses;
-use super::super::role::{Role, may_be};
+use super::super::role::{Role, may_have_role};
 use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
 
 impl Assembly<'_> {
     /// Camera targets with their candidate hands. A target by name alone may also be on the tool.
     pub(super) fn targets(&self) -> Vec<TargetSource> {
-        let is_target = |&index: &usize| may_be(&self.streams[index], Role::Target);
+        let is_target = |&index: &usize| may_have_role(&self.streams[index], Role::Target);
         (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
     }
 
@@ -22,7 +22,7 @@ impl Assembly<'_> {
         if self.is_transform(stream) && !targets::is_sighting(camera, &stream.child_frame_id) {
             return None;
         }
-        let hands = match self.owner(stream) {
+        let hands = match self.likeliest_arm(stream) {
             Some(owner) => {
                 let arm = &self.arms[owner];
                 let (kind, [hand_from_camera, base_from_camera]) =

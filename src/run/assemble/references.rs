@@ -1,12 +1,12 @@
 //! Commanded poses and joint positions of an arm.
 
 use crate::geometry::Pose;
-use crate::run::role::{Role, may_be, shared, words};
+use crate::run::role::{Role, find_word, may_have_role, split_words};
 use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
 
-use super::super::arm::{Anchor, Arm};
+use super::super::arm::{Arm, FrameAnchor};
 use super::super::poses;
-use super::super::role::Place;
+use super::super::role::FrameKind;
 use super::super::rows::Rows;
 use super::super::streams::Stream;
 use super::assembly::Assembly;
@@ -47,7 +47,7 @@ pub enum ReferenceContent {
 }
 
 /// Topic words of arrays without joint positions.
-const NO_POSITIONS: &[&str] = &[
+const NON_POSITION_WORDS: &[&str] = &[
     "velocity",
     "velocities",
     "speed",
@@ -66,7 +66,7 @@ const NO_POSITIONS: &[&str] = &[
 ];
 
 /// Maximum number of rows before thinning, in which case a long run uses only its excerpts.
-const MANY: usize = 20_000;
+const MAX_ROWS: usize = 20_000;
 
 impl Assembly<'_> {
     /// The commands to the arms. Skips streams that command none of their joints.
@@ -74,7 +74,7 @@ impl Assembly<'_> {
         let mut known_plans: Vec<&str> = Vec::new();
         let mut found = Vec::new();
         for (index, stream) in self.streams.iter().enumerate() {
-            if !may_be(stream, Role::Reference) {
+            if !may_have_role(stream, Role::Reference) {
                 continue;
             }
             let source = match &stream.columns {
@@ -84,15 +84,15 @@ impl Assembly<'_> {
                     }
                     known_plans.push(&stream.topic);
                     let why = "each message contains several poses: a plan, not a goal".to_owned();
-                    self.owner(stream).map(|arm| (arm, Err(why)))
+                    self.likeliest_arm(stream).map(|arm| (arm, Err(why)))
                 }
                 Some(Columns::Poses(_)) => {
-                    self.owner(stream).map(|arm| (arm, self.commanded_poses(index, arm)))
+                    self.likeliest_arm(stream).map(|arm| (arm, self.commanded_poses(index, arm)))
                 }
                 Some(Columns::Joints(joints)) => self.commanded_joints(index, joints),
-                Some(Columns::Array(array)) => {
-                    self.owner(stream).map(|arm| (arm, self.commanded_numbers(index, arm, array)))
-                }
+                Some(Columns::Array(array)) => self
+                    .likeliest_arm(stream)
+                    .map(|arm| (arm, self.commanded_numbers(index, arm, array))),
                 _ => None,
             };
             found.extend(source.map(|(arm, content)| ReferenceSource {
@@ -104,12 +104,12 @@ impl Assembly<'_> {
         found
     }
 
-    fn looked_at(&self, index: usize) -> Rows {
+    fn selected_rows(&self, index: usize) -> Rows {
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
-        if rows.len() > MANY {
+        if rows.len() > MAX_ROWS {
             let around_s = self.options.max_latency_s;
             rows = self.timing.filtered_rows(&self.streams, index, 0, around_s);
-            poses::thinned(&mut rows);
+            poses::thin(&mut rows);
         }
         rows
     }
@@ -122,12 +122,12 @@ impl Assembly<'_> {
         let [columns] = columns.as_slice() else {
             return Err("each message contains several poses".to_owned());
         };
-        let rows = self.looked_at(index);
+        let rows = self.selected_rows(index);
         let track = poses::from_poses(columns, &rows, None, self.origin)?.track;
-        self.in_base(&self.arms[owner], stream, track)
+        self.transform_to_base(&self.arms[owner], stream, track)
     }
 
-    fn in_base(
+    fn transform_to_base(
         &self,
         arm: &Arm,
         stream: &Stream,
@@ -137,15 +137,15 @@ impl Assembly<'_> {
             return Err("it has no usable sample".to_owned());
         }
         let frame = &stream.frame_id;
-        let (place, anchor) = arm.place(frame);
+        let (place, anchor) = arm.classify_frame(frame);
         // A joint before the base, such as a waist, also moves the base's frames.
         let is_of_base =
-            |anchor: Anchor| arm.robot.fixed_transform(arm.base, anchor.link).is_some();
+            |anchor: FrameAnchor| arm.robot.fixed_transform(arm.base, anchor.link).is_some();
         let (link, link_from_frame) = match (place, anchor) {
-            (Place::MovingLink, anchor) if !anchor.is_some_and(is_of_base) => {
+            (FrameKind::MovingLink, anchor) if !anchor.is_some_and(is_of_base) => {
                 return Err(format!("its frame '{frame}' is moved by the arm itself"));
             }
-            (Place::Unnamed, _) => (arm.unnamed_base, Pose::identity()),
+            (FrameKind::Unnamed, _) => (arm.unnamed_base, Pose::identity()),
             (_, Some(anchor)) => (anchor.link, anchor.link_from_frame),
             (_, None) => {
                 return Err(format!("its frame '{frame}' is not fixed to the robot"));
@@ -155,8 +155,8 @@ impl Assembly<'_> {
             format!("joints of the arm lie between '{frame}' and '{}'", arm.frame_of(arm.base))
         })?;
         let child = &stream.child_frame_id;
-        let (tip_from_child, child_named) = match arm.place(child) {
-            (Place::MovingLink, Some(anchor)) => {
+        let (tip_from_child, child_named) = match arm.classify_frame(child) {
+            (FrameKind::MovingLink, Some(anchor)) => {
                 let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
                 let tip_from_link = tip_from_link.ok_or_else(|| {
                     format!(
@@ -166,16 +166,16 @@ impl Assembly<'_> {
                 })?;
                 (tip_from_link * anchor.link_from_frame, true)
             }
-            (Place::StillLink | Place::Tied, _) => {
+            (FrameKind::StillLink | FrameKind::StaticallyTied, _) => {
                 return Err(format!("the arm does not move its child frame '{child}'"));
             }
             _ => (Pose::identity(), false),
         };
         let before = base_from_link * link_from_frame;
         Ok(ReferenceContent::Poses {
-            track: poses::reframed(track, &before, &tip_from_child.inverse()),
+            track: poses::transform_track(track, &before, &tip_from_child.inverse()),
             tip_named: arm.tip_named || child_named,
-            frame_named: place != Place::Unnamed,
+            frame_named: place != FrameKind::Unnamed,
         })
     }
 
@@ -190,7 +190,8 @@ impl Assembly<'_> {
             named.filter_map(|(at, joint)| Some((at, column(&joint.name)?))).collect()
         };
         let topic = self.streams[index].topic.as_str();
-        let of_arms = self.arms.iter().map(|arm| (places(arm), arm.claim([topic]))).enumerate();
+        let of_arms =
+            self.arms.iter().map(|arm| (places(arm), arm.match_names([topic]))).enumerate();
         let (arm, (places, _)) =
             of_arms.rev().max_by_key(|(_, (places, claim))| (places.len(), *claim))?;
         if places.is_empty() {
@@ -213,8 +214,8 @@ impl Assembly<'_> {
         array: &ArrayColumns,
     ) -> Result<ReferenceContent, String> {
         let (arm, stream) = (&self.arms[owner], &self.streams[index]);
-        let words = words(&stream.topic);
-        let word = shared(&words, NO_POSITIONS);
+        let words = split_words(&stream.topic);
+        let word = find_word(&words, NON_POSITION_WORDS);
         let is_of_joints = array.width == arm.chain.dof() && word.is_none();
         match array.width {
             _ if is_of_joints => {
@@ -224,9 +225,9 @@ impl Assembly<'_> {
                 Ok(ReferenceContent::Joints { t_s, columns: None, q })
             }
             7 | 12 | 16 if word.is_none_or(|word| matches!(word, "pose" | "tcp")) => {
-                let rows = self.looked_at(index);
+                let rows = self.selected_rows(index);
                 let track = poses::from_array(array, &rows, None, self.origin)?.track;
-                self.in_base(arm, stream, track)
+                self.transform_to_base(arm, stream, track)
             }
             width => Err(match word {
                 Some(word) => {
@@ -244,7 +245,7 @@ impl Assembly<'_> {
 
     /// Time and row of the commands, strictly increasing; the last of equal stamps.
     fn command_rows(&self, index: usize) -> Vec<(f64, usize)> {
-        let mut rows = self.looked_at(index);
+        let mut rows = self.selected_rows(index);
         rows.sort();
         let last = rows.chunk_by(|a, b| a.0 == b.0).filter_map(|same| same.last());
         last.map(|&(stamp, row)| (stamp.seconds_since(self.origin), row)).collect()

@@ -5,29 +5,31 @@ use crate::robot::LinkId;
 use crate::stream::Columns;
 use crate::time::Stamp;
 
-use super::super::arm::{Anchor, Arm};
+use super::super::arm::{Arm, FrameAnchor};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
-use super::super::poses::{self, Stamped};
-use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, beside_arm, pose_role};
+use super::super::namespace::NamespaceMatch;
+use super::super::not_audited::{NotAudited, NotAuditedReason};
+use super::super::poses::{self, StampedTrack};
+use super::super::role::{
+    FrameKind, PoseTopic, Role, RoleDecision, array_role, pose_role, role_outside_arm,
+};
 use super::super::shared_stream::{CandidateArm, SharedStream};
 use super::super::source_kind::{PoseNames, PoseSourceKind, source_kind_of};
 use super::super::sources::MovingBase;
 use super::super::sources::{ImuSource, PoseSource};
-use super::super::space::Claim;
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{RoleSetting, TopicSettings};
-use super::super::unaudited::{NotAudited, NotAuditedReason};
 use super::assembly::{Assembly, is_topic};
-use super::not_so;
+use super::declaration_error;
 
 pub(super) struct StreamFrames {
-    pub frame: Place,
-    pub child: Place,
-    pub base: Anchor,
-    pub tip: Anchor,
+    pub frame: FrameKind,
+    pub child: FrameKind,
+    pub base: FrameAnchor,
+    pub tip: FrameAnchor,
     pub tip_named: bool,
     pub moving_frame: Option<Vec<(Stamp, Pose)>>,
     pub remarks: String,
@@ -40,12 +42,12 @@ struct ArmPoseSource {
 
 fn is_same(a: &Pose, b: &Pose) -> bool {
     const ROUNDING: f64 = 1e-6;
-    let apart = (a.translation.vector - b.translation.vector).norm();
-    apart < ROUNDING && a.rotation.angle_to(&b.rotation) < ROUNDING
+    let distance_m = (a.translation.vector - b.translation.vector).norm();
+    distance_m < ROUNDING && a.rotation.angle_to(&b.rotation) < ROUNDING
 }
 
 #[derive(Debug, thiserror::Error)]
-pub(super) enum NoSource {
+pub(super) enum SourceError {
     /// No known chain predicts it.
     #[error("{0}")]
     Kinematics(String),
@@ -54,7 +56,7 @@ pub(super) enum NoSource {
     Samples(String),
 }
 
-impl From<String> for NoSource {
+impl From<String> for SourceError {
     fn from(what: String) -> Self {
         Self::Samples(what)
     }
@@ -67,12 +69,13 @@ impl Assembly<'_> {
             self.options.declared.iter().find(|declared| is_topic(stream, &declared.topic));
         let unfit = declared.filter(|declared| !declared.fits(stream.columns.as_ref()));
         let declared = declared.filter(|_| unfit.is_none());
-        let claimants = self.claimants(stream);
-        let owner = claimants.first().copied();
-        let site = owner.map(|arm| self.site(&self.arms[arm], stream));
-        let said = self.said_of(stream);
-        let (mut role, mut reason) = self.role_of(stream, site.as_ref(), declared.is_some());
-        if let Some(vendor) = said.and_then(|said| said.vendor.as_ref()) {
+        let candidate_arms = self.candidate_arms(stream);
+        let owner = candidate_arms.first().copied();
+        let stream_frames = owner.map(|arm| self.locate_frames(&self.arms[arm], stream));
+        let settings = self.topic_settings(stream);
+        let (mut role, mut reason) =
+            self.role_of(stream, stream_frames.as_ref(), declared.is_some());
+        if let Some(vendor) = settings.and_then(|settings| settings.vendor.as_ref()) {
             reason += &format!("; {vendor}");
         }
         if unfit.is_some() {
@@ -81,74 +84,84 @@ impl Assembly<'_> {
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
         let mut unaudited = None;
-        if let (true, Some(arm), Some(site)) = (is_wanted, owner, &site) {
+        if let (true, Some(arm), Some(stream_frames)) = (is_wanted, owner, &stream_frames) {
             let mut frozen = Vec::new();
             let known = role == Role::Pose;
-            match self.pose_source(index, &self.arms[arm], site, declared, (known, &mut frozen)) {
+            match self.pose_source(
+                index,
+                &self.arms[arm],
+                stream_frames,
+                declared,
+                (known, &mut frozen),
+            ) {
                 Ok(found) => {
-                    reason += &site.remarks;
+                    reason += &stream_frames.remarks;
                     let by_names = || {
                         source_kind_of(&PoseNames {
                             topic: &stream.topic,
                             type_name: &stream.type_name,
                             frame_id: &stream.frame_id,
                             child_frame_id: &stream.child_frame_id,
-                            frame: site.frame,
+                            frame: stream_frames.frame,
                             stamps_copied: found.stamps_copied,
                         })
                     };
-                    let set = said.and_then(|said| Some((said.source_kind?, said.place.clone())));
+                    let set = settings
+                        .and_then(|settings| Some((settings.source_kind?, settings.place.clone())));
                     let source_kind = set.unwrap_or_else(by_names);
-                    source = Some((self.arm_pose_source(arm, site, found), source_kind));
+                    source = Some((self.arm_pose_source(arm, stream_frames, found), source_kind));
                 }
                 Err(what)
                     if let Some(declared) = declared
                         && frozen.is_empty() =>
                 {
-                    return Err(not_so(declared, what.to_string()));
+                    return Err(declaration_error(declared, what.to_string()));
                 }
                 Err(why) => {
                     // Poses between links without relative motion cannot be audited.
-                    let is_asked = known && site.frame != Place::MovingLink;
-                    if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
+                    let is_asked = known && stream_frames.frame != FrameKind::MovingLink;
+                    if let (true, SourceError::Kinematics(what)) = (is_asked, &why) {
                         unaudited = Some(NotAuditedReason::NoKinematics { what: what.clone() });
                     }
-                    (role, reason) = (beside_arm(&stream.topic), why.to_string());
+                    (role, reason) = (role_outside_arm(&stream.topic), why.to_string());
                 }
             }
-            self.watched.push(index);
+            self.searched_for_frozen.push(index);
             self.frozen.extend(frozen);
         } else if matches!(role, Role::Candidate { .. }) {
-            role = beside_arm(&stream.topic);
+            role = role_outside_arm(&stream.topic);
             reason += ", and there is no arm for it to follow";
         }
-        let rivals: Vec<ArmPoseSource> = match &source {
-            Some(_) => claimants
+        let other_sources: Vec<ArmPoseSource> = match &source {
+            Some(_) => candidate_arms
                 .iter()
                 .skip(1)
                 .filter_map(|&arm| self.pose_source_of_other_arm(index, arm))
                 .collect(),
             None => Vec::new(),
         };
-        let is_own_frame = site.as_ref().is_some_and(|site| site.frame == Place::Tool);
+        let is_own_frame = stream_frames
+            .as_ref()
+            .is_some_and(|stream_frames| stream_frames.frame == FrameKind::Tool);
         if source.is_some() && is_own_frame {
             unaudited = Some(NotAuditedReason::OwnFrame { frame: stream.frame_id.clone() });
         }
-        let why = |why| NotAudited { stream: index, why };
-        self.unaudited.extend(unaudited.map(why));
+        let why = |why| NotAudited { stream: index, reason: why };
+        self.not_audited.extend(unaudited.map(why));
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
         if let Some((own, (source_kind, why))) = source {
             stream.reason += &format!("; witness: {}, by {why}", source_kind.name());
             stream.source_kind = Some(source_kind);
             own.candidate.assign(stream);
-            let claims = std::iter::once(&own).chain(&rivals).map(|own| own.candidate.clone());
-            if !rivals.is_empty() {
+            let candidates =
+                std::iter::once(&own).chain(&other_sources).map(|own| own.candidate.clone());
+            if !other_sources.is_empty() {
                 self.shared_streams
-                    .push(SharedStream { stream: index, candidates: claims.collect() });
+                    .push(SharedStream { stream: index, candidates: candidates.collect() });
             }
-            for ArmPoseSource { candidate: claim, source } in std::iter::once(own).chain(rivals) {
-                self.arms[claim.arm].poses.push(source);
+            for ArmPoseSource { candidate, source } in std::iter::once(own).chain(other_sources) {
+                self.arms[candidate.arm].poses.push(source);
             }
         }
         Ok(())
@@ -156,66 +169,75 @@ impl Assembly<'_> {
 
     fn pose_source_of_other_arm(&self, index: usize, arm: usize) -> Option<ArmPoseSource> {
         let stream = &self.streams[index];
-        let site = self.site(&self.arms[arm], stream);
+        let stream_frames = self.locate_frames(&self.arms[arm], stream);
         let is_wanted = matches!(
-            self.role_of(stream, Some(&site), false).0,
+            self.role_of(stream, Some(&stream_frames), false).0,
             Role::Pose | Role::Candidate { .. }
         );
-        let found = self.pose_source(index, &self.arms[arm], &site, None, (true, &mut Vec::new()));
-        found.ok().filter(|_| is_wanted).map(|source| self.arm_pose_source(arm, &site, source))
+        let found =
+            self.pose_source(index, &self.arms[arm], &stream_frames, None, (true, &mut Vec::new()));
+        found
+            .ok()
+            .filter(|_| is_wanted)
+            .map(|source| self.arm_pose_source(arm, &stream_frames, source))
     }
 
     fn arm_pose_source(
         &self,
         arm: usize,
-        site: &StreamFrames,
+        stream_frames: &StreamFrames,
         source: PoseSource,
     ) -> ArmPoseSource {
         let of = &self.arms[arm];
         let reference = match source.reference_known {
-            true => of.frame_of(site.base.link),
+            true => of.frame_of(stream_frames.base.link),
             false => self.streams[source.stream].frame_id.clone(),
         };
         ArmPoseSource {
-            candidate: CandidateArm { arm, reference, link: of.frame_of(site.tip.link) },
+            candidate: CandidateArm { arm, reference, link: of.frame_of(stream_frames.tip.link) },
             source,
         }
     }
 
-    fn said_of(&self, stream: &Stream) -> Option<&TopicSettings> {
-        self.options.topics.iter().find(|said| said.is_of(&stream.topic))
+    fn topic_settings(&self, stream: &Stream) -> Option<&TopicSettings> {
+        self.options.topics.iter().find(|settings| settings.is_of(&stream.topic))
     }
 
     pub(super) fn role_of(
         &self,
         stream: &Stream,
-        site: Option<&StreamFrames>,
+        stream_frames: Option<&StreamFrames>,
         is_declared: bool,
-    ) -> Verdict {
-        let said = self.said_of(stream).and_then(|said| Some((said.role?, &said.place)));
-        if let Some((role, place)) = said
+    ) -> RoleDecision {
+        let setting = self
+            .topic_settings(stream)
+            .and_then(|settings| Some((settings.role?, &settings.place)));
+        if let Some((role, place)) = setting
             && !self.is_transform(stream)
         {
-            let said = format!("its role is set ({place})");
+            let set_reason = format!("its role is set ({place})");
             match (&stream.columns, role) {
                 (Some(Columns::Array(array)), RoleSetting::Pose) => {
                     let (role, reason) = array_role(&stream.topic, array.width, true);
                     let is_pose = role == Role::Pose;
-                    return if is_pose { (role, said) } else { (role, reason) };
+                    return if is_pose { (role, set_reason) } else { (role, reason) };
                 }
-                (_, role) => return (role.role(), said),
+                (_, role) => return (role.role(), set_reason),
             }
         }
         if let Some(Columns::Array(array)) = &stream.columns {
             return array_role(&stream.topic, array.width, is_declared);
         }
-        let place = |frame: &str| if frame.is_empty() { Place::Unnamed } else { Place::Unknown };
+        let place =
+            |frame: &str| if frame.is_empty() { FrameKind::Unnamed } else { FrameKind::Unknown };
         let verdict = pose_role(&PoseTopic {
             topic: &stream.topic,
             frame_id: &stream.frame_id,
             child_frame_id: &stream.child_frame_id,
-            frame: site.map_or(place(&stream.frame_id), |site| site.frame),
-            child: site.map_or(place(&stream.child_frame_id), |site| site.child),
+            frame: stream_frames
+                .map_or(place(&stream.frame_id), |stream_frames| stream_frames.frame),
+            child: stream_frames
+                .map_or(place(&stream.child_frame_id), |stream_frames| stream_frames.child),
             is_declared,
         });
         match verdict {
@@ -234,108 +256,113 @@ impl Assembly<'_> {
 
     /// Candidate arms. Applies each criterion if a candidate remains: the arm moves the child frame, the
     /// topic name matches, the arm has the frame, the frame names match. Motion decides between several.
-    fn claimants(&self, stream: &Stream) -> Vec<usize> {
-        let place = |arm: &Arm, frame: &str| arm.place(frame).0;
+    fn candidate_arms(&self, stream: &Stream) -> Vec<usize> {
+        let place = |arm: &Arm, frame: &str| arm.classify_frame(frame).0;
         let frames = [stream.frame_id.as_str(), stream.child_frame_id.as_str()];
-        let of_topic = |arm: &Arm| arm.claim([stream.topic.as_str()]);
-        let of_frames = |arm: &Arm| arm.claim(frames);
+        let of_topic = |arm: &Arm| arm.match_names([stream.topic.as_str()]);
+        let of_frames = |arm: &Arm| arm.match_names(frames);
         let is_known =
-            |arm: &Arm| !matches!(place(arm, frames[0]), Place::Unknown | Place::Unnamed);
+            |arm: &Arm| !matches!(place(arm, frames[0]), FrameKind::Unknown | FrameKind::Unnamed);
         let tests: [&dyn Fn(&Arm) -> bool; 6] = [
-            &|arm| place(arm, frames[1]) == Place::MovingLink,
-            &|arm| of_topic(arm) == Claim::Own,
-            &|arm| of_topic(arm) != Claim::Foreign,
+            &|arm| place(arm, frames[1]) == FrameKind::MovingLink,
+            &|arm| of_topic(arm) == NamespaceMatch::Own,
+            &|arm| of_topic(arm) != NamespaceMatch::Foreign,
             &is_known,
-            &|arm| of_frames(arm) == Claim::Own,
-            &|arm| of_frames(arm) != Claim::Foreign,
+            &|arm| of_frames(arm) == NamespaceMatch::Own,
+            &|arm| of_frames(arm) != NamespaceMatch::Foreign,
         ];
-        tests.iter().fold((0..self.arms.len()).collect(), |left: Vec<usize>, fits| {
+        tests.iter().fold((0..self.arms.len()).collect(), |remaining: Vec<usize>, fits| {
             let fitting: Vec<usize> =
-                left.iter().copied().filter(|&arm| fits(&self.arms[arm])).collect();
-            if fitting.is_empty() { left } else { fitting }
+                remaining.iter().copied().filter(|&arm| fits(&self.arms[arm])).collect();
+            if fitting.is_empty() { remaining } else { fitting }
         })
     }
 
-    pub(super) fn owner(&self, stream: &Stream) -> Option<usize> {
-        self.claimants(stream).first().copied()
+    pub(super) fn likeliest_arm(&self, stream: &Stream) -> Option<usize> {
+        self.candidate_arms(stream).first().copied()
     }
 
-    pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> StreamFrames {
-        let (mut frame, mut frame_anchor) = arm.place(&stream.frame_id);
-        let (child, child_anchor) = arm.place(&stream.child_frame_id);
-        let still = |link: LinkId| Anchor { link, link_from_frame: Pose::identity() };
+    pub(super) fn locate_frames(&self, arm: &Arm, stream: &Stream) -> StreamFrames {
+        let (mut frame, mut frame_anchor) = arm.classify_frame(&stream.frame_id);
+        let (child, child_anchor) = arm.classify_frame(&stream.child_frame_id);
+        let link_anchor = |link: LinkId| FrameAnchor { link, link_from_frame: Pose::identity() };
         // The caller's tip overrides a child frame, except in a transform.
-        let names_tip = child == Place::MovingLink && (!arm.tip_named || self.is_transform(stream));
+        let names_tip =
+            child == FrameKind::MovingLink && (!arm.tip_named || self.is_transform(stream));
         let child_tip = child_anchor.filter(|_| names_tip);
-        let tip = child_tip.unwrap_or(still(arm.tip));
-        let is_reached = |base: Anchor| arm.chain_between(base.link, tip.link).is_some();
-        let mut carrier = None;
-        if frame == Place::Unknown || frame_anchor.is_some_and(|base| !is_reached(base)) {
-            carrier = self.moving_frame(arm, &stream.frame_id);
+        let tip = child_tip.unwrap_or(link_anchor(arm.tip));
+        let is_reached = |base: FrameAnchor| arm.chain_between(base.link, tip.link).is_some();
+        let mut moving_base = None;
+        if frame == FrameKind::Unknown || frame_anchor.is_some_and(|base| !is_reached(base)) {
+            moving_base = self.moving_frame(arm, &stream.frame_id);
         }
-        let stands = carrier.as_ref().and_then(|samples| samples.first()).map(|(_, first)| *first);
-        let stands =
-            stands.filter(|first| carrier.iter().flatten().all(|(_, pose)| is_same(first, pose)));
-        if let Some(base_from_frame) = stands {
+        let first_pose =
+            moving_base.as_ref().and_then(|samples| samples.first()).map(|(_, first)| *first);
+        let constant_pose = first_pose
+            .filter(|first| moving_base.iter().flatten().all(|(_, pose)| is_same(first, pose)));
+        if let Some(base_from_frame) = constant_pose {
             // Dynamic transforms that never change act as static ones.
-            let anchor = Anchor { link: arm.base, link_from_frame: base_from_frame };
-            (frame, frame_anchor, carrier) = (Place::Tied, Some(anchor), None);
-        } else if carrier.is_some() {
-            (frame, frame_anchor) = (Place::Carried, None);
-        } else if frame == Place::MovingLink
-            && child != Place::MovingLink
+            let anchor = FrameAnchor { link: arm.base, link_from_frame: base_from_frame };
+            (frame, frame_anchor, moving_base) = (FrameKind::StaticallyTied, Some(anchor), None);
+        } else if moving_base.is_some() {
+            (frame, frame_anchor) = (FrameKind::DynamicallyTied, None);
+        } else if frame == FrameKind::MovingLink
+            && child != FrameKind::MovingLink
             && frame_anchor
                 .is_some_and(|base| arm.robot.fixed_transform(base.link, tip.link).is_some())
         {
-            (frame, frame_anchor) = (Place::Tool, None);
-        } else if frame == Place::MovingLink
-            && frame_anchor.is_some_and(|base| arm.has_most_between(base.link, tip.link))
+            (frame, frame_anchor) = (FrameKind::Tool, None);
+        } else if frame == FrameKind::MovingLink
+            && frame_anchor.is_some_and(|base| arm.has_most_joints_between(base.link, tip.link))
         {
-            frame = Place::Upstream;
+            frame = FrameKind::Upstream;
         }
         let base = match frame {
-            Place::Unnamed => still(arm.unnamed_base),
-            _ => frame_anchor.unwrap_or(still(arm.base)),
+            FrameKind::Unnamed => link_anchor(arm.unnamed_base),
+            _ => frame_anchor.unwrap_or(link_anchor(arm.base)),
         };
-        let mut said = String::new();
+        let mut remarks = String::new();
         let sides = [(&stream.frame_id, frame_anchor), (&stream.child_frame_id, child_tip)];
         for (frame, anchor) in sides {
             let Some(anchor) = anchor else { continue };
             let link = arm.frame_of(anchor.link);
             if link != *frame {
-                let how = if stands.is_some() {
+                let how = if constant_pose.is_some() {
                     "transforms that never change"
                 } else {
                     "static transforms"
                 };
-                said += &format!("; '{frame}' is tied to '{link}' by {how}");
+                remarks += &format!("; '{frame}' is tied to '{link}' by {how}");
             }
         }
-        if child == Place::MovingLink && child_anchor.is_some_and(|anchor| anchor.link != tip.link)
+        if child == FrameKind::MovingLink
+            && child_anchor.is_some_and(|anchor| anchor.link != tip.link)
         {
-            said += &format!("; audited as '{}', as set by the caller", arm.chain.tip_name());
+            remarks += &format!("; audited as '{}', as set by the caller", arm.chain.tip_name());
         }
-        let tip_named = arm.tip_named || child == Place::MovingLink;
-        StreamFrames { frame, child, base, tip, tip_named, moving_frame: carrier, remarks: said }
+        let tip_named = arm.tip_named || child == FrameKind::MovingLink;
+        StreamFrames { frame, child, base, tip, tip_named, moving_frame: moving_base, remarks }
     }
 
     pub(super) fn pose_source(
         &self,
         index: usize,
         arm: &Arm,
-        site: &StreamFrames,
+        stream_frames: &StreamFrames,
         declared: Option<&Declaration>,
         (known, frozen): (bool, &mut Vec<Frozen>),
-    ) -> Result<PoseSource, NoSource> {
-        let (chain, columns) =
-            arm.chain_between(site.base.link, site.tip.link).ok_or_else(|| {
-                let [base, tip] = [site.base.link, site.tip.link].map(|link| arm.frame_of(link));
-                NoSource::Kinematics(format!(
-                    "no joint in the joint states moves '{tip}' relative to '{base}'"
-                ))
-            })?;
+    ) -> Result<PoseSource, SourceError> {
+        let (chain, columns) = arm
+            .chain_between(stream_frames.base.link, stream_frames.tip.link)
+            .ok_or_else(|| {
+            let [base, tip] =
+                [stream_frames.base.link, stream_frames.tip.link].map(|link| arm.frame_of(link));
+            SourceError::Kinematics(format!(
+                "no joint in the joint states moves '{tip}' relative to '{base}'"
+            ))
+        })?;
         let mut rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
-        poses::thinned(&mut rows);
+        poses::thin(&mut rows);
         let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
@@ -346,7 +373,7 @@ impl Assembly<'_> {
             Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
             _ => return Err("it has no poses".to_owned().into()),
         };
-        if site.frame == Place::Tool && !logged.track.changes() {
+        if stream_frames.frame == FrameKind::Tool && !logged.track.changes() {
             return Err("it never changes, like a tool offset in its own frame".to_owned().into());
         }
         let how = (known, self.options.max_latency_s);
@@ -354,14 +381,15 @@ impl Assembly<'_> {
         if frozen.iter().any(|frozen| frozen.whole) {
             return Err("it repeats one value while the arm moves".to_owned().into());
         }
-        let Stamped { track, stamps } = logged;
+        let StampedTrack { track, stamps } = logged;
         if track.t_s.len() < 2 {
             return Err("it has fewer than two usable samples".to_owned().into());
         }
-        let (before, after) = (site.base.link_from_frame, site.tip.link_from_frame.inverse());
-        let track = poses::reframed(track, &before, &after);
+        let (before, after) =
+            (stream_frames.base.link_from_frame, stream_frames.tip.link_from_frame.inverse());
+        let track = poses::transform_track(track, &before, &after);
         let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
-        let carrier = site.moving_frame.as_ref().map(|samples| MovingBase {
+        let moving_base = stream_frames.moving_frame.as_ref().map(|samples| MovingBase {
             frame: self.streams[index].frame_id.clone(),
             t_s: samples.iter().map(|(stamp, _)| seconds(stamp)).collect(),
             base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
@@ -369,21 +397,21 @@ impl Assembly<'_> {
             lag_s: 0.0,
             is_on_time: true,
         });
-        let track = carrier.as_ref().map_or(track, |carrier| carrier.in_base(0.0));
+        let track = moving_base.as_ref().map_or(track, |moving_base| moving_base.in_base(0.0));
         if track.t_s.len() < 2 {
             let what = "the transforms of its frame do not cover its time range".to_owned();
-            return Err(NoSource::Kinematics(what));
+            return Err(SourceError::Kinematics(what));
         }
         Ok(PoseSource {
             stream: index,
             chain,
             columns,
             track,
-            moving_base: carrier,
-            reference_known: !matches!(site.frame, Place::Unknown | Place::Tool),
+            moving_base,
+            reference_known: !matches!(stream_frames.frame, FrameKind::Unknown | FrameKind::Tool),
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
-            tip_named: site.tip_named,
+            tip_named: stream_frames.tip_named,
         })
     }
 
@@ -391,37 +419,37 @@ impl Assembly<'_> {
     fn moving_frame(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
         let is_free = |edge: &Edge| {
             let (parent, child) = arm.tree.names(edge);
-            edge.kind != EdgeKind::Dynamic || !arm.knows_between(parent, child)
+            edge.kind != EdgeKind::Dynamic || !arm.has_logged_joint_between(parent, child)
         };
         let path = arm.tree.path(&arm.frame_of(arm.base), frame, is_free).ok()?;
         let mut stamps = path.stamps();
-        poses::thinned(&mut stamps);
+        poses::thin(&mut stamps);
         let samples: Vec<(Stamp, Pose)> =
             stamps.into_iter().filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
         (samples.len() > 1).then_some(samples)
     }
 
     /// Root frame relative to which the base rotates, by transforms without known joints.
-    fn turns_in<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
-        const STANDS_RAD: f64 = 0.02;
+    fn rotating_root<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
+        const MAX_REST_RAD: f64 = 0.02;
         let root = arm.tree.root_of(&arm.frame_of(arm.base));
         let samples = self.moving_frame(arm, root)?;
         let first = samples.first()?.1.rotation;
-        let turns = samples.iter().any(|(_, pose)| pose.rotation.angle_to(&first) > STANDS_RAD);
+        let turns = samples.iter().any(|(_, pose)| pose.rotation.angle_to(&first) > MAX_REST_RAD);
         turns.then_some(root)
     }
 
     pub(super) fn assign_imu(&mut self, index: usize) {
         let stream = &self.streams[index];
         let Some(Columns::Imu(imu)) = &stream.columns else { return };
-        let Some(owner) = self.owner(stream) else { return };
+        let Some(owner) = self.likeliest_arm(stream) else { return };
         let arm = &self.arms[owner];
-        let (place, anchor) = arm.place(&stream.frame_id);
-        let (carrier, link_from_imu, why) = match (place, anchor) {
-            (Place::MovingLink, Some(anchor)) => {
+        let (place, anchor) = arm.classify_frame(&stream.frame_id);
+        let (moving_base, link_from_imu, why) = match (place, anchor) {
+            (FrameKind::MovingLink, Some(anchor)) => {
                 (anchor.link, Some(anchor.link_from_frame), "the arm moves its frame".to_owned())
             }
-            (Place::StillLink | Place::Tied, _) => {
+            (FrameKind::StillLink | FrameKind::StaticallyTied, _) => {
                 let reason = format!("the arm does not move its frame '{}'", stream.frame_id);
                 self.streams[index].reason = format!("inertial measurements; {reason}");
                 return;
@@ -432,12 +460,12 @@ impl Assembly<'_> {
                 "its frame does not show where it is mounted; assumed at the tip".to_owned(),
             ),
         };
-        if let Some(joint) = arm.unlogged_above(carrier) {
+        if let Some(joint) = arm.unlogged_joint_above(moving_base) {
             let reason = format!("'{joint}', which moves it, is not in the joint states");
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
         }
-        if let Some(root) = self.turns_in(arm) {
+        if let Some(root) = self.rotating_root(arm) {
             let reason = format!("the arm's base rotates in '{root}' and carries it");
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
@@ -446,10 +474,10 @@ impl Assembly<'_> {
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();
         let base =
-            if rides && arm.chain_between(root, carrier).is_some() { root } else { arm.base };
-        let Some((chain, columns)) = arm.chain_between(base, carrier) else { return };
+            if rides && arm.chain_between(root, moving_base).is_some() { root } else { arm.base };
+        let Some((chain, columns)) = arm.chain_between(base, moving_base) else { return };
         let rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
-        let Stamped { track, stamps } = poses::from_imu(imu, &rows, self.origin);
+        let StampedTrack { track, stamps } = poses::from_imu(imu, &rows, self.origin);
         let source = ImuSource {
             stream: index,
             chain,
@@ -460,7 +488,7 @@ impl Assembly<'_> {
             stamp_error_s: self.stamp_error_s(arm, index, 0),
         };
         let reason = format!("inertial measurements; {why}");
-        let [reference, link] = [base, carrier].map(|link| arm.frame_of(link));
+        let [reference, link] = [base, moving_base].map(|link| arm.frame_of(link));
         let stream = &mut self.streams[index];
         (stream.arm, stream.reason) = (Some(owner), reason);
         stream.source_kind = Some(PoseSourceKind::External);

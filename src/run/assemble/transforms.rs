@@ -7,11 +7,11 @@ use crate::time::Stamp;
 
 use super::super::arm::{Arm, TfUnavailable};
 use super::super::model::FrameNames;
-use super::super::poses::{self, Stamped};
-use super::super::role::{Place, Role};
+use super::super::namespace::{Namespace, NamespaceMatch};
+use super::super::poses::{self, StampedTrack};
+use super::super::role::{FrameKind, Role};
 use super::super::source_kind::PoseSourceKind;
 use super::super::sources::PoseSource;
-use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
@@ -19,11 +19,11 @@ use super::super::timing::Timing;
 use super::assembly::Assembly;
 
 /// Builds the tree of the TF topics, without those of arms outside `space`.
-pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfTree {
+pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, namespace: &Namespace) -> TfTree {
     let mut tree = TfTree::default();
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
-        if space.claim([stream.topic.as_str()]) == Claim::Foreign {
+        if namespace.match_names([stream.topic.as_str()]) == NamespaceMatch::Foreign {
             continue;
         }
         for (piece, transform) in transforms.iter().enumerate() {
@@ -66,7 +66,7 @@ pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timin
         let ([poses], true) = (poses.as_slice(), is_odometry) else { continue };
         let is_base = |arm: &Arm| {
             let link = arm.frames.link_of(&arm.robot, child);
-            link.is_some_and(|link| !arm.moves(link))
+            link.is_some_and(|link| !arm.can_move(link))
                 && arm.frames.link_of(&arm.robot, frame).is_none()
         };
         if arms.iter().any(is_base) && tree.path(frame, child, |_| true).is_err() {
@@ -106,7 +106,8 @@ impl Assembly<'_> {
         arm: &Arm,
     ) -> Result<(PoseSource, Vec<(String, String)>), TfUnavailable> {
         let first = self.streams.iter().position(|stream| {
-            stream.role == Role::Tf && arm.claim([stream.topic.as_str()]) != Claim::Foreign
+            stream.role == Role::Tf
+                && arm.match_names([stream.topic.as_str()]) != NamespaceMatch::Foreign
         });
         let first = first.ok_or(TfUnavailable::NoTransforms)?;
         let [base, tip] = [arm.base, arm.tip].map(|link| arm.frame_of(link));
@@ -135,7 +136,7 @@ impl Assembly<'_> {
             return Err(TfUnavailable::NotCovered { joints: uncrossed });
         }
         let mut stamps = path.stamps();
-        poses::thinned(&mut stamps);
+        poses::thin(&mut stamps);
         let stamps = stamps.into_iter();
         let samples: Vec<(Stamp, Pose)> =
             stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
@@ -149,7 +150,7 @@ impl Assembly<'_> {
         let moving = path.edges().find(|edge| edge.kind == EdgeKind::Dynamic);
         let (stream, piece) =
             moving.and_then(|edge| self.piece_of(arm, edge)).unwrap_or((first, 0));
-        let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
+        let StampedTrack { track, stamps } = poses::from_samples(samples, self.origin);
         let (chain, columns) = (arm.chain.clone(), arm.columns.clone());
         let source = PoseSource {
             stream,
@@ -173,8 +174,8 @@ impl Assembly<'_> {
         };
         self.streams.iter().enumerate().find_map(|(index, stream)| {
             let Some(Columns::Transforms(transforms)) = &stream.columns else { return None };
-            let is_own =
-                stream.role == Role::Tf && arm.claim([stream.topic.as_str()]) != Claim::Foreign;
+            let is_own = stream.role == Role::Tf
+                && arm.match_names([stream.topic.as_str()]) != NamespaceMatch::Foreign;
             Some((index, transforms.iter().filter(|_| is_own).position(is_it)?))
         })
     }
@@ -194,7 +195,7 @@ impl Assembly<'_> {
             let new: Vec<Stream> = measured
                 .iter()
                 .map(|&piece| {
-                    let mut new = self.streams[index].of_pose(transforms[piece].clone());
+                    let mut new = self.streams[index].with_single_pose(transforms[piece].clone());
                     new.role = Role::Unassigned;
                     new
                 })
@@ -209,27 +210,27 @@ impl Assembly<'_> {
     fn is_measured(&self, topic: &str, transform: &PoseColumns) -> bool {
         let frame = without_slash(&transform.frame_id);
         let child = without_slash(&transform.child_frame_id);
-        let is_own = |arm: &&Arm| arm.claim([topic]) != Claim::Foreign;
+        let is_own = |arm: &&Arm| arm.match_names([topic]) != NamespaceMatch::Foreign;
         let arms: Vec<&Arm> = self.arms.iter().filter(is_own).collect();
         let carries_none = || {
             let mut roots = arms.iter().map(|arm| (arm, arm.frame_of(arm.robot.root())));
             roots.all(|(arm, root)| child != root && !arm.tree.is_above(child, &root))
         };
-        let is_link = |arm: &&Arm| arm.place(child).0 != Place::Unknown;
+        let is_link = |arm: &&Arm| arm.classify_frame(child).0 != FrameKind::Unknown;
         if targets::is_sighting(frame, child) && !arms.iter().any(is_link) {
             return true;
         }
         for arm in &arms {
-            let places = (arm.place(frame).0, arm.place(child).0);
+            let places = (arm.classify_frame(frame).0, arm.classify_frame(child).0);
             return match (arm.joints_between(frame, child), places) {
                 (Some(joints), _) => joints.len() > 1,
-                (None, (Place::Unknown, Place::Unknown)) => continue,
-                (None, (Place::MovingLink, _)) => false,
-                (None, (_, Place::MovingLink)) => arm.is_far_out(child),
+                (None, (FrameKind::Unknown, FrameKind::Unknown)) => continue,
+                (None, (FrameKind::MovingLink, _)) => false,
+                (None, (_, FrameKind::MovingLink)) => arm.is_moved_by_most_joints(child),
                 (None, (_, place)) => {
                     let carries_more =
                         arm.tree.edges().iter().any(|edge| arm.tree.names(edge).0 == child);
-                    place == Place::Unknown && carries_none() && !carries_more
+                    place == FrameKind::Unknown && carries_none() && !carries_more
                 }
             };
         }

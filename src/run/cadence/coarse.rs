@@ -1,6 +1,6 @@
 //! Streams with stamps from a coarse clock.
 
-use crate::run::grid::Grid;
+use crate::run::tick_grid::Grid;
 use crate::stats::median;
 use crate::time::{Stamp, seconds};
 

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use crate::run::arm::Arm;
-use crate::run::role::is_sight;
+use crate::run::role::is_detection_frame;
 use crate::run::tf_tree::without_slash;
 use crate::stream::{Columns, JointColumns, PoseColumns, Times};
 
@@ -143,7 +143,7 @@ fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
         (without_slash(&transform.frame_id), without_slash(&transform.child_frame_id));
     if arms.is_empty() {
-        return !is_sight(parent) && !is_sight(child);
+        return !is_detection_frame(parent) && !is_detection_frame(child);
     }
     arms.iter().any(|arm| arm.joints_between(parent, child).is_some())
 }

@@ -4,88 +4,88 @@ use std::collections::HashMap;
 
 use crate::diagnosis::NumericTable;
 use crate::log::{TableCell, Topic};
-use crate::run::by_order::TABLE;
-use crate::run::role::{Role, beside_arm, plain_role};
+use crate::run::joint_order::TABLE;
+use crate::run::role::{Role, role_by_content, role_outside_arm};
 use crate::stream::{Columns, Times};
 use crate::time::NANOS_PER_SECOND;
 
 /// Meaning of a number by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Known {
+pub(super) enum NumberKind {
     /// Not identified.
-    Open,
+    Unidentified,
     /// Measured joint position.
     Joint,
     /// Coordinate of the measured tool position.
     Position,
 }
 
-pub(super) struct Number {
+pub(super) struct TableNumber {
     /// Topic index, and index within its row.
     pub at: (usize, usize),
     pub cell: TableCell,
-    pub known: Known,
+    pub kind: NumberKind,
 }
 
-pub(super) struct Cells {
-    /// Topic and index of a number, to its column in `sheet`.
+pub(super) struct TableNumbers {
+    /// Topic and index of a number, to its column in `table`.
     places: HashMap<(usize, usize), usize>,
-    pub numbers: Vec<Number>,
-    pub sheet: NumericTable,
+    pub numbers: Vec<TableNumber>,
+    pub table: NumericTable,
 }
 
-pub(super) fn is_open(topic: &Topic) -> bool {
+pub(super) fn is_unidentified(topic: &Topic) -> bool {
     topic.encoding == TABLE
         && matches!(&topic.columns, Some(Columns::Array(array)) if array.unnamed)
 }
 
 /// Meaning of a topic's numbers by name. `None` if they are no measurements.
-fn known(topic: &Topic) -> Option<Known> {
+fn number_kind(topic: &Topic) -> Option<NumberKind> {
     if topic.encoding != TABLE || topic.columns.as_ref().is_none_or(|it| it.times().is_empty()) {
         return None;
     }
     match topic.columns.as_ref()? {
-        Columns::Array(array) if array.unnamed => Some(Known::Open),
+        Columns::Array(array) if array.unnamed => Some(NumberKind::Unidentified),
         Columns::Array(_) | Columns::Poses(_) => {
-            (beside_arm(&topic.name) == Role::Unassigned).then_some(Known::Position)
+            (role_outside_arm(&topic.name) == Role::Unassigned).then_some(NumberKind::Position)
         }
         columns @ Columns::Joints(_) => {
-            let role = plain_role(&topic.name, columns).map(|(role, _)| role);
-            (role == Some(Role::Joints)).then_some(Known::Joint)
+            let role = role_by_content(&topic.name, columns).map(|(role, _)| role);
+            (role == Some(Role::Joints)).then_some(NumberKind::Joint)
         }
         _ => None,
     }
 }
 
-impl Cells {
+impl TableNumbers {
     /// Columns of the table with the most rows. `None` if all topics are identified.
-    pub fn of(topics: &[Topic]) -> Option<Self> {
-        let times = topics.iter().filter(|topic| is_open(topic)).filter_map(times_of);
+    pub fn collect(topics: &[Topic]) -> Option<Self> {
+        let times = topics.iter().filter(|topic| is_unidentified(topic)).filter_map(times_of);
         let rows = times.max_by_key(|times| times.len())?.log.clone();
-        let mut numbers: Vec<(Number, Vec<f64>)> = Vec::new();
+        let mut numbers: Vec<(TableNumber, Vec<f64>)> = Vec::new();
         for (index, topic) in topics.iter().enumerate() {
-            let Some(known) = known(topic) else { continue };
-            let Some(own) = Rows::of(topic, &rows) else { continue };
-            let count = if known == Known::Position { 3 } else { topic.cells.len() };
+            let Some(known) = number_kind(topic) else { continue };
+            let Some(own) = RowMap::match_rows(topic, &rows) else { continue };
+            let count = if known == NumberKind::Position { 3 } else { topic.cells.len() };
             for (part, cell) in topic.cells.iter().enumerate().take(count) {
-                let number = Number { at: (index, part), cell: cell.clone(), known };
+                let number = TableNumber { at: (index, part), cell: cell.clone(), kind: known };
                 numbers.push((number, own.values(topic, part)));
             }
         }
         numbers.sort_by_key(|(number, _)| number.cell.at);
-        let home = |number: &Number| match topics[number.at.0].cells.len() {
+        let home = |number: &TableNumber| match topics[number.at.0].cells.len() {
             1 => 0,
             _ => 1 + number.at.0,
         };
         numbers.sort_by_key(|(number, _)| home(number));
         let homes = numbers.iter().map(|(number, _)| home(number)).collect();
-        let (numbers, columns): (Vec<Number>, Vec<Vec<f64>>) = numbers.into_iter().unzip();
+        let (numbers, columns): (Vec<TableNumber>, Vec<Vec<f64>>) = numbers.into_iter().unzip();
         let places = numbers.iter().enumerate().map(|(place, number)| (number.at, place)).collect();
-        Some(Self { numbers, places, sheet: whole(&rows, columns, homes) })
+        Some(Self { numbers, places, table: from_complete_rows(&rows, columns, homes) })
     }
 
     /// Column of a number.
-    pub fn place(&self, at: (usize, usize)) -> Option<usize> {
+    pub fn column(&self, at: (usize, usize)) -> Option<usize> {
         self.places.get(&at).copied()
     }
 
@@ -94,22 +94,22 @@ impl Cells {
     }
 
     /// Whether names leave joints or tool position open.
-    pub fn is_asked(&self) -> bool {
-        let are_known = |known| self.numbers.iter().any(|number| number.known == known);
-        !(are_known(Known::Joint) && are_known(Known::Position))
+    pub fn needs_search(&self) -> bool {
+        let are_known = |known| self.numbers.iter().any(|number| number.kind == known);
+        !(are_known(NumberKind::Joint) && are_known(NumberKind::Position))
     }
 
-    pub fn of_kind(&self, known: Known) -> Vec<usize> {
-        (0..self.numbers.len()).filter(|&at| self.numbers[at].known == known).collect()
+    pub fn columns_of_kind(&self, known: NumberKind) -> Vec<usize> {
+        (0..self.numbers.len()).filter(|&at| self.numbers[at].kind == known).collect()
     }
 }
 
 /// The topics' numbers times their factors, for rows that all have. `None` if from different tables.
-pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
+pub(super) fn join_tables(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
     let rows = times_of(topics.first()?.0)?.log.clone();
     let (mut columns, mut homes) = (Vec::new(), Vec::new());
     for (home, (topic, factor)) in topics.iter().enumerate() {
-        let own = Rows::of(topic, &rows)?;
+        let own = RowMap::match_rows(topic, &rows)?;
         for part in 0..topic.cells.len() {
             let mut values = own.values(topic, part);
             values.iter_mut().for_each(|value| *value *= factor);
@@ -117,10 +117,10 @@ pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
             homes.push(home);
         }
     }
-    Some(whole(&rows, columns, homes))
+    Some(from_complete_rows(&rows, columns, homes))
 }
 
-fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> NumericTable {
+fn from_complete_rows(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> NumericTable {
     let mut whole: Vec<usize> = Vec::new();
     let mut last = i64::MIN;
     for (row, stamp) in rows.iter().enumerate() {
@@ -142,12 +142,12 @@ fn times_of(topic: &Topic) -> Option<&Times> {
     topic.columns.as_ref()?.times().first().copied()
 }
 
-struct Rows(Vec<Option<usize>>);
+struct RowMap(Vec<Option<usize>>);
 
-impl Rows {
+impl RowMap {
     /// `None` if it lacks more than 10 % of the rows: another table, or seldom a number.
-    fn of(topic: &Topic, rows: &[i64]) -> Option<Self> {
-        const MOST: f64 = 0.9;
+    fn match_rows(topic: &Topic, rows: &[i64]) -> Option<Self> {
+        const MIN_ROW_SHARE: f64 = 0.9;
         let own = &times_of(topic)?.log;
         let found: Vec<Option<usize>> = if own == rows {
             (0..rows.len()).map(Some).collect()
@@ -157,7 +157,7 @@ impl Rows {
             rows.iter().map(|stamp| places.get(stamp).copied()).collect()
         };
         let count = found.iter().flatten().count();
-        (count as f64 >= MOST * rows.len() as f64).then_some(Self(found))
+        (count as f64 >= MIN_ROW_SHARE * rows.len() as f64).then_some(Self(found))
     }
 
     /// Values of one number per table row; NaN if missing.

@@ -5,45 +5,48 @@
 
 use crate::diagnosis::{GroupShift, NumericTable};
 use crate::log::{Log, Note, Topic};
-use crate::run::by_order::TABLE;
-use crate::run::role::{Role, beside_arm, plain_role};
+use crate::run::joint_order::TABLE;
+use crate::run::role::{Role, role_by_content, role_outside_arm};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
-use super::cells::{is_open, side_by_side};
+use super::cells::{is_unidentified, join_tables};
 
 /// Maximum number of joints, as every pair is compared.
-const MOST_JOINTS: usize = 16;
+const MAX_JOINTS: usize = 16;
 /// Minimum number of moving joints, and of swapped ones.
-const MOVING: usize = 3;
-const SWAPPED: usize = 2;
+const MIN_MOVING_JOINTS: usize = 3;
+const MIN_SWAPPED_JOINTS: usize = 2;
 /// Maximum residual of one joint's columns, as a share of its spread, and minimum ratio for other joints.
-const SAME: f64 = 0.1;
-const OTHER: f64 = 3.0;
+const MAX_MATCH_RESIDUAL: f64 = 0.1;
+const MIN_MISMATCH_RATIO: f64 = 3.0;
 
 /// Turns unnamed numbers that lead joints into commands. Excludes and reports commands with contradicting
 /// names.
-pub(super) fn settle(log: &mut Log) {
-    let is_state = |topic: &&Topic| role(topic) == Some(Role::Joints);
-    let states: Vec<usize> = places(&log.topics, is_state);
-    let commands = places(&log.topics, |topic| {
-        let is_bare = is_open(topic) && beside_arm(&topic.name) == Role::Reference;
-        is_bare || role(topic) == Some(Role::Reference)
+pub(super) fn identify_commands(log: &mut Log) {
+    let is_state = |topic: &&Topic| joint_role(topic) == Some(Role::Joints);
+    let states: Vec<usize> = topic_indices(&log.topics, is_state);
+    let commands = topic_indices(&log.topics, |topic| {
+        let is_bare = is_unidentified(topic) && role_outside_arm(&topic.name) == Role::Reference;
+        is_bare || joint_role(topic) == Some(Role::Reference)
     });
     for at in commands {
         for &state in &states {
-            let Some(way) = Way::of(&log.topics[state], &log.topics[at]) else { continue };
+            let Some(relation) = CommandRelation::detect(&log.topics[state], &log.topics[at])
+            else {
+                continue;
+            };
             let name = log.topics[state].name.clone();
             let Some(Columns::Joints(joints)) = log.topics[state].columns.clone() else { continue };
             let topic = &mut log.topics[at];
-            match way {
-                Way::Commands(lead_s) => {
-                    topic.columns = topic.columns.take().map(|own| commanded(own, &joints));
+            match relation {
+                CommandRelation::Commands(lead_s) => {
+                    topic.columns = topic.columns.take().map(|own| to_joint_commands(own, &joints));
                     topic.read_as = Some(format!(
                         "joint commands: its numbers match '{name}', {:.0} ms earlier",
                         1e3 * lead_s
                     ));
                 }
-                Way::Swapped(pairs) => {
+                CommandRelation::Swapped(pairs) => {
                     let (own, others): (Vec<String>, Vec<String>) = pairs.into_iter().unzip();
                     let what = format!(
                         "'{}' and '{name}' name their joints in different orders: the first topic's {} moves \
@@ -64,26 +67,26 @@ pub(super) fn settle(log: &mut Log) {
     }
 }
 
-fn places(topics: &[Topic], is_it: impl Fn(&&Topic) -> bool) -> Vec<usize> {
+fn topic_indices(topics: &[Topic], is_it: impl Fn(&&Topic) -> bool) -> Vec<usize> {
     (0..topics.len()).filter(|&at| is_it(&&topics[at])).collect()
 }
 
-fn role(topic: &Topic) -> Option<Role> {
+fn joint_role(topic: &Topic) -> Option<Role> {
     let columns = topic.columns.as_ref().filter(|_| topic.encoding == TABLE)?;
     matches!(columns, Columns::Joints(_))
-        .then(|| plain_role(&topic.name, columns).map(|(role, _)| role))
+        .then(|| role_by_content(&topic.name, columns).map(|(role, _)| role))
         .flatten()
 }
 
-enum Way {
+enum CommandRelation {
     /// They lead the joints by this time, s.
     Commands(f64),
     /// Swapped names: name, and joint that it moves like.
     Swapped(Vec<(String, String)>),
 }
 
-impl Way {
-    fn of(state: &Topic, command: &Topic) -> Option<Self> {
+impl CommandRelation {
+    fn detect(state: &Topic, command: &Topic) -> Option<Self> {
         let Some(Columns::Joints(joints)) = &state.columns else { return None };
         let count = joints.joints.len();
         let names: Vec<&str> = match &command.columns {
@@ -97,7 +100,7 @@ impl Way {
         };
         let place = |joint: &JointColumn| names.iter().position(|name| *name == joint.name);
         let of_state: Vec<usize> = joints.joints.iter().map(place).collect::<Option<_>>()?;
-        if names.len() != count || count > MOST_JOINTS {
+        if names.len() != count || count > MAX_JOINTS {
             return None;
         }
         if !joints.conversions.is_empty() {
@@ -105,26 +108,26 @@ impl Way {
         }
         let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
         let is_bare = matches!(command.columns, Some(Columns::Array(_)));
-        let sheet = side_by_side(&[(state, 1.0), (command, if is_bare { factor } else { 1.0 })])?;
+        let table = join_tables(&[(state, 1.0), (command, if is_bare { factor } else { 1.0 })])?;
         let arms: Vec<usize> = (0..count)
             .filter(|&at| {
                 !["gripper", "finger", "jaw"].iter().any(|of| joints.joints[at].name.contains(of))
-                    && sheet.moves(at)
+                    && table.moves(at)
             })
             .collect();
-        if arms.len() < MOVING {
+        if arms.len() < MIN_MOVING_JOINTS {
             return None;
         }
         let shift = |joint: usize, other: usize| -> Option<GroupShift> {
-            sheet.group_shift(&[joint], &[count + of_state[other]])
+            table.group_shift(&[joint], &[count + of_state[other]])
         };
         let own: Vec<Option<GroupShift>> = arms.iter().map(|&joint| shift(joint, joint)).collect();
         if is_bare {
             let own: Vec<GroupShift> = own.into_iter().collect::<Option<_>>()?;
             let lead_s = own.iter().map(|shift| -shift.delay_s).sum::<f64>() / own.len() as f64;
-            return (lead_s > -sheet.step_s()).then_some(Self::Commands(lead_s));
+            return (lead_s > -table.step_s()).then_some(Self::Commands(lead_s));
         }
-        swapped(&arms, &own, shift, &sheet).map(|pairs| {
+        find_swapped(&arms, &own, shift, &table).map(|pairs| {
             let name = |at: usize| joints.joints[at].name.clone();
             Self::Swapped(pairs.into_iter().map(|(own, other)| (name(own), name(other))).collect())
         })
@@ -132,15 +135,15 @@ impl Way {
 }
 
 /// Pairs of joints with swapped commands. `None` unless they form a unique permutation.
-fn swapped(
+fn find_swapped(
     arms: &[usize],
     own: &[Option<GroupShift>],
     shift: impl Fn(usize, usize) -> Option<GroupShift>,
-    sheet: &NumericTable,
+    table: &NumericTable,
 ) -> Option<Vec<(usize, usize)>> {
     let mut pairs = Vec::new();
     for (&joint, own) in arms.iter().zip(own) {
-        if own.is_some_and(|own| own.residual < OTHER * SAME) {
+        if own.is_some_and(|own| own.residual < MIN_MISMATCH_RATIO * MAX_MATCH_RESIDUAL) {
             continue;
         }
         let others = arms.iter().filter(|&&other| other != joint);
@@ -148,8 +151,9 @@ fn swapped(
         let mut found: Vec<(usize, GroupShift)> = found.collect();
         found.sort_by(|a, b| a.1.residual.total_cmp(&b.1.residual));
         let (other, best) = *found.first()?;
-        let is_only = found.get(1).is_none_or(|(_, next)| next.residual > OTHER * best.residual);
-        if best.residual > SAME || best.delay_s > sheet.step_s() || !is_only {
+        let is_only =
+            found.get(1).is_none_or(|(_, next)| next.residual > MIN_MISMATCH_RATIO * best.residual);
+        if best.residual > MAX_MATCH_RESIDUAL || best.delay_s > table.step_s() || !is_only {
             return None;
         }
         pairs.push((other, joint));
@@ -158,10 +162,10 @@ fn swapped(
     let mut moved: Vec<usize> = pairs.iter().map(|(_, other)| *other).collect();
     whose.sort_unstable();
     moved.sort_unstable();
-    (pairs.len() >= SWAPPED && whose == moved).then_some(pairs)
+    (pairs.len() >= MIN_SWAPPED_JOINTS && whose == moved).then_some(pairs)
 }
 
-fn commanded(numbers: Columns, joints: &JointColumns) -> Columns {
+fn to_joint_commands(numbers: Columns, joints: &JointColumns) -> Columns {
     let Columns::Array(array) = numbers else { return numbers };
     let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
     let rows = array.times.len();

@@ -2,12 +2,12 @@
 
 use crate::diagnosis::NumericTable;
 use crate::log::{Log, Note};
-use crate::run::by_order::TABLE;
+use crate::run::joint_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumns};
 
 /// Finds joint topics that hold a unit quaternion in every row, as a pose does. Makes them unnamed numbers
 /// and reports the contradiction.
-pub(super) fn find(log: &mut Log) {
+pub(super) fn report_contradictions(log: &mut Log) {
     let Some(file) = log.files.first().map(|file| file.path.clone()) else { return };
     let mut found = Vec::new();
     for topic in log.topics.iter_mut().filter(|topic| topic.encoding == TABLE) {
@@ -20,7 +20,7 @@ pub(super) fn find(log: &mut Log) {
             first + 1,
             first + 4
         ));
-        topic.columns = Some(Columns::Array(bare(joints)));
+        topic.columns = Some(Columns::Array(to_unnamed(joints)));
     }
     let notes = found.into_iter().map(|what| Note { file: file.clone(), what });
     if notes.len() > 0 {
@@ -39,7 +39,7 @@ fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     [3, 0].into_iter().find(|&at| sheet.is_quaternion([at, at + 1, at + 2, at + 3]))
 }
 
-fn bare(joints: &JointColumns) -> ArrayColumns {
+fn to_unnamed(joints: &JointColumns) -> ArrayColumns {
     let row = |row: usize| joints.joints.iter().map(move |joint| joint.position[row]);
     ArrayColumns {
         width: joints.joints.len(),

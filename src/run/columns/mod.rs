@@ -19,74 +19,76 @@ use super::RunOptions;
 use super::role::{Role, array_role};
 use super::{models, skeleton};
 pub use cells::selectors;
-use cells::{Cells, Known, is_open};
-use roles::Taken;
-pub use shared::{Shared, SharedColumns, SharedRow};
+use cells::{NumberKind, TableNumbers, is_unidentified};
+use roles::IdentifiedArm;
+pub use shared::{SharedColumns, SharedMapping, SharedRow};
 
-struct Candidate {
+struct ArmModel {
     name: String,
     chain: Chain,
 }
 
 #[derive(Default)]
-struct Told {
-    arms: Vec<Taken>,
+struct IdentifiedColumns {
+    arms: Vec<IdentifiedArm>,
     question: Option<String>,
 }
 
 /// Minimum score difference between mappings: a likelihood ratio of e¹⁰.
-const APART: f64 = 20.0;
-const MOST_ARMS: usize = 2;
+const MIN_SCORE_DIFFERENCE: f64 = 20.0;
+const MAX_ARMS: usize = 2;
 /// Minimum spread of the tool position, m.
-const MOVES_M: f64 = 0.02;
+const MIN_SPREAD_M: f64 = 0.02;
 
 /// Identifies unnamed columns as joints, poses and commands, and rewrites their topics. Returns the mapping
 /// for other logs of the dataset.
 pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
-    contradictions::find(log);
-    commands::settle(log);
-    tools::compare(log);
-    if !log.topics.iter().any(is_open) {
+    contradictions::report_contradictions(log);
+    commands::identify_commands(log);
+    tools::compare_commanded_position(log);
+    if !log.topics.iter().any(is_unidentified) {
         return None;
     }
-    let Some(cells) = Cells::of(&log.topics).filter(Cells::is_asked) else {
-        topics::leave_singles(log);
+    let Some(cells) = TableNumbers::collect(&log.topics).filter(TableNumbers::needs_search) else {
+        topics::exclude_singles(log);
         return None;
     };
     let names = cells.names();
-    let shared = options.shared.as_ref().and_then(|shared| shared.of(&names));
-    let search = Search::new(&cells, options, log.robot_type.as_deref(), shared);
-    let told = match shared {
-        Some(shared) => search.shared(shared, log),
-        None => search.told(log),
+    let shared = options.shared.as_ref().and_then(|shared| shared.columns_for(&names));
+    let search = ColumnSearch::new(&cells, options, log.robot_type.as_deref(), shared);
+    let identified = match shared {
+        Some(shared) => search.verify_shared(shared, log),
+        None => search.identify(log),
     };
-    topics::rewrite(log, &search, &told);
-    if let (Some(what), Some(file)) = (&told.question, log.files.first()) {
+    topics::rewrite(log, &search, &identified);
+    if let (Some(what), Some(file)) = (&identified.question, log.files.first()) {
         log.notes.push(Note { file: file.path.clone(), what: what.clone() });
     }
-    log.question.clone_from(&told.question);
-    Some(SharedColumns::of(names, told))
+    log.question.clone_from(&identified.question);
+    Some(SharedColumns::new(names, identified))
 }
 
-struct Search<'a> {
-    cells: &'a Cells,
-    arms: Vec<Candidate>,
+struct ColumnSearch<'a> {
+    cells: &'a TableNumbers,
+    arms: Vec<ArmModel>,
     max_lag_s: f64,
 }
 
-impl<'a> Search<'a> {
+impl<'a> ColumnSearch<'a> {
     fn new(
-        cells: &'a Cells,
+        cells: &'a TableNumbers,
         options: &RunOptions,
         robot_type: Option<&str>,
         shared: Option<&SharedColumns>,
     ) -> Self {
-        let given = models::given_or_shared(options).unwrap_or_default();
-        let named: Vec<&Robot> =
-            models::for_numbers(&given, robot_type).into_iter().map(|(robot, _)| robot).collect();
+        let given = models::read_given_or_shared(options).unwrap_or_default();
+        let named: Vec<&Robot> = models::robots_for_numbered_joints(&given, robot_type)
+            .into_iter()
+            .map(|(robot, _)| robot)
+            .collect();
         let robots = match shared {
             _ if !named.is_empty() => named,
-            Some(shared) if shared.is_told() => shared.robots(),
+            Some(shared) if shared.is_determined() => shared.robots(),
             _ => catalogue::entries().iter().collect(),
         };
         let arms = robots.into_iter().flat_map(|robot| {
@@ -95,7 +97,7 @@ impl<'a> Search<'a> {
                 let tip = skeleton::tip(robot, path.end, robot.controller_tip.as_deref());
                 let chain = robot.chain(path.base, tip).ok()?;
                 let is_whole = chain.joint_names() == path.joints;
-                is_whole.then(|| Candidate { name: robot.name.clone(), chain })
+                is_whole.then(|| ArmModel { name: robot.name.clone(), chain })
             })
         });
         Self { cells, arms: arms.collect(), max_lag_s: options.max_latency_s.min(1.0) }
@@ -105,15 +107,18 @@ impl<'a> Search<'a> {
         self.arms.iter().map(|arm| &arm.chain).collect()
     }
 
-    fn told(&self, log: &Log) -> Told {
-        let mut told = Told::default();
+    fn identify(&self, log: &Log) -> IdentifiedColumns {
+        let mut identified = IdentifiedColumns::default();
         let joints = self.known_joints(log);
-        let position = self.cells.of_kind(Known::Position);
+        let position = self.cells.columns_of_kind(NumberKind::Position);
         let position = <[usize; 3]>::try_from(position.get(..3).unwrap_or_default()).ok();
-        let are_joints_known = !self.cells.of_kind(Known::Joint).is_empty();
-        let mut taken: Vec<usize> =
-            if are_joints_known { self.cells.of_kind(Known::Joint) } else { Vec::new() };
-        while told.arms.len() < MOST_ARMS {
+        let are_joints_known = !self.cells.columns_of_kind(NumberKind::Joint).is_empty();
+        let mut taken: Vec<usize> = if are_joints_known {
+            self.cells.columns_of_kind(NumberKind::Joint)
+        } else {
+            Vec::new()
+        };
+        while identified.arms.len() < MAX_ARMS {
             let chains = self.chains();
             let wanted = MappingConstraints {
                 chains: &chains,
@@ -122,10 +127,10 @@ impl<'a> Search<'a> {
                 taken: &taken,
                 max_lag_s: self.max_lag_s,
             };
-            let mut mappings = self.cells.sheet.mappings(&wanted);
-            mappings.retain(|mapping| self.takes_whole_arrays(mapping));
+            let mut mappings = self.cells.table.mappings(&wanted);
+            mappings.retain(|mapping| self.uses_whole_arrays(mapping));
             // A second arm uses the same unit, and the base frame if the first does.
-            if let Some(first) = told.arms.first().map(|arm| &arm.mapping) {
+            if let Some(first) = identified.arms.first().map(|arm| &arm.mapping) {
                 mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
             }
             // With a free frame and tool, other columns may fit by chance.
@@ -134,30 +139,35 @@ impl<'a> Search<'a> {
             if !at_base.is_empty() {
                 mappings.retain(|mapping| at_base.contains(&mapping.joints));
             }
-            let Some(best) = mappings.first().filter(|best| best.fits() && best.spread_m > MOVES_M)
+            let Some(best) =
+                mappings.first().filter(|best| best.fits() && best.spread_m > MIN_SPREAD_M)
             else {
                 break;
             };
             // Prefer the point on the tool that is nearest to the tip.
-            const NEARER_M: f64 = 0.01;
+            const MIN_TOOL_DIFFERENCE_M: f64 = 0.01;
             let is_point = |other: &&ColumnMapping| {
-                other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m
+                other.fits()
+                    && other.joints == best.joints
+                    && other.tool_m + MIN_TOOL_DIFFERENCE_M < best.tool_m
             };
             let points = mappings.iter().filter(is_point);
             let best = points.min_by(|a, b| a.tool_m.total_cmp(&b.tool_m)).unwrap_or(best);
             let others = mappings.iter().filter(|other| !other.is_same(best));
-            let rival = others.into_iter().find(|other| self.conflict(best, other));
-            if let Some(rival) = rival.filter(|rival| rival.score < best.score + APART) {
-                told.question = Some(self.either(best, rival));
+            let next_best = others.into_iter().find(|other| self.are_in_conflict(best, other));
+            if let Some(next_best) =
+                next_best.filter(|next_best| next_best.score < best.score + MIN_SCORE_DIFFERENCE)
+            {
+                identified.question = Some(self.ambiguity_question(best, next_best));
                 break;
             }
-            match self.taken(best, rival, &mappings, &wanted) {
+            match self.complete_mapping(best, next_best, &mappings, &wanted) {
                 Ok(arm) => {
-                    taken.extend(arm.all());
-                    told.arms.push(arm);
+                    taken.extend(arm.all_columns());
+                    identified.arms.push(arm);
                 }
                 Err(question) => {
-                    told.question = Some(question);
+                    identified.question = Some(question);
                     break;
                 }
             }
@@ -165,15 +175,15 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        if told.arms.is_empty() && told.question.is_none() && !are_joints_known {
-            told.question = self.by_width(log);
+        if identified.arms.is_empty() && identified.question.is_none() && !are_joints_known {
+            identified.question = self.question_by_width(log);
         }
-        told
+        identified
     }
 
     /// Whether a mapping uses whole arrays, not part of one such as `position0` … `position6`. It may omit
     /// a gripper or one of two arms, or use an array that has the whole position.
-    fn takes_whole_arrays(&self, mapping: &ColumnMapping) -> bool {
+    fn uses_whole_arrays(&self, mapping: &ColumnMapping) -> bool {
         let stem = |at: usize| -> &str {
             let name = self.cells.numbers[at].cell.name.as_str();
             name.trim_end_matches(']').trim_end_matches(|c: char| c.is_ascii_digit())
@@ -191,7 +201,7 @@ impl<'a> Search<'a> {
     }
 
     fn known_joints(&self, log: &Log) -> Option<Vec<Vec<usize>>> {
-        let known = self.cells.of_kind(Known::Joint);
+        let known = self.cells.columns_of_kind(NumberKind::Joint);
         let first = self.cells.numbers.get(*known.first()?)?.at.0;
         let Some(crate::stream::Columns::Joints(joints)) = &log.topics[first].columns else {
             return None;
@@ -199,7 +209,7 @@ impl<'a> Search<'a> {
         let place = |part: usize| {
             known.iter().copied().find(|&at| self.cells.numbers[at].at == (first, part))
         };
-        let of_arm = |arm: &Candidate| -> Vec<usize> {
+        let of_arm = |arm: &ArmModel| -> Vec<usize> {
             let names = arm.chain.joint_names();
             let part = |(at, name): (usize, &String)| match joints.unnamed {
                 true => place(at),
@@ -214,7 +224,7 @@ impl<'a> Search<'a> {
 
     /// Whether mappings share columns, and differ in more than the tool point or commanded versus measured
     /// joints.
-    fn conflict(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
+    fn are_in_conflict(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
         let share = |a: &[usize], b: &[usize]| a.iter().any(|at| b.contains(at));
         let is_one_arm = one.joints == other.joints || self.are_commands(one, other);
         let is_one_point = one.position == other.position;
@@ -229,7 +239,7 @@ impl<'a> Search<'a> {
         apart
             && one.unit == other.unit
             && one.joints.len() == other.joints.len()
-            && self.cells.sheet.group_shift(&one.joints, &other.joints).is_some()
+            && self.cells.table.group_shift(&one.joints, &other.joints).is_some()
     }
 
     fn names(&self, columns: &[usize]) -> Vec<String> {
@@ -238,7 +248,7 @@ impl<'a> Search<'a> {
         selectors(&names)
     }
 
-    fn said(&self, columns: &[usize]) -> String {
+    fn label(&self, columns: &[usize]) -> String {
         match self.names(columns).as_slice() {
             [only] => only.clone(),
             [first, .., last] => format!("{first}…{last}"),
@@ -246,7 +256,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn line(&self, key: &str, columns: &[usize]) -> String {
+    fn config_line(&self, key: &str, columns: &[usize]) -> String {
         let quoted: Vec<String> =
             self.names(columns).iter().map(|name| format!("\"{name}\"")).collect();
         match quoted.as_slice() {
@@ -255,30 +265,32 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn lines(&self, mapping: &ColumnMapping) -> String {
-        let (joints, pose) =
-            (self.line("joints", &mapping.joints), self.line("pose", &mapping.position));
+    fn config_lines(&self, mapping: &ColumnMapping) -> String {
+        let (joints, pose) = (
+            self.config_line("joints", &mapping.joints),
+            self.config_line("pose", &mapping.position),
+        );
         format!("{joints}; {pose}")
     }
 
-    fn either(&self, best: &ColumnMapping, rival: &ColumnMapping) -> String {
-        let way = |it: &ColumnMapping| {
+    fn ambiguity_question(&self, best: &ColumnMapping, next_best: &ColumnMapping) -> String {
+        let describe = |it: &ColumnMapping| {
             format!(
                 "{} as joints of {}, residual {} in {} ([columns] {})",
-                self.said(&it.joints),
+                self.label(&it.joints),
                 self.arms[it.arm].name,
                 crate::finding::Unit::Metre.show(it.residual_m),
-                self.said(&it.position),
-                self.lines(it)
+                self.label(&it.position),
+                self.config_lines(it)
             )
         };
-        format!("ambiguous columns: {}, or {}", way(best), way(rival))
+        format!("ambiguous columns: {}, or {}", describe(best), describe(next_best))
     }
 
     /// Asks which numbers are the joints if no position identifies them. Suggests arrays as wide as one or
     /// two arms, with or without grippers, but no commands.
-    fn by_width(&self, log: &Log) -> Option<String> {
-        let sheet = &self.cells.sheet;
+    fn question_by_width(&self, log: &Log) -> Option<String> {
+        let table = &self.cells.table;
         let chains = self.chains();
         let wanted = MappingConstraints {
             chains: &chains,
@@ -287,17 +299,17 @@ impl<'a> Search<'a> {
             taken: &[],
             max_lag_s: self.max_lag_s,
         };
-        let mut ways: Vec<String> = Vec::new();
+        let mut suggestions: Vec<String> = Vec::new();
         let mut first = 0;
-        while first < self.cells.numbers.len() && ways.is_empty() {
-            let home = sheet.home(first);
+        while first < self.cells.numbers.len() && suggestions.is_empty() {
+            let home = table.home(first);
             let width =
-                (first..self.cells.numbers.len()).take_while(|&at| sheet.home(at) == home).count();
+                (first..self.cells.numbers.len()).take_while(|&at| table.home(at) == home).count();
             let topic = &log.topics[self.cells.numbers[first].at.0];
             let is_command = array_role(&topic.name, width, false).0 == Role::Reference;
             for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
                 let dof = chain.dof();
-                let blocks = || -> Vec<JointColumns> { sheet.blocks(&wanted, arm) };
+                let blocks = || -> Vec<JointColumns> { table.blocks(&wanted, arm) };
                 let is_block = |blocks: &[JointColumns], from: usize| {
                     blocks.iter().any(|block| block.joints.iter().copied().eq(from..from + dof))
                 };
@@ -311,9 +323,10 @@ impl<'a> Search<'a> {
                 if !each.iter().all(|&from| is_block(&blocks, from)) {
                     continue;
                 }
-                let line =
-                    |from: usize| self.line("joints", &(from..from + dof).collect::<Vec<usize>>());
-                let way = match each.as_slice() {
+                let line = |from: usize| {
+                    self.config_line("joints", &(from..from + dof).collect::<Vec<usize>>())
+                };
+                let suggestion = match each.as_slice() {
                     [only] => format!("[columns] {}", line(*only)),
                     [left, right, ..] => format!(
                         "[columns.arm.left] {} and [columns.arm.right] {}",
@@ -322,26 +335,26 @@ impl<'a> Search<'a> {
                     ),
                     [] => continue,
                 };
-                if !ways.contains(&way) {
-                    ways.push(way);
+                if !suggestions.contains(&suggestion) {
+                    suggestions.push(suggestion);
                 }
             }
             first += width;
         }
-        if ways.is_empty() {
-            let (own, rates) = sheet.with_rates()?;
+        if suggestions.is_empty() {
+            let (own, rates) = table.with_rates()?;
             return Some(format!(
                 "{} are the rates of {}, but no columns are a pose that matches FK, so the joints cannot be \
                  confirmed: if these are the joints, set [columns] {}, and name the arm with --robot",
-                self.said(&rates),
-                self.said(&own),
-                self.line("joints", &own)
+                self.label(&rates),
+                self.label(&own),
+                self.config_line("joints", &own)
             ));
         }
-        let ways = ways.join(", or ");
+        let suggestions = suggestions.join(", or ");
         Some(format!(
             "no columns are a pose that matches FK of the others, so the joints cannot be identified: if you \
-             know them, set {ways}"
+             know them, set {suggestions}"
         ))
     }
 }

@@ -7,10 +7,10 @@ use crate::diagnosis::{
 };
 use crate::finding::Unit;
 
-use super::Search;
+use super::ColumnSearch;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Taken {
+pub(super) struct IdentifiedArm {
     pub arm: String,
     pub mapping: ColumnMapping,
     pub joints_why: String,
@@ -27,13 +27,13 @@ pub(super) struct Taken {
     pub others: Vec<(Vec<usize>, String)>,
 }
 
-impl Taken {
+impl IdentifiedArm {
     /// Whether all columns are among the first `count`.
     pub fn is_within(&self, count: usize) -> bool {
-        self.all().iter().chain(&self.mapping.position).all(|&at| at < count)
+        self.all_columns().iter().chain(&self.mapping.position).all(|&at| at < count)
     }
 
-    pub fn all(&self) -> Vec<usize> {
+    pub fn all_columns(&self) -> Vec<usize> {
         let commands = [&self.joint_commands, &self.pose_commands].into_iter().flatten();
         let further = commands.chain(&self.others).flat_map(|(columns, _)| columns.iter().copied());
         let own = self.mapping.joints.iter().chain(self.velocities.iter().flatten());
@@ -42,57 +42,58 @@ impl Taken {
 }
 
 /// Columns that match after a time shift.
-struct Same {
+struct MatchingColumns {
     columns: Vec<usize>,
     shift: GroupShift,
 }
 
 /// A position that matches after a time shift.
-type Later = ([usize; 3], GroupShift);
+type MatchingPosition = ([usize; 3], GroupShift);
 
-impl Same {
+impl MatchingColumns {
     fn is_copy(&self) -> bool {
         self.shift.residual < 1e-9 && self.shift.delay_s == 0.0
     }
 }
 
 /// Minimum lead of commands, s, if poses distinguish them.
-const LEADS_S: f64 = 0.02;
+const MIN_LEAD_S: f64 = 0.02;
 
-impl Search<'_> {
+impl ColumnSearch<'_> {
     /// Completes `best` with commands, velocities, rotation and copies. `rival` is the next best mapping of
     /// the same columns.
     ///
     /// # Errors
     /// A question if the measured columns cannot be determined.
-    pub(super) fn taken(
+    pub(super) fn complete_mapping(
         &self,
         best: &ColumnMapping,
-        rival: Option<&ColumnMapping>,
+        next_best: Option<&ColumnMapping>,
         mappings: &[ColumnMapping],
         wanted: &MappingConstraints,
-    ) -> Result<Taken, String> {
-        let sheet = &self.cells.sheet;
+    ) -> Result<IdentifiedArm, String> {
+        let table = &self.cells.table;
         let mut others = Vec::new();
-        let mut family: Vec<Same> = Vec::new();
+        let mut family: Vec<MatchingColumns> = Vec::new();
         if wanted.joints.is_none() {
-            for JointColumns { joints: columns, unit, .. } in sheet.blocks(wanted, best.arm) {
+            for JointColumns { joints: columns, unit, .. } in table.blocks(wanted, best.arm) {
                 let is_apart = |joints: &[usize]| columns.iter().all(|at| !joints.contains(at));
                 if !is_apart(&best.joints) || !family.iter().all(|same| is_apart(&same.columns)) {
                     continue;
                 }
-                let shift = sheet.group_shift(&best.joints, &columns).filter(|_| unit == best.unit);
-                family.extend(shift.map(|shift| Same { columns, shift }));
+                let shift = table.group_shift(&best.joints, &columns).filter(|_| unit == best.unit);
+                family.extend(shift.map(|shift| MatchingColumns { columns, shift }));
             }
         }
-        let name = |columns: &[usize]| self.said(columns);
+        let name = |columns: &[usize]| self.label(columns);
         let mut mapping = best.clone();
-        let (copies, family): (Vec<_>, Vec<_>) = family.into_iter().partition(Same::is_copy);
+        let (copies, family): (Vec<_>, Vec<_>) =
+            family.into_iter().partition(MatchingColumns::is_copy);
         for copy in copies {
             others.push((copy.columns, format!("the same numbers as {}", name(&best.joints))));
         }
         // The latest matching column is the measurement.
-        let still_s = LEADS_S.max(0.3 * sheet.step_s());
+        let min_lead_s = MIN_LEAD_S.max(0.3 * table.step_s());
         let mut ends: Vec<(f64, Vec<usize>)> = family
             .into_iter()
             .map(|same| (same.shift.delay_s, same.columns))
@@ -100,14 +101,14 @@ impl Search<'_> {
             .collect();
         ends.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (last_s, joints) = ends[0].clone();
-        if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < still_s) {
+        if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < min_lead_s) {
             return Err(format!(
                 "{} and {} match within {:.0} ms, so the measured one is unknown: set [columns] {}, or {}",
                 name(&joints),
                 name(next),
                 1e3 * (last_s - next_s).max(0.001),
-                self.line("joints", &joints),
-                self.line("joints", next)
+                self.config_line("joints", &joints),
+                self.config_line("joints", next)
             ));
         }
         let lead_s = ends.iter().map(|end| last_s - end.0).fold(0.0, f64::max);
@@ -120,7 +121,7 @@ impl Search<'_> {
             (columns, why)
         });
         if joints != mapping.joints {
-            mapping = self.refitted(&joints, best, wanted).unwrap_or(mapping);
+            mapping = self.refit(&joints, best, wanted).unwrap_or(mapping);
             mapping.joints = joints;
             mapping.lag_s = best.lag_s - last_s;
         }
@@ -139,11 +140,11 @@ impl Search<'_> {
                     others
                         .push((other.to_vec(), format!("the same numbers as {}", name(&position))));
                 }
-                shift if shift.delay_s > still_s => {
+                shift if shift.delay_s > min_lead_s => {
                     pose_commands = Some((position, shift.delay_s));
                     (position, lag_s) = (other, lag_s + shift.delay_s);
                 }
-                shift if shift.delay_s < -still_s => {
+                shift if shift.delay_s < -min_lead_s => {
                     pose_commands = Some((other, -shift.delay_s));
                 }
                 _ => {
@@ -152,8 +153,8 @@ impl Search<'_> {
                          or {}",
                         name(&position),
                         name(&other),
-                        self.line("pose", &position),
-                        self.line("pose", &other)
+                        self.config_line("pose", &position),
+                        self.config_line("pose", &other)
                     ));
                 }
             }
@@ -167,7 +168,7 @@ impl Search<'_> {
         mapping.lag_s = lag_s;
         let is_pose_command = pose_commands.is_none()
             && joint_commands.is_some()
-            && lag_s < -LEADS_S
+            && lag_s < -MIN_LEAD_S
             && (lag_s + lead_s).abs() < 0.25 * lead_s;
         let (pose, rotation) = self.with_rotation(&mapping, wanted);
         let pose_commands = pose_commands.map(|(position, lead_s)| {
@@ -182,12 +183,12 @@ impl Search<'_> {
         });
         let arm = &self.arms[best.arm].name;
         let unit = mapping.unit.name();
-        let next = rival.map_or(String::new(), |rival| {
+        let next = next_best.map_or(String::new(), |next_best| {
             format!(
                 "; the next best mapping, {} with {}, matches within {}",
-                name(&rival.joints),
-                name(&rival.position),
-                Unit::Metre.show(rival.residual_m)
+                name(&next_best.joints),
+                name(&next_best.position),
+                Unit::Metre.show(next_best.residual_m)
             )
         });
         let fits = format!(
@@ -197,12 +198,12 @@ impl Search<'_> {
             Unit::Metre.show(mapping.residual_m),
             Unit::Metre.show(mapping.spread_m)
         );
-        let velocities = sheet.rates_of(&mapping.joints);
+        let velocities = table.rates_of(&mapping.joints);
         let joints_why = match &velocities {
             Some(rates) => format!("{fits}; their velocities are in {}", name(rates)),
             None => fits.clone(),
         };
-        Ok(Taken {
+        Ok(IdentifiedArm {
             arm: arm.clone(),
             joints_why,
             velocities,
@@ -221,14 +222,14 @@ impl Search<'_> {
         (best, mapping): (&ColumnMapping, &ColumnMapping),
         mappings: &[ColumnMapping],
         wanted: &MappingConstraints,
-    ) -> (Vec<Later>, Vec<[usize; 3]>) {
-        let sheet = &self.cells.sheet;
+    ) -> (Vec<MatchingPosition>, Vec<[usize; 3]>) {
+        let table = &self.cells.table;
         let mut known: Vec<usize> = [mapping.joints.as_slice(), &mapping.position].concat();
         known.extend(wanted.taken);
         let mut same = Vec::new();
-        for other in sheet.positions(&known) {
+        for other in table.positions(&known) {
             let is_new = other.iter().all(|at| !known.contains(at));
-            let shift = sheet.group_shift(&mapping.position, &other);
+            let shift = table.group_shift(&mapping.position, &other);
             if let Some(shift) = shift.filter(|_| is_new) {
                 known.extend(other);
                 same.push((other, shift));
@@ -244,7 +245,7 @@ impl Search<'_> {
         (same, points)
     }
 
-    fn refitted(
+    fn refit(
         &self,
         joints: &[usize],
         best: &ColumnMapping,
@@ -261,7 +262,7 @@ impl Search<'_> {
             taken: &[],
             max_lag_s: wanted.max_lag_s,
         };
-        let found = self.cells.sheet.mappings(&wanted).into_iter().next()?;
+        let found = self.cells.table.mappings(&wanted).into_iter().next()?;
         Some(ColumnMapping { arm: best.arm, ..found })
     }
 
@@ -272,9 +273,9 @@ impl Search<'_> {
     ) -> (Vec<usize>, String) {
         let numbers = &self.cells.numbers;
         let [x, y, z] = mapping.position;
-        let home = self.cells.sheet.home(x);
+        let home = self.cells.table.home(x);
         let is_free = |at: usize| {
-            self.cells.sheet.home(at) == home
+            self.cells.table.home(at) == home
                 && !mapping.joints.contains(&at)
                 && !wanted.taken.contains(&at)
         };
@@ -283,9 +284,9 @@ impl Search<'_> {
             let all: Vec<usize> = columns.iter().map(|at| from + at).collect();
             all.iter().all(|at| *at < numbers.len() && is_free(*at)).then_some(all)
         };
-        let sheet = &self.cells.sheet;
+        let table = &self.cells.table;
         let turns = |columns: &[usize]| {
-            sheet.is_tool_rotation(mapping, wanted.chains[mapping.arm], columns)
+            table.is_tool_rotation(mapping, wanted.chains[mapping.arm], columns)
         };
         let first = x as isize;
         let sixteen: [usize; 16] = std::array::from_fn(|at| at);
@@ -297,7 +298,7 @@ impl Search<'_> {
             let counts: &[usize] = if by_rows { &[16, 12] } else { &[16] };
             let whole = counts.iter().find_map(|&count| {
                 let all = usize::try_from(from).ok()?..usize::try_from(from).ok()? + count;
-                let fits = all.clone().all(|at| at < numbers.len() && sheet.home(at) == home);
+                let fits = all.clone().all(|at| at < numbers.len() && table.home(at) == home);
                 let is_last =
                     || count == 12 || self.is_last_row(&all.clone().collect::<Vec<_>>(), by_rows);
                 (fits && is_last() && !all.clone().any(|at| mapping.joints.contains(&at)))
@@ -318,23 +319,23 @@ impl Search<'_> {
             let Some(columns) = block(from, &sixteen[..count]) else { continue };
             match turns(&columns) {
                 Some(true) => {
-                    let said = format!("{} match FK's rotation", self.said(&columns));
-                    return ([mapping.position.as_slice(), &columns].concat(), said);
+                    let reason = format!("{} match FK's rotation", self.label(&columns));
+                    return ([mapping.position.as_slice(), &columns].concat(), reason);
                 }
                 Some(false) => {}
                 None => is_at_rest = true,
             }
         }
-        let said = match is_at_rest {
+        let reason = match is_at_rest {
             true => "the tool rotates too little to identify its rotation",
             false => "no adjacent columns match FK's rotation",
         };
-        (mapping.position.to_vec(), said.to_owned())
+        (mapping.position.to_vec(), reason.to_owned())
     }
 
     fn is_last_row(&self, all: &[usize], by_rows: bool) -> bool {
         let at = if by_rows { [12, 13, 14, 15] } else { [3, 7, 11, 15] };
         let wanted = [0.0, 0.0, 0.0, 1.0];
-        at.iter().zip(wanted).all(|(&at, value)| self.cells.sheet.is_always(all[at], value))
+        at.iter().zip(wanted).all(|(&at, value)| self.cells.table.is_always(all[at], value))
     }
 }

@@ -6,11 +6,11 @@ use crate::finding::Unit;
 use crate::log::{Log, Note};
 use crate::robot::{Robot, catalogue};
 
-use super::{MOVES_M, Search, Taken, Told, selectors};
+use super::{ColumnSearch, IdentifiedArm, IdentifiedColumns, MIN_SPREAD_M, selectors};
 
 /// Robot and columns shared by a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Shared {
+pub struct SharedMapping {
     /// Names of the source logs.
     pub from: Vec<String>,
     /// Catalogue name of the arm.
@@ -25,7 +25,7 @@ pub struct SharedColumns {
     /// Name of the source log.
     pub from: String,
     numbers: Vec<String>,
-    arms: Vec<Taken>,
+    arms: Vec<IdentifiedArm>,
     question: Option<String>,
 }
 
@@ -40,8 +40,8 @@ pub struct SharedRow {
     pub why: String,
 }
 
-impl Shared {
-    pub(super) fn of(&self, numbers: &[String]) -> Option<&SharedColumns> {
+impl SharedMapping {
+    pub(super) fn columns_for(&self, numbers: &[String]) -> Option<&SharedColumns> {
         let are_within =
             |of: &SharedColumns| of.arms.iter().all(|arm| arm.is_within(numbers.len()));
         self.columns.as_ref().filter(|of| of.numbers == numbers && are_within(of))
@@ -49,19 +49,19 @@ impl Shared {
 }
 
 impl SharedColumns {
-    pub(super) fn of(numbers: Vec<String>, told: Told) -> Self {
-        Self { from: String::new(), numbers, arms: told.arms, question: told.question }
+    pub(super) fn new(numbers: Vec<String>, identified: IdentifiedColumns) -> Self {
+        Self { from: String::new(), numbers, arms: identified.arms, question: identified.question }
     }
 
     /// Whether the columns are fully identified.
-    pub fn is_told(&self) -> bool {
+    pub fn is_determined(&self) -> bool {
         !self.arms.is_empty() && self.question.is_none()
     }
 
     /// Whether both use the same columns for the same purpose.
     pub fn agrees(&self, other: &Self) -> bool {
         let of = |it: &Self| -> Vec<_> {
-            let arm = |arm: &Taken| {
+            let arm = |arm: &IdentifiedArm| {
                 let commands = [&arm.joint_commands, &arm.pose_commands];
                 let commands = commands.map(|of| of.as_ref().map(|(columns, _)| columns.clone()));
                 (arm.mapping.joints.clone(), arm.mapping.unit, arm.pose.clone(), commands)
@@ -85,7 +85,7 @@ impl SharedColumns {
             ),
             why: why.to_owned(),
         };
-        let of = |arm: &Taken| {
+        let of = |arm: &IdentifiedArm| {
             let commands =
                 [("joint commands", &arm.joint_commands), ("pose commands", &arm.pose_commands)];
             let commands = commands.into_iter().filter_map(|(is, of)| {
@@ -112,22 +112,23 @@ impl SharedColumns {
     }
 }
 
-impl Search<'_> {
+impl ColumnSearch<'_> {
     /// Verifies the shared mapping. If FK does not match, searches again and reports a different result as
     /// a contradiction.
-    pub(super) fn shared(&self, shared: &SharedColumns, log: &mut Log) -> Told {
+    pub(super) fn verify_shared(&self, shared: &SharedColumns, log: &mut Log) -> IdentifiedColumns {
         let from = &shared.from;
-        let mut told = Told { arms: Vec::new(), question: shared.question.clone() };
-        if let Some(question) = &mut told.question {
+        let mut identified =
+            IdentifiedColumns { arms: Vec::new(), question: shared.question.clone() };
+        if let Some(question) = &mut identified.question {
             *question += &format!(" (asked once, for {from})");
         }
         let mut unfit = None;
         for arm in &shared.arms {
             let found = self
                 .chain_of(arm)
-                .and_then(|chain| self.cells.sheet.refit(&arm.mapping, chain, self.max_lag_s));
-            let found = found.filter(|found| found.spread_m > MOVES_M);
-            let (name, position) = (&arm.arm, self.said(&arm.mapping.position));
+                .and_then(|chain| self.cells.table.refit(&arm.mapping, chain, self.max_lag_s));
+            let found = found.filter(|found| found.spread_m > MIN_SPREAD_M);
+            let (name, position) = (&arm.arm, self.label(&arm.mapping.position));
             let here = match &found {
                 None => "too little motion in this log to verify it".to_owned(),
                 Some(found) => {
@@ -145,7 +146,7 @@ impl Search<'_> {
             let commands = |of: &Option<(Vec<usize>, String)>, what: &str| {
                 of.as_ref().map(|(columns, _)| (columns.clone(), format!("{what}, as in {from}")))
             };
-            told.arms.push(Taken {
+            identified.arms.push(IdentifiedArm {
                 joints_why: why(&format!("joints of {name} in {}", arm.mapping.unit.name())),
                 pose_why: why(&format!("a pose that matches FK of {name}")),
                 joint_commands: commands(&arm.joint_commands, "joint commands"),
@@ -155,23 +156,24 @@ impl Search<'_> {
         }
         let (Some(unfit), Some(file)) = (unfit, log.files.first().map(|file| file.path.clone()))
         else {
-            return told;
+            return identified;
         };
-        let own = self.told(log);
+        let own = self.identify(log);
         if own.arms.is_empty() {
             log.notes.push(Note { file, what: format!("columns mapped as in {from}; {unfit}") });
-            return told;
+            return identified;
         }
-        let ways: Vec<String> = own.arms.iter().map(|arm| self.lines(&arm.mapping)).collect();
+        let mappings: Vec<String> =
+            own.arms.iter().map(|arm| self.config_lines(&arm.mapping)).collect();
         let what =
-            format!("its columns differ from {from}: [columns] {}; {unfit}", ways.join("; "));
+            format!("its columns differ from {from}: [columns] {}; {unfit}", mappings.join("; "));
         log.contradictions.get_or_insert_default().push(Note { file, what });
         own
     }
 
-    pub(super) fn chain_of(&self, arm: &Taken) -> Option<&crate::robot::Chain> {
+    pub(super) fn chain_of(&self, arm: &IdentifiedArm) -> Option<&crate::robot::Chain> {
         let dof = arm.mapping.joints.len();
-        let is_it = |own: &&super::Candidate| own.name == arm.arm && own.chain.dof() == dof;
+        let is_it = |own: &&super::ArmModel| own.name == arm.arm && own.chain.dof() == dof;
         self.arms.iter().find(is_it).map(|own| &own.chain)
     }
 }

@@ -1,35 +1,35 @@
 //! Compares commanded and measured tool positions of a table: delay, and offset at rest. Needs no arm.
 
 use crate::log::{Log, Note, Topic};
-use crate::run::by_order::TABLE;
+use crate::run::joint_order::TABLE;
 use crate::run::role::{Role, array_role};
 use crate::stream::Columns;
 
-use super::cells::side_by_side;
+use super::cells::join_tables;
 
 /// Number of coordinates, first in a pose.
-const POSITION: usize = 3;
+const POSITION_COORDINATES: usize = 3;
 /// Maximum residual of a followed coordinate, as a share of its spread.
-const SAME: f64 = 0.02;
+const MAX_MATCH_RESIDUAL: f64 = 0.02;
 
 /// Notes delay and rest offset of each coordinate that follows its command, given exactly one measured and
 /// one commanded position.
-pub(super) fn compare(log: &mut Log) {
+pub(super) fn compare_commanded_position(log: &mut Log) {
     let of = |is_command: bool| -> Option<&Topic> {
         let mut own = log.topics.iter().filter(|topic| {
-            let role = array_role(&topic.name, 2 * POSITION, false).0;
+            let role = array_role(&topic.name, 2 * POSITION_COORDINATES, false).0;
             is_named_pose(topic) && (role == Role::Reference) == is_command
         });
         own.next().filter(|_| own.next().is_none())
     };
     let Some((measured, commanded)) = of(false).zip(of(true)) else { return };
-    let Some(sheet) = side_by_side(&[(measured, 1.0), (commanded, 1.0)]) else { return };
+    let Some(sheet) = join_tables(&[(measured, 1.0), (commanded, 1.0)]) else { return };
     let first = measured.cells.len();
     let of_axis = |axis: usize| -> Option<String> {
         let (apart, rows) = sheet.offset_at_rest(axis, first + axis)?;
         let shift = sheet.shift_with_offset(axis, first + axis, apart)?;
         let by = -1e3 * shift.delay_s;
-        (shift.residual < SAME).then(|| {
+        (shift.residual < MAX_MATCH_RESIDUAL).then(|| {
             format!(
                 "{} {} {} by {:.0} ms; offset at rest {apart:+.3} in its own unit ({rows} rows)",
                 measured.cells[axis].name,
@@ -39,7 +39,7 @@ pub(super) fn compare(log: &mut Log) {
             )
         })
     };
-    let found: Vec<String> = (0..POSITION).filter_map(of_axis).collect();
+    let found: Vec<String> = (0..POSITION_COORDINATES).filter_map(of_axis).collect();
     let what = found.join("; ");
     let file = log.files.first().map(|file| file.path.clone());
     if let Some(file) = file.filter(|_| !what.is_empty()) {
@@ -53,5 +53,5 @@ fn is_named_pose(topic: &Topic) -> bool {
         Some(Columns::Poses(_)) => true,
         _ => false,
     };
-    topic.encoding == TABLE && is_pose && topic.cells.len() >= POSITION
+    topic.encoding == TABLE && is_pose && topic.cells.len() >= POSITION_COORDINATES
 }

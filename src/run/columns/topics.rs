@@ -5,85 +5,86 @@ use crate::log::{Log, TableCell, Topic};
 use crate::robot::Chain;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 
-use super::cells::{is_open, selectors};
-use super::roles::Taken;
-use super::{Search, Told};
+use super::cells::{is_unidentified, selectors};
+use super::roles::IdentifiedArm;
+use super::{ColumnSearch, IdentifiedColumns};
 
 const SIDES: [&str; 2] = ["first/", "second/"];
 
 /// Reasons for unidentified numbers.
-const UNNAMED: &str = "its name does not identify it";
-const FOLLOWS_NONE: &str =
+const NAME_UNKNOWN: &str = "its name does not identify it";
+const MATCHES_NOTHING: &str =
     "neither a joint nor part of the pose, and it matches none of their columns";
-const NOT_OF_ARM: &str = "neither joints nor a pose of the arm";
+const NOT_AN_ARM: &str = "neither joints nor a pose of the arm";
 
 /// Whether numbers with this reason may be anything, such as a rotation.
-fn is_open_conduct(said: &str) -> bool {
-    [UNNAMED, FOLLOWS_NONE, NOT_OF_ARM].contains(&said)
+fn may_be_rotation(reason: &str) -> bool {
+    [NAME_UNKNOWN, MATCHES_NOTHING, NOT_AN_ARM].contains(&reason)
 }
 
 /// Replaces unnamed numbers by identified topics. The rest get a reason each.
-pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
-    let made: Vec<Topic> = told
+pub(super) fn rewrite(log: &mut Log, search: &ColumnSearch<'_>, identified: &IdentifiedColumns) {
+    let made: Vec<Topic> = identified
         .arms
         .iter()
         .zip(SIDES)
         .flat_map(|(arm, side)| {
-            let prefix = if told.arms.len() > 1 { side } else { "" };
-            of_arm(log, search, arm, prefix)
+            let prefix = if identified.arms.len() > 1 { side } else { "" };
+            arm_topics(log, search, arm, prefix)
         })
         .collect();
-    let used: Vec<usize> = told.arms.iter().flat_map(Taken::all).collect();
-    let others: Vec<&(Vec<usize>, String)> = told.arms.iter().flat_map(|arm| &arm.others).collect();
-    let has_pose = told.arms.iter().any(|arm| !arm.pose.is_empty());
+    let used: Vec<usize> = identified.arms.iter().flat_map(IdentifiedArm::all_columns).collect();
+    let others: Vec<&(Vec<usize>, String)> =
+        identified.arms.iter().flat_map(|arm| &arm.others).collect();
+    let has_pose = identified.arms.iter().any(|arm| !arm.pose.is_empty());
     let mut topics = Vec::with_capacity(log.topics.len());
     for (index, topic) in std::mem::take(&mut log.topics).into_iter().enumerate() {
         let is_used = |part: usize| {
-            let at = search.cells.place((index, part));
+            let at = search.cells.column((index, part));
             at.is_some_and(|at| used.contains(&at))
         };
         let count = topic.cells.len();
         let is_whole = (0..count).all(|part| !is_used(part));
-        if !is_open(&topic) || (is_whole && count > 1 && !has_pose) {
+        if !is_unidentified(&topic) || (is_whole && count > 1 && !has_pose) {
             topics.push(topic);
             continue;
         }
-        let left: Vec<usize> = (0..count)
+        let remaining: Vec<usize> = (0..count)
             .filter(|&part| {
-                let at = search.cells.place((index, part));
+                let at = search.cells.column((index, part));
                 !is_used(part)
                     || others.iter().any(|(columns, _)| at.is_some_and(|at| columns.contains(&at)))
             })
             .collect();
-        if left.is_empty() {
+        if remaining.is_empty() {
             continue;
         }
         let mut runs: Vec<(Vec<usize>, String)> = Vec::new();
-        for part in left {
-            let said = match is_whole && count > 1 {
-                true => NOT_OF_ARM.to_owned(),
-                false => search.conduct((index, part), &used, &others),
+        for part in remaining {
+            let reason = match is_whole && count > 1 {
+                true => NOT_AN_ARM.to_owned(),
+                false => search.exclusion_reason((index, part), &used, &others),
             };
             match runs.last_mut() {
-                Some((run, last)) if *last == said && run.last() == Some(&(part - 1)) => {
+                Some((run, last)) if *last == reason && run.last() == Some(&(part - 1)) => {
                     run.push(part)
                 }
-                _ => runs.push((vec![part], said)),
+                _ => runs.push((vec![part], reason)),
             }
         }
-        for (run, said) in runs {
+        for (run, reason) in runs {
             // Copies and constants are not a rotation.
             let cell = |&part: &usize| TableCell {
-                is_unidentified: topic.cells[part].is_unidentified && is_open_conduct(&said),
+                is_unidentified: topic.cells[part].is_unidentified && may_be_rotation(&reason),
                 ..topic.cells[part].clone()
             };
             let cells: Vec<TableCell> = run.iter().map(cell).collect();
             let names: Vec<String> = cells.iter().map(|cell| cell.name.clone()).collect();
             topics.push(Topic {
                 name: selectors(&names).concat(),
-                type_name: kind(&topic, run.len()),
+                type_name: type_name(&topic, run.len()),
                 cells,
-                unusable: Some(said),
+                unusable: Some(reason),
                 ..topic_like(&topic)
             });
         }
@@ -94,8 +95,10 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
 }
 
 /// Excludes single unidentified numbers if names give joints and pose.
-pub(super) fn leave_singles(log: &mut Log) {
-    for topic in log.topics.iter_mut().filter(|topic| is_open(topic) && topic.cells.len() == 1) {
+pub(super) fn exclude_singles(log: &mut Log) {
+    for topic in
+        log.topics.iter_mut().filter(|topic| is_unidentified(topic) && topic.cells.len() == 1)
+    {
         topic.columns = None;
         topic.unusable = topic.read_as.take();
     }
@@ -116,18 +119,23 @@ fn topic_like(topic: &Topic) -> Topic {
     }
 }
 
-fn kind(topic: &Topic, count: usize) -> String {
+fn type_name(topic: &Topic, count: usize) -> String {
     let one = topic.type_name.split('[').next().unwrap_or_default();
     if count == 1 { one.to_owned() } else { format!("{one}[{count}]") }
 }
 
-fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topic> {
+fn arm_topics(
+    log: &Log,
+    search: &ColumnSearch<'_>,
+    arm: &IdentifiedArm,
+    prefix: &str,
+) -> Vec<Topic> {
     let topic = |name: &str, columns: &[usize], why: &str, made: Columns| {
         let numbers = &search.cells.numbers;
         let like = &log.topics[numbers[columns[0]].at.0];
         Topic {
             name: format!("{prefix}{name}"),
-            type_name: kind(like, columns.len()),
+            type_name: type_name(like, columns.len()),
             cells: columns.iter().map(|&at| numbers[at].cell.clone()).collect(),
             read_as: Some(why.to_owned()),
             columns: Some(made),
@@ -136,7 +144,7 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     };
     let mut topics = Vec::new();
     let is_open = |columns: &[usize]| {
-        columns.iter().all(|&at| search.cells.numbers[at].known == super::Known::Open)
+        columns.iter().all(|&at| search.cells.numbers[at].kind == super::NumberKind::Unidentified)
     };
     let chain = search.chain_of(arm);
     let joints = |columns: &[usize], velocities: &[usize]| {
@@ -165,7 +173,7 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     topics
 }
 
-fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
+fn array(log: &Log, search: &ColumnSearch<'_>, columns: &[usize]) -> ArrayColumns {
     let of = |&column: &usize| {
         let (topic, part) = search.cells.numbers[column].at;
         match &log.topics[topic].columns {
@@ -242,21 +250,21 @@ fn positions(array: ArrayColumns) -> PoseColumns {
     }
 }
 
-impl Search<'_> {
+impl ColumnSearch<'_> {
     /// How a number behaves that is neither joint nor pose.
-    fn conduct(
+    fn exclusion_reason(
         &self,
         number: (usize, usize),
         used: &[usize],
         others: &[&(Vec<usize>, String)],
     ) -> String {
-        let at = self.cells.place(number);
-        let Some(at) = at else { return UNNAMED.to_owned() };
+        let at = self.cells.column(number);
+        let Some(at) = at else { return NAME_UNKNOWN.to_owned() };
         if let Some((_, why)) = others.iter().find(|(columns, _)| columns.contains(&at)) {
             return why.clone();
         }
         let name = |at: usize| selectors(&[self.cells.numbers[at].cell.name.clone()]).concat();
-        match self.cells.sheet.content(at, used) {
+        match self.cells.table.content(at, used) {
             ColumnContent::Constant => "it never changes".to_owned(),
             ColumnContent::TwoLevels => {
                 "it takes two values, like a gripper or a switch".to_owned()
@@ -269,8 +277,8 @@ impl Search<'_> {
                 format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.delay_s.abs())
             }
             ColumnContent::RateOf(other) => format!("the rate of {}", name(other)),
-            ColumnContent::Own if used.is_empty() => UNNAMED.to_owned(),
-            ColumnContent::Own => FOLLOWS_NONE.to_owned(),
+            ColumnContent::Own if used.is_empty() => NAME_UNKNOWN.to_owned(),
+            ColumnContent::Own => MATCHES_NOTHING.to_owned(),
         }
     }
 }

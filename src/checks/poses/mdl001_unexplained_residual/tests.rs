@@ -107,8 +107,8 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
     arm.better_model = Some(CompetingModel {
         name: "ur3e".to_owned(),
         topic: arm.poses[0].topic().to_owned(),
-        named_m: 0.0274,
-        left_m: 2e-5,
+        named_residual_m: 0.0274,
+        residual_m: 2e-5,
         tool_m: None,
     });
     let finding = ask(&MDL001, &run).1.remove(0);

@@ -4,7 +4,7 @@ use crate::robot::Calibration;
 
 use super::declaration::CalibrationSource;
 use super::error::RunError;
-use super::model::{Clues, Model};
+use super::model::{LogModel, ModelClues};
 
 /// A calibration, and its arm's joint name prefix.
 pub(super) struct GivenCalibration {
@@ -27,9 +27,9 @@ pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibratio
 /// # Errors
 /// If one of the caller's matches no arm, or several. One in the log is then skipped with a remark.
 pub(super) fn overlay_all(
-    models: &mut [Model],
+    models: &mut [LogModel],
     given: &[GivenCalibration],
-    clues: &Clues<'_>,
+    clues: &ModelClues<'_>,
 ) -> Result<(), RunError> {
     for GivenCalibration { calibration, prefix } in given {
         overlay(models, calibration, prefix.as_deref())?;
@@ -41,7 +41,8 @@ pub(super) fn overlay_all(
         let read = Calibration::from_text(text, place).map_err(RunError::Calibration);
         if let Err(error) = read.and_then(|calibration| overlay(models, &calibration, None)) {
             for model in models.iter_mut() {
-                model.found += &format!("; a calibration in the log was skipped: {}", error.what());
+                model.identified_by +=
+                    &format!("; a calibration in the log was skipped: {}", error.what());
             }
         }
     }
@@ -50,7 +51,7 @@ pub(super) fn overlay_all(
 
 /// Applies `calibration` to the only arm with its joints and `prefix`.
 fn overlay(
-    models: &mut [Model],
+    models: &mut [LogModel],
     calibration: &Calibration,
     prefix: Option<&str>,
 ) -> Result<(), RunError> {
@@ -67,6 +68,6 @@ fn overlay(
     };
     let model = &mut models[*model];
     model.robot = model.robot.calibrated(prefix, calibration).map_err(RunError::Calibration)?;
-    model.found += &format!(", with the calibration {}", calibration.label());
+    model.identified_by += &format!(", with the calibration {}", calibration.label());
     Ok(())
 }

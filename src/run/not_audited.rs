@@ -6,7 +6,7 @@ pub struct NotAudited {
     /// Index of the stream.
     pub stream: usize,
     /// The reason.
-    pub why: NotAuditedReason,
+    pub reason: NotAuditedReason,
 }
 
 /// Why a stream is not audited as stated.

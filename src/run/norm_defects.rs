@@ -8,17 +8,17 @@ use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns, Times};
 use crate::time::Stamp;
 
 use super::Run;
-use super::poses::Layout;
-use super::streams::{Clocks, Stream};
+use super::poses::MatrixOrder;
+use super::streams::{Stream, StreamClocks};
 
 /// Maximum defect by rounding; larger ones are kept for the report.
-const ASKED_FOR: f64 = 1e-5;
+const MAX_ROUNDING_DEFECT: f64 = 1e-5;
 /// Norm below which a quaternion counts as unset.
-const UNSET: f64 = 1e-6;
+const MAX_UNSET_NORM: f64 = 1e-6;
 
 /// Encoding of a stream's rotations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Written {
+pub enum RotationStorage {
     /// Four numbers; the defect is `| |q| − 1 |`.
     Quaternion,
     /// Nine numbers; the defect is `max |RᵀR − I|`.
@@ -27,13 +27,13 @@ pub enum Written {
 
 /// Norm defects of a stream or transform.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Norms {
+pub struct NormDefects {
     /// Index of the stream.
     pub stream: usize,
     /// Child frame of the transform.
     pub frame: Option<String>,
     /// Encoding of the rotations.
-    pub written: Written,
+    pub storage: RotationStorage,
     /// Number of set rotations.
     pub rows: usize,
     /// Number of all-zero quaternions.
@@ -49,49 +49,52 @@ pub struct Norms {
 }
 
 /// Norm defects of quaternions, and of arrays that may hold rotations.
-pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
+pub(super) fn measure_norm_defects(streams: &[Stream], clocks: &StreamClocks) -> Vec<NormDefects> {
     let of = |(index, stream): (usize, &Stream)| {
         let at = |piece: usize, row| {
             clocks.clock(index, piece)?.stamp_of(stream.times().get(piece)?, row)
         };
         let pieces = pieces(stream).into_iter().enumerate();
-        let norms = pieces.filter_map(|(piece, (frame, written, rows, defect))| {
+        let norm_defects = pieces.filter_map(|(piece, (frame, written, rows, defect))| {
             let of = (index, piece, frame);
-            Norms::of(of, written, (0..rows).map(defect), |row| at(piece, row))
+            NormDefects::measure(of, written, (0..rows).map(defect), |row| at(piece, row))
         });
-        norms.collect::<Vec<_>>()
+        norm_defects.collect::<Vec<_>>()
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
 /// Releases values of poses and IMUs. Keeps stamps, invalid rotations, and rows with repeated stamps.
-pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
+pub(super) fn release_values(streams: &mut [Stream], norm_defects: &[NormDefects]) {
     for (index, stream) in streams.iter_mut().enumerate() {
-        let own = norms.iter().filter(|norms| norms.stream == index);
-        let odd: Vec<usize> =
-            own.filter(|norms| norms.largest > ASKED_FOR).map(|norms| norms.piece).collect();
+        let own = norm_defects.iter().filter(|norm_defects| norm_defects.stream == index);
+        let odd: Vec<usize> = own
+            .filter(|norm_defects| norm_defects.largest > MAX_ROUNDING_DEFECT)
+            .map(|norm_defects| norm_defects.piece)
+            .collect();
         if let Some(columns) = &mut stream.columns {
-            columns.release_values(|piece, times| odd.contains(&piece) || !ascend(times));
+            columns.release_values(|piece, times| odd.contains(&piece) || !are_increasing(times));
         }
     }
 }
 
 /// Whether stamps strictly increase in receive order.
-fn ascend(times: &Times) -> bool {
+fn are_increasing(times: &Times) -> bool {
     let stamped = times.header.iter().filter(|stamp| **stamp != 0);
     times.log.is_sorted() && stamped.is_sorted_by(|a, b| a < b)
 }
 
 impl Run {
     /// Stamp and defect of each rotation. Empty if all are valid up to rounding.
-    pub fn norm_defects(&self, norms: &Norms) -> Vec<(Stamp, f64)> {
-        let Some(stream) = self.streams.get(norms.stream) else { return Vec::new() };
-        let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norms.stream) else {
+    pub fn defect_series(&self, norm_defects: &NormDefects) -> Vec<(Stamp, f64)> {
+        let Some(stream) = self.streams.get(norm_defects.stream) else { return Vec::new() };
+        let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norm_defects.stream)
+        else {
             return Vec::new();
         };
         let times = stream.times();
         let pieces = pieces(stream).into_iter().zip(times);
-        let mut own = pieces.filter(|((frame, ..), _)| *frame == norms.frame);
+        let mut own = pieces.filter(|((frame, ..), _)| *frame == norm_defects.frame);
         let Some(((_, _, rows, defect), times)) = own.next() else { return Vec::new() };
         let row = |row: usize| Some((clock.stamp_of(times, row)?, defect(row)));
         (0..rows).filter_map(row).filter(|(_, defect)| defect.is_finite()).collect()
@@ -101,22 +104,22 @@ impl Run {
 /// Defect of a row, NaN if unset.
 type Defect<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
 
-fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> {
-    use Written::{Matrix, Quaternion};
+fn pieces(stream: &Stream) -> Vec<(Option<String>, RotationStorage, usize, Defect<'_>)> {
+    use RotationStorage::{Matrix, Quaternion};
     match &stream.columns {
         Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
             let named = |poses: &PoseColumns| {
                 (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone())
             };
             let of = |poses| {
-                (named(poses), Quaternion, poses.q_xyzw.len(), of_quaternions(&poses.q_xyzw))
+                (named(poses), Quaternion, poses.q_xyzw.len(), quaternion_defects(&poses.q_xyzw))
             };
             poses.iter().map(of).collect()
         }
         Some(Columns::Imu(imu)) => {
             let ImuColumns { q_xyzw, has_orientation, .. } = imu;
-            let said = || (None, Quaternion, q_xyzw.len(), of_quaternions(q_xyzw));
-            has_orientation.then(said).into_iter().collect()
+            let orientation = || (None, Quaternion, q_xyzw.len(), quaternion_defects(q_xyzw));
+            has_orientation.then(orientation).into_iter().collect()
         }
         Some(Columns::Array(array)) if array.width == 7 => {
             let of_row =
@@ -124,25 +127,25 @@ fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> 
             vec![(None, Quaternion, array.times.len(), Box::new(of_row))]
         }
         Some(Columns::Array(array)) => {
-            let matrices = of_matrices(array).into_iter();
+            let matrices = matrix_defects(array).into_iter();
             matrices.map(|defect| (None, Matrix, array.times.len(), defect)).collect()
         }
         _ => Vec::new(),
     }
 }
 
-fn of_quaternions(q_xyzw: &[[f64; 4]]) -> Defect<'_> {
+fn quaternion_defects(q_xyzw: &[[f64; 4]]) -> Defect<'_> {
     let square = |q: &[f64; 4]| q.iter().map(|number| number * number).sum();
     Box::new(move |row| norm_defect(square(&q_xyzw[row])))
 }
 
 fn norm_defect(square: f64) -> f64 {
     let norm = square.sqrt();
-    if norm < UNSET { f64::NAN } else { (norm - 1.0).abs() }
+    if norm < MAX_UNSET_NORM { f64::NAN } else { (norm - 1.0).abs() }
 }
 
-fn of_matrices(array: &ArrayColumns) -> Option<Defect<'_>> {
-    let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten()?;
+fn matrix_defects(array: &ArrayColumns) -> Option<Defect<'_>> {
+    let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten()?;
     Some(Box::new(move |row| orthonormality(layout.split(array.row(row)).1)))
 }
 
@@ -158,19 +161,19 @@ fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
     largest
 }
 
-impl Norms {
-    fn of(
+impl NormDefects {
+    fn measure(
         (stream, piece, frame): (usize, usize, Option<String>),
-        written: Written,
+        written: RotationStorage,
         defects: impl ExactSizeIterator<Item = f64>,
         at: impl Fn(usize) -> Option<Stamp>,
     ) -> Option<Self> {
-        const ENOUGH: usize = 20_000;
+        const MAX_MEDIAN_ROWS: usize = 20_000;
         let all = defects.len();
         if all == 0 {
             return None;
         }
-        let stride = all.div_ceil(ENOUGH).max(1);
+        let stride = all.div_ceil(MAX_MEDIAN_ROWS).max(1);
         let (mut rows, mut worst, mut some) = (0, (0, 0.0), Vec::new());
         for (row, defect) in defects.enumerate().filter(|(_, defect)| defect.is_finite()) {
             rows += 1;
@@ -185,7 +188,7 @@ impl Norms {
         let (row, largest) = worst;
         let at = at(row);
         let unset = all - rows;
-        Some(Self { stream, frame, written, rows, unset, piece, largest, median, at })
+        Some(Self { stream, frame, storage: written, rows, unset, piece, largest, median, at })
     }
 }
 
@@ -196,10 +199,11 @@ mod tests {
     use crate::run::streams::split;
     use crate::time::Clock;
 
-    fn of(q_xyzw: &[[f64; 4]]) -> Norms {
+    fn of(q_xyzw: &[[f64; 4]]) -> NormDefects {
         let at = |row| Some(Stamp::from_nanos(row as i64));
-        let defects = (0..q_xyzw.len()).map(of_quaternions(q_xyzw));
-        Norms::of((0, 0, None), Written::Quaternion, defects, at).expect("there are rows")
+        let defects = (0..q_xyzw.len()).map(quaternion_defects(q_xyzw));
+        NormDefects::measure((0, 0, None), RotationStorage::Quaternion, defects, at)
+            .expect("there are rows")
     }
 
     /// Poses with the given norm of the last quaternion.
@@ -235,9 +239,9 @@ mod tests {
                 span: None,
             };
             let mut streams = split(vec![topic]);
-            let clocks = Clocks::settle(&streams, Clock::Header, 5.0);
-            let norms = norms(&streams, &clocks);
-            release(&mut streams, &norms);
+            let clocks = StreamClocks::select(&streams, Clock::Header, 5.0);
+            let norm_defects = measure_norm_defects(&streams, &clocks);
+            release_values(&mut streams, &norm_defects);
             let Some(Columns::Poses(left)) = &streams[0].columns else { panic!("poses") };
             assert_eq!(left[0].times.len(), 3);
             let rows = if is_kept { 3 } else { 0 };
@@ -248,15 +252,21 @@ mod tests {
     #[test]
     fn the_largest_defect_has_its_time_and_unset_ones_do_not_count() {
         let unit = [0.6, 0.0, 0.0, 0.8];
-        let norms = of(&[unit, [0.0; 4], unit.map(|c| 0.97 * c), unit.map(|c| -c)]);
-        assert!((norms.largest - 0.03).abs() < 1e-12 && norms.median < 1e-12, "{norms:?}");
-        assert_eq!((norms.rows, norms.unset), (3, 1));
-        assert_eq!(norms.at, Some(Stamp::from_nanos(2)));
+        let norm_defects = of(&[unit, [0.0; 4], unit.map(|c| 0.97 * c), unit.map(|c| -c)]);
+        assert!(
+            (norm_defects.largest - 0.03).abs() < 1e-12 && norm_defects.median < 1e-12,
+            "{norm_defects:?}"
+        );
+        assert_eq!((norm_defects.rows, norm_defects.unset), (3, 1));
+        assert_eq!(norm_defects.at, Some(Stamp::from_nanos(2)));
         assert_eq!(of(&[[0.0; 4]]).rows, 0);
         // Dropped rows have no time.
-        let none = (0..0).map(of_quaternions(&[]));
+        let none = (0..0).map(quaternion_defects(&[]));
         let unasked = |_| unreachable!("there is no row");
-        assert_eq!(Norms::of((0, 0, None), Written::Quaternion, none, unasked), None);
+        assert_eq!(
+            NormDefects::measure((0, 0, None), RotationStorage::Quaternion, none, unasked),
+            None
+        );
     }
 
     #[test]

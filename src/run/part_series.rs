@@ -4,7 +4,7 @@ use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns
 
 use super::role::Role;
 use super::rows::Rows;
-use super::streams::{Clocks, Stream};
+use super::streams::{Stream, StreamClocks};
 use super::tf_tree::without_slash;
 
 pub(super) struct Series<'a> {
@@ -68,7 +68,7 @@ impl Series<'_> {
 }
 
 /// All parts except joint states with incomplete messages.
-pub(super) fn series<'a>(streams: &'a [Stream], clocks: &Clocks) -> Vec<Series<'a>> {
+pub(super) fn series<'a>(streams: &'a [Stream], clocks: &StreamClocks) -> Vec<Series<'a>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {
         let is_used = matches!(

@@ -4,77 +4,80 @@ use crate::diagnosis::{FitAssumption, HypothesisFit};
 use crate::finding::Unit;
 use crate::robot::{Robot, catalogue};
 
-use super::by_order;
 use super::error::RunError;
-use super::model::{Clues, Model};
+use super::joint_order;
+use super::model::{LogModel, ModelClues};
 
 pub(super) struct RankingCriteria<'a> {
     /// Rms difference of logged transforms and link lengths, m.
-    pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
+    pub by_transforms: &'a dyn Fn(&LogModel) -> Option<f64>,
     /// Ranks models by necessary assumptions.
-    pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Ranking>,
+    pub by_poses: &'a dyn Fn(&[&LogModel]) -> Option<ModelRanking>,
 }
 
-pub(super) struct Ranking {
+pub(super) struct ModelRanking {
     /// Best first; the smallest assumption first among indistinguishable ones.
-    pub standings: Vec<Standing>,
+    pub models: Vec<RankedModel>,
     /// Minimum score difference of distinguishable models.
-    pub apart: f64,
+    pub min_score_difference: f64,
 }
 
-pub(super) struct Standing {
+pub(super) struct RankedModel {
     pub model: usize,
     /// Lower is better.
     pub score: f64,
-    pub way: HypothesisFit,
+    pub hypothesis: HypothesisFit,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
     /// Residual as logged, m.
-    pub as_is_m: f64,
+    pub logged_residual_m: f64,
     /// Whether the residual is small enough.
-    pub fits: bool,
-    pub fits_without_fault: bool,
+    pub is_fit: bool,
+    pub is_fit_without_fault: bool,
     /// Topic with the smallest residual.
     pub topic: String,
 }
 
-impl Standing {
+impl RankedModel {
     /// Whether two residuals are equal: as far as this motion shows, the links are too, and audits agree.
-    pub fn moves_as(&self, other: &Self) -> bool {
+    pub fn is_equivalent_to(&self, other: &Self) -> bool {
         /// Rounding, and early termination of the fit.
         const ROUNDING_M: f64 = 1e-8;
-        const SHARE: f64 = 1e-3;
-        let (a, b) = (self.way.residual_m, other.way.residual_m);
-        (a - b).abs() <= ROUNDING_M + SHARE * a.max(b)
+        const MAX_RELATIVE_DIFFERENCE: f64 = 1e-3;
+        let (a, b) = (self.hypothesis.residual_m, other.hypothesis.residual_m);
+        (a - b).abs() <= ROUNDING_M + MAX_RELATIVE_DIFFERENCE * a.max(b)
     }
 
-    pub fn words(&self) -> String {
-        let left = Unit::Metre.show(self.way.residual_m);
-        match self.way.assumption {
-            _ if self.way.is_misinterpreted => {
-                format!("{left} with inverted poses or joints in degrees")
+    pub fn describe(&self) -> String {
+        let residual = Unit::Metre.show(self.hypothesis.residual_m);
+        match self.hypothesis.assumption {
+            _ if self.hypothesis.is_misinterpreted => {
+                format!("{residual} with inverted poses or joints in degrees")
             }
-            FitAssumption::Nothing => left,
+            FitAssumption::Nothing => residual,
             FitAssumption::Tool => {
-                format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
+                format!(
+                    "{residual} with a TCP of {}",
+                    Unit::Metre.show(self.hypothesis.tool_m.norm())
+                )
             }
-            FitAssumption::HalfTurn { .. } => format!("{left} in a base turned by 180°"),
-            FitAssumption::Zero { .. } => format!("{left} with a joint zero offset"),
-            FitAssumption::Reference { .. } => format!("{left} in another frame"),
+            FitAssumption::HalfTurn { .. } => format!("{residual} in a base turned by 180°"),
+            FitAssumption::Zero { .. } => format!("{residual} with a joint zero offset"),
+            FitAssumption::Reference { .. } => format!("{residual} in another frame"),
         }
     }
 }
 
-impl Ranking {
+impl ModelRanking {
     /// Adds a penalty per unused logged joint, such as a gripper.
     pub fn with_unused_joints(mut self, unused: impl Fn(usize) -> usize) -> Self {
-        for standing in &mut self.standings {
-            standing.score += self.apart * unused(standing.model) as f64;
+        for standing in &mut self.models {
+            standing.score += self.min_score_difference * unused(standing.model) as f64;
         }
-        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
-        let is_near = |one: &Standing| one.score <= least + self.apart;
+        let least = self.models.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
+        let is_near = |one: &RankedModel| one.score <= least + self.min_score_difference;
         // Stable: the smallest assumption stays first.
-        self.standings.sort_by(|a, b| match (is_near(a), is_near(b)) {
+        self.models.sort_by(|a, b| match (is_near(a), is_near(b)) {
             (true, true) => std::cmp::Ordering::Equal,
             _ => a.score.total_cmp(&b.score),
         });
@@ -82,44 +85,46 @@ impl Ranking {
     }
 
     /// The best model, and those indistinguishable from it that fit.
-    pub fn same(&self) -> Vec<&Standing> {
-        let Some(best) = self.standings.first() else { return Vec::new() };
-        let others = self.standings.iter().skip(1);
-        let is_same = |other: &&Standing| other.fits && other.score <= best.score + self.apart;
+    pub fn ties(&self) -> Vec<&RankedModel> {
+        let Some(best) = self.models.first() else { return Vec::new() };
+        let others = self.models.iter().skip(1);
+        let is_same = |other: &&RankedModel| {
+            other.is_fit && other.score <= best.score + self.min_score_difference
+        };
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
     /// Names of arms with other links that this motion cannot distinguish from the best.
     fn indistinguishable(&self, names: &[&str]) -> Vec<String> {
-        let Some(best) = self.standings.first() else { return Vec::new() };
-        let rivals = self.same().into_iter().skip(1).filter(|other| !other.moves_as(best));
-        rivals.map(|other| names[other.model].to_owned()).collect()
+        let Some(best) = self.models.first() else { return Vec::new() };
+        let others = self.ties().into_iter().skip(1).filter(|other| !other.is_equivalent_to(best));
+        others.map(|other| names[other.model].to_owned()).collect()
     }
 
-    fn near_best(&self) -> Vec<&Standing> {
-        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
-        let others = self.standings.iter().skip(1);
-        others.filter(|other| other.score <= least + self.apart).collect()
+    fn not_distinguished(&self) -> Vec<&RankedModel> {
+        let least = self.models.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
+        let others = self.models.iter().skip(1);
+        others.filter(|other| other.score <= least + self.min_score_difference).collect()
     }
 
     /// Compares the best model with the others, in words.
-    pub fn words(&self, names: &[&str], alike: &str) -> String {
-        let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
-        let same = self.near_best();
-        let is_near = |one: &Standing| same.iter().any(|other| other.model == one.model);
+    pub fn describe(&self, names: &[&str], shared_property: &str) -> String {
+        let [best, others @ ..] = self.models.as_slice() else { return String::new() };
+        let same = self.not_distinguished();
+        let is_near = |one: &RankedModel| same.iter().any(|other| other.model == one.model);
         let mut words = format!(
-            "the catalogue: best match of {} arms with {alike}: {} fits within {}",
+            "the catalogue: best match of {} arms with {shared_property}: {} fits within {}",
             names.len(),
             best.topic,
-            best.words()
+            best.describe()
         );
         if let Some(next) = others.iter().find(|one| !is_near(one)) {
-            words += &format!("; next best {}, within {}", names[next.model], next.words());
+            words += &format!("; next best {}, within {}", names[next.model], next.describe());
         }
         if !same.is_empty() {
             let same: Vec<String> = same
                 .iter()
-                .map(|other| format!("{} ({})", names[other.model], other.words()))
+                .map(|other| format!("{} ({})", names[other.model], other.describe()))
                 .collect();
             words += &format!(
                 "; this motion cannot distinguish it from {}: name yours with --robot",
@@ -135,32 +140,32 @@ impl Ranking {
 ///
 /// If the names match only without an unknown prefix, the arm must also fit, because names such as
 /// `joint_1` are common.
-pub(super) fn from_catalogue(
-    clues: &Clues<'_>,
+pub(super) fn models_from_catalogue(
+    clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
-) -> Result<Vec<Model>, RunError> {
+) -> Result<Vec<LogModel>, RunError> {
     let mut joints = clues.joints.to_vec();
-    if by_order::is_counted(&joints) {
-        return by_order::counted(clues, criteria);
+    if joint_order::are_numbered(&joints) {
+        return joint_order::match_numbered(clues, criteria);
     }
-    let mut models: Vec<Model> = Vec::new();
+    let mut models: Vec<LogModel> = Vec::new();
     loop {
         let found = catalogue::candidates_for(&joints);
-        let equals: Vec<Model> = found
+        let equals: Vec<LogModel> = found
             .iter()
             .filter(|other| {
                 other.names.is_complete() && other.names.joints == found[0].names.joints
             })
             .filter(|other| other.names.unknown_prefix_chars == found[0].names.unknown_prefix_chars)
             .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names.to_prefix)))
-            .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
+            .map(|(robot, prefix)| LogModel::new(robot, String::new(), prefix, clues))
             .collect();
         if equals.is_empty() {
             return Ok(models);
         }
-        let is_stranger = found[0].names.unknown_prefix_chars > 0;
-        match the_one_of(equals, is_stranger, criteria)
-            .or_else(|error| by_type(&found, clues).ok_or(error))
+        let has_unknown_prefix = found[0].names.unknown_prefix_chars > 0;
+        match select_one(equals, has_unknown_prefix, criteria)
+            .or_else(|error| model_by_type(&found, clues).ok_or(error))
         {
             Ok(Some(model)) => {
                 joints.retain(|joint| model.robot.joint(joint).is_none());
@@ -173,53 +178,56 @@ pub(super) fn from_catalogue(
     }
 }
 
-fn by_type(found: &[catalogue::Candidate], clues: &Clues<'_>) -> Option<Option<Model>> {
+fn model_by_type(
+    found: &[catalogue::Candidate],
+    clues: &ModelClues<'_>,
+) -> Option<Option<LogModel>> {
     let robot_type = clues.robot_type?;
-    let named = of_type(robot_type)?;
+    let named = arm_of_type(robot_type)?;
     let candidate = found.iter().find(|candidate| candidate.robot.name == named.name)?;
     let how = format!("the catalogue, by the robot type '{robot_type}' in the metadata");
-    Some(Some(Model::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
+    Some(Some(LogModel::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
 }
 
 /// Catalogue arm named in the metadata: `so101_follower` is a `so101`.
-pub(super) fn of_type(robot_type: &str) -> Option<&'static Robot> {
+pub(super) fn arm_of_type(robot_type: &str) -> Option<&'static Robot> {
     let words: Vec<&str> = robot_type.split(['_', '-', ' ']).collect();
     (1..=words.len()).rev().find_map(|count| catalogue::find(&words[..count].join("_")))
 }
 
 /// Catalogue arms with the joints of the caller's maps; per map, the one with the fewest causes.
-pub(super) fn mapped_from_catalogue(
+pub(super) fn mapped_models_from_catalogue(
     maps: &[Vec<(String, String)>],
-    clues: &Clues<'_>,
+    clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
-) -> Result<Vec<Model>, RunError> {
+) -> Result<Vec<LogModel>, RunError> {
     let each = maps.iter().map(|map| {
         let has_all = |robot: &&Robot| map.iter().all(|(_, name)| robot.joint(name).is_some());
         let renamed = catalogue::entries().iter().filter(has_all).filter_map(|robot| {
-            Some(Model::new(by_order::renamed(robot, map)?, String::new(), "", clues))
+            Some(LogModel::new(joint_order::rename_joints(robot, map)?, String::new(), "", clues))
         });
-        let equals: Vec<Model> = renamed.collect();
+        let equals: Vec<LogModel> = renamed.collect();
         if equals.is_empty() {
             let names: Vec<&str> = map.iter().map(|(_, name)| name.as_str()).collect();
             let what = format!("no catalogue arm has the joints {}", names.join(", "));
             return Err(RunError::JointMap { what });
         }
-        the_one_of(equals, false, criteria)
+        select_one(equals, false, criteria)
     });
     Ok(each.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
 }
 
-fn the_one_of(
-    equals: Vec<Model>,
-    is_stranger: bool,
+fn select_one(
+    equals: Vec<LogModel>,
+    has_unknown_prefix: bool,
     criteria: &RankingCriteria<'_>,
-) -> Result<Option<Model>, RunError> {
-    const FITS_M: f64 = 0.01;
+) -> Result<Option<LogModel>, RunError> {
+    const MAX_MISFIT_M: f64 = 0.01;
     /// Minimum margin over the next arm, m.
-    const APART_M: f64 = 1e-3;
+    const MIN_MARGIN_M: f64 = 1e-3;
     let take = |at: usize, found: String| {
         let model = equals.get(at).cloned()?;
-        Some(Model { found, ..model })
+        Some(LogModel { identified_by: found, ..model })
     };
     let names: Vec<&str> = equals.iter().map(|model| model.robot.name.as_str()).collect();
     let mut by_transforms: Vec<(f64, usize)> = equals
@@ -231,16 +239,16 @@ fn the_one_of(
     if let [(_, only)] = by_transforms.as_slice() {
         let fits = || {
             let by_poses = (criteria.by_poses)(&equals.iter().collect::<Vec<_>>());
-            by_transforms[0].0 < FITS_M
-                || by_poses.is_some_and(|ranking| ranking.standings.iter().any(|one| one.fits))
+            by_transforms[0].0 < MAX_MISFIT_M
+                || by_poses.is_some_and(|ranking| ranking.models.iter().any(|one| one.is_fit))
         };
-        let is_it = !is_stranger || fits();
+        let is_it = !has_unknown_prefix || fits();
         let found = "the catalogue: the only arm with these joint names".to_owned();
         return Ok(is_it.then(|| take(*only, found)).flatten());
     }
     if let [(misfit, best), (next, _), ..] = by_transforms[..]
-        && misfit < FITS_M
-        && next > 2.0 * misfit + APART_M
+        && misfit < MAX_MISFIT_M
+        && next > 2.0 * misfit + MIN_MARGIN_M
     {
         let found = format!(
             "the catalogue: matches /tf within {:.1} mm, the closest of {} arms with these joint names (next \
@@ -251,17 +259,17 @@ fn the_one_of(
         );
         return Ok(take(best, found));
     }
-    let vendor = |model: &Model| model.robot.provenance.as_ref().map(|of| of.vendor.clone());
+    let vendor = |model: &LogModel| model.robot.provenance.as_ref().map(|of| of.vendor.clone());
     let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
     let ranking = (criteria.by_poses)(&equals.iter().collect::<Vec<_>>());
-    match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
+    match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.models.first()?))) {
         // Names such as joint_1 are common, so one that does not fit may be another maker's.
-        Some((ranking, best)) if best.fits || is_one_makers => {
-            let model = take(best.model, ranking.words(&names, "these joint names"));
+        Some((ranking, best)) if best.is_fit || is_one_makers => {
+            let model = take(best.model, ranking.describe(&names, "these joint names"));
             let indistinguishable = ranking.indistinguishable(&names);
-            Ok(model.map(|model| Model { indistinguishable, ..model }))
+            Ok(model.map(|model| LogModel { indistinguishable, ..model }))
         }
-        Some(_) if is_stranger => Ok(None),
+        Some(_) if has_unknown_prefix => Ok(None),
         _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
     }
 }
@@ -270,7 +278,7 @@ fn the_one_of(
 mod tests {
     use std::collections::BTreeSet;
 
-    use super::super::space::Space;
+    use super::super::namespace::Namespace;
     use super::*;
     use crate::geometry::Vec3;
 
@@ -283,26 +291,26 @@ mod tests {
         "wrist_3_joint",
     ];
 
-    fn found(joints: &[String], criteria: &RankingCriteria<'_>) -> Result<Vec<Model>, RunError> {
+    fn found(joints: &[String], criteria: &RankingCriteria<'_>) -> Result<Vec<LogModel>, RunError> {
         let frames = BTreeSet::new();
-        let space = Space::default();
-        let clues = Clues {
+        let space = Namespace::default();
+        let clues = ModelClues {
             joints,
             frames: &frames,
             descriptions: &[],
             calibrations: &[],
-            space: &space,
+            namespace: &space,
             robot_type: None,
             joint_map: &[],
         };
-        from_catalogue(&clues, criteria)
+        models_from_catalogue(&clues, criteria)
     }
 
     fn ur() -> Vec<String> {
         UR.map(str::to_owned).to_vec()
     }
 
-    fn standing(model: usize, needs: FitAssumption, left_m: f64, score: f64) -> Standing {
+    fn standing(model: usize, needs: FitAssumption, left_m: f64, score: f64) -> RankedModel {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
         let way = HypothesisFit {
             assumption: needs,
@@ -313,14 +321,14 @@ mod tests {
         };
         let topic = "actual_TCP_pose".to_owned();
         let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_faultless());
-        Standing {
+        RankedModel {
             model,
             score,
-            way,
+            hypothesis: way,
             spread_m: 0.3,
-            as_is_m: left_m,
-            fits,
-            fits_without_fault,
+            logged_residual_m: left_m,
+            is_fit: fits,
+            is_fit_without_fault: fits_without_fault,
             topic,
         }
     }
@@ -328,43 +336,43 @@ mod tests {
     #[test]
     fn transforms_tell_the_closest() {
         let by_transforms =
-            |model: &Model| Some(if model.robot.name == "ur10e" { 1e-4 } else { 0.1 });
+            |model: &LogModel| Some(if model.robot.name == "ur10e" { 1e-4 } else { 0.1 });
         let criteria = RankingCriteria { by_transforms: &by_transforms, by_poses: &|_| None };
         let found = found(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur10e");
-        assert!(found[0].found.contains("within 0.1 mm"), "{}", found[0].found);
+        assert!(found[0].identified_by.contains("within 0.1 mm"), "{}", found[0].identified_by);
     }
 
     #[test]
     fn poses_tell_the_one_that_needs_least_and_the_next_is_said() {
-        let by_poses = |models: &[&Model]| {
+        let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur3")?, FitAssumption::Nothing, 2e-5, -700.0);
             let next = standing(at("ur3e")?, FitAssumption::Tool, 0.0081, -300.0);
-            Some(Ranking { standings: vec![best, next], apart: 20.0 })
+            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
         let found = found(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur3");
-        let said = &found[0].found;
-        assert!(said.contains("actual_TCP_pose fits within 20 µm"), "{said}");
-        assert!(said.contains("next best ur3e, within 8.1 mm with a TCP of 150 mm"), "{said}");
+        let reason = &found[0].identified_by;
+        assert!(reason.contains("actual_TCP_pose fits within 20 µm"), "{reason}");
+        assert!(reason.contains("next best ur3e, within 8.1 mm with a TCP of 150 mm"), "{reason}");
     }
 
     #[test]
     fn those_that_this_motion_cannot_tell_apart_are_listed() {
-        let by_poses = |models: &[&Model]| {
+        let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur5e")?, FitAssumption::Tool, 1e-5, -700.0);
             let next = standing(at("ur16e")?, FitAssumption::Tool, 1e-5, -701.0);
-            Some(Ranking { standings: vec![best, next], apart: 20.0 })
+            Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
         let found = found(&ur(), &criteria).unwrap();
-        let said = &found[0].found;
+        let reason = &found[0].identified_by;
         assert!(
-            said.contains("cannot distinguish it from ur16e") && said.contains("--robot"),
-            "{said}"
+            reason.contains("cannot distinguish it from ur16e") && reason.contains("--robot"),
+            "{reason}"
         );
     }
 
@@ -377,10 +385,10 @@ mod tests {
 
     #[test]
     fn names_that_are_anybodys_are_not_enough() {
-        let off = |models: &[&Model]| {
+        let off = |models: &[&LogModel]| {
             let standings = (0..models.len())
                 .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
-            Some(Ranking { standings: standings.collect(), apart: 20.0 })
+            Some(ModelRanking { models: standings.collect(), min_score_difference: 20.0 })
         };
         let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();

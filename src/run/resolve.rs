@@ -17,24 +17,24 @@ use crate::run::{
 };
 use crate::stream::{Orientations, PoseTrack};
 
-use super::role::beside_arm;
+use super::role::role_outside_arm;
 
-pub(super) fn settle(run: &mut Run, max_lag_s: f64) {
-    settle_alternations(run);
-    settle_carried(run, max_lag_s);
-    settle_transforms(run);
-    settle_contests(run, max_lag_s);
-    leave_unmoved(run);
-    settle_candidates(run, max_lag_s);
-    leave_moving_bases(run, max_lag_s);
-    settle_leading_arms(run, max_lag_s);
-    settle_frozen(run, max_lag_s);
-    settle_crowds(run);
-    settle_hands(run, max_lag_s);
+pub(super) fn resolve(run: &mut Run, max_lag_s: f64) {
+    resolve_tool_switching(run);
+    align_moving_bases(run, max_lag_s);
+    resolve_shared_transforms(run);
+    resolve_shared_streams(run, max_lag_s);
+    exclude_unmoved(run);
+    resolve_candidates(run, max_lag_s);
+    exclude_moving_bases(run, max_lag_s);
+    resolve_leading_arms(run, max_lag_s);
+    remove_frozen_spans(run, max_lag_s);
+    order_for_common_diagnosis(run);
+    resolve_hands(run, max_lag_s);
 }
 
 /// Converts poses that alternate between rigid bodies on one tool to the main body.
-fn settle_alternations(run: &mut Run) {
+fn resolve_tool_switching(run: &mut Run) {
     let all: Vec<(usize, usize)> = run
         .arms
         .iter()
@@ -52,29 +52,29 @@ fn settle_alternations(run: &mut Run) {
         source.track.xyz = poses.iter().map(|pose| pose.translation.vector).collect();
         let rotations = poses.iter().map(|pose| pose.rotation).collect();
         source.track.orientation = Orientations::Rotations(rotations);
-        if run.alternations.iter().all(|(stream, _)| *stream != source.stream) {
-            run.alternations.push((source.stream, alternation));
+        if run.tool_switching.iter().all(|(stream, _)| *stream != source.stream) {
+            run.tool_switching.push((source.stream, alternation));
         }
     }
 }
 
 /// Maximum number of pose streams diagnosed jointly for the encoding of the joint states; others follow one
 /// by one.
-const TOGETHER: usize = 6;
+const MAX_COMMON_STREAMS: usize = 6;
 
-fn settle_crowds(run: &mut Run) {
+fn order_for_common_diagnosis(run: &mut Run) {
     for arm in &mut run.arms {
         let is_copy =
             |index: usize| arm.poses[..index].iter().any(|one| arm.poses[index].is_copy_of(one));
         let copies: Vec<bool> = (0..arm.poses.len()).map(is_copy).collect();
-        if arm.poses.len() <= TOGETHER && !copies.contains(&true) {
+        if arm.poses.len() <= MAX_COMMON_STREAMS && !copies.contains(&true) {
             continue;
         }
         let mut ranked: Vec<(bool, PoseSource)> =
             copies.into_iter().zip(std::mem::take(&mut arm.poses)).collect();
         ranked.sort_by_key(|(is_copy, source)| (*is_copy, Reverse(source.track.t_s.len())));
         arm.poses = ranked.into_iter().map(|(_, source)| source).collect();
-        for source in &arm.poses[together(arm)..] {
+        for source in &arm.poses[common_diagnosis_count(arm)..] {
             let reason = &mut run.streams[source.stream].reason;
             *reason +=
                 "; diagnosed separately, with joint states as determined from the other streams";
@@ -82,18 +82,18 @@ fn settle_crowds(run: &mut Run) {
     }
 }
 
-pub(crate) fn together(arm: &Arm) -> usize {
+pub(crate) fn common_diagnosis_count(arm: &Arm) -> usize {
     let is_copy =
         |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
-    (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
+    (0..arm.poses.len().min(MAX_COMMON_STREAMS)).take_while(|index| !is_copy(index)).count()
 }
 
 /// Removes repeated poses at the lags at which streams may follow the moving arm.
-fn settle_frozen(run: &mut Run, max_lag_s: f64) {
+fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
     /// Minimum speed correlation to trust the lag.
-    const FOLLOWS: f64 = 0.3;
+    const MIN_CORRELATION: f64 = 0.3;
     /// Minimum correlation at other lags, as a share of the best.
-    const NEARLY: f64 = 0.7;
+    const MIN_CORRELATION_RATIO: f64 = 0.7;
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
@@ -103,10 +103,11 @@ fn settle_frozen(run: &mut Run, max_lag_s: f64) {
             }
             let peaks = candidate_lags(&of.joints, &run.pose_stream(found), max_lag_s);
             let best = peaks.first().map_or(0.0, |peak| peak.correlation);
-            if best < FOLLOWS {
+            if best < MIN_CORRELATION {
                 continue;
             }
-            let likely = peaks.iter().filter(|peak| peak.correlation >= NEARLY * best);
+            let likely =
+                peaks.iter().filter(|peak| peak.correlation >= MIN_CORRELATION_RATIO * best);
             let lags_s: Vec<f64> = likely.map(|peak| peak.lag_s).collect();
             run.take_frozen_at(arm, source, &lags_s);
         }
@@ -114,10 +115,10 @@ fn settle_frozen(run: &mut Run, max_lag_s: f64) {
 }
 
 /// Maximum ratio of the nearest arm's residual to the next.
-const NEARER: f64 = 0.5;
+const MAX_RESIDUAL_RATIO: f64 = 0.5;
 
 /// Assigns transforms of shared frames to the arm that they fit.
-fn settle_transforms(run: &mut Run) {
+fn resolve_shared_transforms(run: &mut Run) {
     let frames = |arm: &Arm| {
         let source = arm.tf.as_ref().ok()?;
         Some((source.stream, arm.end_frames()))
@@ -135,7 +136,7 @@ fn settle_transforms(run: &mut Run) {
         let mut misfits: Vec<(f64, usize)> = candidates.iter().filter_map(misfit_m).collect();
         misfits.sort_by(|a, b| a.0.total_cmp(&b.0));
         if let [(near_m, winner), (next_m, _), ..] = misfits.as_slice()
-            && *near_m < NEARER * next_m
+            && *near_m < MAX_RESIDUAL_RATIO * next_m
         {
             run.assign_shared_transforms(&candidates, *winner);
         }
@@ -143,14 +144,14 @@ fn settle_transforms(run: &mut Run) {
 }
 
 /// Turns joint states without measurement into commands if an arm with the same joints follows.
-fn settle_leading_arms(run: &mut Run, max_lag_s: f64) {
+fn resolve_leading_arms(run: &mut Run, max_lag_s: f64) {
     let nothing_beside = |arm: &Arm| arm.poses.is_empty() && arm.imus.is_empty() && arm.tf.is_err();
     for index in (0..run.arms.len()).rev() {
         let arm = &run.arms[index];
         let mut followers = run.arms.iter().filter(|other| !nothing_beside(other));
         let led = followers.find_map(|other| {
             let is_alike = other.chain.joint_names() == arm.chain.joint_names();
-            let lead_s = leads(arm, other, max_lag_s).filter(|_| is_alike)?;
+            let lead_s = arm_lead_s(arm, other, max_lag_s).filter(|_| is_alike)?;
             Some((other.name.clone(), lead_s))
         });
         if let (true, Some((of, lead_s))) = (nothing_beside(arm), led) {
@@ -160,9 +161,10 @@ fn settle_leading_arms(run: &mut Run, max_lag_s: f64) {
 }
 
 /// Lead over an arm of the same kind, s.
-fn leads(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
-    const MOST: usize = 20_000;
-    let rows = || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MOST).max(1));
+fn arm_lead_s(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
+    const MAX_COMPARED_SAMPLES: usize = 20_000;
+    let rows =
+        || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MAX_COMPARED_SAMPLES).max(1));
     let poses = rows().map(|row| {
         let positions = arm.joints.row(row);
         let q: Vec<f64> = arm.columns.iter().map(|&column| positions[column]).collect();
@@ -185,29 +187,29 @@ fn leads(leader: &Arm, arm: &Arm, max_lag_s: f64) -> Option<f64> {
         removed_ramp: None,
     };
     let peak = best_lag_peak(&leader.joints, &stream, max_lag_s)?;
-    (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
+    (peak.correlation >= MIN_LEAD_CORRELATION && peak.lag_s > MIN_LEAD_S).then_some(peak.lag_s)
 }
 
 /// Minimum lead, s; stamps, transport and filters cause shorter ones.
-const LEAST_S: f64 = 0.04;
+const MIN_LEAD_S: f64 = 0.04;
 /// Minimum speed correlation, as for streams that follow.
-const LEADS: f64 = 0.7;
+const MIN_LEAD_CORRELATION: f64 = 0.7;
 /// Minimum correlation at another lag of periodic motion, as a share of the best.
-const REPEATS: f64 = 0.9;
+const MIN_REPEAT_CORRELATION_RATIO: f64 = 0.9;
 
-fn settle_candidates(run: &mut Run, max_lag_s: f64) {
+fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
-        let (arm, source) = source_of(run, candidate)?;
+        let (arm, source) = find_pose_source(run, candidate)?;
         Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), max_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
-    let mut lags = Lags { max_lag_s, poses, imus: BTreeMap::new() };
+    let mut lags = LagCache { max_lag_s, poses, imus: BTreeMap::new() };
     for candidate in candidates {
-        let found = source_of(run, candidate);
-        let peak = found.and_then(|(arm, source)| lags.of_pose(run, arm, source));
-        let is_of_own_frame = run.unaudited.iter().any(|found| {
-            found.stream == candidate && matches!(found.why, NotAuditedReason::OwnFrame { .. })
+        let found = find_pose_source(run, candidate);
+        let peak = found.and_then(|(arm, source)| lags.pose_peak(run, arm, source));
+        let is_of_own_frame = run.not_audited.iter().any(|found| {
+            found.stream == candidate && matches!(found.reason, NotAuditedReason::OwnFrame { .. })
         });
         let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
             is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
@@ -217,17 +219,17 @@ fn settle_candidates(run: &mut Run, max_lag_s: f64) {
             run.unassign(candidate, reason);
             continue;
         }
-        if is_seen && beside_arm(&run.streams[candidate].topic) == Role::Target {
+        if is_seen && role_outside_arm(&run.streams[candidate].topic) == Role::Target {
             let reason = "it moves like a fixed object seen from the tool".to_owned();
-            run.settle_by_name(candidate, reason);
+            run.assign_role_by_name(candidate, reason);
             continue;
         }
         let lead_s = found
             .zip(peak)
-            .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, &mut lags));
+            .and_then(|((arm, source), peak)| stream_lead_s(run, arm, source, peak, &mut lags));
         match lead_s {
             Some(lead_s) => run.resolve_leader(candidate, lead_s),
-            None => run.settle(candidate, peak.map(|peak| peak.correlation)),
+            None => run.resolve_candidate(candidate, peak.map(|peak| peak.correlation)),
         }
     }
 }
@@ -236,52 +238,60 @@ fn settle_candidates(run: &mut Run, max_lag_s: f64) {
 ///
 /// A measurement is received after the motion. If only stamps are ahead, messages arrive with the others;
 /// if joint states are late, all streams appear early.
-fn lead_s(
+fn stream_lead_s(
     run: &Run,
     arm: &Arm,
     source: &PoseSource,
     peak: LagPeak,
-    lags: &mut Lags,
+    lags: &mut LagCache,
 ) -> Option<f64> {
-    let joints = arm.joint_facts.first()?.stream;
+    let joints = arm.joint_sources.first()?.stream;
     let delay_s = |stream: usize| {
         let clock = run.clocks.iter().find(|clock| clock.stream == stream);
         clock.and_then(|clock| clock.log_minus_header_s).unwrap_or(0.0)
     };
     let received_s = peak.lag_s + delay_s(source.stream) - delay_s(joints);
-    if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
+    if peak.correlation < MIN_LEAD_CORRELATION
+        || peak.lag_s > -MIN_LEAD_S
+        || received_s > -MIN_LEAD_S
+    {
         return None;
     }
     // Periodic motion also matches near zero lag.
     let peaks = candidate_lags(&arm.joints, &run.pose_stream(source), lags.max_lag_s);
     let is_now = |other: &LagPeak| {
-        other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
+        other.correlation
+            > MIN_LEAD_CORRELATION.max(MIN_REPEAT_CORRELATION_RATIO * peak.correlation)
+            && other.lag_s > -MIN_LEAD_S
     };
     if peaks.iter().any(is_now) {
         return None;
     }
     let is_as_early = |lag_s: f64| lag_s < 0.5 * peak.lag_s;
     let mut poses = arm.poses.iter().filter(|other| run.streams[other.stream].role == Role::Pose);
-    let agrees = poses.any(|other| {
-        let other = lags.of_pose(run, arm, other);
-        other.is_some_and(|other| other.correlation >= LEADS && is_as_early(other.lag_s))
-    }) || arm.imus.iter().any(|imu| lags.of_imu(arm, imu).is_some_and(is_as_early));
+    let agrees =
+        poses.any(|other| {
+            let other = lags.pose_peak(run, arm, other);
+            other.is_some_and(|other| {
+                other.correlation >= MIN_LEAD_CORRELATION && is_as_early(other.lag_s)
+            })
+        }) || arm.imus.iter().any(|imu| lags.imu_latency_s(arm, imu).is_some_and(is_as_early));
     (!agrees).then_some(-received_s)
 }
 
-struct Lags {
+struct LagCache {
     max_lag_s: f64,
     poses: BTreeMap<usize, Option<LagPeak>>,
     imus: BTreeMap<usize, Option<f64>>,
 }
 
-impl Lags {
-    fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<LagPeak> {
+impl LagCache {
+    fn pose_peak(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<LagPeak> {
         let lag = || best_lag_peak(&arm.joints, &run.pose_stream(source), self.max_lag_s);
         *self.poses.entry(source.stream).or_insert_with(lag)
     }
 
-    fn of_imu(&mut self, arm: &Arm, imu: &ImuSource) -> Option<f64> {
+    fn imu_latency_s(&mut self, arm: &Arm, imu: &ImuSource) -> Option<f64> {
         let latency_s = || {
             let found = diagnose_imu(&arm.joints, &imu.as_stream(), self.max_lag_s);
             found.latency_s.ok().map(|latency| latency.value)
@@ -290,24 +300,24 @@ impl Lags {
     }
 }
 
-fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
+fn find_pose_source(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
     let sources = run.arms.iter().flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)));
     sources.into_iter().find(|(_, source)| source.stream == stream)
 }
 
-fn settle_carried(run: &mut Run, max_lag_s: f64) {
+fn align_moving_bases(run: &mut Run, max_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
-            let Some(carrier) = &of.poses[source].moving_base else { continue };
+            let Some(moving_base) = &of.poses[source].moving_base else { continue };
             let stream = run.pose_stream(&of.poses[source]);
-            let at = |t_s: f64| carrier.at(t_s);
+            let at = |t_s: f64| moving_base.at(t_s);
             let Some(lag) =
-                estimate_moving_base_lag(&of.joints, &stream, &carrier.logged, &at, max_lag_s)
+                estimate_moving_base_lag(&of.joints, &stream, &moving_base.logged, &at, max_lag_s)
             else {
                 continue;
             };
-            let frame = carrier.frame.clone();
+            let frame = moving_base.frame.clone();
             let source = &mut run.arms[arm].poses[source];
             source.retransform(lag.lag_s, lag.is_on_time);
             let index = source.stream;
@@ -324,26 +334,28 @@ fn settle_carried(run: &mut Run, max_lag_s: f64) {
 /// Transforms again if the latencies in `found` differ from those assumed. Returns whether any did.
 pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
     /// Maximum latency difference to ignore, s.
-    const NEAR_S: f64 = 3e-4;
-    let mut are_other = false;
+    const MAX_LATENCY_DIFFERENCE_S: f64 = 3e-4;
+    let mut has_changed = false;
     for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
-        let Some(carrier) = source.moving_base.as_ref().filter(|carrier| carrier.is_on_time) else {
+        let Some(moving_base) =
+            source.moving_base.as_ref().filter(|moving_base| moving_base.is_on_time)
+        else {
             continue;
         };
         let Ok(latency) = &found.latency_s else { continue };
-        if (latency.value - carrier.lag_s).abs() > NEAR_S {
+        if (latency.value - moving_base.lag_s).abs() > MAX_LATENCY_DIFFERENCE_S {
             source.retransform(latency.value, true);
-            are_other = true;
+            has_changed = true;
         }
     }
-    are_other
+    has_changed
 }
 
 /// Assigns contested streams to the arm with the smallest residual; if similar, to that with the highest
 /// correlation.
-fn settle_contests(run: &mut Run, max_lag_s: f64) {
+fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
     /// Minimum correlation margin over the next arm.
-    const MORE: f64 = 0.1;
+    const MIN_CORRELATION_MARGIN: f64 = 0.1;
     for shared in std::mem::take(&mut run.shared_streams) {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
         for candidate in &shared.candidates {
@@ -362,12 +374,16 @@ fn settle_contests(run: &mut Run, max_lag_s: f64) {
         scores.sort_by(|a, b| a.1.total_cmp(&b.1));
         let nearest = match scores.as_slice() {
             [(arm, ..)] => Some(*arm),
-            [(arm, near_m, _), (_, next_m, _), ..] if *near_m < NEARER * next_m => Some(*arm),
+            [(arm, near_m, _), (_, next_m, _), ..] if *near_m < MAX_RESIDUAL_RATIO * next_m => {
+                Some(*arm)
+            }
             _ => None,
         };
         scores.sort_by(|a, b| b.2.total_cmp(&a.2));
         let follower = match scores.as_slice() {
-            [(arm, _, most), (_, _, next), ..] if most - next > MORE => Some(*arm),
+            [(arm, _, most), (_, _, next), ..] if most - next > MIN_CORRELATION_MARGIN => {
+                Some(*arm)
+            }
             _ => None,
         };
         run.assign_shared_stream(&shared, nearest.or(follower));
@@ -375,7 +391,7 @@ fn settle_contests(run: &mut Run, max_lag_s: f64) {
 }
 
 /// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.
-fn leave_unmoved(run: &mut Run) {
+fn exclude_unmoved(run: &mut Run) {
     let unmoved = run.arms.iter().flat_map(|arm| {
         let of = |source: &PoseSource| {
             let moved_m = source.unmoved_by_m(&arm.joints)?;
@@ -408,7 +424,7 @@ fn leave_unmoved(run: &mut Run) {
             run.unassign(stream, "an object of the scene: it never moves".to_owned());
         }
         let why = NotAuditedReason::SceneObjects { names };
-        run.unaudited.push(NotAudited { stream: streams[0], why });
+        run.not_audited.push(NotAudited { stream: streams[0], reason: why });
     }
     for (stream, samples, moved_m) in unmoved {
         let reason = "all its poses are the same while the joints move the tool".to_owned();
@@ -417,7 +433,7 @@ fn leave_unmoved(run: &mut Run) {
 }
 
 /// Excludes streams in whose frame the base moves unpredictably: constant causes cannot be estimated.
-fn leave_moving_bases(run: &mut Run, max_lag_s: f64) {
+fn exclude_moving_bases(run: &mut Run, max_lag_s: f64) {
     let is_of_unknown_frame = |source: &&PoseSource| {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
         is_pose && !source.reference_known && source.moving_base.is_none()
@@ -443,10 +459,10 @@ fn leave_moving_bases(run: &mut Run, max_lag_s: f64) {
 }
 
 /// Minimum correlation of angular speeds of target and hand.
-const TURNS_ALIKE: f64 = 0.7;
+const MIN_ROTATION_CORRELATION: f64 = 0.7;
 
 /// Without an arm, selects the hands that rotate with a target.
-fn settle_hands(run: &mut Run, max_lag_s: f64) {
+fn resolve_hands(run: &mut Run, max_lag_s: f64) {
     let mut found = Vec::new();
     for target in &run.targets {
         let Some(series) = PoseSeries::from_track(&target.track) else { continue };
@@ -456,7 +472,7 @@ fn settle_hands(run: &mut Run, max_lag_s: f64) {
             Some((*stream, peaks.first()?.correlation))
         };
         let best = target.hands.iter().filter_map(turns_alike).max_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((hand, correlation)) = best.filter(|best| best.1 >= TURNS_ALIKE) {
+        if let Some((hand, correlation)) = best.filter(|best| best.1 >= MIN_ROTATION_CORRELATION) {
             found.push((hand, run.streams[target.stream].topic.clone(), correlation));
         }
     }
