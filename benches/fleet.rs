@@ -24,14 +24,15 @@ fn main() -> Result<()> {
     let binary = env::var_os("POSEAUDIT_FLEET_BIN").map(PathBuf::from);
     let binary = binary.unwrap_or_else(|| env!("CARGO_BIN_EXE_poseaudit").into());
     let folder = tempfile::tempdir()?;
-    let kept = env::var_os("POSEAUDIT_FLEET_KEEP").map(PathBuf::from);
-    let logs_in = kept.unwrap_or_else(|| folder.path().join("logs"));
-    let bytes = write_logs(&logs_in, logs, duration_s)?;
+    let kept_folder = env::var_os("POSEAUDIT_FLEET_KEEP").map(PathBuf::from);
+    let log_folder = kept_folder.unwrap_or_else(|| folder.path().join("logs"));
+    let bytes = write_logs(&log_folder, logs, duration_s)?;
     let megabytes = bytes as f64 / 1e6;
     println!("{logs} logs of {duration_s} s, {megabytes:.0} MB, by {}", binary.display());
 
-    let call =
-        |jobs: usize, out: &str| measured(&binary, &logs_in, &folder.path().join(out), jobs, logs);
+    let call = |jobs: usize, out: &str| {
+        measure_call(&binary, &log_folder, &folder.path().join(out), jobs, logs)
+    };
     // A first call to load files and program into memory.
     let first = call(2, "two")?;
     let one = call(1, "one")?;
@@ -80,17 +81,23 @@ struct Cost {
     all_kib: u64,
 }
 
-fn measured(binary: &Path, logs_in: &Path, out: &Path, jobs: usize, logs: u64) -> Result<Cost> {
-    let began = Instant::now();
+fn measure_call(
+    binary: &Path,
+    log_folder: &Path,
+    out: &Path,
+    jobs: usize,
+    logs: u64,
+) -> Result<Cost> {
+    let started = Instant::now();
     let mut child = Command::new(binary)
         .arg("fleet")
-        .args([logs_in, Path::new("--out"), out])
+        .args([log_folder, Path::new("--out"), out])
         .args(["--jobs", &jobs.to_string(), "--format", "json", "--fail-on", "never"])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()?;
-    let (leader_kib, all_kib) = peaks(&mut child)?;
-    let wall = began.elapsed();
+    let (leader_kib, all_kib) = peak_memory_kib(&mut child)?;
+    let wall = started.elapsed();
     let output = child.wait_with_output()?;
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     ensure!(summary["statuses"]["audited"] == logs, "not all logs were audited: {summary}");
@@ -99,7 +106,7 @@ fn measured(binary: &Path, logs_in: &Path, out: &Path, jobs: usize, logs: u64) -
 
 /// Peak memory of a process, and of it with its children, until it exits, KiB. May miss processes of a few
 /// milliseconds.
-fn peaks(child: &mut Child) -> Result<(u64, u64)> {
+fn peak_memory_kib(child: &mut Child) -> Result<(u64, u64)> {
     let (mut leader, mut all) = (0, 0);
     let id = child.id();
     while child.try_wait()?.is_none() {

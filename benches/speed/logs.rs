@@ -14,7 +14,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
 /// One log.
-pub struct Made {
+pub struct BenchLog {
     pub name: String,
     pub path: PathBuf,
     pub messages: u64,
@@ -23,18 +23,18 @@ pub struct Made {
 
 /// All logs.
 pub struct Logs {
-    pub mcap: Vec<Made>,
+    pub mcap: Vec<BenchLog>,
     /// The reference log in other containers.
-    pub others: Vec<Made>,
+    pub others: Vec<BenchLog>,
     /// The same arm for 1, 4 and 16 times the duration.
-    pub lengths: Vec<Made>,
+    pub lengths: Vec<BenchLog>,
 }
 
 impl Logs {
     /// Generates the logs in `folder`; the largest has about `messages` messages.
-    pub fn made(folder: &Path, messages: u64) -> Result<Self> {
+    pub fn generate(folder: &Path, messages: u64) -> Result<Self> {
         let arm = |name: &str, messages: u64, compression: Option<Compression>| {
-            make(folder, &format!("{name}.mcap"), |path| {
+            generate_log(folder, &format!("{name}.mcap"), |path| {
                 let mut scenario = scenario();
                 scenario.duration_s = messages as f64 / rate_hz(&scenario);
                 scenario.write_mcap(BufWriter::new(File::create(path)?), compression)?;
@@ -44,8 +44,8 @@ impl Logs {
         let zstd = Some(Compression::Zstd);
         let small = arm("arm for a camera, zstd", messages / 12, zstd)?;
         let camera = |name: &str, compression: Option<Compression>| {
-            make(folder, &format!("{name}.mcap"), |path| {
-                with_camera(&small.path, path, compression)
+            generate_log(folder, &format!("{name}.mcap"), |path| {
+                write_with_camera(&small.path, path, compression)
             })
         };
         let mcap = vec![
@@ -58,15 +58,15 @@ impl Logs {
         let lengths = [16, 4, 1].map(|share| arm(&format!("1∕{share}"), messages / share, zstd));
         let whole = &mcap[0].path;
         let others = vec![
-            make(folder, "bag of ROS 1, lz4.bag", |path| ros1_bag(whole, path))?,
-            make(folder, "database of rosbag2.db3", |path| database(whole, path))?,
-            make(folder, "record of RTDE.csv", |path| rtde(whole, path))?,
+            generate_log(folder, "bag of ROS 1, lz4.bag", |path| write_ros1_bag(whole, path))?,
+            generate_log(folder, "database of rosbag2.db3", |path| write_database(whole, path))?,
+            generate_log(folder, "record of RTDE.csv", |path| write_rtde(whole, path))?,
         ];
         Ok(Self { mcap, others, lengths: lengths.into_iter().collect::<Result<_>>()? })
     }
 
     /// The reference log for stages and other containers.
-    pub fn yardstick(&self) -> &Made {
+    pub fn reference_log(&self) -> &BenchLog {
         &self.mcap[0]
     }
 }
@@ -87,7 +87,11 @@ fn rate_hz(scenario: &Scenario) -> f64 {
 }
 
 /// Generates a log if it does not exist, and counts its messages.
-fn make(folder: &Path, file: &str, write: impl FnOnce(&Path) -> Result<()>) -> Result<Made> {
+fn generate_log(
+    folder: &Path,
+    file: &str,
+    write: impl FnOnce(&Path) -> Result<()>,
+) -> Result<BenchLog> {
     let path = folder.join(file);
     if !path.exists() {
         eprintln!("making {}", path.display());
@@ -98,13 +102,13 @@ fn make(folder: &Path, file: &str, write: impl FnOnce(&Path) -> Result<()>) -> R
     }
     let log = poseaudit::log::open(std::slice::from_ref(&path), &Default::default())?;
     let name = path.file_stem().context("a name")?.to_string_lossy().into_owned();
-    Ok(Made { name, messages: log.messages, bytes: fs::metadata(&path)?.len(), path })
+    Ok(BenchLog { name, messages: log.messages, bytes: fs::metadata(&path)?.len(), path })
 }
 
 /// Adds images to the log at `from`, with 19 times the bytes of its messages.
-fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Result<()> {
-    const IMAGE: usize = 300_000;
-    const SHARE: usize = 19;
+fn write_with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Result<()> {
+    const IMAGE_BYTES: usize = 300_000;
+    const IMAGE_BYTES_PER_MESSAGE_BYTE: usize = 19;
     let bytes = fs::read(from)?;
     let mut writer =
         WriteOptions::new().compression(compression).create(BufWriter::new(File::create(to)?))?;
@@ -112,22 +116,26 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
     let camera = writer.add_channel(schema, "/camera/image_raw", "cdr", &Default::default())?;
     // Half of it is noise, as in images.
     let mut random = Pcg64::seed_from_u64(1);
-    let mut image = vec![0; IMAGE];
+    let mut image = vec![0; IMAGE_BYTES];
     random.fill_bytes(&mut image);
     image.iter_mut().for_each(|byte| *byte &= 0x0f);
-    let mut owed = 0;
+    let mut image_bytes_due = 0;
     let mut channels: HashMap<u16, u16> = HashMap::new();
     for message in MessageStream::new(&bytes)? {
         let message = message?;
         let channel_id = match channels.get(&message.channel.id) {
             Some(&channel) => channel,
             None => {
-                let of = &message.channel;
-                let schema = of.schema.as_ref().context("a schema")?;
+                let logged = &message.channel;
+                let schema = logged.schema.as_ref().context("a schema")?;
                 let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data)?;
-                let channel =
-                    writer.add_channel(schema, &of.topic, &of.message_encoding, &of.metadata)?;
-                channels.insert(of.id, channel);
+                let channel = writer.add_channel(
+                    schema,
+                    &logged.topic,
+                    &logged.message_encoding,
+                    &logged.metadata,
+                )?;
+                channels.insert(logged.id, channel);
                 channel
             }
         };
@@ -138,10 +146,10 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
             publish_time: message.publish_time,
         };
         writer.write_to_known_channel(&header, &message.data)?;
-        owed += SHARE * message.data.len();
-        while owed >= IMAGE {
-            owed -= IMAGE;
-            let at = random.next_u32() as usize % IMAGE;
+        image_bytes_due += IMAGE_BYTES_PER_MESSAGE_BYTE * message.data.len();
+        while image_bytes_due >= IMAGE_BYTES {
+            image_bytes_due -= IMAGE_BYTES;
+            let at = random.next_u32() as usize % IMAGE_BYTES;
             image[at] ^= 1;
             let header = MessageHeader {
                 channel_id: camera,
@@ -157,7 +165,7 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
 }
 
 /// Converts the log at `from` to a rosbag2 database.
-fn database(from: &Path, to: &Path) -> Result<()> {
+fn write_database(from: &Path, to: &Path) -> Result<()> {
     let bytes = fs::read(from)?;
     let mut database = rusqlite::Connection::open(to)?;
     database.execute_batch(
@@ -201,7 +209,7 @@ struct Sample {
 }
 
 /// Joint positions of the log at `from`, in the order of the UR5e's chain.
-fn samples(from: &Path) -> Result<Vec<Sample>> {
+fn joint_samples(from: &Path) -> Result<Vec<Sample>> {
     let log = poseaudit::log::open(&[from.to_owned()], &Default::default())?;
     let topic = log.topics.into_iter().find(|topic| topic.name == JOINT_STATES);
     let Some(poseaudit::stream::Columns::Joints(joints)) = topic.and_then(|topic| topic.columns)
@@ -216,7 +224,7 @@ fn samples(from: &Path) -> Result<Vec<Sample>> {
 }
 
 /// Joint positions and FK poses, recorded as by Universal Robots' client.
-fn rtde(from: &Path, to: &Path) -> Result<()> {
+fn write_rtde(from: &Path, to: &Path) -> Result<()> {
     let scenario = scenario();
     let robot = &scenario.robot;
     let link = |name: &str| robot.link(name).context("a UR5e has that link");
@@ -225,7 +233,7 @@ fn rtde(from: &Path, to: &Path) -> Result<()> {
     let columns = (0..6).map(|i| format!("actual_q_{i}"));
     let columns = columns.chain((0..6).map(|i| format!("actual_TCP_pose_{i}")));
     writeln!(out, "timestamp {}", columns.collect::<Vec<_>>().join(" "))?;
-    for Sample { nanos, q } in samples(from)? {
+    for Sample { nanos, q } in joint_samples(from)? {
         let pose = chain.forward(&q);
         let (p, r) = (pose.translation.vector, rotvec_from_rotation(&pose.rotation));
         write!(out, "{:.6}", (nanos - 1_780_000_000_000_000_000) as f64 * 1e-9 + 100.0)?;
@@ -238,8 +246,8 @@ fn rtde(from: &Path, to: &Path) -> Result<()> {
 }
 
 /// Joint states and poses in a ROS 1 bag, with lz4-compressed chunks.
-fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
-    const CHUNK: usize = 768 << 10;
+fn write_ros1_bag(from: &Path, to: &Path) -> Result<()> {
+    const CHUNK_BYTES: usize = 768 << 10;
     const JOINTS: &str = "std_msgs/Header header\nstring[] name\nfloat64[] position\n\
         float64[] velocity\nfloat64[] effort\n\
         ================\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
@@ -259,27 +267,30 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
     ];
     let connection = |id: u32| {
         let (topic, type_name, definition) = connections[id as usize];
-        let header =
-            fields(&[("op", &[7]), ("conn", &id.to_le_bytes()), ("topic", topic.as_bytes())]);
-        let data = fields(&[
+        let header = encode_fields(&[
+            ("op", &[7]),
+            ("conn", &id.to_le_bytes()),
+            ("topic", topic.as_bytes()),
+        ]);
+        let data = encode_fields(&[
             ("topic", topic.as_bytes()),
             ("type", type_name.as_bytes()),
             ("md5sum", b"*"),
             ("message_definition", definition.as_bytes()),
         ]);
-        record(&header, &data)
+        encode_record(&header, &data)
     };
 
     let mut out = BufWriter::new(File::create(to)?);
     out.write_all(b"#ROSBAG V2.0\n")?;
     let bag_header = |index: u64, chunks: u32| {
-        let header = fields(&[
+        let header = encode_fields(&[
             ("op", &[3]),
             ("index_pos", &index.to_le_bytes()),
             ("conn_count", &2_u32.to_le_bytes()),
             ("chunk_count", &chunks.to_le_bytes()),
         ]);
-        record(&header, &vec![b' '; 4096 - 8 - header.len()])
+        encode_record(&header, &vec![b' '; 4096 - 8 - header.len()])
     };
     out.write_all(&bag_header(0, 0))?;
 
@@ -287,7 +298,7 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
     let mut chunk = [connection(0), connection(1)].concat();
     let mut entries: [Vec<u8>; 2] = Default::default();
     let mut span: Option<([u8; 8], [u8; 8])> = None;
-    let samples = samples(from)?;
+    let samples = joint_samples(from)?;
     for (number, Sample { nanos, q }) in samples.iter().enumerate() {
         let time = [(nanos / 1_000_000_000) as u32, (nanos % 1_000_000_000) as u32];
         let time: [u8; 8] = time.map(u32::to_le_bytes).concat().try_into().expect("eight bytes");
@@ -295,29 +306,30 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
         let head = |frame: &str| {
             let mut head = (number as u32).to_le_bytes().to_vec();
             head.extend(time);
-            text(&mut head, frame);
+            push_text(&mut head, frame);
             head
         };
         let mut joints = head("");
         joints.extend((names.len() as u32).to_le_bytes());
-        names.iter().for_each(|name| text(&mut joints, name));
+        names.iter().for_each(|name| push_text(&mut joints, name));
         joints.extend((q.len() as u32).to_le_bytes());
         q.iter().for_each(|q| joints.extend(q.to_le_bytes()));
         joints.extend([0; 8]);
-        let mut posed = head("base");
+        let mut pose_message = head("base");
         let quaternion = pose.rotation.coords;
         for value in pose.translation.vector.iter().chain(quaternion.iter()) {
-            posed.extend(value.to_le_bytes());
+            pose_message.extend(value.to_le_bytes());
         }
-        for (id, data) in [(0_u32, joints), (1, posed)] {
+        for (id, data) in [(0_u32, joints), (1, pose_message)] {
             let entry = &mut entries[id as usize];
             entry.extend(time);
             entry.extend((chunk.len() as u32).to_le_bytes());
-            let header = fields(&[("op", &[2]), ("conn", &id.to_le_bytes()), ("time", &time)]);
-            chunk.extend(record(&header, &data));
+            let header =
+                encode_fields(&[("op", &[2]), ("conn", &id.to_le_bytes()), ("time", &time)]);
+            chunk.extend(encode_record(&header, &data));
         }
         span = Some((span.map_or(time, |(first, _)| first), time));
-        if chunk.len() < CHUNK && number + 1 < samples.len() {
+        if chunk.len() < CHUNK_BYTES && number + 1 < samples.len() {
             continue;
         }
         let (first, last) = span.take().context("a chunk has messages")?;
@@ -327,22 +339,22 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
         let (packed, done) = packed.finish();
         done?;
         let size = (chunk.len() as u32).to_le_bytes();
-        let header = fields(&[("op", &[5]), ("compression", b"lz4"), ("size", &size)]);
-        out.write_all(&record(&header, &packed))?;
+        let header = encode_fields(&[("op", &[5]), ("compression", b"lz4"), ("size", &size)]);
+        out.write_all(&encode_record(&header, &packed))?;
         let mut counts = Vec::new();
         for (id, entries) in entries.iter_mut().enumerate() {
             let (id, count) = (id as u32, (entries.len() / 12) as u32);
-            let header = fields(&[
+            let header = encode_fields(&[
                 ("op", &[4]),
                 ("ver", &1_u32.to_le_bytes()),
                 ("conn", &id.to_le_bytes()),
                 ("count", &count.to_le_bytes()),
             ]);
-            out.write_all(&record(&header, entries))?;
+            out.write_all(&encode_record(&header, entries))?;
             counts.extend([id, count].map(u32::to_le_bytes).concat());
             entries.clear();
         }
-        let header = fields(&[
+        let header = encode_fields(&[
             ("op", &[6]),
             ("ver", &1_u32.to_le_bytes()),
             ("chunk_pos", &offset.to_le_bytes()),
@@ -350,7 +362,7 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
             ("end_time", &last),
             ("count", &2_u32.to_le_bytes()),
         ]);
-        infos.push(record(&header, &counts));
+        infos.push(encode_record(&header, &counts));
         chunk.clear();
     }
     let index = out.stream_position()?;
@@ -361,13 +373,13 @@ fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
     Ok(out.flush()?)
 }
 
-fn text(out: &mut Vec<u8>, text: &str) {
+fn push_text(out: &mut Vec<u8>, text: &str) {
     out.extend((text.len() as u32).to_le_bytes());
     out.extend(text.as_bytes());
 }
 
 /// `name=value` fields, each after its length.
-fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
+fn encode_fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
     let field = |(name, value): &(&str, &[u8])| {
         let length = (name.len() + 1 + value.len()) as u32;
         [&length.to_le_bytes(), name.as_bytes(), b"=", *value].concat()
@@ -376,7 +388,7 @@ fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
 }
 
 /// A bag record: header and data, each after its length.
-fn record(header: &[u8], data: &[u8]) -> Vec<u8> {
+fn encode_record(header: &[u8], data: &[u8]) -> Vec<u8> {
     let [header_length, data_length] = [header, data].map(|part| (part.len() as u32).to_le_bytes());
     [&header_length, header, &data_length, data].concat()
 }

@@ -27,10 +27,10 @@ use poseaudit::robot::catalogue;
 use poseaudit::run::{Run, RunOptions};
 
 use logs::Logs;
-use process::{Cost, Pairs};
+use process::{Cost, PairedCosts};
 
 /// Default number of messages of the largest log.
-const MESSAGES: u64 = 2_500_000;
+const DEFAULT_MESSAGES: u64 = 2_500_000;
 /// Number of pairs of runs; ratios are medians.
 const PAIRS: usize = 5;
 
@@ -40,20 +40,20 @@ fn main() -> Result<()> {
     if let [mode, path] = arguments.as_slice()
         && mode == "--floor"
     {
-        return floor(Path::new(path));
+        return run_floor(Path::new(path));
     }
     let value = |name: &str| {
         let at = arguments.iter().position(|word| word == name)?;
         arguments.get(at + 1)
     };
-    let messages = value("--messages").map_or(Ok(MESSAGES), |text| text.parse())?;
+    let messages = value("--messages").map_or(Ok(DEFAULT_MESSAGES), |text| text.parse())?;
     let scratch = tempfile::tempdir()?;
     let folder = value("--keep").map_or(scratch.path().to_owned(), PathBuf::from);
     std::fs::create_dir_all(&folder)?;
     if arguments.iter().any(|word| word == "--sizes") {
-        return sizes::print(&folder);
+        return sizes::print_growth(&folder);
     }
-    let logs = Logs::made(&folder, messages)?;
+    let logs = Logs::generate(&folder, messages)?;
 
     println!(
         "Whole processes; ratios to the floor are medians of {PAIRS} pairs, with their quartiles.\n"
@@ -63,7 +63,7 @@ fn main() -> Result<()> {
         "log", "messages", "MB", "info", "audit", "cpu", "verify", "Mmsg/s", "RssAnon"
     );
     for log in &logs.mcap {
-        let pairs = |command: &[&str]| Pairs::measure(command, &log.path, PAIRS);
+        let pairs = |command: &[&str]| PairedCosts::measure(command, &log.path, PAIRS);
         let info = pairs(&["info"])?;
         let audit = pairs(&["audit", "--format", "json", "--fail-on", "never"])?;
         let verify = pairs(&["audit", "--format", "json", "--fail-on", "never", "--verify"])?;
@@ -76,17 +76,17 @@ fn main() -> Result<()> {
             audit.wall,
             audit.cpu,
             verify.wall,
-            log.messages as f64 / audit.own.wall_s / 1e6,
-            audit.own.anonymous_mib,
+            log.messages as f64 / audit.cost.wall_s / 1e6,
+            audit.cost.anonymous_mib,
         );
     }
 
     println!("\nThe same arm in other containers, whole audit, against its MCAP's floor:");
     for log in &logs.others {
-        let audit = Pairs::measure_against(
+        let audit = PairedCosts::measure_against(
             &["audit", "--format", "json", "--fail-on", "never", "--robot", "ur5e"],
             &log.path,
-            &logs.yardstick().path,
+            &logs.reference_log().path,
             PAIRS,
         )?;
         println!(
@@ -100,29 +100,29 @@ fn main() -> Result<()> {
     }
 
     if let Some(python) = value("--python") {
-        beside(python, &logs.yardstick().path)?;
+        time_user_scripts(python, &logs.reference_log().path)?;
     }
 
     println!("\nGrowth with length, whole audit:");
     let mut last: Option<(u64, Cost)> = None;
     for log in &logs.lengths {
-        let cost = Pairs::measure(&["audit", "--format", "json"], &log.path, PAIRS)?.own;
+        let cost = PairedCosts::measure(&["audit", "--format", "json"], &log.path, PAIRS)?.cost;
         let exponent = last.map(|(messages, before)| {
-            let longer = log.messages as f64 / messages as f64;
-            (cost.cpu_s / before.cpu_s).ln() / longer.ln()
+            let length_ratio = log.messages as f64 / messages as f64;
+            (cost.cpu_s / before.cpu_s).ln() / length_ratio.ln()
         });
         let exponent = exponent.map_or(String::new(), |exponent| format!("exponent {exponent:.2}"));
         println!("{:34} {:>9} {:>8.2} s cpu  {exponent}", log.name, log.messages, cost.cpu_s);
         last = Some((log.messages, cost));
     }
 
-    sizes::print(&folder)?;
-    stages(&logs.yardstick().path)?;
-    forward_kinematics()
+    sizes::print_growth(&folder)?;
+    print_stages(&logs.reference_log().path)?;
+    print_fk_rate()
 }
 
 /// A table of evenly stamped rows of varying numbers.
-fn table(rows: usize, columns: usize) -> String {
+fn csv_table(rows: usize, columns: usize) -> String {
     let mut text = "timestamp".to_owned();
     (1..=columns).for_each(|column| text += &format!(",q{column}"));
     for row in 0..rows {
@@ -137,7 +137,7 @@ fn table(rows: usize, columns: usize) -> String {
 }
 
 /// Times equivalent user scripts, if their packages are installed.
-fn beside(python: &str, log: &Path) -> Result<()> {
+fn time_user_scripts(python: &str, log: &Path) -> Result<()> {
     println!("\nScripts, against the same floor:");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/speed/users.py");
     for (mode, what) in [
@@ -145,8 +145,8 @@ fn beside(python: &str, log: &Path) -> Result<()> {
         ("count", "small-mcap, messages counted"),
     ] {
         let mut command = Command::new(python);
-        match Pairs::of(command.arg(&script).arg(mode).arg(log), log, 1) {
-            Ok(Pairs { wall, cpu, .. }) => println!("{what:42} {wall:>17} {cpu:>17} cpu"),
+        match PairedCosts::run(command.arg(&script).arg(mode).arg(log), log, 1) {
+            Ok(PairedCosts { wall, cpu, .. }) => println!("{what:42} {wall:>17} {cpu:>17} cpu"),
             Err(error) => println!("{what:42} {error}"),
         }
     }
@@ -155,7 +155,7 @@ fn beside(python: &str, log: &Path) -> Result<()> {
 
 /// Reads a file like the floor.
 #[allow(unsafe_code, reason = "the floor maps a file")]
-fn floor(path: &Path) -> Result<()> {
+fn run_floor(path: &Path) -> Result<()> {
     let file = std::fs::File::open(path)?;
     // SAFETY: nobody else writes the benchmark's own log.
     let map = unsafe { memmap2::Mmap::map(&file) }?;
@@ -170,7 +170,7 @@ fn floor(path: &Path) -> Result<()> {
 }
 
 /// Wall time of each stage of an audit in one process.
-fn stages(path: &Path) -> Result<()> {
+fn print_stages(path: &Path) -> Result<()> {
     let paths = [path.to_owned()];
     let started = Instant::now();
     let log = log::open(&paths, &ReadOptions::default())?;
@@ -194,7 +194,7 @@ fn stages(path: &Path) -> Result<()> {
 }
 
 /// FK poses per second on one core.
-fn forward_kinematics() -> Result<()> {
+fn print_fk_rate() -> Result<()> {
     const POSES: usize = 1_000_000;
     let robot = catalogue::find("ur5e").context("the catalogue has a UR5e")?;
     let link = |name: &str| robot.link(name).context("a UR5e has that link");
@@ -202,19 +202,19 @@ fn forward_kinematics() -> Result<()> {
     let mut jacobian = vec![[0.0; 6]; chain.dof()];
     println!("\nForward kinematics of a UR5e, one core:");
     let rows: Vec<f64> = (0..POSES * chain.dof()).map(|at| 0.3 + 1e-3 * at as f64).collect();
-    let timed = |what: &str, run: &mut dyn FnMut() -> f64| {
+    let time_run = |what: &str, run: &mut dyn FnMut() -> f64| {
         let started = Instant::now();
         std::hint::black_box(run());
         let rate = POSES as f64 / started.elapsed().as_secs_f64();
         println!("{what:34} {:>6.2} million/s", rate / 1e6);
     };
     let each = || rows.chunks_exact(chain.dof());
-    timed("one pose at a time", &mut || each().map(|q| chain.forward(q).translation.x).sum());
-    timed("pose and Jacobian", &mut || {
+    time_run("one pose at a time", &mut || each().map(|q| chain.forward(q).translation.x).sum());
+    time_run("pose and Jacobian", &mut || {
         each().map(|q| chain.forward_with_jacobian(q, &mut jacobian).translation.x).sum()
     });
     let mut poses = Vec::new();
-    timed("many poses at once", &mut || {
+    time_run("many poses at once", &mut || {
         let thousands = rows.chunks(1000 * chain.dof());
         thousands
             .map(|rows| {

@@ -27,7 +27,7 @@ pub struct Ratio {
 }
 
 impl Ratio {
-    fn of(mut ratios: Vec<f64>) -> Self {
+    fn from_ratios(mut ratios: Vec<f64>) -> Self {
         ratios.sort_by(f64::total_cmp);
         let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share).round() as usize];
         Self { median: at(0.5), quartiles: (at(0.25), at(0.75)) }
@@ -43,16 +43,16 @@ impl fmt::Display for Ratio {
 }
 
 /// A command compared with the floor.
-pub struct Pairs {
+pub struct PairedCosts {
     /// Ratio of wall time.
     pub wall: Ratio,
     /// Ratio of processor time.
     pub cpu: Ratio,
     /// Median cost of the command.
-    pub own: Cost,
+    pub cost: Cost,
 }
 
-impl Pairs {
+impl PairedCosts {
     /// Runs `poseaudit COMMAND LOG` and the floor alternately.
     pub fn measure(command: &[&str], log: &Path, pairs: usize) -> Result<Self> {
         Self::measure_against(command, log, log, pairs)
@@ -65,17 +65,17 @@ impl Pairs {
         floor: &Path,
         pairs: usize,
     ) -> Result<Self> {
-        let mut own = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
-        Self::of(own.args(command).arg(log), floor, pairs)
+        let mut command_to_measure = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+        Self::run(command_to_measure.args(command).arg(log), floor, pairs)
     }
 
     /// Runs any command and the floor alternately.
-    pub fn of(own: &mut Command, floor: &Path, pairs: usize) -> Result<Self> {
+    pub fn run(command: &mut Command, floor: &Path, pairs: usize) -> Result<Self> {
         let bench = std::env::current_exe()?;
         let mut costs = Vec::new();
         for _ in 0..=pairs {
             let mut floor_of = Command::new(&bench);
-            costs.push((run(own)?, run(floor_of.arg("--floor").arg(floor))?));
+            costs.push((run_checked(command)?, run_checked(floor_of.arg("--floor").arg(floor))?));
         }
         // In the first pair, the file is not cached yet.
         costs.remove(0);
@@ -85,12 +85,12 @@ impl Pairs {
             values[values.len() / 2]
         };
         let ratio = |of: &dyn Fn(&Cost) -> f64| {
-            Ratio::of(costs.iter().map(|(own, floor)| of(own) / of(floor)).collect())
+            Ratio::from_ratios(costs.iter().map(|(own, floor)| of(own) / of(floor)).collect())
         };
         Ok(Self {
             wall: ratio(&|cost| cost.wall_s),
             cpu: ratio(&|cost| cost.cpu_s),
-            own: Cost {
+            cost: Cost {
                 wall_s: median(&|(own, _)| own.wall_s),
                 cpu_s: median(&|(own, _)| own.cpu_s),
                 anonymous_mib: median(&|(own, _)| own.anonymous_mib),
@@ -100,30 +100,30 @@ impl Pairs {
 }
 
 /// Runs a command; a status other than 0 is an error.
-fn run(command: &mut Command) -> Result<Cost> {
-    let (cost, code) = cost(command)?;
+fn run_checked(command: &mut Command) -> Result<Cost> {
+    let (cost, code) = measure_cost(command)?;
     ensure!(code == Some(0), "{command:?} ended with {code:?}");
     Ok(cost)
 }
 
 /// Runs a command, and returns its cost and status.
-pub fn cost(command: &mut Command) -> Result<(Cost, Option<i32>)> {
-    let before = children_s();
+pub fn measure_cost(command: &mut Command) -> Result<(Cost, Option<i32>)> {
+    let before = children_cpu_s();
     let started = Instant::now();
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
     let (mut anonymous_mib, mut status) = (0.0_f64, None);
     while status.is_none() {
         std::thread::sleep(Duration::from_millis(2));
-        anonymous_mib = anonymous_mib.max(anonymous(&child).unwrap_or(0.0));
+        anonymous_mib = anonymous_mib.max(anonymous_memory_mib(&child).unwrap_or(0.0));
         status = child.try_wait()?;
     }
     let wall_s = started.elapsed().as_secs_f64();
     let code = status.and_then(|status| status.code());
-    Ok((Cost { wall_s, cpu_s: children_s() - before, anonymous_mib }, code))
+    Ok((Cost { wall_s, cpu_s: children_cpu_s() - before, anonymous_mib }, code))
 }
 
 /// Anonymous memory of a process, MiB.
-fn anonymous(child: &Child) -> Result<f64> {
+fn anonymous_memory_mib(child: &Child) -> Result<f64> {
     let status = fs::read_to_string(format!("/proc/{}/status", child.id()))?;
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));
     let kilobytes: f64 = line
@@ -135,7 +135,7 @@ fn anonymous(child: &Child) -> Result<f64> {
 
 /// Processor time of all finished children, s.
 #[allow(unsafe_code, reason = "reads the processor time of a process from the kernel")]
-fn children_s() -> f64 {
+fn children_cpu_s() -> f64 {
     // SAFETY: an all-zero `rusage` is a valid one, and the call writes nothing else.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();

@@ -14,47 +14,53 @@ use poseaudit::synth::{JOINT_STATES, POSE, Scenario, TF};
 use crate::process::{self, Cost};
 
 /// Exponents up to this are linear.
-const LINEAR: f64 = 1.1;
+const MAX_LINEAR_EXPONENT: f64 = 1.1;
 /// Messages of each added topic with few messages.
-const FEW: usize = 5;
+const MESSAGES_PER_SMALL_TOPIC: usize = 5;
 /// Messages of each added stream, 50 a second.
-const STREAM: usize = 200;
+const MESSAGES_PER_STREAM: usize = 200;
 
 /// Prints the CPU time of whole audits over the size, with the exponent of each doubling.
-pub fn print(folder: &Path) -> Result<()> {
-    println!("\nTime over size, whole audit (exponents of at most {LINEAR} are linear):");
-    let base = Base::new()?;
+pub fn print_growth(folder: &Path) -> Result<()> {
+    println!(
+        "\nTime over size, whole audit (exponents of at most {MAX_LINEAR_EXPONENT} are linear):"
+    );
+    let base = BaseRun::new()?;
     let table = |rows: usize, columns: usize, size: usize| -> Result<(usize, PathBuf)> {
         let path = folder.join(format!("table-{rows}-{columns}.csv"));
-        fs::write(&path, super::table(rows, columns))?;
+        fs::write(&path, super::csv_table(rows, columns))?;
         Ok((size, path))
     };
     let log = |name: &str, size: usize, added: Vec<Message>| -> Result<(usize, PathBuf)> {
         let path = folder.join(format!("{name}-{size}.mcap"));
-        fs::write(&path, base.with(added)?)?;
+        fs::write(&path, base.log_with(added)?)?;
         Ok((size, path))
     };
     let rows = [60_000, 120_000, 240_000, 480_000].map(|size| table(size, 6, size));
-    grow("rows of a table", rows.into_iter().collect::<Result<_>>()?)?;
+    print_sizes("rows of a table", rows.into_iter().collect::<Result<_>>()?)?;
     let columns = [100, 200, 400, 800].map(|size| table(500, size, size));
-    grow("columns of a table", columns.into_iter().collect::<Result<_>>()?)?;
-    let topics = [1000, 2000, 4000, 8000].map(|size| log("topics", size, base.topics(size, FEW)));
-    grow("pose topics", topics.into_iter().collect::<Result<_>>()?)?;
-    let frames = [800, 1600, 3200, 6400].map(|size| log("frames", size, base.frames(size)));
-    grow("frames of a chain in /tf", frames.into_iter().collect::<Result<_>>()?)?;
-    let joints = [500, 1000, 2000, 4000].map(|size| log("joints", size, base.joints(size)));
-    grow("joints of a message", joints.into_iter().collect::<Result<_>>()?)?;
-    let streams = [40, 80, 160, 320].map(|size| log("streams", size, base.topics(size, STREAM)));
-    grow("pose streams of a run", streams.into_iter().collect::<Result<_>>()?)
+    print_sizes("columns of a table", columns.into_iter().collect::<Result<_>>()?)?;
+    let topics = [1000, 2000, 4000, 8000]
+        .map(|size| log("topics", size, base.pose_topics(size, MESSAGES_PER_SMALL_TOPIC)));
+    print_sizes("pose topics", topics.into_iter().collect::<Result<_>>()?)?;
+    let frames = [800, 1600, 3200, 6400].map(|size| log("frames", size, base.frame_chain(size)));
+    print_sizes("frames of a chain in /tf", frames.into_iter().collect::<Result<_>>()?)?;
+    let joints =
+        [500, 1000, 2000, 4000].map(|size| log("joints", size, base.wide_joint_states(size)));
+    print_sizes("joints of a message", joints.into_iter().collect::<Result<_>>()?)?;
+    let streams = [40, 80, 160, 320]
+        .map(|size| log("streams", size, base.pose_topics(size, MESSAGES_PER_STREAM)));
+    print_sizes("pose streams of a run", streams.into_iter().collect::<Result<_>>()?)
 }
 
 /// Prints a line for each size.
-fn grow(what: &str, logs: Vec<(usize, PathBuf)>) -> Result<()> {
+fn print_sizes(what: &str, logs: Vec<(usize, PathBuf)>) -> Result<()> {
     let mut last: Option<(usize, Cost)> = None;
     for (size, path) in logs {
         let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
         // Whether the arm is in a table does not matter here.
-        let (cost, _) = process::cost(command.args(["audit", "--robot", "ur5e"]).arg(&path))?;
+        let (cost, _) =
+            process::measure_cost(command.args(["audit", "--robot", "ur5e"]).arg(&path))?;
         let exponent = last.map(|(before, cost_before)| {
             (cost.cpu_s / cost_before.cpu_s).ln() / (size as f64 / before as f64).ln()
         });
@@ -77,11 +83,11 @@ struct Message {
 }
 
 /// The run to which messages are added.
-struct Base {
+struct BaseRun {
     messages: Vec<Message>,
 }
 
-impl Base {
+impl BaseRun {
     fn new() -> Result<Self> {
         let mut bytes = Vec::new();
         let run = Scenario { duration_s: 4.0, ..Scenario::ur5e() };
@@ -101,7 +107,7 @@ impl Base {
     }
 
     /// Messages of a topic of the run, spread over it.
-    fn some(&self, topic: &str, count: usize) -> Vec<&Message> {
+    fn spread_messages(&self, topic: &str, count: usize) -> Vec<&Message> {
         let own: Vec<&Message> =
             self.messages.iter().filter(|message| message.topic == topic).collect();
         let step = (own.len() / count).max(1);
@@ -109,9 +115,9 @@ impl Base {
     }
 
     /// More topics of poses, each with some messages of the tool's.
-    fn topics(&self, count: usize, messages: usize) -> Vec<Message> {
-        let of = |number: usize| {
-            self.some(POSE, messages).into_iter().map(move |message| {
+    fn pose_topics(&self, count: usize, messages: usize) -> Vec<Message> {
+        let edited = |number: usize| {
+            self.spread_messages(POSE, messages).into_iter().map(move |message| {
                 let mut message = Message { topic: format!("/pose_{number}"), ..message.clone() };
                 // Each has other numbers: the last byte of x, behind the header.
                 if let Some(byte) = message.cdr.get_mut(24) {
@@ -120,12 +126,12 @@ impl Base {
                 message
             })
         };
-        (0..count).flat_map(of).collect()
+        (0..count).flat_map(edited).collect()
     }
 
     /// A chain of frames in a topic of transforms.
-    fn frames(&self, count: usize) -> Vec<Message> {
-        let of = |message: &Message| {
+    fn frame_chain(&self, count: usize) -> Vec<Message> {
+        let edited = |message: &Message| {
             let mut cdr = Cdr::new();
             cdr.u32(count as u32);
             for frame in 0..count {
@@ -136,12 +142,12 @@ impl Base {
             }
             Message { cdr: cdr.0, ..message.clone() }
         };
-        self.some(TF, FEW).into_iter().map(of).collect()
+        self.spread_messages(TF, MESSAGES_PER_SMALL_TOPIC).into_iter().map(edited).collect()
     }
 
     /// Joint states with many joints.
-    fn joints(&self, count: usize) -> Vec<Message> {
-        let of = |(row, message): (usize, &Message)| {
+    fn wide_joint_states(&self, count: usize) -> Vec<Message> {
+        let edited = |(row, message): (usize, &Message)| {
             let mut cdr = Cdr::new();
             cdr.stamp(message.log_ns);
             cdr.text("");
@@ -153,11 +159,15 @@ impl Base {
             cdr.u32(0);
             Message { topic: "/other/joint_states".to_owned(), cdr: cdr.0, ..message.clone() }
         };
-        self.some(JOINT_STATES, STREAM).into_iter().enumerate().map(of).collect()
+        self.spread_messages(JOINT_STATES, MESSAGES_PER_STREAM)
+            .into_iter()
+            .enumerate()
+            .map(edited)
+            .collect()
     }
 
     /// The run with more messages, as a log.
-    fn with(&self, added: Vec<Message>) -> Result<Vec<u8>> {
+    fn log_with(&self, added: Vec<Message>) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let options = WriteOptions::new().compression(None).compression_threads(0);
         let mut writer = options.create(Cursor::new(&mut bytes))?;

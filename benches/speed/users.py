@@ -25,7 +25,7 @@ def fk(log: str) -> str:
         model = pinocchio.buildModelFromXML(description.data)
         state = model.createData()
         base, tip = model.getFrameId("base"), model.getFrameId("tool0")
-        q, apart_m = None, []
+        q, errors_m = None, []
         for topic, message in messages(joint_topic, pose_topic):
             if topic == joint_topic:
                 place = dict(zip(message.name, message.position))
@@ -35,8 +35,8 @@ def fk(log: str) -> str:
                 pinocchio.updateFramePlacements(model, state)
                 tool = state.oMf[base].actInv(state.oMf[tip]).translation
                 logged = message.pose.position
-                apart_m.append(np.linalg.norm(tool - (logged.x, logged.y, logged.z)))
-    return f"{len(apart_m)} poses, the median one {1e3 * np.median(apart_m):.1f} mm apart"
+                errors_m.append(np.linalg.norm(tool - (logged.x, logged.y, logged.z)))
+    return f"{len(errors_m)} poses, the median one {1e3 * np.median(errors_m):.1f} mm apart"
 
 
 def count(log: str) -> str:

@@ -8,7 +8,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::kinds::{DEGREE, Kind, chain, choose, unit_vector};
+use crate::fault_kinds::{DEGREE, FaultKind, chain, choose, unit_vector};
 use crate::scenes::Scene;
 
 /// Imperfection of a log, below every threshold.
@@ -70,7 +70,7 @@ impl Background {
     }
 
     /// Whether the arm deviates from its nominal model, so that estimates use a slightly wrong model.
-    pub fn is_model_error(self) -> bool {
+    pub fn has_model_error(self) -> bool {
         use Background::{Backlash, CoarseLinks, Links, Sag, Uncalibrated};
         matches!(self, Links | Uncalibrated | CoarseLinks | Backlash | Sag)
     }
@@ -82,13 +82,13 @@ impl Background {
 
     /// Findings that are right in this background whatever is planted. `excited` is whether the arm reaches
     /// different configurations.
-    pub fn allows(self, code: &str, run: &Scenario, excited: bool) -> bool {
+    pub fn allows(self, code: &str, run: &Scenario, is_excited: bool) -> bool {
         match (self, code) {
             (Background::Pauses, "TIM002") => true,
             // 1 mm per link adds up to several at the ends of the chain, so these findings are true.
             (Background::CoarseLinks, "FRM002" | "FRM003") => true,
             // In a single configuration, link deviations are indistinguishable from a frame offset.
-            (Background::Links, "FRM002" | "FRM003") => !excited,
+            (Background::Links, "FRM002" | "FRM003") => !is_excited,
             // Deviations beyond any calibration are a model error.
             (Background::CoarseLinks, "MDL001") => is_beyond_calibration(run),
             _ => false,
@@ -108,34 +108,40 @@ impl Background {
     }
 
     /// Whether a fault of `times` its threshold is detectable in it.
-    pub fn shows(self, kind: Kind, times: f64) -> bool {
-        use Kind::*;
+    pub fn is_detectable(self, kind: FaultKind, times: f64) -> bool {
+        use FaultKind::*;
         /// With such links, a zero offset of 0.1° is within the nominal model's error, in thresholds.
-        const OF_COARSE_LINKS: f64 = 20.0;
-        let of_links = matches!(kind, Zero | Growth | Reference | Tool | Play | Sag);
+        const MIN_MAGNITUDE_ON_COARSE_LINKS: f64 = 20.0;
+        let is_hidden_by_links = matches!(kind, Zero | Growth | Reference | Tool | Play | Sag);
         match self {
-            Background::Uncalibrated | Background::CoarseLinks if of_links => {
-                times >= OF_COARSE_LINKS
+            Background::Uncalibrated | Background::CoarseLinks if is_hidden_by_links => {
+                times >= MIN_MAGNITUDE_ON_COARSE_LINKS
             }
             _ => true,
         }
     }
 
     /// Applies it to a run.
-    pub fn set(self, run: &mut Scenario, r: &mut Pcg64) {
+    pub fn apply(self, run: &mut Scenario, r: &mut Pcg64) {
         match self {
             Background::Ideal => {}
             Background::CoarseEncoders => {
                 run.joints.quantum = TAU / *choose(r, &[1024.0, 2048.0, 4096.0]);
             }
-            Background::Backlash => give(run, r, |r| (Giving::Play, r.random_range(0.02..0.1))),
-            Background::Sag => give(run, r, |r| (Giving::Sag, r.random_range(0.01..0.05))),
-            Background::Links => run.built = Some(built(run, r.random_range(0.05e-3..0.2e-3), r)),
+            Background::Backlash => {
+                add_compliance(run, r, |r| (Giving::Play, r.random_range(0.02..0.1)))
+            }
+            Background::Sag => {
+                add_compliance(run, r, |r| (Giving::Sag, r.random_range(0.01..0.05)))
+            }
+            Background::Links => {
+                run.built = Some(build_with_deviations(run, r.random_range(0.05e-3..0.2e-3), r))
+            }
             Background::Uncalibrated => {
                 let link_m = r.random_range(0.03e-3_f64.ln()..0.5e-3_f64.ln()).exp();
-                run.built = Some(built(run, link_m, r));
+                run.built = Some(build_with_deviations(run, link_m, r));
             }
-            Background::CoarseLinks => run.built = Some(built(run, 1e-3, r)),
+            Background::CoarseLinks => run.built = Some(build_with_deviations(run, 1e-3, r)),
             Background::RandomWalk => run.noise.pose_walk = (5e-5, 5e-5),
             Background::Camera => {
                 run.watch(*choose(r, &[Camera::InHand, Camera::InBase])).expect("a chain");
@@ -143,11 +149,11 @@ impl Background {
                 run.noise.far_m = 0.8;
             }
             Background::Mems => {
-                let either = |r: &mut Pcg64| r.random_range(-1.0..1.0);
-                run.imu.yaw_drift_rad_s = 0.1 * either(r) * DEGREE / 60.0;
+                let plus_or_minus = |r: &mut Pcg64| r.random_range(-1.0..1.0);
+                run.imu.yaw_drift_rad_s = 0.1 * plus_or_minus(r) * DEGREE / 60.0;
                 run.imu.gyro_bias_rad_s = 0.05 * DEGREE * unit_vector(r);
                 run.imu.yaw_walk_rad_rt_s = 0.002 * DEGREE;
-                run.imu.gyro_from_rate *= 1.0 + 0.01 * either(r);
+                run.imu.gyro_from_rate *= 1.0 + 0.01 * plus_or_minus(r);
             }
             Background::Pauses => {
                 run.pause_s = r.random_range(1.0..3.0);
@@ -168,13 +174,13 @@ impl Background {
 }
 
 /// Joints under gravity load in an upright arm: the second, and the next with a horizontal axis.
-pub fn loaded(run: &Scenario) -> [usize; 2] {
+pub fn gravity_loaded_joints(run: &Scenario) -> [usize; 2] {
     if chain(run).dof() == 7 { [1, 3] } else { [1, 2] }
 }
 
 /// Makes one or two joints compliant; `how` returns the kind and the magnitude in degrees.
-fn give(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, f64)) {
-    let [first, second] = loaded(run);
+fn add_compliance(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, f64)) {
+    let [first, second] = gravity_loaded_joints(run);
     for joint in [Some(first), Some(second).filter(|_| r.random_bool(0.5))].into_iter().flatten() {
         let (how, by_deg) = how(r);
         run.gives.push(Gives { joint, how, by_rad: by_deg * DEGREE });
@@ -184,30 +190,30 @@ fn give(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, 
 /// Whether the rms deviation of the arm from its nominal model exceeds that of a calibration.
 fn is_beyond_calibration(run: &Scenario) -> bool {
     /// Limits of nominal kinematics, m and rad.
-    const MOST: (f64, f64) = (10e-3, 0.5 * DEGREE);
-    const POSTURES: usize = 200;
+    const MAX_RMS_M_RAD: (f64, f64) = (10e-3, 0.5 * DEGREE);
+    const CONFIGURATIONS: usize = 200;
     let Some(built) = &run.built else { return false };
-    let drawn = chain(run);
+    let nominal = chain(run);
     let built = chain(&Scenario { robot: built.clone(), ..run.clone() });
     let (mut m, mut rad) = (0.0, 0.0);
-    for posture in 0..POSTURES {
-        let angle = |joint: usize| (posture * (joint + 2)) as f64 * 0.618_034 * TAU;
+    for configuration in 0..CONFIGURATIONS {
+        let angle = |joint: usize| (configuration * (joint + 2)) as f64 * 0.618_034 * TAU;
         let home = run.home.iter().enumerate();
         let q: Vec<f64> = home.map(|(joint, q)| q + run.amplitude * angle(joint).sin()).collect();
-        let apart = drawn.forward(&q).inv_mul(&built.forward(&q));
-        m += apart.translation.vector.norm_squared() / POSTURES as f64;
-        rad += apart.rotation.angle().powi(2) / POSTURES as f64;
+        let deviation = nominal.forward(&q).inv_mul(&built.forward(&q));
+        m += deviation.translation.vector.norm_squared() / CONFIGURATIONS as f64;
+        rad += deviation.rotation.angle().powi(2) / CONFIGURATIONS as f64;
     }
-    m.sqrt() > MOST.0 || rad.sqrt() > MOST.1
+    m.sqrt() > MAX_RMS_M_RAD.0 || rad.sqrt() > MAX_RMS_M_RAD.1
 }
 
 /// A manufactured arm: every joint frame deviates by `link_m` along each axis, and by 0.1° per millimetre
 /// about each axis (standard deviations).
-fn built(run: &Scenario, link_m: f64, r: &mut Pcg64) -> Robot {
+fn build_with_deviations(run: &Scenario, link_m: f64, r: &mut Pcg64) -> Robot {
     let link_rad = link_m / 1e-3 * PI / 1800.0;
     let text = synth::urdf_text(&run.robot);
     let mut parts = text.split("<origin xyz=\"");
-    let mut altered = parts.next().unwrap_or_default().to_owned();
+    let mut changed_urdf = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         let (origin, rest) = part.split_once("\"/>").expect("the end of an origin");
         let joint = rest.split_once("</joint>").map_or("", |(joint, _)| joint);
@@ -222,7 +228,7 @@ fn built(run: &Scenario, link_m: f64, r: &mut Pcg64) -> Robot {
             off.collect::<Vec<_>>().join(" ")
         };
         let (xyz, rpy) = (off(xyz, link_m), off(rpy, link_rad));
-        altered += &format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>{rest}");
+        changed_urdf += &format!("<origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>{rest}");
     }
-    Robot::from_urdf(&altered, "as built").expect("an arm that is a little other is an arm")
+    Robot::from_urdf(&changed_urdf, "as built").expect("an arm that is a little other is an arm")
 }

@@ -11,11 +11,12 @@ use std::f64::consts::PI;
 
 use crate::Options;
 use crate::backgrounds::Background;
-use crate::kinds::{
-    KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, chain, choose, plant, unit_vector,
+use crate::fault_kinds::{
+    FAULT_SPECS, FaultKind, FaultSpec, MAGNITUDES, MIN_MAGNITUDE_TO_FIND, PlantedFault, TrueValue,
+    chain, choose, plant, unit_vector,
 };
 use crate::observability::is_observable;
-use crate::scenes::{ARMS, Arm, Scene, brother, robot};
+use crate::scenes::{ARMS, Arm, Scene, confusable_arm, robot_of};
 
 /// Kind of motion of a case.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -130,8 +131,8 @@ pub struct Case {
     /// The robot named by the call.
     pub named_robot: Option<String>,
     /// Whether every joint moves enough for all rules.
-    pub excited: bool,
-    pub planted: Vec<Planted>,
+    pub is_excited: bool,
+    pub planted: Vec<PlantedFault>,
 }
 
 impl Case {
@@ -172,7 +173,7 @@ impl Case {
             [] => &ARMS[0],
             arms => choose(r, arms),
         };
-        let mut run = Scenario::new(robot(arm), base, tip);
+        let mut run = Scenario::new(robot_of(arm), base, tip);
         run.seed = r.random();
         run.duration_s = *choose(r, &[15.0, 20.0, 20.0, 30.0]);
         run.home = home.iter().map(|q| q + r.random_range(-0.3..0.3)).collect();
@@ -223,8 +224,8 @@ impl Case {
         run.imu.world_yaw_rad = r.random_range(-PI..PI);
         let turn = r.random_range(0.0..0.5) * unit_vector(r);
         run.imu.tip_from_imu = pose([0.02, -0.01, 0.03], rotation_from_rotvec(turn));
-        let other = scene.set(&mut run, r);
-        background.set(&mut run, r);
+        let other = scene.apply(&mut run, r);
+        background.apply(&mut run, r);
 
         let counts = options.faults.as_deref().unwrap_or(&[0, 1, 2, 0, 1, 4]);
         let count = counts[index % counts.len()];
@@ -239,11 +240,11 @@ impl Case {
             other,
             names_tip: scene.names_tip(),
             named_robot: None,
-            excited: motion_kind == MotionKind::Usual && motion != "small",
+            is_excited: motion_kind == MotionKind::Usual && motion != "small",
             motion_kind,
             planted: Vec::new(),
         };
-        case.plant_some(r, count, options);
+        case.plant_faults(r, count, options);
         case
     }
 
@@ -252,44 +253,45 @@ impl Case {
         std::iter::once(&self.scenario).chain(&self.other).cloned().collect()
     }
 
-    fn plant_some(&mut self, r: &mut Pcg64, count: usize, options: &Options) {
-        let known = |of: &KindOf| {
-            of.codes.iter().any(|code| checks::registry().iter().any(|rule| rule.code == *code))
+    fn plant_faults(&mut self, r: &mut Pcg64, count: usize, options: &Options) {
+        let has_rule = |spec: &FaultSpec| {
+            spec.codes.iter().any(|code| checks::registry().iter().any(|rule| rule.code == *code))
         };
-        let is_named = |of: &KindOf| {
+        let is_requested = |spec: &FaultSpec| {
             options.kinds.is_empty()
                 || options.kinds.iter().any(|kind| {
-                    of.codes[0].starts_with(kind) || format!("{:?}", of.kind).starts_with(kind)
+                    spec.codes[0].starts_with(kind) || format!("{:?}", spec.kind).starts_with(kind)
                 })
         };
-        let possible: Vec<&KindOf> = KINDS
+        let possible: Vec<&FaultSpec> = FAULT_SPECS
             .iter()
-            .filter(|of| known(of) && is_named(of) && self.scene.takes(of.kind))
-            .filter(|of| !self.is_senseless(of.kind))
+            .filter(|spec| has_rule(spec) && is_requested(spec) && self.scene.supports(spec.kind))
+            .filter(|spec| !self.is_implausible(spec.kind))
             .collect();
-        let mut taken: Vec<String> = Vec::new();
-        let mut chosen: Vec<(&KindOf, usize, f64)> = Vec::new();
+        let mut used_slots: Vec<String> = Vec::new();
+        let mut chosen: Vec<(&FaultSpec, usize, f64)> = Vec::new();
         for _ in 0..40 {
             if chosen.len() == count || possible.is_empty() {
                 break;
             }
             // Chooses the rule first, so that rules with many kinds do not dominate. With link deviations,
             // half of the faults are zero offsets.
-            let mut codes: Vec<&str> = possible.iter().map(|of| of.codes[0]).collect();
+            let mut codes: Vec<&str> = possible.iter().map(|spec| spec.codes[0]).collect();
             codes.dedup();
             let of_links = self.background.moves_frames() && r.random_bool(0.5);
-            let kinds: Vec<&KindOf> = match possible.iter().find(|of| of.kind == Kind::Zero) {
-                Some(zero) if of_links => vec![zero],
-                _ => {
-                    let code = *choose(r, &codes);
-                    possible.iter().copied().filter(|of| of.codes[0] == code).collect()
-                }
-            };
-            let of = *choose(r, &kinds);
-            let mut slots: Vec<String> = of.slots.iter().map(|&slot| slot.to_owned()).collect();
+            let kinds: Vec<&FaultSpec> =
+                match possible.iter().find(|spec| spec.kind == FaultKind::Zero) {
+                    Some(zero) if of_links => vec![zero],
+                    _ => {
+                        let code = *choose(r, &codes);
+                        possible.iter().copied().filter(|spec| spec.codes[0] == code).collect()
+                    }
+                };
+            let spec = *choose(r, &kinds);
+            let mut slots: Vec<String> = spec.slots.iter().map(|&slot| slot.to_owned()).collect();
             let dof = chain(&self.scenario).dof();
             let joint = r.random_range(0..dof);
-            if matches!(of.kind, Kind::Zero | Kind::Homed | Kind::ZeroChanges) {
+            if matches!(spec.kind, FaultKind::Zero | FaultKind::Homed | FaultKind::ZeroChanges) {
                 slots.push(format!("joint {joint}"));
                 // Equivalent to a frame offset by construction.
                 if joint == 0 {
@@ -301,101 +303,105 @@ impl Case {
             }
             let is_known = |slot: &String| match self.scene {
                 // A change contains the value before it.
-                _ if of.kind.comes_later() => true,
+                _ if spec.kind.starts_mid_run() => true,
                 Scene::TrackerWorld if slot == "reference" => false,
                 // An unnamed link may be intended.
                 scene => scene.names_tip() || slot != "tool",
             };
-            if slots.iter().any(|slot| taken.contains(slot) || !is_known(slot)) {
+            if slots.iter().any(|slot| used_slots.contains(slot) || !is_known(slot)) {
                 continue;
             }
-            taken.append(&mut slots);
+            used_slots.append(&mut slots);
             let times = match count {
-                1 => *choose(r, &TIMES),
-                _ => *choose(r, &TIMES[5..]),
+                1 => *choose(r, &MAGNITUDES),
+                _ => *choose(r, &MAGNITUDES[5..]),
             };
-            chosen.push((of, joint, times));
+            chosen.push((spec, joint, times));
         }
-        chosen.sort_by_key(|(of, ..)| of.kind.comes_later());
-        for (of, joint, times) in chosen {
-            let planted = plant(&mut self.scenario, r, of, joint, times);
-            if of.kind == Kind::WrongArm {
-                self.named_robot = brother(self.arm).map(str::to_owned);
+        chosen.sort_by_key(|(spec, ..)| spec.kind.starts_mid_run());
+        for (spec, joint, times) in chosen {
+            let planted = plant(&mut self.scenario, r, spec, joint, times);
+            if spec.kind == FaultKind::WrongArm {
+                self.named_robot = confusable_arm(self.arm).map(str::to_owned);
             }
             self.planted.push(planted);
-            if of.kind == Kind::HeldPose {
-                self.planted.push(held_age(&self.scenario));
+            if spec.kind == FaultKind::HeldPose {
+                self.planted.push(repeated_value_latency(&self.scenario));
             }
         }
     }
 
     /// Whether a kind of fault is not plausible in this case.
-    fn is_senseless(&self, kind: Kind) -> bool {
-        let copied = self.scenario.tf.timing.phase_s == 0.0;
+    fn is_implausible(&self, kind: FaultKind) -> bool {
+        let has_copied_stamps = self.scenario.tf.timing.phase_s == 0.0;
         match kind {
-            Kind::JointsLate => copied,
+            FaultKind::JointsLate => has_copied_stamps,
             // The generator would also write the rail's position in degrees.
-            Kind::JointDegrees => self.arm == "rail",
-            Kind::WrongArm => brother(self.arm).is_none(),
+            FaultKind::JointDegrees => self.arm == "rail",
+            FaultKind::WrongArm => confusable_arm(self.arm).is_none(),
             // The other arm would also be named.
-            Kind::OwnFrame => self.other.is_some(),
+            FaultKind::OwnFrame => self.other.is_some(),
             _ => false,
         }
     }
 
     /// Whether a fault of at least twice the threshold must be found in this log.
-    pub fn must_find(&self, planted: &Planted) -> bool {
+    pub fn must_find(&self, planted: &PlantedFault) -> bool {
         /// Minimum duration for a rate, s, unless the latency has changed by the threshold.
-        const MINUTE_S: f64 = 60.0;
-        const MOVED_S: f64 = 2e-3;
+        const MIN_DURATION_S: f64 = 60.0;
+        const MIN_LATENCY_CHANGE_S: f64 = 2e-3;
         /// Minimum pose rate that shows vibration, Hz.
-        const SHOWN_HZ: f64 = 25.0;
+        const MIN_POSE_RATE_HZ: f64 = 25.0;
         let is_long_enough = match (planted.kind, planted.truth) {
-            (Kind::Skew, Truth::Amount(skew)) => {
+            (FaultKind::Skew, TrueValue::Amount(skew)) => {
                 let duration_s = self.scenario.duration_s;
-                duration_s >= MINUTE_S || skew.abs() * duration_s > 1.1 * MOVED_S
+                duration_s >= MIN_DURATION_S || skew.abs() * duration_s > 1.1 * MIN_LATENCY_CHANGE_S
             }
             _ => true,
         };
         // With an unexplained residual, no other cause is certain.
-        let has_no_cause = |kind: Kind| kind == Kind::WrongArm;
-        let is_told = has_no_cause(planted.kind)
+        let has_no_cause = |kind: FaultKind| kind == FaultKind::WrongArm;
+        let is_attributable = has_no_cause(planted.kind)
             || !self.planted.iter().any(|other| has_no_cause(other.kind));
-        let is_seen = match planted.kind {
-            Kind::Shake => self.scenario.pose.timing.rate_hz >= SHOWN_HZ,
-            kind => self.background.shows(kind, planted.times),
+        let is_detectable = match planted.kind {
+            FaultKind::Shake => self.scenario.pose.timing.rate_hz >= MIN_POSE_RATE_HZ,
+            kind => self.background.is_detectable(kind, planted.magnitude),
         };
-        let is_shown = match self.motion_kind {
-            MotionKind::Usual => self.excited,
+        let is_observable_in_motion = match self.motion_kind {
+            MotionKind::Usual => self.is_excited,
             MotionKind::Industrial | MotionKind::Short => is_observable(self, planted),
         };
-        planted.times >= SURE && is_shown && is_long_enough && is_told && is_seen
+        planted.magnitude >= MIN_MAGNITUDE_TO_FIND
+            && is_observable_in_motion
+            && is_long_enough
+            && is_attributable
+            && is_detectable
     }
 
     /// 125 Hz, the rate of the targets.
-    pub fn at_125_hz(&self) -> bool {
+    pub fn is_at_125_hz(&self) -> bool {
         let run = &self.scenario;
         run.joints.timing.rate_hz == 125.0 && run.pose.timing.rate_hz == 125.0
     }
 }
 
 /// Latency of a run's poses due to repeated values.
-fn held_age(run: &Scenario) -> Planted {
+fn repeated_value_latency(run: &Scenario) -> PlantedFault {
     /// First threshold of LAT001, s.
     const THRESHOLD_S: f64 = 2e-3;
-    let age_s = held_age_s(run);
-    Planted {
-        kind: Kind::HeldAge,
+    let age_s = mean_age_s(run);
+    PlantedFault {
+        kind: FaultKind::HeldAge,
         codes: &["LAT001"],
-        also: &[],
+        related_codes: &[],
         subject: Some(format!("{}{}", run.namespace, POSE)),
-        times: age_s / THRESHOLD_S,
-        truth: Truth::Amount(age_s),
+        magnitude: age_s / THRESHOLD_S,
+        truth: TrueValue::Amount(age_s),
     }
 }
 
 /// Mean age of a pose, s.
-fn held_age_s(run: &Scenario) -> f64 {
+fn mean_age_s(run: &Scenario) -> f64 {
     let Timing { rate_hz, new_hz, .. } = run.pose.timing;
     let rows = (run.duration_s * rate_hz) as u32;
     let ages = (0..rows).map(|row| {

@@ -16,16 +16,16 @@
 //!
 //! A case has a *scene* (structure of the log: rails, namespaces, wrapped joints, second publishers,
 //! leaders …; see `scenes.rs`), a *background* (normal imperfections; see `backgrounds.rs`) and *faults*
-//! (see `kinds.rs`). Faults are selected from the registry: a rule with a kind of fault is included
+//! (see `fault_kinds.rs`). Faults are selected from the registry: a rule with a kind of fault is included
 //! automatically. A seed gives different logs when a rule or a scene is added. Lost samples are not
 //! simulated.
 
 mod backgrounds;
-mod board;
 mod cases;
-mod judge;
-mod kinds;
+mod fault_kinds;
+mod grading;
 mod observability;
+mod results;
 mod scenes;
 
 use std::fmt::Write as _;
@@ -37,20 +37,20 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use board::Board;
 use cases::Case;
-use judge::{Outcome, Trouble, judge};
+use grading::{AuditFailure, Outcome, grade};
 use poseaudit::run::RunOptions;
 use poseaudit::{Audited, synth};
+use results::ResultTable;
 
 fn main() {
     let options = Options::from_args();
     let started = Instant::now();
-    let board = run(&options);
+    let results = run(&options);
     if options.only.is_none() {
-        print!("{board}");
+        print!("{results}");
     }
-    eprintln!("{} logs in {:.0} s", board.logs, started.elapsed().as_secs_f64());
+    eprintln!("{} logs in {:.0} s", results.logs, started.elapsed().as_secs_f64());
 }
 
 pub struct Options {
@@ -72,7 +72,7 @@ pub struct Options {
     /// Kinds of motion to choose from, as prefixes of names.
     pub motions: Vec<String>,
     /// Time after which no further log is started, s.
-    pub most_s: f64,
+    pub max_run_s: f64,
     /// Whether to list every wrong outcome, immediately and at the end.
     pub verbose: bool,
 }
@@ -93,7 +93,7 @@ impl Options {
             scenes: Vec::new(),
             backgrounds: Vec::new(),
             motions: Vec::new(),
-            most_s: f64::INFINITY,
+            max_run_s: f64::INFINITY,
             verbose: false,
         };
         let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
@@ -113,7 +113,7 @@ impl Options {
                 "--kinds" => options.kinds = list(value()),
                 "--verbose" => options.verbose = true,
                 "--arms" => options.arms = list(value()),
-                "--minutes" => options.most_s = 60.0 * number::<f64>(&name, &value()),
+                "--minutes" => options.max_run_s = 60.0 * number::<f64>(&name, &value()),
                 "--backgrounds" => options.backgrounds = list(value()),
                 "--motions" => options.motions = list(value()),
                 "--scenes" => options.scenes = list(value()),
@@ -136,13 +136,13 @@ fn misuse(name: &str) -> ! {
     std::process::exit(2)
 }
 
-fn run(options: &Options) -> Board {
+fn run(options: &Options) -> ResultTable {
     let cases: Vec<usize> = match options.only {
         Some(only) => vec![only],
         None => (0..options.logs).collect(),
     };
     let started = Instant::now();
-    let (next, board) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let dir = std::env::temp_dir().join(format!("poseaudit-verdicts-{}", std::process::id()));
     fs::create_dir_all(&dir).expect("a folder for the logs");
     std::thread::scope(|scope| {
@@ -151,31 +151,31 @@ fn run(options: &Options) -> Board {
                 loop {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let Some(&index) = cases.get(at) else { break };
-                    if started.elapsed().as_secs_f64() > options.most_s {
+                    if started.elapsed().as_secs_f64() > options.max_run_s {
                         break;
                     }
                     let case = Case::new(options, index);
-                    let outcome = outcome(&case, &dir, options);
+                    let outcome = audit_case(&case, &dir, options);
                     if let (true, Ok(verdict)) = (options.verbose, &outcome) {
-                        for (kind, what) in &verdict.wrongs {
+                        for (kind, what) in &verdict.wrong_outcomes {
                             eprintln!("{kind}\n  {case}\n  {what}");
                         }
                     }
                     if at % 100 == 99 {
                         eprintln!("{} of {}", at + 1, cases.len());
                     }
-                    board.lock().expect("no thread panics").push((case, outcome));
+                    results.lock().expect("no thread panics").push((case, outcome));
                 }
             });
         }
     });
     fs::remove_dir_all(&dir).expect("the folder of the logs can be removed");
-    let mut outcomes = board.into_inner().expect("no thread panics");
+    let mut outcomes = results.into_inner().expect("no thread panics");
     outcomes.sort_by_key(|(case, _)| case.index);
-    Board::new(options, &outcomes)
+    ResultTable::new(options, &outcomes)
 }
 
-fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
+fn audit_case(case: &Case, dir: &Path, options: &Options) -> Outcome {
     let log = dir.join(format!("{}.mcap", case.index));
     write(case, &log);
     let audit_options = poseaudit::Options {
@@ -190,14 +190,14 @@ fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
     let audited = || poseaudit::audit(&audit_options).map(Audited::into_report);
     let audited = catch_unwind(AssertUnwindSafe(audited));
     let outcome = match &audited {
-        Err(_) => Err(Trouble::Panic),
-        Ok(Err(trouble)) => Err(Trouble::Refused(trouble.what.clone())),
+        Err(_) => Err(AuditFailure::Panic),
+        Ok(Err(trouble)) => Err(AuditFailure::Refused(trouble.what.clone())),
         Ok(Ok(report)) => match &report.error {
-            Some(trouble) => Err(Trouble::Refused(trouble.what.clone())),
-            None => Ok(judge(case, report)),
+            Some(trouble) => Err(AuditFailure::Refused(trouble.what.clone())),
+            None => Ok(grade(case, report)),
         },
     };
-    let is_wrong = outcome.as_ref().map_or(true, |verdict| !verdict.wrongs.is_empty());
+    let is_wrong = outcome.as_ref().map_or(true, |verdict| !verdict.wrong_outcomes.is_empty());
     if options.only.is_some() {
         println!("{case}");
         if let Ok(Ok(report)) = &audited {
@@ -216,8 +216,8 @@ fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
         }
         match &outcome {
             Ok(verdict) => {
-                println!("fates: {:?}", verdict.fates);
-                for (kind, what) in &verdict.wrongs {
+                println!("fates: {:?}", verdict.fault_outcomes);
+                for (kind, what) in &verdict.wrong_outcomes {
                     println!("{kind}: {what}");
                 }
             }
@@ -236,7 +236,7 @@ fn outcome(case: &Case, dir: &Path, options: &Options) -> Outcome {
         let robot: String = robot.collect();
         let mut text = format!("{case}\nBIN audit {name}.mcap{tip}{robot}\n");
         if let Ok(verdict) = &outcome {
-            for (kind, what) in &verdict.wrongs {
+            for (kind, what) in &verdict.wrong_outcomes {
                 writeln!(text, "{kind}: {what}").expect("text takes text");
             }
         }

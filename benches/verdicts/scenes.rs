@@ -8,7 +8,7 @@ use poseaudit::synth::{self, Drive, Fold, Scenario, SecondPublisher, Timing};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use crate::kinds::{Kind, choose, unit_vector};
+use crate::fault_kinds::{FaultKind, choose, unit_vector};
 
 /// An arm, the links of its poses, and its park configuration.
 pub struct Arm {
@@ -145,9 +145,9 @@ impl Scene {
 
     /// Whether a kind of fault can be planted: not if its stream is missing, or the scene hides it or turns
     /// it into another fault.
-    pub fn takes(self, kind: Kind) -> bool {
-        use Kind::*;
-        let of_imu = matches!(
+    pub fn supports(self, kind: FaultKind) -> bool {
+        use FaultKind::*;
+        let is_imu_fault = matches!(
             kind,
             ImuLate
                 | YawDrift
@@ -165,25 +165,25 @@ impl Scene {
                 | YawWarmsUp
                 | YawByHeading
         );
-        let of_tf = matches!(kind, TfLate | SecondTfDiffers | JointsLate);
-        let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes | BaseChanges);
+        let is_tf_fault = matches!(kind, TfLate | SecondTfDiffers | JointsLate);
+        let is_frame_fault = matches!(kind, Reference | BaseTurned | OwnFrame | Axes | BaseChanges);
         // Faults of an upright arm at the root, with its own commands and target.
-        let of_arm = matches!(kind, Play | Sag | Shake | CommandLate | TagSize);
+        let needs_plain_arm = matches!(kind, Play | Sag | Shake | CommandLate | TagSize);
         match self {
             Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
-            _ if of_arm => {
+            _ if needs_plain_arm => {
                 matches!(self, Scene::TrackerWorld | Scene::Marker | Scene::TwoPublishers)
                     && kind != TagSize
             }
-            Scene::TwoNamespaces => !of_tf && !of_imu && kind != WrongArm,
-            Scene::TwoPrefixes => !of_imu && kind != WrongArm,
+            Scene::TwoNamespaces => !is_tf_fault && !is_imu_fault && kind != WrongArm,
+            Scene::TwoPrefixes => !is_imu_fault && kind != WrongArm,
             Scene::RailApart | Scene::Waist => {
-                !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
+                !is_imu_fault && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
             }
             Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints | ScaleChanges),
             // A different encoding in a moving frame is a different pose in the arm's frame.
             Scene::Driven => {
-                let of_poses = matches!(
+                let is_pose_fault = matches!(
                     kind,
                     Inverted
                         | Transposed
@@ -198,18 +198,21 @@ impl Scene {
                         | OrderChanges
                         | UnitChanges
                 );
-                !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
+                !is_imu_fault
+                    && !is_frame_fault
+                    && !is_pose_fault
+                    && !matches!(kind, JointsLate | WrongArm)
             }
-            Scene::TwoPublishers => !of_tf && kind != WrongArm,
+            Scene::TwoPublishers => !is_tf_fault && kind != WrongArm,
             // A constant tool offset is part of the marker's position.
             Scene::Marker if matches!(kind, Tool | Transposed | Axes) => false,
             // Position of the world frame and length of the tool are unknown.
             Scene::TrackerWorld | Scene::Marker => {
-                (!of_frames || kind == BaseChanges)
+                (!is_frame_fault || kind == BaseChanges)
                     && !matches!(kind, Growth | GrowthChanges | WrongArm | Inverted)
             }
             Scene::Led => kind != WrongArm,
-            Scene::BareNumbers => of_imu || matches!(kind, Zero | TfLate),
+            Scene::BareNumbers => is_imu_fault || matches!(kind, Zero | TfLate),
             // Only data from the arm itself identify it.
             Scene::Catalogue => !matches!(kind, WrongArm | JointDegrees),
             Scene::CatalogueByPoses => matches!(kind, PoseLate | Misread | Wxyz | Skew | StuckPose),
@@ -231,7 +234,7 @@ impl Scene {
     }
 
     /// Builds the run, and returns the other arm's run if there are two.
-    pub fn set(self, run: &mut Scenario, r: &mut Pcg64) -> Option<Scenario> {
+    pub fn apply(self, run: &mut Scenario, r: &mut Pcg64) -> Option<Scenario> {
         match self {
             Scene::Plain => {}
             Scene::Namespaced => {
@@ -239,7 +242,7 @@ impl Scene {
             }
             Scene::Prefixed => {
                 let prefixes = ["left_", "robot1_", "ur/"];
-                prefix(run, prefixes[r.random_range(0..prefixes.len())]);
+                add_prefix(run, prefixes[r.random_range(0..prefixes.len())]);
             }
             Scene::TwoNamespaces => {
                 run.tf.timing.rate_hz = 0.0;
@@ -252,21 +255,21 @@ impl Scene {
             Scene::TwoPrefixes => {
                 run.imu.timing.rate_hz = 0.0;
                 let mut other = Scenario { seed: r.random(), ..run.clone() };
-                prefix(run, "left_");
-                prefix(&mut other, "right_");
+                add_prefix(run, "left_");
+                add_prefix(&mut other, "right_");
                 (run.namespace, other.namespace) = ("/left".to_owned(), "/right".to_owned());
                 return Some(other);
             }
             Scene::RailApart => {
-                apart(run, "rail_base");
+                start_joint_states_at(run, "rail_base");
                 run.joints.apart = Some((vec![0], "/rail/joint_states".to_owned()));
             }
-            Scene::Waist => apart(run, "waist_base"),
+            Scene::Waist => start_joint_states_at(run, "waist_base"),
             Scene::Folded => {
                 run.joints.fold = Some(*choose(r, &[Fold::PlusMinusPi, Fold::ZeroToTwoPi]));
                 let seam = if run.joints.fold == Some(Fold::PlusMinusPi) { PI } else { 0.0 };
-                let endless = run.home.len() - 1;
-                run.home[endless] = seam + r.random_range(-0.3..0.3);
+                let last_joint = run.home.len() - 1;
+                run.home[last_joint] = seam + r.random_range(-0.3..0.3);
             }
             Scene::Driven => {
                 run.imu.timing.rate_hz = 0.0;
@@ -304,13 +307,13 @@ impl Scene {
                 run.leader.frame_id = frame_id.to_owned();
             }
             Scene::BareNumbers => {
-                let makers = [
+                let vendor_encodings = [
                     (Convention::RotVec, 1.0, false),
                     ("euler:ZYX".parse().unwrap_or(Convention::RPY), 1e3, true),
                     (Convention::RPY, 1e3, true),
                     (Convention::RPY, 1.0, false),
                 ];
-                let (convention, times, degrees) = *choose(r, &makers);
+                let (convention, times, degrees) = *choose(r, &vendor_encodings);
                 run.pose.as_numbers = Some(convention);
                 (run.pose.times, run.pose.numbers_in_degrees) = (times, degrees);
             }
@@ -332,7 +335,7 @@ impl Scene {
 }
 
 /// Adds `prefix` to the names of joints and links.
-fn prefix(run: &mut Scenario, prefix: &str) {
+fn add_prefix(run: &mut Scenario, prefix: &str) {
     run.robot = run.robot.with_prefix_replaced("", prefix).expect("names that were unique stay so");
     for name in [&mut run.base, &mut run.tip, &mut run.pose.frame_id] {
         *name = format!("{prefix}{name}");
@@ -340,7 +343,7 @@ fn prefix(run: &mut Scenario, prefix: &str) {
 }
 
 /// Starts the joint states at `root`, and the poses at the arm's own base.
-fn apart(run: &mut Scenario, root: &str) {
+fn start_joint_states_at(run: &mut Scenario, root: &str) {
     run.root = Some(root.to_owned());
     run.base = "base_link".to_owned();
     run.pose.frame_id = run.base.clone();
@@ -348,8 +351,8 @@ fn apart(run: &mut Scenario, root: &str) {
 }
 
 /// Robot of an arm: from the catalogue, or a UR5e on a rail or a waist.
-pub fn robot(arm: &str) -> Robot {
-    let above = |name: &str, kind: &str, axis: &str, limit: f64| {
+pub fn robot_of(arm: &str) -> Robot {
+    let ur5e_on_joint = |name: &str, kind: &str, axis: &str, limit: f64| {
         let ur5e = synth::urdf_text(catalogue::find("ur5e").expect("an arm of the catalogue"));
         let joint = format!(
             "  <link name=\"{name}_base\"/>\n  <joint name=\"{name}_joint\" type=\"{kind}\">\n    \
@@ -363,8 +366,8 @@ pub fn robot(arm: &str) -> Robot {
         Robot::from_urdf(&text, "bench").expect("the arm with a joint above it is a valid model")
     };
     match arm {
-        "rail" => above("rail", "prismatic", "1 0 0", 1.0),
-        "waist" => above("waist", "revolute", "0 0 1", 2.0),
+        "rail" => ur5e_on_joint("rail", "prismatic", "1 0 0", 1.0),
+        "waist" => ur5e_on_joint("waist", "revolute", "0 0 1", 2.0),
         _ => catalogue::find(arm).expect("an arm of the catalogue").clone(),
     }
 }
@@ -404,7 +407,7 @@ pub const ARMS: [Arm; 11] = {
 };
 
 /// A catalogue arm with the same joint names, which may be confused with it.
-pub fn brother(arm: &str) -> Option<&'static str> {
+pub fn confusable_arm(arm: &str) -> Option<&'static str> {
     Some(match arm {
         "ur3" => "ur3e",
         "ur3e" => "ur3",

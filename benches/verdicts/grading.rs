@@ -7,19 +7,20 @@ use poseaudit::report::{self, Report};
 use poseaudit::synth::{self, Giving};
 
 use crate::cases::Case;
-use crate::kinds::{Kind, Planted, SURE, Truth, chain};
+use crate::fault_kinds::{FaultKind, MIN_MAGNITUDE_TO_FIND, PlantedFault, TrueValue, chain};
 
 /// Rules whose value is a norm or an rms.
-const NORMS: [&str; 6] = ["FRM", "HEC", "VEL", "YAW002", "YAW003", "YAW004"];
+const RULES_WITH_NORMS: [&str; 6] = ["FRM", "HEC", "VEL", "YAW002", "YAW003", "YAW004"];
 /// Families in which a finding without a planted fault is a false alarm.
-pub const CORE: [&str; 9] = ["ORD", "LAT", "ZER", "FRM", "YAW", "MDL", "HEC", "MOT", "VEL"];
+pub const CORE_FAMILIES: [&str; 9] =
+    ["ORD", "LAT", "ZER", "FRM", "YAW", "MDL", "HEC", "MOT", "VEL"];
 
 /// Result of an audit.
-pub type Outcome = Result<Verdict, Trouble>;
+pub type Outcome = Result<Grade, AuditFailure>;
 
 /// Why there is no verdict.
 #[derive(Debug)]
-pub enum Trouble {
+pub enum AuditFailure {
     Panic,
     /// With the program's message.
     Refused(String),
@@ -27,40 +28,40 @@ pub enum Trouble {
 
 /// Outcome of a planted fault.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Fate {
+pub enum FaultOutcome {
     /// Named with its subject.
     Named,
     /// Another cause is named, with this one as indistinguishable.
-    NamedAsTwin,
+    NamedAsConfounder,
     /// Undetermined according to the rule.
-    Undecided,
+    Inconclusive,
     /// The rule passed it.
     Passed,
     /// There is no row for it.
     Absent,
 }
 
-impl Fate {
+impl FaultOutcome {
     pub fn is_named(self) -> bool {
-        matches!(self, Fate::Named | Fate::NamedAsTwin)
+        matches!(self, FaultOutcome::Named | FaultOutcome::NamedAsConfounder)
     }
 }
 
-pub struct Verdict {
-    pub fates: Vec<Fate>,
+pub struct Grade {
+    pub fault_outcomes: Vec<FaultOutcome>,
     /// Whether the report passes a log without mentioning a fault that must be found.
     pub is_wrong_pass: bool,
     /// Wrong outcomes: short kind, and full description.
-    pub wrongs: Vec<(String, String)>,
+    pub wrong_outcomes: Vec<(String, String)>,
     /// False findings of the core families, by code.
-    pub strangers: Vec<&'static str>,
+    pub false_findings: Vec<&'static str>,
     /// Findings of the other families, by code.
-    pub other: Vec<&'static str>,
+    pub other_false_findings: Vec<&'static str>,
     pub intervals: Vec<Interval>,
     /// Whether a change within the run is reported although nothing changes.
-    pub is_falsely_changed: bool,
+    pub has_false_change: bool,
     /// Whether the convention was right, for each planted ORD001 with at least three dwells.
-    pub convention: Vec<bool>,
+    pub conventions_right: Vec<bool>,
 }
 
 pub struct Interval {
@@ -68,37 +69,38 @@ pub struct Interval {
     pub code: String,
     pub topic: String,
     /// The planted fault.
-    pub planted: Option<Kind>,
+    pub planted: Option<FaultKind>,
     pub error: f64,
     pub truth: f64,
-    pub covers: bool,
+    pub is_covered: bool,
     /// Whether it is a norm or an rms.
     pub is_norm: bool,
 }
 
-pub fn judge(case: &Case, report: &Report) -> Verdict {
-    let mut verdict = Verdict {
-        fates: Vec::new(),
+pub fn grade(case: &Case, report: &Report) -> Grade {
+    let mut verdict = Grade {
+        fault_outcomes: Vec::new(),
         is_wrong_pass: false,
-        wrongs: Vec::new(),
-        strangers: Vec::new(),
-        other: Vec::new(),
+        wrong_outcomes: Vec::new(),
+        false_findings: Vec::new(),
+        other_false_findings: Vec::new(),
         intervals: Vec::new(),
-        is_falsely_changed: false,
-        convention: Vec::new(),
+        has_false_change: false,
+        conventions_right: Vec::new(),
     };
-    let does_change = |planted: &Planted| planted.kind.comes_later() || planted.kind.is_late();
-    let grave = |finding: &&Finding| finding.severity >= Severity::Warning;
-    let findings: Vec<&Finding> = report.findings.iter().filter(grave).collect();
+    let does_change =
+        |planted: &PlantedFault| planted.kind.starts_mid_run() || planted.kind.is_within_run();
+    let is_counted = |finding: &&Finding| finding.severity >= Severity::Warning;
+    let findings: Vec<&Finding> = report.findings.iter().filter(is_counted).collect();
     let is_changed = |finding: &&Finding| {
-        let when = finding.estimate.as_ref().and_then(Estimate::change);
-        when.is_some() || matches!(finding.cause, Cause::ParameterChange | Cause::VaryingLatency)
+        let change = finding.estimate.as_ref().and_then(Estimate::change);
+        change.is_some() || matches!(finding.cause, Cause::ParameterChange | Cause::VaryingLatency)
     };
-    verdict.is_falsely_changed =
+    verdict.has_false_change =
         findings.iter().any(is_changed) && !case.planted.iter().any(does_change);
     for planted in &case.planted {
-        let fate = fate(planted, &findings, &report.checks);
-        verdict.fates.push(fate);
+        let outcome = outcome_of_fault(planted, &findings, &report.checks);
+        verdict.fault_outcomes.push(outcome);
         let described =
             || match report.checks.iter().find(|row| is_about(planted, row.code, &row.subject)) {
                 Some(row) => {
@@ -106,14 +108,18 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
                 }
                 None => format!("{planted}: no row"),
             };
-        match fate {
-            Fate::Named | Fate::NamedAsTwin => {}
-            Fate::Passed | Fate::Absent if planted.times >= SURE => {
-                verdict
-                    .wrong(format!("missed {} {:?}", planted.codes[0], planted.kind), described());
+        match outcome {
+            FaultOutcome::Named | FaultOutcome::NamedAsConfounder => {}
+            FaultOutcome::Passed | FaultOutcome::Absent
+                if planted.magnitude >= MIN_MAGNITUDE_TO_FIND =>
+            {
+                verdict.add_wrong_outcome(
+                    format!("missed {} {:?}", planted.codes[0], planted.kind),
+                    described(),
+                );
             }
-            Fate::Undecided if case.must_find(planted) => {
-                verdict.wrong(
+            FaultOutcome::Inconclusive if case.must_find(planted) => {
+                verdict.add_wrong_outcome(
                     format!("undecided {} {:?}", planted.codes[0], planted.kind),
                     described(),
                 );
@@ -125,108 +131,118 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
         let Some(estimate) = finding.and_then(|finding| finding.estimate.as_ref()) else {
             continue;
         };
-        if let (Truth::Amount(truth), Some(value)) = (planted.truth, estimate.value()) {
-            let value = if unsigned(Some(planted.kind)) { value.abs() } else { value };
-            let threshold = truth.abs() / planted.times;
+        if let (TrueValue::Amount(truth), Some(value)) = (planted.truth, estimate.value()) {
+            let value = if ignores_sign(Some(planted.kind)) { value.abs() } else { value };
+            let threshold = truth.abs() / planted.magnitude;
             if (value - truth).abs() > (0.5 * threshold).max(0.05 * truth.abs()) {
                 let what = format!("{planted}: found {value:.6}");
-                verdict
-                    .wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);
+                verdict.add_wrong_outcome(
+                    format!("wrong amount {} {:?}", planted.codes[0], planted.kind),
+                    what,
+                );
             }
-            if planted.times < 0.5 {
+            if planted.magnitude < 0.5 {
                 let what = format!("{planted}: found {value:.6}");
-                verdict.wrong(format!("overcalled {} {:?}", planted.codes[0], planted.kind), what);
+                verdict.add_wrong_outcome(
+                    format!("overcalled {} {:?}", planted.codes[0], planted.kind),
+                    what,
+                );
             }
         }
-        if let (Truth::Frame { length_m, .. }, Some(value)) = (planted.truth, estimate.value())
+        if let (TrueValue::Frame { length_m, .. }, Some(value)) = (planted.truth, estimate.value())
             && (value - length_m).abs() > (0.5e-3_f64).max(0.05 * length_m)
         {
             let what = format!("{planted}: found {:.3} mm", value * 1e3);
-            verdict.wrong(format!("wrong amount {} {:?}", planted.codes[0], planted.kind), what);
+            verdict.add_wrong_outcome(
+                format!("wrong amount {} {:?}", planted.codes[0], planted.kind),
+                what,
+            );
         }
-        if let Truth::Convention(truth) = planted.truth {
-            let right = is_named(&truth, estimate);
+        if let TrueValue::Convention(truth) = planted.truth {
+            let right = is_true_misinterpretation(&truth, estimate);
             if !right {
                 let what = format!("{planted}: found {:?}", estimate.convention());
-                verdict.wrong(format!("wrong convention {:?}", planted.kind), what);
+                verdict.add_wrong_outcome(format!("wrong convention {:?}", planted.kind), what);
             }
         }
     }
     for planted in &case.planted {
-        if let Truth::Convention(truth) = planted.truth
-            && case.excited
+        if let TrueValue::Convention(truth) = planted.truth
+            && case.is_excited
             && case.motion != "continuous"
         {
             let finding =
                 findings.iter().find(|finding| is_about(planted, finding.code, &finding.subject));
             let estimate = finding.and_then(|finding| finding.estimate.as_ref());
-            verdict.convention.push(estimate.is_some_and(|estimate| is_named(&truth, estimate)));
+            verdict
+                .conventions_right
+                .push(estimate.is_some_and(|estimate| is_true_misinterpretation(&truth, estimate)));
         }
     }
     // A hand that rotates too little cannot be calibrated.
-    let is_still = |code: &str| code == "HEC002" && !case.excited;
+    let is_too_little_rotation = |code: &str| code == "HEC002" && !case.is_excited;
     let allowed = |code: &str| {
         case.scene.allows(code)
-            || case.background.allows(code, &case.scenario, case.excited)
-            || is_still(code)
+            || case.background.allows(code, &case.scenario, case.is_excited)
+            || is_too_little_rotation(code)
     };
     for finding in &findings {
-        let is_its = |planted: &Planted| {
+        let is_expected = |planted: &PlantedFault| {
             is_about(planted, finding.code, &finding.subject)
-                || is_twin(planted, finding)
-                || planted.also.iter().any(|code| finding.code.starts_with(code))
+                || lists_as_confounder(planted, finding)
+                || planted.related_codes.iter().any(|code| finding.code.starts_with(code))
         };
-        if case.planted.iter().any(is_its) || allowed(finding.code) {
+        if case.planted.iter().any(is_expected) || allowed(finding.code) {
             continue;
         }
-        if CORE.iter().any(|family| finding.code.starts_with(family)) {
-            verdict.strangers.push(finding.code);
+        if CORE_FAMILIES.iter().any(|family| finding.code.starts_with(family)) {
+            verdict.false_findings.push(finding.code);
             let kind = if case.planted.is_empty() { "false alarm" } else { "misattributed" };
             let codes: Vec<String> = case.planted.iter().map(|p| format!("{:?}", p.kind)).collect();
-            verdict.wrong(
+            verdict.add_wrong_outcome(
                 format!("{kind} {}", finding.code),
                 format!("{} on {} [{}]", finding.message, finding.subject.label(), codes.join("+")),
             );
         } else {
-            verdict.other.push(finding.code);
-            verdict.wrong(
+            verdict.other_false_findings.push(finding.code);
+            verdict.add_wrong_outcome(
                 format!("other {}", finding.code),
                 format!("{} on {}", finding.message, finding.subject.label()),
             );
         }
     }
-    let is_mentioned = |planted: &Planted| {
-        let said = report.findings.iter().map(|finding| (finding.code, &finding.subject));
+    let is_mentioned = |planted: &PlantedFault| {
+        let reported = report.findings.iter().map(|finding| (finding.code, &finding.subject));
         let ignored = report.ignored.iter().map(|one| (one.finding.code, &one.finding.subject));
-        said.chain(ignored).any(|(code, subject)| {
+        reported.chain(ignored).any(|(code, subject)| {
             is_about(planted, code, subject)
-                || planted.also.iter().any(|also| code.starts_with(also))
+                || planted.related_codes.iter().any(|also| code.starts_with(also))
         })
     };
-    let unsaid = case.planted.iter().find(|one| case.must_find(one) && !is_mentioned(one));
-    if let (report::Verdict::Pass, Some(planted)) = (report.verdict, unsaid) {
+    let unmentioned = case.planted.iter().find(|one| case.must_find(one) && !is_mentioned(one));
+    if let (report::Verdict::Pass, Some(planted)) = (report.verdict, unmentioned) {
         verdict.is_wrong_pass = true;
         let kind = format!("WRONG PASS {} {:?}", planted.codes[0], planted.kind);
-        verdict.wrong(kind, format!("{planted} in {}", case.scene.name()));
+        verdict.add_wrong_outcome(kind, format!("{planted} in {}", case.scene.name()));
     }
     for row in &report.checks {
-        verdict.intervals.extend(interval(case, row));
+        verdict.intervals.extend(check_intervals(case, row));
     }
     verdict
 }
 
-impl Verdict {
-    fn wrong(&mut self, kind: String, what: String) {
-        self.wrongs.push((kind, what));
+impl Grade {
+    fn add_wrong_outcome(&mut self, kind: String, what: String) {
+        self.wrong_outcomes.push((kind, what));
     }
 }
 
-pub fn is_about(planted: &Planted, code: &str, subject: &Subject) -> bool {
-    let is_its = match &planted.subject {
+pub fn is_about(planted: &PlantedFault, code: &str, subject: &Subject) -> bool {
+    let is_expected = match &planted.subject {
         Some(name) => subject_name(subject) == Some(name),
         None => true,
     };
-    planted.codes.contains(&code) && is_its
+    planted.codes.contains(&code) && is_expected
 }
 
 pub fn subject_name(subject: &Subject) -> Option<&str> {
@@ -234,26 +250,30 @@ pub fn subject_name(subject: &Subject) -> Option<&str> {
 }
 
 /// Whether the finding lists the planted fault as indistinguishable.
-pub fn is_twin(planted: &Planted, finding: &Finding) -> bool {
+pub fn lists_as_confounder(planted: &PlantedFault, finding: &Finding) -> bool {
     let mut twins = finding.evidence.indistinguishable.iter();
     twins.any(|twin| is_about(planted, twin.code, &twin.subject))
 }
 
-pub fn fate(planted: &Planted, findings: &[&Finding], rows: &[CheckRow]) -> Fate {
+pub fn outcome_of_fault(
+    planted: &PlantedFault,
+    findings: &[&Finding],
+    rows: &[CheckRow],
+) -> FaultOutcome {
     if findings.iter().any(|finding| is_about(planted, finding.code, &finding.subject)) {
-        return Fate::Named;
+        return FaultOutcome::Named;
     }
-    if findings.iter().any(|finding| is_twin(planted, finding)) {
-        return Fate::NamedAsTwin;
+    if findings.iter().any(|finding| lists_as_confounder(planted, finding)) {
+        return FaultOutcome::NamedAsConfounder;
     }
     match rows.iter().find(|row| is_about(planted, row.code, &row.subject)).map(|row| row.status) {
-        Some(Status::Inconclusive | Status::Skipped) => Fate::Undecided,
-        Some(_) => Fate::Passed,
-        None => Fate::Absent,
+        Some(Status::Inconclusive | Status::Skipped) => FaultOutcome::Inconclusive,
+        Some(_) => FaultOutcome::Passed,
+        None => FaultOutcome::Absent,
     }
 }
 
-pub fn is_named(truth: &Misinterpretation, estimate: &Estimate) -> bool {
+pub fn is_true_misinterpretation(truth: &Misinterpretation, estimate: &Estimate) -> bool {
     let Some((is, read_as)) = estimate.convention() else { return false };
     let class = misinterpretation_classes().iter().find(|class| class.members.contains(truth));
     class.is_some_and(|class| {
@@ -265,37 +285,40 @@ pub fn is_named(truth: &Misinterpretation, estimate: &Estimate) -> bool {
 }
 
 /// Name of FRM003's value for a tool.
-const TOOL: &str = "tool frame";
+const TOOL_ESTIMATE: &str = "tool frame";
 
 /// Whether the sign of the value is ignored: a ramp is measured from minimum to maximum, or as an increase.
-fn unsigned(kind: Option<Kind>) -> bool {
-    matches!(kind, Some(Kind::LatencyRamp | Kind::VelocityScale | Kind::Sag | Kind::Play))
+fn ignores_sign(kind: Option<FaultKind>) -> bool {
+    matches!(
+        kind,
+        Some(FaultKind::LatencyRamp | FaultKind::VelocityScale | FaultKind::Sag | FaultKind::Play)
+    )
 }
 
 /// True value of a row's quantity that comes from the background rather than a fault.
-fn given(case: &Case, row: &CheckRow, is_jump: bool) -> f64 {
+fn true_value_without_fault(case: &Case, row: &CheckRow, is_jump: bool) -> f64 {
     let imu = &case.scenario.imu;
     match row.code {
         "YAW001" if !is_jump => imu.yaw_drift_rad_s,
         "YAW004" => imu.gyro_bias_rad_s.norm(),
-        _ => given_rad(case, row).unwrap_or(0.0),
+        _ => true_compliance_rad(case, row).unwrap_or(0.0),
     }
 }
 
 /// Compliance of a row's joint, rad.
-fn given_rad(case: &Case, row: &CheckRow) -> Option<f64> {
-    let is_its = |how: &Giving| {
+fn true_compliance_rad(case: &Case, row: &CheckRow) -> Option<f64> {
+    let is_expected = |how: &Giving| {
         matches!((row.code, how), ("MOT006", Giving::Play) | ("ZER003", Giving::Sag))
     };
     let joint = row.subject.joint.as_deref()?;
     let chain = chain(&case.scenario);
     let at = chain.joint_names().iter().position(|name| name == joint)?;
     let mut gives = case.scenario.gives.iter();
-    gives.find(|gives| gives.joint == at && is_its(&gives.how)).map(|gives| gives.by_rad)
+    gives.find(|gives| gives.joint == at && is_expected(&gives.how)).map(|gives| gives.by_rad)
 }
 
 /// Error and coverage of a row's interval, if both interval and truth are known.
-pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
+pub fn check_intervals(case: &Case, row: &CheckRow) -> Vec<Interval> {
     let estimate = match &row.estimate {
         Some(estimate) if !row.is_indistinguishable => estimate,
         _ => return Vec::new(),
@@ -304,7 +327,7 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     let is_of_motion = row.code.starts_with("MOT") && row.code != "MOT006";
     if is_of_motion
         || row.code.starts_with("MDL")
-        || !CORE.iter().any(|family| row.code.starts_with(family))
+        || !CORE_FAMILIES.iter().any(|family| row.code.starts_with(family))
     {
         return Vec::new();
     }
@@ -314,48 +337,61 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
         return Vec::new();
     }
     let planted = case.planted.iter().find(|planted| is_about(planted, row.code, &row.subject));
-    if planted.is_some_and(|planted| planted.times < SURE || matches!(planted.truth, Truth::There))
-    {
+    if planted.is_some_and(|planted| {
+        planted.magnitude < MIN_MAGNITUDE_TO_FIND || matches!(planted.truth, TrueValue::NoValue)
+    }) {
         return Vec::new();
     }
     // The delay of an arm behind its leader is not planted. A fault reported for all joints has no values
     // for each joint.
-    let of_all = |one: &Planted| matches!(one.kind, Kind::VelocityScale | Kind::VelocityLate);
-    let is_told_of_all = row.code == "VEL001" && case.planted.iter().any(of_all);
-    if planted.is_none() && (row.code == "LAT004" || is_told_of_all) {
+    let is_for_all_joints =
+        |one: &PlantedFault| matches!(one.kind, FaultKind::VelocityScale | FaultKind::VelocityLate);
+    let is_reported_for_all = row.code == "VEL001" && case.planted.iter().any(is_for_all_joints);
+    if planted.is_none() && (row.code == "LAT004" || is_reported_for_all) {
         return Vec::new();
     }
     // With a skew, the latency at mid-run is known only to milliseconds; with a change, it depends on the
     // part of the run.
     let timing = &case.scenario.pose.timing;
-    let skewed = timing.skew != 0.0 || timing.ages.is_some();
-    if row.code == "LAT001" && skewed && row.subject.topic.as_deref() == Some(synth::POSE) {
+    let has_varying_latency = timing.skew != 0.0 || timing.ages.is_some();
+    if row.code == "LAT001"
+        && has_varying_latency
+        && row.subject.topic.as_deref() == Some(synth::POSE)
+    {
         return Vec::new();
     }
     let joints_late = case.scenario.joints.timing.latency_s;
-    let of_joints = (row.code == "LAT001" && joints_late != 0.0).then_some(Kind::JointsLate);
+    let of_joints = (row.code == "LAT001" && joints_late != 0.0).then_some(FaultKind::JointsLate);
     let kind = planted.map(|planted| planted.kind).or(of_joints);
     let make = |code: String, value: f64, ci95: Option<[f64; 2]>, truth: f64| {
         let [low, high] = ci95?;
-        let covers = (low..=high).contains(&truth);
+        let is_covered = (low..=high).contains(&truth);
         let mut topic = row.subject.topic.clone().unwrap_or("joints".to_owned());
         if topic == synth::TF && case.scenario.tf.timing.phase_s == 0.0 {
             topic += " with the joints' stamps";
         }
-        let is_norm = NORMS.iter().any(|norm| code.starts_with(norm));
-        Some(Interval { code, topic, planted: kind, error: value - truth, truth, covers, is_norm })
+        let is_norm = RULES_WITH_NORMS.iter().any(|norm| code.starts_with(norm));
+        Some(Interval {
+            code,
+            topic,
+            planted: kind,
+            error: value - truth,
+            truth,
+            is_covered,
+            is_norm,
+        })
     };
     match *estimate {
         Estimate::Scalar { name, value, ci95, .. } => {
             // A yaw jump and a yaw drift have one row each.
             let is_jump = name == "yaw jump";
-            let planted = planted.filter(|one| (one.kind == Kind::YawJump) == is_jump);
+            let planted = planted.filter(|one| (one.kind == FaultKind::YawJump) == is_jump);
             let mut truth = match planted.map(|planted| planted.truth) {
-                Some(Truth::Amount(truth)) => truth,
-                _ => given(case, row, is_jump),
+                Some(TrueValue::Amount(truth)) => truth,
+                _ => true_value_without_fault(case, row, is_jump),
             };
-            let value = if unsigned(kind) { value.abs() } else { value };
-            let ci95 = ci95.map(|[low, high]| match unsigned(kind) && high < 0.0 {
+            let value = if ignores_sign(kind) { value.abs() } else { value };
+            let ci95 = ci95.map(|[low, high]| match ignores_sign(kind) && high < 0.0 {
                 true => [-high, -low],
                 false => [low, high],
             });
@@ -367,9 +403,10 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
         }
         Estimate::Frame { name, value, ci95, rotation, .. } => {
             // The main body has its own row.
-            let planted = planted.filter(|one| one.kind != Kind::Alternates || name != TOOL);
+            let planted =
+                planted.filter(|one| one.kind != FaultKind::Alternates || name != TOOL_ESTIMATE);
             let (length_m, angle_rad) = match planted.map(|planted| planted.truth) {
-                Some(Truth::Frame { length_m, angle_rad }) => (length_m, angle_rad),
+                Some(TrueValue::Frame { length_m, angle_rad }) => (length_m, angle_rad),
                 _ => (0.0, 0.0),
             };
             let length = make(format!("{} m", row.code), value, ci95, length_m);

@@ -15,7 +15,7 @@ use poseaudit::synth::{self, Camera, Coding, Commands, Gives, Giving, Scenario, 
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use crate::backgrounds::loaded;
+use crate::backgrounds::gravity_loaded_joints;
 
 /// Chain of the joint states.
 pub fn chain(run: &Scenario) -> Chain {
@@ -27,34 +27,34 @@ pub fn chain(run: &Scenario) -> Chain {
 pub const DEGREE: f64 = PI / 180.0;
 
 /// Planted magnitudes, in units of the rule's first threshold.
-pub const TIMES: [f64; 8] = [0.1, 0.3, 0.6, 0.9, 1.25, 2.0, 5.0, 20.0];
+pub const MAGNITUDES: [f64; 8] = [0.1, 0.3, 0.6, 0.9, 1.25, 2.0, 5.0, 20.0];
 /// Minimum magnitude of a fault that must be found.
-pub const SURE: f64 = 2.0;
+pub const MIN_MAGNITUDE_TO_FIND: f64 = 2.0;
 
 /// A fault in a log.
-pub struct Planted {
-    pub kind: Kind,
+pub struct PlantedFault {
+    pub kind: FaultKind,
     /// Codes of which one must name it; the first is the usual one.
     pub codes: &'static [&'static str],
     /// Prefixes of codes of further correct findings.
-    pub also: &'static [&'static str],
+    pub related_codes: &'static [&'static str],
     /// Topic or joint; `None` if any is correct.
     pub subject: Option<String>,
     /// Magnitude in first thresholds; infinite if the fault has none.
-    pub times: f64,
-    pub truth: Truth,
+    pub magnitude: f64,
+    pub truth: TrueValue,
 }
 
 #[derive(Clone, Copy)]
-pub enum Truth {
+pub enum TrueValue {
     Amount(f64),
     Frame { length_m: f64, angle_rad: f64 },
     Convention(Misinterpretation),
-    There,
+    NoValue,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
-pub enum Kind {
+pub enum FaultKind {
     PoseLate,
     ImuLate,
     TfLate,
@@ -121,10 +121,10 @@ pub enum Kind {
     YawByHeading,
 }
 
-impl Kind {
+impl FaultKind {
     /// Whether it changes only a part of a continuous run.
-    pub fn is_late(self) -> bool {
-        use Kind::*;
+    pub fn is_within_run(self) -> bool {
+        use FaultKind::*;
         matches!(
             self,
             LatencyStep | LatencyRamp | ClockStep | StuckPose | StuckJoints | BiasWarmsUp
@@ -133,8 +133,8 @@ impl Kind {
 
     /// Whether it replaces the run from some time on, so that it must be planted after faults of the whole
     /// run.
-    pub fn comes_later(self) -> bool {
-        use Kind::*;
+    pub fn starts_mid_run(self) -> bool {
+        use FaultKind::*;
         matches!(
             self,
             ToolChanges
@@ -152,28 +152,28 @@ impl Kind {
 }
 
 /// A kind of fault.
-pub struct KindOf {
-    pub kind: Kind,
+pub struct FaultSpec {
+    pub kind: FaultKind,
     /// Codes of which one must name it.
     pub codes: &'static [&'static str],
     /// Prefixes of codes of further correct findings.
-    pub also: &'static [&'static str],
+    pub related_codes: &'static [&'static str],
     /// Resources it uses exclusively: two faults that share a slot are indistinguishable or cannot be
     /// combined.
     pub slots: &'static [&'static str],
 }
 
-const fn kind(
-    kind: Kind,
+const fn fault_spec(
+    kind: FaultKind,
     codes: &'static [&'static str],
-    also: &'static [&'static str],
+    related_codes: &'static [&'static str],
     slots: &'static [&'static str],
-) -> KindOf {
-    KindOf { kind, codes, also, slots }
+) -> FaultSpec {
+    FaultSpec { kind, codes, related_codes, slots }
 }
 
 /// Slots of the tool pose stream.
-const POSE: &[&str] = &[
+const POSE_SLOTS: &[&str] = &[
     "pose time",
     "skew",
     "growth",
@@ -185,7 +185,7 @@ const POSE: &[&str] = &[
     "changes",
 ];
 /// Slots that depend on the joint states.
-const ALL: &[&str] = &[
+const ALL_SLOTS: &[&str] = &[
     "pose time",
     "skew",
     "growth",
@@ -210,126 +210,145 @@ const ALL: &[&str] = &[
 ];
 
 /// Every kind of fault.
-pub const KINDS: [KindOf; 63] = [
-    kind(Kind::PoseLate, &["LAT001"], &[], &["pose time"]),
-    kind(Kind::ImuLate, &["LAT001"], &[], &["imu time"]),
-    kind(Kind::TfLate, &["LAT001"], &[], &["tf time"]),
-    kind(Kind::JointsLate, &["LAT001"], &[], &["pose time", "imu time", "tf time"]),
-    kind(Kind::Skew, &["LAT002"], &[], &["skew"]),
-    kind(Kind::Zero, &["ZER001"], &[], &[]),
-    kind(Kind::Growth, &["ZER002"], &[], &["growth"]),
-    kind(Kind::Reference, &["FRM002"], &[], &["reference"]),
-    kind(Kind::BaseTurned, &["FRM002"], &[], &["reference"]),
-    kind(Kind::Tool, &["FRM003"], &[], &["tool"]),
-    kind(Kind::YawDrift, &["YAW001"], &[], &["drift"]),
-    kind(Kind::YawJump, &["YAW001"], &[], &["drift"]),
-    kind(Kind::Mount, &["YAW003"], &[], &["mount"]),
-    kind(Kind::GyroBias, &["YAW004"], &[], &["gyro"]),
-    kind(Kind::Misread, &["ORD001"], &[], &["pose coding"]),
-    kind(Kind::ImuMisread, &["ORD001"], &[], &["imu coding", "mount"]),
-    kind(Kind::Wxyz, &["ORD002"], &[], &["pose coding"]),
-    kind(Kind::ImuWxyz, &["ORD002"], &[], &["imu coding", "mount"]),
-    kind(Kind::Transposed, &["ORD003"], &[], &["pose coding"]),
-    kind(Kind::Inverted, &["ORD003"], &[], &["pose coding"]),
-    kind(Kind::ImuTransposed, &["ORD003"], &[], &["imu coding", "mount"]),
-    kind(Kind::JointDegrees, &["ORD004"], &[], &["joint numbers"]),
-    kind(Kind::JointOrder, &["ORD005"], &[], &["joint numbers"]),
-    kind(Kind::Millimetres, &["ORD008"], &[], &["pose units"]),
-    kind(Kind::LengthUnit, &["ORD008"], &[], &["pose units", "growth"]),
-    kind(Kind::Axes, &["ORD010"], &["FRM002", "ORD"], &["pose coding", "reference"]),
-    kind(Kind::Constant, &["ORD011"], &["MDL001", "FRM"], POSE),
-    kind(Kind::Unset, &["FRM007", "FRM005", "ORD"], &["FRM"], &["pose coding", "tool"]),
-    kind(Kind::OwnFrame, &["FRM007", "FRM002"], &["FRM", "ORD003"], POSE),
-    kind(
-        Kind::Homed,
+pub const FAULT_SPECS: [FaultSpec; 63] = [
+    fault_spec(FaultKind::PoseLate, &["LAT001"], &[], &["pose time"]),
+    fault_spec(FaultKind::ImuLate, &["LAT001"], &[], &["imu time"]),
+    fault_spec(FaultKind::TfLate, &["LAT001"], &[], &["tf time"]),
+    fault_spec(FaultKind::JointsLate, &["LAT001"], &[], &["pose time", "imu time", "tf time"]),
+    fault_spec(FaultKind::Skew, &["LAT002"], &[], &["skew"]),
+    fault_spec(FaultKind::Zero, &["ZER001"], &[], &[]),
+    fault_spec(FaultKind::Growth, &["ZER002"], &[], &["growth"]),
+    fault_spec(FaultKind::Reference, &["FRM002"], &[], &["reference"]),
+    fault_spec(FaultKind::BaseTurned, &["FRM002"], &[], &["reference"]),
+    fault_spec(FaultKind::Tool, &["FRM003"], &[], &["tool"]),
+    fault_spec(FaultKind::YawDrift, &["YAW001"], &[], &["drift"]),
+    fault_spec(FaultKind::YawJump, &["YAW001"], &[], &["drift"]),
+    fault_spec(FaultKind::Mount, &["YAW003"], &[], &["mount"]),
+    fault_spec(FaultKind::GyroBias, &["YAW004"], &[], &["gyro"]),
+    fault_spec(FaultKind::Misread, &["ORD001"], &[], &["pose coding"]),
+    fault_spec(FaultKind::ImuMisread, &["ORD001"], &[], &["imu coding", "mount"]),
+    fault_spec(FaultKind::Wxyz, &["ORD002"], &[], &["pose coding"]),
+    fault_spec(FaultKind::ImuWxyz, &["ORD002"], &[], &["imu coding", "mount"]),
+    fault_spec(FaultKind::Transposed, &["ORD003"], &[], &["pose coding"]),
+    fault_spec(FaultKind::Inverted, &["ORD003"], &[], &["pose coding"]),
+    fault_spec(FaultKind::ImuTransposed, &["ORD003"], &[], &["imu coding", "mount"]),
+    fault_spec(FaultKind::JointDegrees, &["ORD004"], &[], &["joint numbers"]),
+    fault_spec(FaultKind::JointOrder, &["ORD005"], &[], &["joint numbers"]),
+    fault_spec(FaultKind::Millimetres, &["ORD008"], &[], &["pose units"]),
+    fault_spec(FaultKind::LengthUnit, &["ORD008"], &[], &["pose units", "growth"]),
+    fault_spec(FaultKind::Axes, &["ORD010"], &["FRM002", "ORD"], &["pose coding", "reference"]),
+    fault_spec(FaultKind::Constant, &["ORD011"], &["MDL001", "FRM"], POSE_SLOTS),
+    fault_spec(FaultKind::Unset, &["FRM007", "FRM005", "ORD"], &["FRM"], &["pose coding", "tool"]),
+    fault_spec(FaultKind::OwnFrame, &["FRM007", "FRM002"], &["FRM", "ORD003"], POSE_SLOTS),
+    fault_spec(
+        FaultKind::Homed,
         &["ZER001"],
         &["FRM002", "FRM003", "MOT003"],
         &["joint numbers", "reference", "tool"],
     ),
-    kind(Kind::Reversed, &["ORD009"], &["VEL", "MOT003"], ALL),
-    kind(Kind::Geared, &["ORD009"], &["VEL", "MOT003"], ALL),
-    kind(Kind::HeldPose, &["TIM008"], &["LAT001"], POSE),
-    kind(Kind::HeldJoints, &["TIM008"], &["LAT001", "VEL"], ALL),
-    kind(Kind::StuckPose, &["TIM007"], &["TIM"], POSE),
-    kind(Kind::StuckJoints, &["TIM007"], &["TIM", "LAT", "MDL", "MOT", "VEL"], ALL),
-    kind(Kind::ClockStep, &["LAT003"], &["LAT001", "TIM"], POSE),
-    kind(Kind::SecondTfDiffers, &["FRM004"], &["FRM001", "TIM"], &["tf time", "tf"]),
-    kind(Kind::WrongArm, &["MDL001"], &["FRM001"], ALL),
-    kind(Kind::ToolChanges, &["FRM003"], &[], &["tool", "changes"]),
-    kind(Kind::BaseChanges, &["FRM002"], &[], &["reference", "changes"]),
-    kind(Kind::ZeroChanges, &["ZER001"], &[], &["changes"]),
+    fault_spec(FaultKind::Reversed, &["ORD009"], &["VEL", "MOT003"], ALL_SLOTS),
+    fault_spec(FaultKind::Geared, &["ORD009"], &["VEL", "MOT003"], ALL_SLOTS),
+    fault_spec(FaultKind::HeldPose, &["TIM008"], &["LAT001"], POSE_SLOTS),
+    fault_spec(FaultKind::HeldJoints, &["TIM008"], &["LAT001", "VEL"], ALL_SLOTS),
+    fault_spec(FaultKind::StuckPose, &["TIM007"], &["TIM"], POSE_SLOTS),
+    fault_spec(
+        FaultKind::StuckJoints,
+        &["TIM007"],
+        &["TIM", "LAT", "MDL", "MOT", "VEL"],
+        ALL_SLOTS,
+    ),
+    fault_spec(FaultKind::ClockStep, &["LAT003"], &["LAT001", "TIM"], POSE_SLOTS),
+    fault_spec(FaultKind::SecondTfDiffers, &["FRM004"], &["FRM001", "TIM"], &["tf time", "tf"]),
+    fault_spec(FaultKind::WrongArm, &["MDL001"], &["FRM001"], ALL_SLOTS),
+    fault_spec(FaultKind::ToolChanges, &["FRM003"], &[], &["tool", "changes"]),
+    fault_spec(FaultKind::BaseChanges, &["FRM002"], &[], &["reference", "changes"]),
+    fault_spec(FaultKind::ZeroChanges, &["ZER001"], &[], &["changes"]),
     // The positions jump there.
-    kind(Kind::ScaleChanges, &["ORD009"], &["VEL", "MOT002", "MOT003"], ALL),
-    kind(Kind::GrowthChanges, &["ZER002"], &[], &["growth", "changes"]),
-    kind(Kind::OrderChanges, &["ORD002"], &[], &["pose coding", "changes"]),
-    kind(Kind::UnitChanges, &["ORD008"], &[], &["pose units", "growth", "changes"]),
-    kind(Kind::Alternates, &["FRM003"], &[], &["tool", "changes", "pose rows"]),
-    kind(Kind::LatencyStep, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
-    kind(Kind::LatencyRamp, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
-    kind(Kind::Play, &["MOT006"], &[], &["gives"]),
-    kind(Kind::Sag, &["ZER003"], &[], &["gives"]),
-    kind(Kind::Shake, &["MOT001"], &[], &["gives", "pose units"]),
-    kind(Kind::VelocityScale, &["VEL001"], &[], &["velocities", "joint numbers"]),
-    kind(Kind::VelocityLate, &["VEL001"], &[], &["velocities", "joint numbers"]),
-    kind(Kind::CommandLate, &["LAT004"], &[], &["commands", "tf time", "joint numbers"]),
-    kind(Kind::TagSize, &["HEC001"], &[], &["target", "joint numbers", "tf time"]),
-    kind(Kind::GyroDegrees, &["ORD004"], &[], &["gyro", "imu units"]),
-    kind(Kind::AccelInG, &["ORD008"], &[], &["imu units"]),
-    kind(Kind::BiasSteps, &["YAW004"], &[], &["gyro", "mount", "changes"]),
-    kind(Kind::BiasWarmsUp, &["YAW004"], &[], &["gyro", "mount"]),
-    kind(Kind::ImuSlips, &["YAW003"], &[], &["mount", "drift", "gyro", "changes"]),
-    kind(Kind::YawWarmsUp, &["YAW001"], &[], &["drift"]),
-    kind(Kind::YawByHeading, &["YAW001"], &[], &["drift"]),
+    fault_spec(FaultKind::ScaleChanges, &["ORD009"], &["VEL", "MOT002", "MOT003"], ALL_SLOTS),
+    fault_spec(FaultKind::GrowthChanges, &["ZER002"], &[], &["growth", "changes"]),
+    fault_spec(FaultKind::OrderChanges, &["ORD002"], &[], &["pose coding", "changes"]),
+    fault_spec(FaultKind::UnitChanges, &["ORD008"], &[], &["pose units", "growth", "changes"]),
+    fault_spec(FaultKind::Alternates, &["FRM003"], &[], &["tool", "changes", "pose rows"]),
+    fault_spec(FaultKind::LatencyStep, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
+    fault_spec(FaultKind::LatencyRamp, &["LAT003"], &["LAT001"], &["pose time", "skew", "changes"]),
+    fault_spec(FaultKind::Play, &["MOT006"], &[], &["gives"]),
+    fault_spec(FaultKind::Sag, &["ZER003"], &[], &["gives"]),
+    fault_spec(FaultKind::Shake, &["MOT001"], &[], &["gives", "pose units"]),
+    fault_spec(FaultKind::VelocityScale, &["VEL001"], &[], &["velocities", "joint numbers"]),
+    fault_spec(FaultKind::VelocityLate, &["VEL001"], &[], &["velocities", "joint numbers"]),
+    fault_spec(FaultKind::CommandLate, &["LAT004"], &[], &["commands", "tf time", "joint numbers"]),
+    fault_spec(FaultKind::TagSize, &["HEC001"], &[], &["target", "joint numbers", "tf time"]),
+    fault_spec(FaultKind::GyroDegrees, &["ORD004"], &[], &["gyro", "imu units"]),
+    fault_spec(FaultKind::AccelInG, &["ORD008"], &[], &["imu units"]),
+    fault_spec(FaultKind::BiasSteps, &["YAW004"], &[], &["gyro", "mount", "changes"]),
+    fault_spec(FaultKind::BiasWarmsUp, &["YAW004"], &[], &["gyro", "mount"]),
+    fault_spec(FaultKind::ImuSlips, &["YAW003"], &[], &["mount", "drift", "gyro", "changes"]),
+    fault_spec(FaultKind::YawWarmsUp, &["YAW001"], &[], &["drift"]),
+    fault_spec(FaultKind::YawByHeading, &["YAW001"], &[], &["drift"]),
 ];
 
-impl fmt::Display for Planted {
+impl fmt::Display for PlantedFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let subject = self.subject.as_deref().unwrap_or("");
         write!(f, "{} {subject} {:?}", self.codes[0], self.kind)?;
         match self.truth {
-            Truth::Amount(value) => write!(f, " {value:.6} (×{})", self.times),
-            Truth::Frame { length_m, angle_rad } => {
-                write!(f, " {:.3} mm {:.3}° (×{})", length_m * 1e3, angle_rad / DEGREE, self.times)
+            TrueValue::Amount(value) => write!(f, " {value:.6} (×{})", self.magnitude),
+            TrueValue::Frame { length_m, angle_rad } => {
+                write!(
+                    f,
+                    " {:.3} mm {:.3}° (×{})",
+                    length_m * 1e3,
+                    angle_rad / DEGREE,
+                    self.magnitude
+                )
             }
-            Truth::Convention(Misinterpretation { is, read_as }) => write!(f, " {is} as {read_as}"),
-            Truth::There => Ok(()),
+            TrueValue::Convention(Misinterpretation { is, read_as }) => {
+                write!(f, " {is} as {read_as}")
+            }
+            TrueValue::NoValue => Ok(()),
         }
     }
 }
 
 /// Plants one fault of `times` the first threshold, with a random sign.
-pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times: f64) -> Planted {
-    let kind = of.kind;
+pub fn plant(
+    run: &mut Scenario,
+    r: &mut Pcg64,
+    spec: &FaultSpec,
+    joint: usize,
+    times: f64,
+) -> PlantedFault {
+    let kind = spec.kind;
     let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
-    let thresholds = first_thresholds(of.codes[0]);
+    let thresholds = first_thresholds(spec.codes[0]);
     let amount = sign * times * thresholds.first().map_or(0.0, |threshold| threshold.1);
     let direction = unit_vector(r);
     let topic = |name: &str| Some(format!("{}{name}", run.namespace));
     let (pose_topic, imu_topic) = (topic(synth::POSE), topic(synth::IMU));
     let joints_topic = topic(synth::JOINT_STATES);
     let mut subject = pose_topic;
-    let mut truth = Truth::Amount(amount);
+    let mut truth = TrueValue::Amount(amount);
     let mut times = times;
     // Faults without a magnitude, or with a different one than the rule's thresholds.
-    let mut is_there = thresholds.is_empty();
+    let mut has_no_value = thresholds.is_empty();
     match kind {
-        Kind::PoseLate => run.pose.timing.latency_s += amount,
-        Kind::ImuLate => {
+        FaultKind::PoseLate => run.pose.timing.latency_s += amount,
+        FaultKind::ImuLate => {
             run.imu.timing.latency_s += amount;
             subject = imu_topic;
         }
-        Kind::TfLate => {
+        FaultKind::TfLate => {
             run.tf.timing.latency_s += amount;
             subject = Some(synth::TF.to_owned());
         }
-        Kind::JointsLate => {
+        FaultKind::JointsLate => {
             // If the joints are early, everything else is late, which has the opposite sign.
             run.joints.timing.latency_s += amount.abs();
-            truth = Truth::Amount(amount.abs());
+            truth = TrueValue::Amount(amount.abs());
             subject = joints_topic;
         }
-        Kind::Skew => run.pose.timing.skew = amount,
-        Kind::Zero => {
+        FaultKind::Skew => run.pose.timing.skew = amount,
+        FaultKind::Zero => {
             let chain = chain(run);
             let amount = match chain.joint_kinds()[joint] {
                 JointKind::Prismatic => sign * times * 0.2e-3,
@@ -337,29 +356,29 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             };
             run.joints.zero_offsets.resize(chain.dof(), 0.0);
             run.joints.zero_offsets[joint] = amount;
-            truth = Truth::Amount(amount);
+            truth = TrueValue::Amount(amount);
             subject = Some(chain.joint_names()[joint].clone());
         }
-        Kind::Homed => {
+        FaultKind::Homed => {
             let chain = chain(run);
             let amount = sign * *choose(r, &[5.0, 10.0, 30.0, 45.0, 90.0, 120.0, 180.0]) * DEGREE;
             run.joints.zero_offsets.resize(chain.dof(), 0.0);
             run.joints.zero_offsets[joint] = amount;
             // The value is in the benchmark's own table of homed joints, modulo a turn.
-            is_there = true;
+            has_no_value = true;
             subject = Some(chain.joint_names()[joint].clone());
         }
-        Kind::Reversed | Kind::Geared => {
+        FaultKind::Reversed | FaultKind::Geared => {
             let chain = chain(run);
             run.joints.scales.resize(chain.dof(), 1.0);
             run.joints.scales[joint] = match kind {
-                Kind::Reversed => -1.0,
+                FaultKind::Reversed => -1.0,
                 _ => *choose(r, &[2.0, 0.5, 1.1, 3.0, -2.0, 100.0 / PI, 4096.0 / (2.0 * PI)]),
             };
             subject = Some(chain.joint_names()[joint].clone());
         }
-        Kind::Growth => run.pose.growth = amount,
-        Kind::Reference | Kind::Tool => {
+        FaultKind::Growth => run.pose.growth = amount,
+        FaultKind::Reference | FaultKind::Tool => {
             let (length_m, angle_rad) = match r.random_range(0..3) {
                 0 => (times * 1e-3, 0.0),
                 1 => (0.0, times * 0.1 * DEGREE),
@@ -370,105 +389,105 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
                 rotation_from_rotvec(angle_rad * direction),
             );
             match kind {
-                Kind::Tool => run.pose.tip_from_stream = offset,
+                FaultKind::Tool => run.pose.tip_from_stream = offset,
                 _ => run.pose.reference_from_stream = offset,
             }
-            truth = Truth::Frame { length_m, angle_rad };
+            truth = TrueValue::Frame { length_m, angle_rad };
         }
-        Kind::BaseTurned => {
+        FaultKind::BaseTurned => {
             let turned: Pose = pose([0.0; 3], rotation_from_rotvec(PI * Vec3::z()));
             run.pose.reference_from_stream = turned;
-            truth = Truth::Frame { length_m: 0.0, angle_rad: PI };
+            truth = TrueValue::Frame { length_m: 0.0, angle_rad: PI };
             times = f64::INFINITY;
         }
-        Kind::YawDrift => {
+        FaultKind::YawDrift => {
             run.imu.yaw_drift_rad_s = amount;
             subject = imu_topic;
         }
-        Kind::YawJump => {
+        FaultKind::YawJump => {
             let amount = sign * times * thresholds.last().map_or(0.0, |threshold| threshold.1);
             let at_s = run.duration_s * r.random_range(0.2..0.8);
             run.imu.yaw_jumps = vec![(at_s, amount)];
-            truth = Truth::Amount(amount);
+            truth = TrueValue::Amount(amount);
             subject = imu_topic;
         }
-        Kind::Mount => {
+        FaultKind::Mount => {
             run.imu.mount_error = pose([0.0; 3], rotation_from_rotvec(amount.abs() * direction));
-            truth = Truth::Amount(amount.abs());
+            truth = TrueValue::Amount(amount.abs());
             subject = imu_topic;
         }
-        Kind::GyroBias => {
+        FaultKind::GyroBias => {
             run.imu.gyro_bias_rad_s = amount.abs() * direction;
-            truth = Truth::Amount(amount.abs());
+            truth = TrueValue::Amount(amount.abs());
             subject = imu_topic;
         }
-        Kind::Misread | Kind::ImuMisread => {
+        FaultKind::Misread | FaultKind::ImuMisread => {
             let classes = misinterpretation_classes();
             // The usual ones are more frequent.
             let class = match r.random_bool(0.3) {
                 true => &classes[r.random_range(0..classes.len().min(12))],
                 false => choose(r, classes),
             };
-            let misreading = *choose(r, &class.members);
-            truth = Truth::Convention(misreading);
-            if kind == Kind::Misread {
-                run.pose.coding = Coding::Misread(misreading);
+            let misinterpretation = *choose(r, &class.members);
+            truth = TrueValue::Convention(misinterpretation);
+            if kind == FaultKind::Misread {
+                run.pose.coding = Coding::Misread(misinterpretation);
             } else {
-                run.imu.coding = Coding::Misread(misreading);
+                run.imu.coding = Coding::Misread(misinterpretation);
                 subject = imu_topic;
             }
         }
-        Kind::Wxyz => run.pose.coding = Coding::Slipped(slip(r)),
-        Kind::ImuWxyz => {
-            run.imu.coding = Coding::Slipped(slip(r));
+        FaultKind::Wxyz => run.pose.coding = Coding::Slipped(quaternion_order_error(r)),
+        FaultKind::ImuWxyz => {
+            run.imu.coding = Coding::Slipped(quaternion_order_error(r));
             subject = imu_topic;
         }
-        Kind::Transposed => run.pose.coding = Coding::Transposed,
-        Kind::Inverted => run.pose.coding = Coding::Inverted,
-        Kind::ImuTransposed => {
+        FaultKind::Transposed => run.pose.coding = Coding::Transposed,
+        FaultKind::Inverted => run.pose.coding = Coding::Inverted,
+        FaultKind::ImuTransposed => {
             run.imu.coding = Coding::Transposed;
             subject = imu_topic;
         }
-        Kind::JointDegrees => {
+        FaultKind::JointDegrees => {
             run.joints.in_degrees = true;
             subject = joints_topic;
         }
-        Kind::JointOrder => {
-            run.joints.number_order = Some(order(r, chain(run).dof()));
+        FaultKind::JointOrder => {
+            run.joints.number_order = Some(wrong_joint_order(r, chain(run).dof()));
             subject = joints_topic;
         }
-        Kind::Millimetres => run.pose.in_millimetres = true,
-        Kind::LengthUnit => run.pose.times = *choose(r, &[100.0, 1.0 / 0.0254, 1e4, 10.0]),
-        Kind::Axes => run.pose.axes = Some(axes(r)),
-        Kind::Constant => run.pose.constant = Some((r.random_range(0..3), 0.0)),
-        Kind::Unset => {
+        FaultKind::Millimetres => run.pose.in_millimetres = true,
+        FaultKind::LengthUnit => run.pose.times = *choose(r, &[100.0, 1.0 / 0.0254, 1e4, 10.0]),
+        FaultKind::Axes => run.pose.axes = Some(wrong_axes(r)),
+        FaultKind::Constant => run.pose.constant = Some((r.random_range(0..3), 0.0)),
+        FaultKind::Unset => {
             run.pose.unset = Some(*choose(r, &[[0.0; 4], [0.0, 0.0, 0.0, 1.0]]));
         }
-        Kind::OwnFrame => run.pose.frame_id = run.tip.clone(),
-        Kind::HeldPose => {
+        FaultKind::OwnFrame => run.pose.frame_id = run.tip.clone(),
+        FaultKind::HeldPose => {
             let hz = run.pose.timing.rate_hz;
             let rows = *choose(r, &[2.0, 3.0, 5.0, 6.25]);
             run.pose.timing.new_hz = hz / rows;
-            (truth, times) = repeated(rows, &thresholds);
+            (truth, times) = repeated_share(rows, &thresholds);
         }
-        Kind::HeldJoints => {
+        FaultKind::HeldJoints => {
             let hz = run.joints.timing.rate_hz;
             let rows = *choose(r, &[2.0, 4.0, 5.0]);
             run.joints.timing.new_hz = hz / rows;
-            (truth, times) = repeated(rows, &thresholds);
+            (truth, times) = repeated_share(rows, &thresholds);
             subject = joints_topic;
         }
-        Kind::StuckPose => run.pose.stuck_s = Some(a_while(run, r)),
-        Kind::StuckJoints => {
-            run.joints.stuck_s = Some(a_while(run, r));
+        FaultKind::StuckPose => run.pose.stuck_s = Some(span_mid_run(run, r)),
+        FaultKind::StuckJoints => {
+            run.joints.stuck_s = Some(span_mid_run(run, r));
             subject = joints_topic;
         }
-        Kind::ClockStep => {
+        FaultKind::ClockStep => {
             let by_s = sign * *choose(r, &[0.03, 0.08, 0.2, 0.5]);
             run.pose.timing.step = Some((run.duration_s * r.random_range(0.3..0.7), by_s));
-            is_there = true;
+            has_no_value = true;
         }
-        Kind::SecondTfDiffers => {
+        FaultKind::SecondTfDiffers => {
             let by = pose((*choose(r, &[3e-3, 5e-3, 0.02]) * direction).into(), Default::default());
             let mut timing = run.tf.timing.clone();
             timing.rate_hz = *choose(r, &[timing.rate_hz, 30.0, 100.0]);
@@ -476,61 +495,68 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             run.tf.second = Some(SecondPublisher { timing, moved: Some((joint, by)) });
             subject = None;
         }
-        Kind::WrongArm => {
-            is_there = true;
+        FaultKind::WrongArm => {
+            has_no_value = true;
         }
         _ => {
-            return plant_lately(run, r, of, joint, times);
+            return plant_change_or_other_stream(run, r, spec, joint, times);
         }
     }
-    if is_there {
+    if has_no_value {
         times = f64::INFINITY;
         truth = match truth {
-            Truth::Convention(_) => truth,
-            _ => Truth::There,
+            TrueValue::Convention(_) => truth,
+            _ => TrueValue::NoValue,
         };
     }
-    Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+    PlantedFault {
+        kind,
+        codes: spec.codes,
+        related_codes: spec.related_codes,
+        subject,
+        magnitude: times,
+        truth,
+    }
 }
 
 /// Plants changes within the run, compliance, and faults of streams other than poses.
-fn plant_lately(
+fn plant_change_or_other_stream(
     run: &mut Scenario,
     r: &mut Pcg64,
-    of: &KindOf,
+    spec: &FaultSpec,
     joint: usize,
     times: f64,
-) -> Planted {
-    let kind = of.kind;
+) -> PlantedFault {
+    let kind = spec.kind;
     let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
-    let thresholds = first_thresholds(of.codes[0]);
+    let thresholds = first_thresholds(spec.codes[0]);
     let amount = sign * times * thresholds.first().map_or(0.0, |threshold| threshold.1);
     let direction = unit_vector(r);
     let topic = |name: &str| Some(format!("{}{name}", run.namespace));
     let [pose_topic, imu_topic, joints_topic] =
         [synth::POSE, synth::IMU, synth::JOINT_STATES].map(topic);
-    let targets = topic(synth::TARGET);
+    let target_topic = topic(synth::TARGET);
     let chain = chain(run);
     let joint_name = |joint: usize| Some(chain.joint_names()[joint].clone());
     let at_s = run.duration_s * r.random_range(0.3..0.7);
     let (mut subject, mut times) = (pose_topic, times);
     let truth = match kind {
-        Kind::ToolChanges | Kind::BaseChanges | Kind::Alternates => {
+        FaultKind::ToolChanges | FaultKind::BaseChanges | FaultKind::Alternates => {
             // Bodies on one tool are some distance apart.
-            times = if kind == Kind::Alternates { times.max(20.0) } else { times };
+            times = if kind == FaultKind::Alternates { times.max(20.0) } else { times };
             let (length_m, angle_rad) = match r.random_range(0..3) {
                 0 => (times * 1e-3, 0.0),
-                1 if kind != Kind::Alternates => (0.0, times * 0.1 * DEGREE),
+                1 if kind != FaultKind::Alternates => (0.0, times * 0.1 * DEGREE),
                 _ => (times * 1e-3, times * 0.1 * DEGREE),
             };
             let turn = rotation_from_rotvec(angle_rad * unit_vector(r));
             let by: Pose = pose((length_m * direction).into(), turn);
             let mut moved = run.clone();
             match kind {
-                Kind::BaseChanges => moved.pose.reference_from_stream *= by,
+                FaultKind::BaseChanges => moved.pose.reference_from_stream *= by,
                 _ => moved.pose.tip_from_stream *= by,
             }
-            if kind == Kind::Alternates {
+            if kind == FaultKind::Alternates {
                 let usual = run.clone();
                 let mut at_s = run.duration_s * r.random_range(0.1..0.2);
                 while at_s < 0.9 * run.duration_s {
@@ -541,68 +567,68 @@ fn plant_lately(
             } else {
                 run.later = vec![(at_s, moved)];
             }
-            Truth::Frame { length_m, angle_rad }
+            TrueValue::Frame { length_m, angle_rad }
         }
-        Kind::ZeroChanges => {
+        FaultKind::ZeroChanges => {
             let amount = match chain.joint_kinds()[joint] {
                 JointKind::Prismatic => sign * times * 0.2e-3,
                 _ => sign * times * 0.1 * DEGREE,
             };
-            change(run, at_s, |run| {
+            change_from(run, at_s, |run| {
                 run.joints.zero_offsets.resize(chain.dof(), 0.0);
                 run.joints.zero_offsets[joint] += amount;
             });
             subject = joint_name(joint);
-            Truth::Amount(amount)
+            TrueValue::Amount(amount)
         }
-        Kind::ScaleChanges => {
+        FaultKind::ScaleChanges => {
             let factor = *choose(r, &[-1.0, 2.0, 0.5, 1.1, 0.9]);
-            change(run, at_s, |run| {
+            change_from(run, at_s, |run| {
                 run.joints.scales.resize(chain.dof(), 1.0);
                 run.joints.scales[joint] = factor;
             });
             subject = joint_name(joint);
             times = f64::INFINITY;
             // `q_true = factor · q_reported`, and 1 before.
-            Truth::Amount(1.0 / factor - 1.0)
+            TrueValue::Amount(1.0 / factor - 1.0)
         }
-        Kind::GrowthChanges => {
-            change(run, at_s, |run| run.pose.growth += amount);
-            Truth::Amount(amount)
+        FaultKind::GrowthChanges => {
+            change_from(run, at_s, |run| run.pose.growth += amount);
+            TrueValue::Amount(amount)
         }
-        Kind::OrderChanges => {
-            let coding = Coding::Slipped(slip(r));
-            change(run, at_s, |run| run.pose.coding = coding);
+        FaultKind::OrderChanges => {
+            let coding = Coding::Slipped(quaternion_order_error(r));
+            change_from(run, at_s, |run| run.pose.coding = coding);
             times = f64::INFINITY;
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::UnitChanges => {
-            change(run, at_s, |run| run.pose.in_millimetres = true);
+        FaultKind::UnitChanges => {
+            change_from(run, at_s, |run| run.pose.in_millimetres = true);
             times = f64::INFINITY;
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::LatencyStep => {
+        FaultKind::LatencyStep => {
             run.pose.timing.ages = Some((at_s, at_s, amount));
-            Truth::Amount(amount)
+            TrueValue::Amount(amount)
         }
-        Kind::LatencyRamp => {
+        FaultKind::LatencyRamp => {
             let to_s = at_s + run.duration_s * r.random_range(0.1..0.25);
             run.pose.timing.ages = Some((at_s, to_s, amount));
-            Truth::Amount(amount.abs())
+            TrueValue::Amount(amount.abs())
         }
-        Kind::Play | Kind::Sag => {
+        FaultKind::Play | FaultKind::Sag => {
             let (joint, how) = match kind {
-                Kind::Play => (joint, Giving::Play),
-                _ => (*choose(r, &loaded(run)), Giving::Sag),
+                FaultKind::Play => (joint, Giving::Play),
+                _ => (*choose(r, &gravity_loaded_joints(run)), Giving::Sag),
             };
             run.gives.retain(|gives| gives.joint != joint);
             run.gives.push(Gives { joint, how, by_rad: amount.abs() });
             subject = joint_name(joint);
-            Truth::Amount(amount.abs())
+            TrueValue::Amount(amount.abs())
         }
-        Kind::Shake => {
+        FaultKind::Shake => {
             let hz = r.random_range(5.0..0.4 * run.pose.timing.rate_hz.clamp(15.0, 50.0));
-            let [joint, _] = loaded(run);
+            let [joint, _] = gravity_loaded_joints(run);
             // Rms of a sine at the lever arm of the home configuration.
             let mut home = run.home.clone();
             home.resize(chain.dof(), 0.0);
@@ -615,9 +641,9 @@ fn plant_lately(
             let by_rad = 2_f64.sqrt() * amount.abs() / lever_m.max(0.05);
             run.gives.retain(|gives| gives.joint != joint);
             run.gives.push(Gives { joint, how: Giving::Vibrates(hz), by_rad });
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::VelocityScale => {
+        FaultKind::VelocityScale => {
             run.joints.with_velocity = true;
             let factor = match r.random_bool(0.5) {
                 true => 1.0 + amount,
@@ -634,66 +660,66 @@ fn plant_lately(
                 run.joints.velocity_scales[joint] = factor;
                 subject = joint_name(joint);
             }
-            Truth::Amount((factor - 1.0).abs())
+            TrueValue::Amount((factor - 1.0).abs())
         }
-        Kind::VelocityLate => {
+        FaultKind::VelocityLate => {
             run.joints.with_velocity = true;
             run.joints.velocity_late_s = *choose(r, &[0.08, 0.12, 0.2]);
             (subject, times) = (None, f64::INFINITY);
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::CommandLate => {
+        FaultKind::CommandLate => {
             let timing = &mut run.reference.timing;
             (timing.rate_hz, timing.latency_s) = (50.0, -amount.abs());
             run.reference.commands = *choose(r, &[Commands::Joints, Commands::Poses]);
             // Joints with equal delay are one finding on their topic, otherwise each is a finding.
             subject = None;
-            Truth::Amount(amount.abs())
+            TrueValue::Amount(amount.abs())
         }
-        Kind::TagSize => {
+        FaultKind::TagSize => {
             if run.target.timing.rate_hz == 0.0 {
                 let camera = *choose(r, &[Camera::InHand, Camera::InBase]);
                 run.watch(camera).expect("a chain");
             }
             run.target.scale = *choose(r, &[0.5, 0.8, 0.9, 1.1, 1.25, 2.0]);
-            (subject, times) = (targets, f64::INFINITY);
-            Truth::There
+            (subject, times) = (target_topic, f64::INFINITY);
+            TrueValue::NoValue
         }
-        Kind::GyroDegrees => {
+        FaultKind::GyroDegrees => {
             run.imu.gyro_times = 1_f64.to_degrees();
             (subject, times) = (imu_topic, f64::INFINITY);
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::AccelInG => {
+        FaultKind::AccelInG => {
             run.imu.force_times = *choose(r, &[1.0, 1e3]) / 9.80665;
             (subject, times) = (imu_topic, f64::INFINITY);
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::BiasSteps => {
-            change(run, at_s, |run| run.imu.gyro_bias_rad_s += amount.abs() * direction);
+        FaultKind::BiasSteps => {
+            change_from(run, at_s, |run| run.imu.gyro_bias_rad_s += amount.abs() * direction);
             subject = imu_topic;
-            Truth::Amount(amount.abs())
+            TrueValue::Amount(amount.abs())
         }
-        Kind::BiasWarmsUp => {
+        FaultKind::BiasWarmsUp => {
             times = times.max(5.0);
             let by_rad_s = amount.abs().max(times * thresholds[0].1);
             let tau_s = run.duration_s * r.random_range(0.1..0.25);
             run.imu.gyro_warms_up = Some((by_rad_s * direction, tau_s));
             subject = imu_topic;
-            Truth::There
+            TrueValue::NoValue
         }
-        Kind::ImuSlips => {
+        FaultKind::ImuSlips => {
             let turn = pose([0.0; 3], rotation_from_rotvec(amount.abs() * direction));
-            change(run, at_s, |run| run.imu.mount_error *= turn);
+            change_from(run, at_s, |run| run.imu.mount_error *= turn);
             subject = imu_topic;
-            Truth::Amount(amount.abs())
+            TrueValue::Amount(amount.abs())
         }
-        Kind::YawWarmsUp => {
+        FaultKind::YawWarmsUp => {
             let by_rad = sign * times.max(2.0) * DEGREE;
             let tau_s = run.duration_s * r.random_range(0.1..0.25);
             run.imu.yaw_warms_up = Some((by_rad, tau_s));
             (subject, times) = (imu_topic, f64::INFINITY);
-            Truth::There
+            TrueValue::NoValue
         }
         _ => {
             let by_rad = r.random_range(3.0..12.0) * DEGREE;
@@ -701,30 +727,37 @@ fn plant_lately(
             let phases = [phase(), phase()];
             run.imu.yaw_by_heading = [(by_rad, phases[0]), (0.3 * by_rad, phases[1])];
             (subject, times) = (imu_topic, f64::INFINITY);
-            Truth::There
+            TrueValue::NoValue
         }
     };
-    Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
+    PlantedFault {
+        kind,
+        codes: spec.codes,
+        related_codes: spec.related_codes,
+        subject,
+        magnitude: times,
+        truth,
+    }
 }
 
 /// Continues the run from `at_s` on with the modification `other`.
-fn change(run: &mut Scenario, at_s: f64, other: impl Fn(&mut Scenario)) {
+fn change_from(run: &mut Scenario, at_s: f64, other: impl Fn(&mut Scenario)) {
     let mut later = run.clone();
     other(&mut later);
     run.later = vec![(at_s, later)];
 }
 
 /// Share of repeated rows if each value is sent `rows` times, and its ratio to the threshold.
-fn repeated(rows: f64, thresholds: &[(Unit, f64)]) -> (Truth, f64) {
+fn repeated_share(rows: f64, thresholds: &[(Unit, f64)]) -> (TrueValue, f64) {
     let share = 1.0 - 1.0 / rows;
     (
-        Truth::Amount(share),
+        TrueValue::Amount(share),
         thresholds.first().map_or(f64::INFINITY, |threshold| share / threshold.1),
     )
 }
 
 /// A wrong order of `dof` joints.
-fn order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
+fn wrong_joint_order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..dof).collect();
     match r.random_range(0..3) {
         0 => {
@@ -741,14 +774,14 @@ fn order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
 }
 
 /// Axes of game engines and cameras: y up, left-handed, mirrored.
-fn axes(r: &mut Pcg64) -> Matrix3<f64> {
+fn wrong_axes(r: &mut Pcg64) -> Matrix3<f64> {
     let [x, y, z] = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| axis.transpose());
     let rows = *choose(r, &[[x, z, -y], [-y, z, x], [x, z, y], [x, -y, z], [y, x, z], [-y, -z, x]]);
     Matrix3::from_rows(&rows)
 }
 
 /// A span in the middle of a run, s after the start.
-fn a_while(run: &Scenario, r: &mut Pcg64) -> (f64, f64) {
+fn span_mid_run(run: &Scenario, r: &mut Pcg64) -> (f64, f64) {
     let from_s = run.duration_s * r.random_range(0.25..0.6);
     (from_s, from_s + *choose(r, &[1.0, 2.0, 3.0]))
 }
@@ -763,7 +796,7 @@ fn first_thresholds(code: &str) -> Vec<(Unit, f64)> {
     }
 }
 
-fn slip(r: &mut Pcg64) -> QuaternionOrderError {
+fn quaternion_order_error(r: &mut Pcg64) -> QuaternionOrderError {
     *choose(r, &[QuaternionOrderError::WxyzReadAsXyzw, QuaternionOrderError::XyzwReadAsWxyz])
 }
 
