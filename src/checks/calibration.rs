@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_calibration_is_refused_that_knows_or_foretells_no_more_than_the_drawing() {
+    fn a_calibration_no_better_than_the_nominal_model_is_refused() {
         let good = found(1e-5, [1e-3, 2e-5], [1e-3, 2e-5]);
         assert_eq!(rejection_reason(&good, &[]), None);
         // The nominal model already fits to within the noise.
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_gains_nothing_that_is_described_no_better_than_by_the_drawing() {
+    fn a_stream_without_improvement_over_the_nominal_model_is_reported() {
         let gains = |left: [f64; 2], unseen: [f64; 2]| {
             stream_rejection_reason(&found(1e-5, left, unseen).streams[0]).is_none()
         };
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_that_hardly_move_are_named() {
+    fn joints_with_little_motion_are_listed() {
         let found = found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]);
         let joints = ["a", "b", "c", "d", "e", "f"].map(str::to_owned);
         let unmoved = unmoved_joints(&found.robot, &joints, &found);

@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn an_amount_beyond_the_figure_fails_only_where_it_is_surely_not_zero() {
+    fn a_size_above_the_threshold_fails_only_if_significant() {
         assert_eq!(decide(&measured(-0.022, 1e-4), &THRESHOLD, 1), Decision::Fail(Severity::Error));
         assert_eq!(
             decide(&measured(0.002, 1e-4), &THRESHOLD, 1),
@@ -212,14 +212,14 @@ mod tests {
     }
 
     #[test]
-    fn more_subjects_ask_for_more_certainty() {
+    fn more_subjects_require_more_confidence() {
         let borderline = measured(3.5e-3, 1e-3);
         assert!(matches!(decide(&borderline, &THRESHOLD, 1), Decision::Fail(_)));
         assert!(matches!(decide(&borderline, &THRESHOLD, 20), Decision::Undecided(_)));
     }
 
     #[test]
-    fn what_is_not_known_well_enough_never_passes() {
+    fn a_wide_interval_never_passes() {
         assert_eq!(decide(&measured(1e-3, 5e-4), &THRESHOLD, 1), Decision::Pass);
         for vague in [measured(0.0, 2e-3), measured(0.0, f64::INFINITY), measured(f64::NAN, 0.0)] {
             assert!(matches!(decide(&vague, &THRESHOLD, 1), Decision::Undecided(_)), "{vague:?}");
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_needs_its_vector_to_be_surely_there() {
+    fn a_length_fails_only_if_its_vector_is_significant() {
         let length = |value, std_error, p_value| MeasuredLength {
             norm: measured(value, std_error),
             p_value,
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_of_no_width_is_that_of_the_noise_floor() {
+    fn a_zero_interval_is_widened_to_the_noise_floor() {
         let fine = Threshold { unit: Unit::Metre, warning: 1e-7, error: 1.0 };
         assert!(matches!(decide(&measured(5e-7, 0.0), &fine, 1), Decision::Undecided(_)));
     }

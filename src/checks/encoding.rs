@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_is_found_by_its_own_rule_alone() {
+    fn each_fault_is_reported_by_its_own_rule_only() {
         for (reading, code) in [
             (PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw), "ORD002"),
             (PoseEncoding::Inverted, "ORD003"),
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn two_readings_that_fit_alike_leave_both_rules_open() {
+    fn two_encodings_that_fit_equally_are_inconclusive() {
         let run = read(PoseEncoding::Inverted, 1e-3, Some((PoseEncoding::Transposed, 1.2e-3)));
         let (rows, findings) = ask(&ORD003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
@@ -452,13 +452,13 @@ mod tests {
     }
 
     #[test]
-    fn no_reading_is_believed_that_does_not_follow_the_arm() {
+    fn an_encoding_that_does_not_follow_the_arm_is_rejected() {
         let (rows, findings) = ask(&ORD003, &read(PoseEncoding::Inverted, 0.5, None));
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
     #[test]
-    fn conventions_have_words() {
+    fn conventions_have_descriptions() {
         let words = |name: &str| name.parse().map(describe_convention);
         assert_eq!(words("euler:xyz").as_deref(), Ok("roll-pitch-yaw"));
         assert_eq!(words("rotvec").as_deref(), Ok("rotation vector"));

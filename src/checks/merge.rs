@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gravest_answer_stands_and_a_short_tail_leaves_nothing_open() {
+    fn the_worst_outcome_wins_and_a_short_segment_is_ignored() {
         let at_rest = || Err(NotObservable::AtRest);
         assert_eq!(
             latency(vec![part(Ok(0.0), false), part(Ok(0.0), false)]),
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_finding_says_its_segment() {
+    fn a_finding_names_its_segment() {
         let whole = merge_segments(vec![part(Ok(0.0), false), part(Ok(0.02), false)], 0);
         assert!(whole.findings[0].message.ends_with(", in segment 2 of 2"));
         assert_eq!(whole.findings[0].evidence.more["segment"]["number"], 2);

@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_stays_is_asked_to_move() {
+    fn a_joint_at_rest_is_recommended_to_move() {
         assert_eq!(
             sentence([1.0, 0.01, 1.0], &[StreamParameter::JointZero(1)]),
             "zero of lift not observable in /pose; move lift by more than 30°, with the other joints in two \
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_of_one_frame_are_one_cause() {
+    fn axes_of_one_frame_are_one_parameter() {
         let parameters = [
             StreamParameter::ToolTurn(0),
             StreamParameter::ToolShift(2),
@@ -414,14 +414,14 @@ mod tests {
     }
 
     #[test]
-    fn rest_asks_for_motion_and_a_short_run_for_length() {
+    fn a_resting_run_needs_motion_and_a_short_run_needs_length() {
         assert!(sentence([0.0; 3], &[StreamParameter::Latency]).contains("move every joint"));
         let said = sentence([1.0; 3], &[StreamParameter::Skew]);
         assert!(said.ends_with("at least a minute, with the arm moving from start to end"));
     }
 
     #[test]
-    fn directions_that_share_a_cause_are_said_at_once() {
+    fn directions_that_share_a_cause_are_merged() {
         use StreamParameter::{JointZero, RadialScale, ToolShift, ToolTurn};
         let groups = merge_by_cause(vec![
             direction(&[JointZero(0), ToolTurn(1)]),

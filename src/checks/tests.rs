@@ -2,7 +2,7 @@ use super::*;
 use crate::finding::Unit;
 
 #[test]
-fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
+fn a_selector_is_a_code_or_a_prefix_of_codes() -> Result<(), UnknownRule> {
     let ord: Selector = "ord".parse()?;
     assert!(ord.matches("ORD001") && !ord.matches("LAT001"));
     let settings =
@@ -16,7 +16,7 @@ fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
 }
 
 #[test]
-fn an_unknown_code_names_the_nearest() {
+fn an_unknown_code_suggests_the_nearest() {
     let error = "ORD000".parse::<Selector>().expect_err("no such rule");
     assert_eq!(error.nearest, ["ORD001", "ORD002", "ORD003"]);
     let unlike = "".parse::<Selector>().expect_err("names no rule");
@@ -24,7 +24,7 @@ fn an_unknown_code_names_the_nearest() {
 }
 
 #[test]
-fn a_clean_run_passes_every_rule_about_an_arm() {
+fn a_clean_run_passes_every_arm_rule() {
     let evaluation = evaluate(&testing::clean_run(), &Settings::default());
     assert!(evaluation.findings.is_empty(), "{:?}", evaluation.findings);
     for row in evaluation.checks {
@@ -40,7 +40,7 @@ fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> 
 }
 
 #[test]
-fn every_threshold_that_is_set_reaches_its_rule() {
+fn every_configured_threshold_reaches_its_rule() {
     // The clean run has no prismatic or compliant joint, yaw step, shaking or gyro gain.
     let idle = [
         ("ZER001", Unit::Metre),
@@ -71,7 +71,7 @@ fn every_threshold_that_is_set_reaches_its_rule() {
 }
 
 #[test]
-fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
+fn a_configured_severity_applies_to_all_but_info_findings() {
     let mut run = testing::clean_run();
     run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
     let mut settings = Settings::default();
@@ -83,7 +83,7 @@ fn a_severity_that_is_set_is_that_of_all_but_what_is_meant_so() {
 }
 
 #[test]
-fn what_is_exempt_is_said_and_not_counted() {
+fn exempt_findings_are_reported_and_not_counted() {
     let mut run = testing::clean_run();
     run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
     let exemption = |topic: &str| Exemption {
@@ -110,7 +110,7 @@ fn what_is_exempt_is_said_and_not_counted() {
 }
 
 #[test]
-fn findings_stand_by_gravity_and_then_by_effect() {
+fn findings_are_sorted_by_severity_then_effect() {
     let mut run = testing::clean_run();
     run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
     for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
@@ -125,7 +125,7 @@ fn findings_stand_by_gravity_and_then_by_effect() {
 }
 
 #[test]
-fn a_wrong_model_stands_before_what_may_follow_from_it() {
+fn a_wrong_model_is_listed_before_its_consequences() {
     let mut run = testing::clean_run();
     run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.5));
     let mut findings = evaluate(&run, &Settings::default()).findings;
@@ -142,7 +142,7 @@ fn a_wrong_model_stands_before_what_may_follow_from_it() {
 }
 
 #[test]
-fn a_run_of_which_nothing_is_known_passes_nothing_that_needs_a_model() {
+fn a_run_without_a_model_passes_no_rule_that_needs_one() {
     let no_robot = "no joint states in this log";
     let run = RunEvidence { no_robot: Some(no_robot.to_owned()), ..RunEvidence::default() };
     let evaluation = evaluate(&run, &Settings::default());

@@ -142,7 +142,7 @@ mod tests {
     static HOOK: Mutex<()> = Mutex::new(());
 
     #[test]
-    fn a_panic_is_told_in_one_line_with_its_place() {
+    fn a_panic_is_reported_in_one_line_with_its_place() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let told = catch_panic(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
         let told = told.expect_err("a panic");
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_of_another_thread_that_work_waits_for_is_told_as_the_first_one_said() {
+    fn a_panic_of_a_worker_thread_keeps_its_first_message() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let work = || rayon::join(|| panic!("of a worker"), || 1);
         let told = catch_panic(work).expect_err("a panic");

@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_rest_off_its_goal_is_a_finding_that_lists_frames() {
+    fn an_error_at_one_rest_is_a_finding_that_lists_frames() {
         let run = planted(|_, found| found.rest_errors = vec![vec![rest_gap(0.003, 0.0)]; 2]);
         let (_, findings) = ask(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Warning);
@@ -394,14 +394,14 @@ mod tests {
     }
 
     #[test]
-    fn one_of_several_goals_that_was_given_up_is_no_fault() {
+    fn one_abandoned_goal_among_several_is_no_fault() {
         let gaps = [0.0, 0.008, 0.0].map(|m| rest_gap(m, 0.0)).to_vec();
         let run = planted(|_, found| found.rest_errors = vec![gaps.clone(), gaps.clone()]);
         assert_eq!(ask(&FRM006, &run).0[0].status, Status::Pass);
     }
 
     #[test]
-    fn the_same_seen_from_a_turned_tool_is_probably_another_tcp() {
+    fn an_offset_constant_in_the_tool_is_probably_another_tcp() {
         let gaps: Vec<RestError> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_offset_at_one_rest_is_left_open() {
+    fn a_large_offset_at_one_rest_is_inconclusive() {
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
             found.rest_errors = vec![vec![rest_gap(0.14, 0.0)]; 2];
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_of_the_base_is_a_fault_where_a_frame_was_named() {
+    fn a_base_offset_is_a_fault_if_the_frame_is_named() {
         for (frame_named, status) in [(true, Status::Fail), (false, Status::Inconclusive)] {
             let gaps = [0.0, 1.0, 2.0].map(|turn| {
                 let gap = rest_gap(0.3, turn);
@@ -440,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_rest_tells_is_said() {
+    fn missing_rests_are_reported() {
         let run = planted(|_, found| {
             found.rest_errors = vec![Vec::new(); 2];
             (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));

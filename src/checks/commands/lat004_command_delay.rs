@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn the_delay_of_poses_is_on_their_topic() {
+    fn a_pose_delay_is_reported_on_the_pose_topic() {
         let (_, findings) = ask(&LAT004, &planted(&[(None, 0.14, 0.0)]));
         assert_eq!(findings[0].severity, Severity::Warning);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_with_one_delay_are_one_finding() {
+    fn joints_with_equal_delays_are_one_finding() {
         let run = planted(&[(Some(0), 0.1, 0.0), (Some(1), 0.101, 0.0), (Some(2), 0.3, 0.25)]);
         let (rows, findings) = ask(&LAT004, &run);
         assert_eq!((rows.len(), findings.len()), (2, 2), "{findings:?}");
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn goals_are_open_and_a_state_that_leads_is_told() {
+    fn goals_are_inconclusive_and_a_leading_state_is_reported() {
         let mut run = planted(&[(Some(0), 0.1, 0.0)]);
         run.robots[0].references[0].delays[0].response = Err(DelayFailure::Goals);
         let (rows, findings) = ask(&LAT004, &run);

@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_must_be_left_by_all_witnesses() {
+    fn a_line_deviation_must_show_in_all_pose_streams() {
         let bowed = LineDeviation { distance_m: length(0.003), angle_rad: length(0.0) };
         let by_one = planted(|line| line.deviations[0] = Some(bowed));
         assert_eq!(ask(&MOT004, &by_one).0[0].status, Status::Pass);
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn another_pace_is_worth_knowing_and_another_interpolation_is_a_fault() {
+    fn another_speed_profile_is_information_and_another_interpolation_is_a_fault() {
         let off = 3.0 * DEGREE;
         for (across, interpolated, severity) in [
             (0.0, None, Severity::Info),
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_witness_it_is_open() {
+    fn without_a_pose_stream_the_line_is_inconclusive() {
         let run = planted(|line| line.deviations = vec![None; 2]);
         assert_eq!(ask(&MOT004, &run).0[0].status, Status::Inconclusive);
     }

@@ -211,7 +211,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_ahead_tells_the_axes() {
+    fn the_view_direction_determines_the_axes() {
         assert_eq!(axes_of_view([0.2, -0.1, 0.9]), Some(CameraAxes::Optical));
         assert_eq!(axes_of_view([0.8, 0.1, 0.0]), Some(CameraAxes::Body));
         assert_eq!(axes_of_view([0.5, 0.0, 0.5]), None);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn the_named_swaps_are_those_of_the_turn_between_the_axes() {
+    fn swaps_match_the_rotation_between_optical_and_body_axes() {
         let swap = |turn: Rotation| {
             let rows = [0, 1, 2].map(|row| {
                 let unit = |axis: usize| (turn * Vec3::ith(axis, 1.0))[row];

@@ -220,7 +220,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn a_jump_is_a_finding_beside_a_drift_that_passes() {
+    fn a_jump_is_a_finding_although_the_drift_passes() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_jump_is_taken_off_and_not_spoken_of() {
+    fn a_small_jump_is_corrected_and_not_reported() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drift_in_a_walk_says_so() {
+    fn a_drift_within_a_random_walk_is_described() {
         let mut run = clean_run();
         let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });

@@ -138,7 +138,7 @@ mod tests {
     use crate::checks::testing::{IMU, ask, clean_run, length};
 
     #[test]
-    fn a_world_that_is_not_z_up_is_said_as_such() {
+    fn a_world_frame_without_z_up_is_named() {
         let said = |in_world: [f64; 3], base_z: f64| {
             let mut run = clean_run();
             let imu = &mut run.robots[0].imus[0].diagnosis;
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lean_beyond_the_figure_is_named_on_its_topic() {
+    fn a_tilt_above_the_threshold_is_reported_on_its_topic() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.tilt_rad = Ok(length(1.0 * DEGREE));
         let (_, findings) = ask(&YAW002, &run);

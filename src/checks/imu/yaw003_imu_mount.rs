@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_are_said_in_words() {
+    fn axes_are_described_by_direction() {
         let quarter = sentences(&mount([0.0, 0.0, -90.0]), "tool0");
         assert_eq!(
             quarter,
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_of_the_cosines_is_an_axis_of_the_imu() {
+    fn columns_of_the_direction_cosines_are_imu_axes() {
         let cosines = direction_cosines(&mount([0.0, 0.0, 90.0]), "tool0");
         assert_eq!(cosines["rows"][1], "tool0 y");
         assert_eq!(cosines["columns"][0], "imu x");
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_mount_is_an_error_and_no_frame_is_nothing_to_judge() {
+    fn a_rotated_mount_is_an_error_and_a_missing_frame_is_skipped() {
         let mut run = clean_run();
         let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.mount_rad = Ok(length(90.0 * DEGREE));

@@ -199,7 +199,7 @@ mod tests {
     use crate::geometry::Vec3;
 
     #[test]
-    fn a_step_says_from_what_to_what_and_when() {
+    fn a_bias_step_reports_values_and_time() {
         let mut run = clean_run();
         run.start = Some(run.origin);
         let bias = run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap();
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_step_of_a_large_bias_is_a_bias() {
+    fn a_small_step_of_a_large_bias_is_reported_as_bias() {
         let mut run = clean_run();
         let bias = bias_of(&mut run);
         let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bias_is_named_with_its_vector() {
+    fn a_bias_is_reported_with_its_vector() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.gyro_bias = Ok(GyroBias {
             vector_rad_s: Vec3::new(0.0, 0.03, -0.04),

@@ -56,7 +56,7 @@ mod tests {
     use crate::finding::Estimate;
 
     #[test]
-    fn a_coupled_joint_is_named_with_the_joint_that_drives_it() {
+    fn a_coupled_joint_is_reported_with_its_driver() {
         for (factor, fix) in
             [(1.0, "lift_true = lift + pan"), (-0.03, "lift_true = lift - 0.03000 · pan")]
         {

@@ -90,7 +90,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn play_of_a_joint_is_a_finding_from_its_figure_on() {
+    fn backlash_above_the_threshold_is_a_finding() {
         for (amount, status) in
             [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
         {
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_leaves_nothing_has_none_and_one_that_does_may() {
+    fn a_small_residual_rules_out_backlash_and_a_large_one_does_not() {
         let mut run = clean_run();
         assert_eq!(ask(&MOT006, &run).0[0].status, Status::Pass);
         let residual = run.robots[0].poses[0].diagnosis.residual.as_mut();

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_blamed_only_where_the_other_convention_alone_explains() {
+    fn a_dh_table_is_blamed_only_if_only_the_other_convention_fits() {
         let (status, said) = judged(0.3, Some(1e-5));
         assert_eq!(status, Status::Fail);
         assert!(said.contains("modified convention, not standard: 300 mm off"), "{said}");

@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_is_named_with_its_factor() {
+    fn a_joint_scale_is_reported_with_its_factor() {
         let (_, findings) = ask(&ORD009, &scaled(&[(1, -1.0)]));
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn one_factor_of_all_joints_is_one_cause_and_two_factors_are_two() {
+    fn a_common_factor_is_one_finding_and_two_factors_are_two() {
         let tick = TAU / 4096.0;
         let (_, findings) = ask(&ORD009, &scaled(&[(0, tick), (1, tick), (2, tick)]));
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_the_range_are_called_so() {
+    fn percentages_of_the_range_are_named() {
         // Limits of the clean run: ±3.
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.03)]));
         assert!(findings[0].message.contains("from -100 to 100"), "{}", findings[0].message);

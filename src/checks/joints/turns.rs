@@ -114,7 +114,7 @@ mod tests {
     use crate::finding::Estimate;
 
     #[test]
-    fn a_zero_that_is_part_of_a_turn_is_named_as_turns_and_not_as_a_zero() {
+    fn a_zero_of_a_fraction_of_a_turn_is_reported_as_turns() {
         for (offset, turns) in [(FRAC_PI_2, 0.25), (-PI, 0.5), (PI + 1e-4, 0.5)] {
             let mut run = clean_run();
             let lift = &mut run.robots[0].diagnosis.offsets[1];
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_turn_shows_in_the_limits() {
+    fn a_whole_turn_violates_the_joint_limits() {
         let mut run = clean_run();
         run.robots[0].joints[1].motion.turns_beyond = Some(1.0);
         let (_, findings) = ask(&ORD009, &run);

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_with_the_same_fault_are_one_finding() {
+    fn joints_with_equal_faults_are_one_finding() {
         let degrees = VelocityShape::Scaled(57.3);
         let (rows, findings) =
             ask(&VEL001, &planted(&[(0, degrees), (2, degrees), (1, VelocityShape::Zero)]));
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn velocities_are_right_where_the_positions_are_found_wrong() {
+    fn velocities_confirm_a_position_scale_error() {
         let mut run = planted(&[(1, VelocityShape::Scaled(-1.0))]);
         assert!(ask(&VEL001, &run).1[0].message.starts_with("velocities have the wrong sign"));
         run.robots[0].joints[1].actual = Some((1, -1.0));
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_at_rest_is_open_and_none_with_velocities_is_skipped() {
+    fn a_resting_joint_is_inconclusive_and_missing_velocities_are_skipped() {
         let mut run = clean_run();
         run.robots[0].joints[0].velocity = Some(Err(NotObservable::AtRest));
         assert_eq!(ask(&VEL001, &run).0[0].status, Status::Inconclusive);

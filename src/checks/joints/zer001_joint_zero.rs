@@ -324,7 +324,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn a_chosen_offset_is_a_finding_that_lists_its_twins_and_its_heirs() {
+    fn a_selected_offset_is_a_finding_that_lists_confounders() {
         let mut run = clean_run();
         let pan = &mut run.robots[0].diagnosis.offsets[0];
         (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_offset_means_follows_whose_word_the_poses_are() {
+    fn the_meaning_of_an_offset_depends_on_the_pose_source() {
         let said = |witness: PoseSourceKind| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_that_is_not_chosen_never_fails() {
+    fn an_offset_that_is_not_selected_never_fails() {
         let mut run = clean_run();
         run.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
         let (rows, findings) = ask(&ZER001, &run);
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_what_is_unexplained_a_zero_that_an_unknown_tool_or_model_may_make_is_open() {
+    fn a_zero_that_an_unknown_tool_may_cause_is_inconclusive_next_to_a_residual() {
         let status = |tool_error_m: f64, left_m: f64, effect_m: f64| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn where_its_twin_is_named_it_does_not_count() {
+    fn a_zero_with_a_reported_confounder_does_not_count() {
         let mut run = clean_run();
         let diagnosis = &mut run.robots[0].diagnosis;
         diagnosis.offsets[0].offset = Ok(sure(-0.01));

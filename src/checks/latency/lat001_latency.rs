@@ -406,14 +406,14 @@ mod tests {
     }
 
     #[test]
-    fn streams_that_agree_to_be_early_make_the_joints_late() {
+    fn streams_that_are_all_early_indicate_late_joint_states() {
         let late =
             lateness(&[(true, latency(-0.02)), (true, latency(-0.0201)), (false, latency(0.0))]);
         assert!(late.is_some_and(|late| (late - 0.02005).abs() < 1e-9), "{late:?}");
     }
 
     #[test]
-    fn one_witness_or_a_disagreement_does_not_blame_the_joints() {
+    fn one_stream_or_a_disagreement_does_not_blame_the_joints() {
         assert_eq!(lateness(&[(true, latency(-0.02)), (false, latency(-0.02))]), None);
         assert_eq!(
             lateness(&[(true, latency(-0.02)), (true, latency(-0.02)), (true, latency(0.0))]),
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn transforms_of_one_topic_are_one_witness_and_one_finding() {
+    fn transforms_of_one_topic_are_one_stream_and_one_finding() {
         let late = latency(-0.03);
         let streams: Vec<StreamEvidence<StreamLatency>> =
             (0..5).map(|_| stream("/tf", true, &late)).collect();

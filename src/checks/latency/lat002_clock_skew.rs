@@ -126,7 +126,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn an_imus_clock_is_judged_too() {
+    fn the_clock_of_an_imu_is_judged() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.skew = Ok(sure(2e-3));
         let (_, findings) = ask(&LAT002, &run);
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_skew_is_a_finding_only_where_the_explanation_needs_it() {
+    fn a_skew_is_a_finding_only_if_the_model_contains_it() {
         let mut run = clean_run();
         let stream = &mut run.robots[0].poses[0].diagnosis;
         stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });

@@ -318,7 +318,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn scatter_that_noise_may_be_is_no_finding() {
+    fn scatter_within_the_noise_is_no_finding() {
         let mut run = clean_run();
         let course = |swing_s, is_unsteady, jumps| {
             Ok(LatencyProfile { swing_s, is_unsteady, steps: jumps, ..steady() })
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn streams_that_jump_together_make_it_the_joints() {
+    fn a_common_jump_of_streams_is_attributed_to_the_joint_states() {
         let jumps = |at_s: f64, size_s: f64| {
             let jump = LatencyStep { at_s, size_s: sure(size_s) };
             Ok(LatencyProfile {

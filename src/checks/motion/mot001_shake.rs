@@ -134,7 +134,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn noise_that_hides_shake_leaves_it_open() {
+    fn noise_that_hides_shake_is_inconclusive() {
         for (rms_m, resolved_m, status) in [
             (1e-3, 1e-3, Status::Fail),
             (0.0, 1e-3, Status::Inconclusive),

@@ -168,7 +168,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn noise_that_hides_a_stop_leaves_it_open() {
+    fn noise_that_hides_a_stop_is_inconclusive() {
         for (acceleration, noise, resolved, status) in [
             (30.0, 2.0, 2.0, Status::Fail),
             (30.0, 15.0, 15.0, Status::Inconclusive),

@@ -216,7 +216,7 @@ mod tests {
     use crate::checks::testing::{ask, clean_run};
 
     #[test]
-    fn positions_of_a_joint_whose_zero_is_far_off_break_no_limit() {
+    fn limits_are_not_judged_for_a_joint_with_a_large_zero_offset() {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.joints[1].motion.positions =
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slight_excess_is_told_and_noise_is_not() {
+    fn a_slight_excess_is_reported_and_noise_is_not() {
         for (over, severity) in
             [(0.5, Some(Severity::Warning)), (0.05, Some(Severity::Info)), (5e-5, None)]
         {

@@ -136,7 +136,7 @@ mod tests {
     use crate::diagnosis::FrameEstimate;
 
     #[test]
-    fn a_constant_offset_and_a_residual_are_both_disagreements() {
+    fn a_constant_offset_and_a_residual_both_count_as_disagreement() {
         let mut run = clean_run();
         run.robots[0].tf.as_mut().unwrap().diagnosis.tool =
             Ok(FrameEstimate { is_chosen: true, ..frame(0.003) });

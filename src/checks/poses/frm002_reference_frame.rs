@@ -139,7 +139,7 @@ mod tests {
     use crate::finding::Status;
 
     #[test]
-    fn a_frame_that_is_not_tied_to_the_robot_is_estimated_and_not_judged() {
+    fn a_frame_not_connected_to_the_robot_is_not_judged() {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.poses[0].reference_known = false;

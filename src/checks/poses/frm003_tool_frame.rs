@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_is_a_fault_only_from_a_tip_that_was_named() {
+    fn a_tool_offset_is_a_fault_only_if_the_tip_is_named() {
         assert_eq!(severity_of(true), Some(Severity::Error));
         assert_eq!(severity_of(false), Some(Severity::Info));
     }

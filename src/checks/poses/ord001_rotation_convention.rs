@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fix_is_a_line_of_code() -> Result<(), ConventionError> {
+    fn the_fix_is_one_line_of_code() -> Result<(), ConventionError> {
         assert_eq!(
             fix_of("rotvec", "euler:xyz")?,
             r#"Rotation.from_rotvec([rx, ry, rz]), not Rotation.from_euler("xyz", [rx, ry, rz])"#

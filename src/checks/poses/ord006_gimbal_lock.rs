@@ -156,7 +156,7 @@ mod tests {
     use crate::time::Stamp;
 
     #[test]
-    fn samples_near_the_lock_are_gathered_into_spans() {
+    fn samples_near_gimbal_lock_are_grouped_into_spans() {
         let at = |tenth: i64| Stamp::from_nanos(tenth * 100_000_000);
         let margin = |tenth: i64| match tenth {
             10..=12 | 15 => 0.02,

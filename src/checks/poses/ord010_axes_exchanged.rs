@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn rotations_alone_are_said_to_be_alone() {
+    fn exchanged_axes_of_rotations_only_are_described() {
         let rotations = "x left, y forward, z down".parse().unwrap();
         let slip = AxesError { positions: Axes::STANDARD, rotations };
         assert_eq!(named(slip), "rotations x left, y forward, z down");

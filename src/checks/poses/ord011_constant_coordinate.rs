@@ -90,7 +90,7 @@ mod tests {
     use crate::checks::testing::{ask, clean_run};
 
     #[test]
-    fn the_coordinate_its_value_and_what_is_missing_are_said() {
+    fn a_constant_coordinate_is_reported_with_its_value() {
         let mut run = clean_run();
         assert!(ask(&ORD011, &run).1.is_empty());
         run.robots[0].poses[0].diagnosis.constant_coordinates =

@@ -108,7 +108,7 @@ mod tests {
     use crate::checks::testing::{ask, clean_run, sure};
 
     #[test]
-    fn a_growth_that_is_chosen_is_a_finding_with_its_effect_at_reach() {
+    fn a_selected_radial_scale_is_a_finding_with_its_effect_at_reach() {
         let mut run = clean_run();
         let stream = &mut run.robots[0].poses[0].diagnosis;
         (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(sure(0.01)), true);

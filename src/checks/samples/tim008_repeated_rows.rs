@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_share_decides_and_a_latched_topic_is_told() {
+    fn the_repeated_share_decides_and_a_latched_topic_is_named() {
         for (repeated, severity) in
             [(800, Some(Severity::Error)), (80, Some(Severity::Warning)), (20, None)]
         {

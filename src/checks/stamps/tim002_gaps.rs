@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_is_silent_and_longer_than_ten_periods() {
+    fn a_gap_has_no_samples_for_more_than_ten_periods() {
         assert!(has_gaps(&own(), &with_hole(11, true)));
         assert!(!has_gaps(&own(), &with_hole(10, true)));
         assert!(!has_gaps(&own(), &with_hole(70, false)));
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_late_or_in_a_slow_stretch_is_not_lost() {
+    fn late_samples_and_slow_stretches_are_not_lost() {
         let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
         assert_eq!(lost_samples(&own(), &late), Some(2));
         let mut slow = with_hole(9, true);
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_tell_where_no_period_does() {
+    fn sequence_numbers_reveal_losses_without_a_period() {
         let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
         assert_eq!(lost_samples(&own(), &part), None);
         part.skipped = Some(0);

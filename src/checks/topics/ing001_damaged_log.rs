@@ -114,7 +114,7 @@ mod tests {
     use crate::time::Stamp;
 
     #[test]
-    fn the_place_stands_first_and_what_is_lost_last() {
+    fn a_loss_starts_with_its_place_and_ends_with_its_size() {
         const WHAT: &str = "the file ends within a chunk; 813 of its messages were read";
         let span = Some((Stamp::from_nanos(2_000_000_000), Stamp::from_nanos(2_512_000_000)));
         for (offset, messages, span, expected) in [

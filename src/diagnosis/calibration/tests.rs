@@ -146,7 +146,7 @@ fn apart(case: &Case, found: &Robot) -> (f64, f64) {
 const RICH: [f64; 6] = [1.9, 0.9, 1.3, 1.5, 1.6, 2.0];
 
 #[test]
-fn links_that_are_off_are_found_over_the_whole_workspace() {
+fn link_deviations_are_estimated_over_the_whole_workspace() {
     for seed in 0..3 {
         let case = Case::new(seed, 0.5e-3, 60.0, RICH);
         let found = case.found();
@@ -169,7 +169,7 @@ fn links_that_are_off_are_found_over_the_whole_workspace() {
 }
 
 #[test]
-fn intervals_hold_the_truth_as_often_as_they_say() {
+fn intervals_cover_the_truth_at_their_confidence() {
     let (mut inside, mut all) = (0, 0);
     let (mut parameters_inside, mut parameters) = (0, 0);
     for seed in 10..26 {
@@ -229,7 +229,7 @@ fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
 }
 
 #[test]
-fn another_place_of_the_base_and_another_tool_change_no_link() {
+fn base_and_tool_frames_do_not_change_the_links() {
     let case = Case::new(3, 0.4e-3, 30.0, RICH);
     let tool = pose([0.05, 0.02, 0.2], rotation_from_rotvec(Vec3::new(-0.3, 0.8, 0.1)));
     let far = pose([1.3, -0.4, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0)));
@@ -250,7 +250,7 @@ fn another_place_of_the_base_and_another_tool_change_no_link() {
 }
 
 #[test]
-fn one_joint_that_moves_tells_hardly_more_than_the_drawing() {
+fn one_moving_joint_adds_little_to_the_nominal_model() {
     let case = Case::new(4, 0.5e-3, 30.0, [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]);
     let found = case.found();
     assert!(
@@ -265,7 +265,7 @@ fn one_joint_that_moves_tells_hardly_more_than_the_drawing() {
 }
 
 #[test]
-fn several_logs_are_one_estimate() {
+fn several_logs_give_one_estimate() {
     let [first, second] = [(); 2].map(|()| Case::new(5, 0.4e-3, 20.0, RICH));
     let one = first.found();
     let world = pose([0.4, 0.1, -0.2], rotation_from_rotvec(Vec3::new(0.0, 0.3, 1.0)));
@@ -281,7 +281,7 @@ fn several_logs_are_one_estimate() {
 }
 
 #[test]
-fn outliers_cost_hardly_anything() {
+fn outliers_barely_change_the_calibration() {
     let mut case = Case::new(6, 0.4e-3, 40.0, RICH);
     let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(60));
     for at in (0..case.poses.len()).step_by(25) {
@@ -292,7 +292,7 @@ fn outliers_cost_hardly_anything() {
 }
 
 #[test]
-fn a_joint_zero_of_degrees_is_taken_into_the_origin() {
+fn a_joint_zero_of_degrees_is_absorbed_by_the_origin() {
     let case = Case::new(7, 0.2e-3, 40.0, RICH);
     let mut off = case.joints.clone();
     off.q.chunks_exact_mut(6).for_each(|row| row[2] -= 0.03);

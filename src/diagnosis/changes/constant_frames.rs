@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_frames_are_removed_and_a_slip_is_not() {
+    fn constant_frames_are_removed_and_a_tool_slip_is_not() {
         let tool = pose([2e-3, -1e-3, 4e-3], rotation_from_rotvec(Vec3::new(1e-3, 0.0, 2e-3)));
         let base = pose([1e-3, 3e-3, 0.0], rotation_from_rotvec(Vec3::new(0.0, 2e-3, -1e-3)));
         let constant = constant_frame_residuals(&aligned(|_, fk| base * fk * tool), true);

@@ -49,7 +49,7 @@ fn aside(by_m: f64) -> Pose {
 }
 
 #[test]
-fn a_streamed_command_is_held_against_every_rest_and_its_delay_is_found() {
+fn a_streamed_command_is_compared_at_every_rest_with_its_delay() {
     let found =
         diagnosed(times(50.0), |chain, t_s| aside(0.003) * chain.forward(&joints_at(t_s + 0.08)));
     let following = found.tracking.expect("it is followed");
@@ -67,7 +67,7 @@ fn a_streamed_command_is_held_against_every_rest_and_its_delay_is_found() {
 }
 
 #[test]
-fn of_single_goals_those_count_that_the_arm_was_brought_to() {
+fn only_goals_that_the_arm_reached_count() {
     let reached = |chain: &Chain| chain.forward(&joints_at(3.0));
     // The arm reaches one goal, the other is far from its next rest.
     let found = diagnosed(vec![0.6, 3.8], |chain, t_s| match t_s {
@@ -82,7 +82,7 @@ fn of_single_goals_those_count_that_the_arm_was_brought_to() {
 }
 
 #[test]
-fn a_joint_that_stays_off_is_told() {
+fn a_constant_joint_error_is_reported() {
     let (joints, chain, columns) = arm();
     let t_s = times(50.0);
     let q: Vec<f64> = t_s
@@ -110,7 +110,7 @@ fn a_joint_that_stays_off_is_told() {
 }
 
 #[test]
-fn a_turn_of_the_tool_is_told_from_a_shift_of_the_base() {
+fn a_tool_rotation_is_distinguished_from_a_base_shift() {
     let gap = |commanded: Pose, measured: Pose| RestError {
         from_s: 0.0,
         to_s: 1.0,
@@ -145,7 +145,7 @@ fn line_of(from: Pose, to: Pose, turned: impl Fn(f64) -> Rotation) -> CommandedL
 }
 
 #[test]
-fn what_was_interpolated_instead_of_a_slerp_is_told() {
+fn a_wrong_orientation_interpolation_is_identified() {
     let ends = [[0.2, 0.1, 0.3], [-0.6, 0.9, 1.2]].map(rotation_from_rpy);
     let (from, to) = (pose([0.3, 0.0, 0.4], ends[0]), pose([0.4, 0.2, 0.3], ends[1]));
     let turn = rotvec_from_rotation(&(ends[0].inverse() * ends[1]));
@@ -179,7 +179,7 @@ fn what_was_interpolated_instead_of_a_slerp_is_told() {
 }
 
 #[test]
-fn a_command_holds_until_the_next_and_a_stream_until_it_falls_silent() {
+fn a_command_lasts_until_the_next_or_until_the_stream_ends() {
     let here = Pose::identity();
     let goals = PoseSeries { t_s: vec![1.0, 3.0, 4.0], poses: vec![here, aside(0.1), aside(0.1)] };
     let spans = |series: &PoseSeries, is_streamed| -> Vec<(f64, f64)> {
@@ -199,7 +199,7 @@ fn a_command_holds_until_the_next_and_a_stream_until_it_falls_silent() {
 }
 
 #[test]
-fn rests_are_found_through_noise() {
+fn rests_are_detected_in_noise() {
     let (mut joints, ..) = arm();
     let noise = |row: usize| {
         let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);

@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_with_play_follows_its_encoder_only_beyond_it() {
+    fn a_link_follows_its_encoder_only_beyond_the_backlash() {
         let q = [0.0, 0.1, 0.2, 0.3, 0.25, 0.2, 0.1, 0.0];
         let behind = backlash_operator(q.len(), |row| q[row], 0.1);
         let link: Vec<f64> = q.iter().zip(&behind).map(|(q, behind)| q + 0.1 * behind).collect();

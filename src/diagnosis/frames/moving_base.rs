@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn transforms_are_taken_when_they_were_true_be_they_late_or_not() {
+    fn base_transforms_are_used_at_their_true_time() {
         let (joints, chain) = arm();
         let logged = track(&joints, &chain, 0.03, odometry);
         let lag = |edge_s: f64| {
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
+    fn a_tool_of_constant_orientation_is_no_sliding_base() {
         // A gantry with prismatic joints only.
         let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
             let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_base_that_drives_is_told_from_one_that_stands_and_from_an_arm_that_is_another() {
+    fn a_driving_base_is_distinguished_from_a_fixed_base_and_another_arm() {
         let (joints, chain) = arm();
         let travel = |track: PoseTrack| detect_base_motion(&joints, &stream(&track, &chain), 5.0);
         let driven = travel(track(&joints, &chain, 0.03, odometry)).unwrap();

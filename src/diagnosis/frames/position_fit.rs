@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_base_and_a_tool_are_told_apart_by_positions_alone() {
+    fn a_rotated_base_and_a_tool_are_separated_by_positions() {
         let arm = arm();
         let reference = pose([0.2, -0.1, 0.4], rotation_from_rotvec(Vec3::new(0.0, 0.0, 3.1)));
         let tool = Vec3::new(0.02, 0.0, 0.14);

@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn bodies_that_come_and_go_are_told_and_put_back() {
+    fn alternating_bodies_are_identified_and_corrected() {
         let [one, two] =
             [([0.005, 0.0, 0.0], [0.0, 0.0, 2.0]), ([0.0, 0.06, 0.0], [0.0, 0.4, 0.0])]
                 .map(|(xyz, rpy)| Pose::from_parts(xyz.into(), rotation_from_rpy(rpy)));
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn one_change_motion_and_a_world_that_jumps_are_no_alternation() {
+    fn a_single_change_motion_or_world_jump_is_no_tool_switching() {
         let body = Pose::from_parts([0.05, 0.0, 0.0].into(), rotation_from_rpy([0.0, 0.0, 1.0]));
         assert!(found(&|_| None, &still).is_none());
         assert!(found(&|t_s| (t_s > 8.0).then_some(body), &still).is_none());

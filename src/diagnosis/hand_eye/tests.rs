@@ -88,7 +88,7 @@ fn assert_near(found: &Pose, planted: &Pose, m: f64, rad: f64) {
 }
 
 #[test]
-fn camera_target_mount_and_offset_are_recovered() {
+fn camera_target_mount_and_time_offset_are_recovered() {
     for mount in CameraMount::ALL {
         for offset_s in [-0.4, 0.0, 0.03] {
             let planted = Planted { offset_s, ..Planted::new(mount) };
@@ -109,7 +109,7 @@ fn camera_target_mount_and_offset_are_recovered() {
 }
 
 #[test]
-fn without_noise_nothing_is_left() {
+fn without_noise_the_residual_is_zero() {
     let planted = Planted { sigma: [0.0; 2], ..Planted::new(CameraMount::InHand) };
     let solution = diagnosis(&planted).solution.expect("it can be solved");
     // The hand is interpolated between samples.
@@ -118,7 +118,7 @@ fn without_noise_nothing_is_left() {
 }
 
 #[test]
-fn the_errors_of_the_camera_are_honest() {
+fn camera_standard_errors_match_the_scatter() {
     let runs = 16;
     let mut covered = 0;
     for seed in 0..runs {
@@ -133,7 +133,7 @@ fn the_errors_of_the_camera_are_honest() {
 }
 
 #[test]
-fn a_fifth_of_false_detections_does_no_harm() {
+fn a_fifth_of_false_detections_is_tolerated() {
     for mount in CameraMount::ALL {
         let planted = Planted { outliers: 0.2, ..Planted::new(mount) };
         let found = diagnosis(&planted);
@@ -145,7 +145,7 @@ fn a_fifth_of_false_detections_does_no_harm() {
 }
 
 #[test]
-fn another_base_and_another_target_frame_leave_the_camera_where_it_is() {
+fn base_and_target_frames_do_not_change_the_camera_pose() {
     let planted = Planted::new(CameraMount::InHand);
     let (mut hand, mut target) = planted.streams();
     let plain = diagnosed(&hand, &target).solution.expect("it can be solved").camera.pose;
@@ -158,7 +158,7 @@ fn another_base_and_another_target_frame_leave_the_camera_where_it_is() {
 }
 
 #[test]
-fn one_axis_leaves_the_camera_open_along_it() {
+fn one_rotation_axis_leaves_the_camera_undetermined_along_it() {
     let planted = Planted { axes: 1, ..Planted::new(CameraMount::InHand) };
     let found = diagnosis(&planted);
     let diversity = found.diversity.as_ref().expect("the hand turns");
@@ -172,7 +172,7 @@ fn one_axis_leaves_the_camera_open_along_it() {
 }
 
 #[test]
-fn other_readings_are_told() {
+fn other_target_encodings_are_identified() {
     let read = |mount: CameraMount, write: &dyn Fn(&Pose) -> Pose| {
         let (hand, mut target) = Planted::new(mount).streams();
         target.poses.iter_mut().for_each(|pose| *pose = write(pose));
@@ -219,7 +219,7 @@ fn other_readings_are_told() {
 }
 
 #[test]
-fn a_target_that_moves_by_itself_leaves_the_chain_open() {
+fn an_independently_moving_target_does_not_close_the_chain() {
     let (hand, _) = Planted::new(CameraMount::InHand).streams();
     let (_, mut target) = Planted { seed: 5, ..Planted::new(CameraMount::InBase) }.streams();
     target.poses.reverse();
@@ -230,7 +230,7 @@ fn a_target_that_moves_by_itself_leaves_the_chain_open() {
 }
 
 #[test]
-fn nothing_to_see_is_said_and_never_a_number() {
+fn missing_detections_give_a_reason_and_no_value() {
     let still = PoseSeries {
         t_s: (0..200).map(|i| f64::from(i) * 0.02).collect(),
         poses: vec![Pose::translation(0.3, 0.0, 0.5); 200],
@@ -248,7 +248,7 @@ fn nothing_to_see_is_said_and_never_a_number() {
 }
 
 #[test]
-fn a_mount_that_is_off_is_measured() {
+fn a_camera_mount_error_is_measured() {
     let planted = Planted::new(CameraMount::InBase);
     let (hand, target) = planted.streams();
     let deviation = pose([0.0, 0.006, 0.0], rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.02)));
@@ -263,7 +263,7 @@ fn a_mount_that_is_off_is_measured() {
 }
 
 #[test]
-fn a_wrong_focal_length_is_in_the_scale_of_depth() {
+fn a_wrong_focal_length_shows_in_the_depth_scale() {
     for factor in [1.0, 1.03, 0.97] {
         let (hand, mut target) = Planted::new(CameraMount::InHand).streams();
         let along = Vec3::from(series::mean_direction(&target)).iamax();

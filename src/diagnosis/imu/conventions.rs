@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gyro_in_degrees_is_told_whatever_its_mount_and_bias() {
+    fn a_gyro_in_degrees_is_identified_with_any_mount_and_bias() {
         let bias = Vec3::new(2.0, -1.0, 0.5);
         let slip = degree_residuals(&pairs(|rate| rate * 1f64.to_degrees() + bias)).unwrap();
         assert!(slip.corrected < 1e-9 && slip.as_logged > 10.0, "{slip:?}");
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gyro_that_stays_at_a_value_which_the_arm_passes_saturates() {
+    fn a_gyro_that_stops_at_a_value_below_the_arms_rate_saturates() {
         let clip = |rate: Vec3| rate.map(|one| one.clamp(-0.8, 0.8));
         let both = pairs(clip);
         let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reversed_axis_is_told_by_the_mount() {
+    fn a_reversed_axis_is_identified_by_the_mount() {
         let reversed = pairs(|rate| Vec3::new(rate.x, -rate.y, rate.z));
         let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
         assert_eq!(mirrored_axis(&reversed, 1.0, Some(mount)), Some(1));
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_gyro_that_reads_its_peak_often_does_not_saturate() {
+    fn a_coarse_gyro_that_repeats_its_peak_does_not_saturate() {
         let coarse = |rate: Vec3| rate.map(|one| (one / 0.05).round() * 0.05);
         let both = pairs(coarse);
         let gyro: Vec<Vec3> = both.iter().map(|pair| pair.1).collect();
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn gravity_tells_the_unit_and_a_force_without_it_none() {
+    fn gravity_determines_the_acceleration_unit() {
         let track = |size: f64| ImuTrack {
             accel: (0..200).map(|k| Vec3::new(0.0, 1e-3 * f64::from(k % 7), 1.0) * size).collect(),
             ..ImuTrack::default()

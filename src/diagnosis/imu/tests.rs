@@ -91,7 +91,7 @@ fn a_mount_is_not_observable_about_the_only_axis_of_motion() {
 }
 
 #[test]
-fn a_mount_that_turns_the_only_axis_of_motion_is_found() {
+fn a_mount_error_that_tilts_the_only_axis_of_motion_is_found() {
     // The tool's z axis is the axis of the last joint.
     let off = rotation_from_rotvec(Vec3::x() * 90f64.to_radians());
     for with_orientation in [false, true] {

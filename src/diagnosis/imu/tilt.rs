@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_world_upside_down_leans_by_half_a_turn() {
+    fn an_upside_down_world_has_a_tilt_of_half_a_turn() {
         let forces: Vec<Vec3> = (0..400)
             .map(|k| Vec3::new(0.02 * f64::from(k).sin(), 0.02 * f64::from(k).cos(), -9.81))
             .collect();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn without_gravity_there_is_no_lean() {
+    fn without_gravity_there_is_no_tilt() {
         assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(NotObservable::RestsOn(_))));
         assert!(matches!(tilt(&[Vec3::z() * 9.81; 10]), Err(NotObservable::NeverRests)));
     }

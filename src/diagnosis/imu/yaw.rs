@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_is_found_with_its_moment_its_size_and_the_drift_beside_it() {
+    fn a_yaw_jump_is_estimated_with_time_size_and_drift() {
         for (rho, size) in [(0.0, 0.01), (0.0, -0.003), (0.95, 0.01), (0.95, -0.2)] {
             let jump = |t_s: f64| if t_s > 7.123 { size } else { 0.0 };
             let course = decompose_yaw(&series(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)));
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_is_told_from_jumps_and_its_drift_is_honest() {
+    fn a_random_walk_is_distinguished_from_jumps_with_a_valid_drift_interval() {
         let (walk, count) = (2e-3, 60);
         let (mut walks, mut covered, mut jumps) = (0, 0, 0);
         for seed in 0..count {
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_shows_in_a_walk() {
+    fn a_jump_is_detected_within_a_random_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
         let course = decompose_yaw(&series(9, 0.0, 1e-3, jump));
         assert_eq!(course.parts.jumps.len(), 1, "{:?}", course.parts);
@@ -425,13 +425,13 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_beyond_half_a_circle_is_no_jump() {
+    fn unwrapping_beyond_half_a_turn_is_no_jump() {
         let wrapped = |t_s: f64| (0.3 * t_s + PI).rem_euclid(TAU) - PI;
         assert!(decompose_yaw(&series(2, 0.0, 0.0, wrapped)).is_steady());
     }
 
     #[test]
-    fn too_little_to_tell_is_steady() {
+    fn a_short_series_is_steady() {
         for n in [0, 1, 2, 9] {
             assert!(decompose_yaw(&series(1, 0.0, 0.0, |_| 0.0)[..n]).is_steady());
         }

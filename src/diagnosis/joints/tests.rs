@@ -61,7 +61,7 @@ fn tcp() -> Pose {
 }
 
 #[test]
-fn one_joint_is_found_whatever_its_numbers_mean() {
+fn one_misinterpreted_joint_is_found_for_any_scale_and_zero() {
     let chain = ur5e();
     for (joint, factor, zero) in [
         (2, -1.0, 0.0),
@@ -86,7 +86,7 @@ fn one_joint_is_found_whatever_its_numbers_mean() {
 }
 
 #[test]
-fn all_joints_in_another_unit_are_one_cause() {
+fn all_joints_in_another_unit_are_one_interpretation() {
     let chain = ur5e();
     for factor in [1f64.to_radians(), TAU / 65536.0, -1.0, 1.0 / 101.0] {
         let view = view(&chain, tcp(), |q| q.iter().map(|q| q / factor).collect());
@@ -96,7 +96,7 @@ fn all_joints_in_another_unit_are_one_cause() {
 }
 
 #[test]
-fn two_joints_and_an_order_beside_one_are_found() {
+fn two_joints_or_an_order_and_one_joint_are_found() {
     let chain = ur5e();
     let two = view(&chain, tcp(), |q| vec![q[0], q[1] - 1.9, -q[2], q[3], q[4], q[5]]);
     let map = found(&two, InterpretationKind::TwoJoints, FreeFrames::Tool);
@@ -110,7 +110,7 @@ fn two_joints_and_an_order_beside_one_are_found() {
 }
 
 #[test]
-fn in_a_world_of_its_own_joints_are_read_too() {
+fn joints_are_interpreted_in_an_unknown_world_frame() {
     let chain = ur5e();
     let mut view = view(&chain, tcp(), |q| vec![q[0], -q[1], q[2], q[3], q[4], q[5]]);
     let world = pose([1.0, -2.0, 0.3], rotation_from_rotvec(Vec3::new(0.3, 0.1, 2.0)));
@@ -123,7 +123,7 @@ fn in_a_world_of_its_own_joints_are_read_too() {
 }
 
 #[test]
-fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
+fn correct_or_unfittable_joints_give_no_interpretation() {
     let chain = ur5e();
     let right = view(&chain, tcp(), <[f64]>::to_vec);
     let coupled = view(&chain, Pose::identity(), |q| {
@@ -140,14 +140,14 @@ fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
 }
 
 #[test]
-fn many_joints_have_few_orders() {
+fn candidate_orders_of_many_joints_are_bounded() {
     let names: Vec<String> = (0..30).map(|joint| format!("joint_{joint}")).collect();
     assert_eq!(candidate_orders(&names[..4], 7).len(), 24);
     assert!(candidate_orders(&names, 7).len() < 500);
 }
 
 #[test]
-fn angles_are_settled_within_half_a_turn() {
+fn angles_are_normalized_to_half_a_turn() {
     for (angle, expected) in [(3.5, 3.5 - TAU), (-3.5, TAU - 3.5), (PI, PI), (-PI, PI), (0.2, 0.2)]
     {
         assert!((angle - TAU * half_turns(angle) - expected).abs() < 1e-12);
@@ -155,7 +155,7 @@ fn angles_are_settled_within_half_a_turn() {
 }
 
 #[test]
-fn a_coupled_pair_is_found_with_its_factor() {
+fn a_coupled_pair_is_identified_with_its_factor() {
     let chain = ur5e();
     for (joint, by, factor) in [(2, 1, 1.0), (2, 1, -1.0), (5, 4, 0.05), (4, 3, -0.02)] {
         let view = view(&chain, tcp(), |q| {

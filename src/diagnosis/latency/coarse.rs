@@ -279,7 +279,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_latency_that_stays_or_grows_steadily_changes_by_nothing() {
+    fn a_constant_or_skewed_latency_has_no_coarse_change() {
         for late_s in [0.0, 0.022, -0.7] {
             assert_eq!(changed(|_| late_s), None);
         }
@@ -289,7 +289,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_latency_that_ramps_is_known_at_each_time() {
+    fn a_latency_ramp_is_estimated_at_every_time() {
         for (from_s, to_s, size_s) in [(10.0, 25.0, 0.1), (4.0, 36.0, -0.25), (20.0, 26.0, 0.08)] {
             let late =
                 |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);

@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_planted_lag_is_found_to_a_fraction_of_a_sample() {
+    fn a_lag_is_estimated_to_a_fraction_of_a_sample() {
         for lag in [-0.4, -0.015, 0.0, 0.0221, 0.9] {
             let found = lag_peaks(&bumps(0.0, 0.0, 10.0, 125.0), &bumps(lag, 0.31, 9.7, 90.0), 2.0);
             assert!((found[0].lag_s - lag).abs() < 2e-3, "{lag}: {:?}", found[0]);
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_between_silences_add_up() {
+    fn spans_between_gaps_are_summed() {
         let excerpts = |speed: SpeedSeries, around: f64| {
             let kept = speed.t_s.iter().zip(&speed.value).filter(|(t, _)| {
                 let within = |from: f64| (from - around..from + 8.0 + around).contains(*t);

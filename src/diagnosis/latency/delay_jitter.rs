@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn of_skewed_delays_the_median_and_the_mean_are_told() {
+    fn skewed_delays_are_reported_with_median_and_mean() {
         let delays = Exp::new(1.0 / 5e-3).expect("a rate");
         let found = aligned(|rng| delays.sample(rng) - 3e-3);
         let found = estimate_delay_jitter(&found, 0.013).expect("skewed");
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_that_scatter_evenly_or_not_at_all_are_one_latency() {
+    fn symmetric_or_constant_delays_have_no_jitter() {
         let even = Normal::new(0.0, 4e-3).expect("a spread");
         assert_eq!(estimate_delay_jitter(&aligned(|rng| even.sample(rng)), 0.0), None);
         assert_eq!(estimate_delay_jitter(&aligned(|_| 0.002), 0.0), None);

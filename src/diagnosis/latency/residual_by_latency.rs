@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_latency_found_and_none_are_both_amid_those_tried() {
+    fn the_estimate_and_zero_are_inside_the_latency_range() {
         for estimate_s in [-0.3, -1e-4, 0.0, 0.022, 1.7] {
             let tried = latencies_s(estimate_s, 1e-4);
             assert!(tried.is_sorted() && tried.contains(&estimate_s), "{estimate_s}: {tried:?}");

@@ -261,7 +261,7 @@ mod tests {
     use crate::latency::coarse::tests::changed;
 
     #[test]
-    fn steps_are_found_with_their_moments() {
+    fn steps_are_estimated_with_their_times() {
         for sizes_s in [[0.3, 0.3], [-0.4, -0.4], [0.1, 0.8], [1.5, 0.0]] {
             let late = |t_s: f64| match t_s {
                 t_s if t_s < 14.0 => 0.0,

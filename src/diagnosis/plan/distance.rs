@@ -190,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn straights_are_as_far_apart_as_their_nearest_points() {
+    fn the_distance_of_segments_is_that_of_their_nearest_points() {
         let x = [Vec3::zeros(), Vec3::x()];
         let cases = [
             ([Vec3::new(0.5, -1.0, 0.3), Vec3::new(0.5, 1.0, 0.3)], 0.3),

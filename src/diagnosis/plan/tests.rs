@@ -117,7 +117,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn any_sum_of_sines_is_made_to_fit_its_room(
+    fn any_sum_of_sines_is_scaled_into_its_margins(
         sin in proptest::collection::vec(-1.0..1.0_f64, 12),
         cos in proptest::collection::vec(-1.0..1.0_f64, 12),
         seconds in 1.0..100.0_f64,
@@ -169,7 +169,7 @@ proptest! {
 }
 
 #[test]
-fn it_is_the_same_for_the_same_seed_and_another_for_another() {
+fn a_plan_depends_only_on_its_seed() {
     let chain = ur5e();
     let of = |seed: u64| {
         let keep = free(&chain, &UR);
@@ -182,7 +182,7 @@ fn it_is_the_same_for_the_same_seed_and_another_for_another() {
 }
 
 #[test]
-fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
+fn a_plan_is_more_informative_than_random_or_single_joint_motion() {
     let chain = ur5e();
     for (purpose, outside, over_random, over_one) in [
         (Purpose::Zeros, false, 1.0, 1.02),
@@ -200,7 +200,7 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
 }
 
 #[test]
-fn what_no_motion_shows_is_promised_to_nobody() {
+fn unobservable_quantities_have_no_expected_precision() {
     let found = planned(&ur5e(), Purpose::Zeros, true);
     let zero = |joint: usize| found.precision[joint].half_width;
     // Confounded with the tracker frame and the marker's rotation.
@@ -212,7 +212,7 @@ fn what_no_motion_shows_is_promised_to_nobody() {
 }
 
 #[test]
-fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
+fn a_configuration_at_its_limits_or_too_close_to_itself_is_infeasible() {
     let chain = ur5e();
     let none = JointMargins { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
     let keep = free(&chain, &UR);
@@ -268,7 +268,7 @@ fn empty() -> PoseTrack {
 
 /// Compares intervals and errors on simulated logs with the predicted precision.
 #[test]
-fn promises_are_kept() {
+fn the_expected_precision_is_reached() {
     const RUNS: u64 = 16;
     let chain = ur5e();
     let keep = free(&chain, &UR);

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_wanders_is_no_excess_and_what_was_foretold_is() {
+    fn autocorrelated_noise_is_no_excess_and_a_predicted_residual_is() {
         let covered = (0..40)
             .filter(|&seed| reaches_zero(&wandering(1000, seed), &wandering(1000, 1000 + seed)));
         assert!(covered.count() >= 35);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_left_is_zero_and_not_nan() {
+    fn a_zero_residual_is_zero_and_not_nan() {
         let nothing = vec![[0.0; 3]; 40];
         let pairs: Vec<_> = nothing.iter().map(|&v| (v, v)).collect();
         let vectors = vec![Vec3::zeros(); 40];

@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_noise_whether_or_not_it_remembers() {
+    fn white_and_autocorrelated_noise_stay_within_the_noise_estimate() {
         for (seed, rho) in [(1, 0.0), (2, 0.6), (3, 0.9)] {
             let size = size_of(noise(rho, seed));
             assert!(beyond(&size) < 1.6, "{rho}: {}", beyond(&size));
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_far_beyond_the_noise_and_begins_where_it_does() {
+    fn a_step_exceeds_the_noise_from_the_part_where_it_begins() {
         let mut error = noise(0.6, 4);
         error[2000..].iter_mut().for_each(|error| error.x += 0.07);
         let size = size_of(error);
@@ -479,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_again_with_the_posture_is_no_noise() {
+    fn a_configuration_dependent_error_is_no_noise() {
         let (_, fk) = motion();
         let bent = fk.iter().map(|fk| fk.translation.vector.cross(&Vec3::z()) * 0.02);
         let error = bent.zip(noise(0.0, 5)).map(|(bent, noise)| bent + 0.1 * noise).collect();
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn single_strays_do_not_count() {
+    fn single_outliers_do_not_count() {
         let mut error = noise(0.0, 6);
         let before = size_of(error.clone()).whole.quantile_95;
         (0..N).step_by(200).for_each(|row| error[row].z = 3.0);
@@ -495,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_as_far_apart_as_the_motion_tell_no_noise() {
+    fn sparse_samples_give_no_noise_estimate() {
         let (t_s, fk) = motion();
         let few: Vec<usize> = (0..N).step_by(125).collect();
         let (t_s, fk): (Vec<f64>, Vec<Pose>) = few.iter().map(|&row| (t_s[row], fk[row])).unzip();

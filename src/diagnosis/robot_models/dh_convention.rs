@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_convention_is_told_where_only_the_other_explains() {
+    fn a_convention_is_identified_if_only_the_other_explains() {
         assert_eq!(told(&[(FAR, Some(NEAR))], [2, 0]), DhConventionResult::Other);
         assert_eq!(told(&[(UNREAD, Some(DRAWING))], [0, 1]), DhConventionResult::Other);
         assert_eq!(told(&[(NEAR, None)], [1, 0]), DhConventionResult::AsDeclared);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_that_neither_explains_says_nothing() {
+    fn a_stream_that_neither_convention_explains_is_ignored() {
         let stranger = (UNREAD, Some(UNREAD));
         assert_eq!(told(&[stranger, (NEAR, None)], [0, 0]), DhConventionResult::AsDeclared);
         assert_eq!(told(&[(FAR, Some(NEAR)), stranger], [0, 0]), DhConventionResult::Other);

@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_covers_the_rate_as_often_as_it_says() {
+    fn the_interval_covers_the_rate_at_its_confidence() {
         for spread in [0.0, 0.4] {
             let covered = (0..400).filter(|&seed| {
                 let estimates = runs(12, spread, seed, |day| 3.0 + 0.2 * day);
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_steady_is_rarely_taken_for_more() {
+    fn a_constant_quantity_rarely_has_a_trend() {
         let moves = |seed| {
             let found = estimate_trend(&runs(20, 0.3, seed, |_| 5.0)).expect("a trend");
             let [low, high] = found.rate_per_s.interval(0.999);
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_no_slope_and_a_slope_no_step() {
+    fn a_step_and_a_slope_are_distinguished() {
         for seed in 0..50 {
             let stepped =
                 estimate_trend(&runs(20, 0.1, seed, |day| if day < 12.0 { 0.0 } else { 4.0 }));
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn one_run_that_is_off_is_no_step() {
+    fn a_single_outlier_run_is_no_step() {
         for (seed, at) in [1, 2, 10, 17, 18].into_iter().enumerate() {
             let mut estimates = runs(20, 0.1, seed as u64, |_| 0.0);
             estimates[at].value += 4.0;
@@ -271,14 +271,14 @@ mod tests {
     }
 
     #[test]
-    fn a_step_before_the_last_two_runs_is_one() {
+    fn a_step_before_the_last_two_runs_is_detected() {
         let stepped = estimate_trend(&runs(12, 0.1, 3, |day| if day < 10.0 { 0.0 } else { -4.0 }));
         let step = stepped.expect("a trend").step.expect("a step");
         assert!((-4.5..-3.5).contains(&step.height.value), "{step:?}");
     }
 
     #[test]
-    fn too_few_runs_or_one_time_tell_nothing() {
+    fn too_few_runs_or_equal_times_give_no_trend() {
         let mut estimates = runs(4, 0.1, 1, |day| day);
         assert!(estimate_trend(&estimates).is_some() && estimate_trend(&estimates[..3]).is_none());
         estimates.iter_mut().for_each(|one| one.time_s = 0.0);

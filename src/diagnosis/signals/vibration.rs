@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_a_nanosecond_apart_plan_nothing() {
+    fn stamps_a_nanosecond_apart_give_no_spectrum() {
         let t_s: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-9).collect();
         assert_eq!(
             estimate_vibration(&t_s, |_| Vec3::zeros(), None),
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rms_and_the_frequency_of_a_tone_are_found_at_any_rate() {
+    fn rms_and_frequency_of_a_tone_are_found_at_any_rate() {
         for rate_hz in [60.0, 125.0, 500.0] {
             let found = shaken(rate_hz, |t, _| 1e-3 * (TAU * 17.0 * t).sin()).expect("even");
             assert!((found.rms_m - 1e-3 / 2f64.sqrt()).abs() < 3e-5, "{rate_hz}: {found:?}");
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_of_a_tone_is_its_line_and_its_swing() {
+    fn the_path_of_a_tone_contains_its_spectral_line_and_its_trace() {
         let t_s: Vec<f64> = (0..500).map(|row| f64::from(row) / 100.0).collect();
         let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 17.0 * t_s[row]).sin(), 1.0);
         let seen = vibration_path(&t_s, tone, 2.5).expect("even");
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_no_shake_and_does_not_hide_one() {
+    fn noise_is_no_vibration_and_does_not_hide_one() {
         let white = |row: usize| 1e-3 * noise(row);
         let found = shaken(125.0, |_, row| white(row)).expect("even");
         assert!(found.rms_m < 2e-4, "{found:?}");
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn work_and_slow_swing_are_no_shake() {
+    fn commanded_motion_and_slow_swing_are_no_vibration() {
         for swing_hz in [0.5, 3.0, 6.0] {
             let found = shaken(125.0, |t, _| 5e-3 * (TAU * swing_hz * t).sin()).expect("even");
             assert!(found.rms_m < 5e-5, "{swing_hz}: {found:?}");
@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_tone_is_shake_where_the_arm_was_not_going_there() {
+    fn an_uncommanded_slow_tone_is_vibration() {
         let t_s: Vec<f64> = (0..1250).map(|row| f64::from(row) / 125.0).collect();
         let work = |row: usize| Vec3::new(0.5 * (0.8 * t_s[row]).sin(), 0.0, 0.0);
         let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 7.0 * t_s[row]).sin(), 0.0);
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_jitter_as_the_rows_do_are_no_shake() {
+    fn jittering_stamps_are_no_vibration() {
         // Every fifth interval is longer: in the motion, then in the stamps only.
         let uneven_s: Vec<f64> =
             (0..2000).map(|row| 0.0104 * f64::from(row) + 0.0004 * f64::from(row % 5)).collect();
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_or_uneven_samples_do_not_tell() {
+    fn slow_or_uneven_samples_are_not_evaluated() {
         let slow = shaken(20.0, |_, _| 0.0);
         let is_told = |rate_hz: f64| (rate_hz - 20.0).abs() < 1e-9;
         assert!(

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_visited_is_a_share_of_the_limits_or_of_a_turn() {
+    fn the_visited_range_is_a_share_of_the_limits_or_of_a_turn() {
         let sweep: Vec<f64> = (0..=1000).map(|k| -0.5 + f64::from(k) * 1e-3).collect();
         let span =
             JointSpan::from_positions(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn one_place_is_reached_with_several_orientations_and_in_several_ways() {
+    fn orientations_and_configurations_per_cell_are_counted() {
         let robot = catalogue::find("ur5e").expect("the catalogue has a UR5e");
         let link = |name: &str| robot.link(name).expect("a UR5e has that link");
         let chain = robot.chain(link("base_link"), link("tool0")).expect("they are joined");

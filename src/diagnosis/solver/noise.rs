@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_piece_of_white_noise_has_no_memory_either() {
+    fn a_short_series_of_white_noise_has_no_autocorrelation() {
         let r = series(20_000, 0.0, 0.0);
         let pieces =
             r.chunks(200).map(|piece| Noise::estimate(piece, &vec![1.0; piece.len()], 0.0));
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_memory_of_a_small_part_is_found() {
+    fn a_small_share_of_long_autocorrelation_is_found() {
         let r = series(20_000, 0.98, 4.0);
         let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
         let expected = 1.0 + 2.0 / 17.0 * 0.98 / 0.02;
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_has_no_memory() {
+    fn white_noise_has_no_autocorrelation() {
         let r = series(4000, 0.0, 0.0);
         let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
         assert!((noise.sigma - 1.0).abs() < 0.03);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn chance_is_no_memory() {
+    fn chance_correlation_is_no_autocorrelation() {
         for seed in 0..40 {
             let r = seeded(seed, 2000, 0.0, 0.0);
             let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_memory_of_coloured_noise_is_found() {
+    fn the_autocorrelation_of_coloured_noise_is_estimated() {
         for (rho, white) in [(0.95, 0.0), (0.95, 1.0), (0.6, 0.3)] {
             let r = series(20_000, rho, white);
             let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);

@@ -138,7 +138,7 @@ mod tests {
     use crate::geometry::{angle_between, rotation_from_rotvec, rotvec_from_rotation};
 
     #[test]
-    fn there_are_48_and_half_of_them_are_left_handed() {
+    fn half_of_the_48_axis_conventions_are_left_handed() {
         let all = Axes::all();
         assert_eq!((all.len(), all[0]), (48, Axes::STANDARD));
         assert_eq!(all.iter().filter(|axes| axes.are_left_handed()).count(), 24);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rotation_turns_the_same_things_in_any_axes() {
+    fn a_rotation_is_the_same_in_any_axes() {
         let rotation = rotation_from_rotvec(Vec3::new(0.4, -0.8, 1.1));
         let v = Vec3::new(0.3, 0.5, -0.7);
         for axes in Axes::all() {

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lines_are_the_convention() {
+    fn code_lines_evaluate_to_the_convention() {
         let numbers = [0.7, -0.4, 2.1];
         for &convention in Convention::all() {
             let lines = code_of_numbers(convention, numbers);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn libraries_take_their_own_names_and_orders() {
+    fn libraries_use_their_own_names_and_orders() {
         let rpy = code_of_numbers(Convention::RPY, [0.1, 0.2, 0.3]);
         assert_eq!(line(&rpy, "SciPy"), "Rotation.from_euler(\"xyz\", [0.1, 0.2, 0.3])");
         assert_eq!(

@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shown_triple_is_among_the_branches() {
+    fn every_triple_is_among_its_branches() {
         let mut random = Lcg::new();
         let mut branches = Vec::new();
         for &convention in Convention::all() {
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn in_gimbal_lock_the_last_letter_gets_zero() {
+    fn in_gimbal_lock_the_last_angle_is_zero() {
         let quarter = FRAC_PI_2;
         for &convention in &ALL[1..25] {
             let mut locks = 0;
@@ -427,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn gimbal_margin_is_the_middle_angle_s_distance_from_lock() {
+    fn the_gimbal_margin_is_the_distance_of_the_middle_angle_from_lock() {
         let margin = |name: &str, numbers| parsed(name).gimbal_margin(numbers).unwrap();
         assert!((margin("euler:xyz", [1.0, 1.5, 2.0]) - (FRAC_PI_2 - 1.5)).abs() < 1e-15);
         assert!((margin("euler:xyz", [1.0, PI - 1.5, 2.0]) - (FRAC_PI_2 - 1.5)).abs() < 1e-15);
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_map_labelled_by_axis_has_its_plain_name() {
+    fn an_order_labelled_by_axis_that_changes_nothing_has_its_plain_name() {
         for (labelled, canonical) in [
             ("euler:xyz@axes", "euler:xyz"),
             ("euler:ZYX@axes", "euler:xyz"),
@@ -474,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_names_say_what_is_wrong() {
+    fn errors_of_bad_names_describe_the_fault() {
         let said = |name: &str| name.parse::<Convention>().unwrap_err().to_string();
         for name in ["", "euler:", "euler:xy", "euler:abc", "euler:é", "quat:xyzw", "rotvec@axes"]
         {

@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_is_among_the_truths() {
+    fn the_true_rotation_is_among_the_candidates() {
         let mut random = Lcg::new();
         let mut rotations = Vec::new();
         let mut shown = Vec::new();
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_display_from_0_to_360_degrees_is_understood() {
+    fn angles_from_0_to_360_degrees_are_decoded() {
         let numbers = [5.5, 3.5, 6.0];
         let reading = misinterpretation("euler:ZYX", "rotvec");
         let mut rotations = Vec::new();
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn no_truth_is_listed_twice_and_gimbal_lock_is_finite() {
+    fn candidates_are_unique_and_finite_in_gimbal_lock() {
         let mut rotations = Vec::new();
         for rotvec in PROBES.into_iter().chain([[0.0; 3], [0.0, PI / 2.0, 0.0], [PI, 0.0, 0.0]]) {
             let logged = rotation_from_rotvec(Vec3::from(rotvec));
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_maps_are_one_class_named_by_its_most_usual_pair() {
+    fn equal_misinterpretations_are_one_class_named_by_the_most_usual_pair() {
         let reversed = class_of("euler:ZYX", "euler:xyz");
         assert_eq!(reversed.members.len(), 24);
         assert_eq!(reversed.members[0], misinterpretation("euler:ZYX", "euler:xyz"));
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn every_misreading_is_in_one_class() {
+    fn every_misinterpretation_is_in_one_class() {
         let members: usize =
             misinterpretation_classes().iter().map(|class| class.members.len()).sum();
         assert_eq!(members, 29 * 28);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn no_misreading_is_harmless_or_a_transpose() {
+    fn no_misinterpretation_is_the_identity_or_a_transpose() {
         let mut rotations = Vec::new();
         for class in misinterpretation_classes() {
             for map in [|r: &Rotation| *r, |r: &Rotation| r.inverse()] {
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quaternion_slip_is_undone() {
+    fn a_quaternion_order_error_is_undone() {
         let (w, x, y, z) = (0.9, 0.1, -0.2, 0.3);
         assert_eq!(QuaternionOrderError::WxyzReadAsXyzw.true_xyzw([w, x, y, z]), [x, y, z, w]);
         assert_eq!(QuaternionOrderError::XyzwReadAsWxyz.true_xyzw([y, z, w, x]), [x, y, z, w]);

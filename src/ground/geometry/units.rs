@@ -257,7 +257,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_have_symbols_and_others_their_metres() {
+    fn units_have_symbols_and_lengths_their_metres() {
         for (metres, symbol, words) in [
             (1e-2, "cm", "centimetres"),
             (1e-4, "0.1 mm", "tenths of a millimetre"),

@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_is_whole_and_its_names_are_unique() {
+    fn the_vendor_table_is_complete_with_unique_names() {
         let names: Vec<&str> = names().collect();
         let mut unique = names.clone();
         unique.sort_unstable();
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn libraries_name_the_orders_each_in_its_way() {
+    fn libraries_name_the_orders_their_own_way() {
         let names = |form: &str| -> Vec<String> {
             library_names(form.parse().unwrap()).into_iter().map(|name| name.name).collect()
         };

@@ -276,7 +276,7 @@ kinematics:
     }
 
     #[test]
-    fn the_nominal_numbers_change_nothing() {
+    fn a_calibration_with_nominal_numbers_changes_nothing() {
         let calibration = Calibration::from_text(NOMINAL, "arm.yaml").unwrap();
         assert_eq!(calibration.label(), "arm.yaml (calib_12788084448423163542)");
         let calibrated = ur5e().calibrated("", &calibration).unwrap();
@@ -287,7 +287,7 @@ kinematics:
     }
 
     #[test]
-    fn a_block_is_the_origin_of_the_joint_that_carries_its_link() {
+    fn a_calibration_block_is_the_origin_of_the_links_joint() {
         let text = NOMINAL.replace("forearm: {x: -0.425", "forearm: {x: -0.426");
         let calibration = Calibration::from_text(&text, "arm.yaml").unwrap();
         let calibrated = ur5e().calibrated("", &calibration).unwrap();
@@ -309,7 +309,7 @@ kinematics:
     }
 
     #[test]
-    fn what_is_wrong_with_the_text_is_said_with_its_line() {
+    fn calibration_errors_name_their_line() {
         let lines: Vec<&str> = NOMINAL.lines().collect();
         let without_wrist_3 = lines[..6].join("\n");
         assert!(error(&without_wrist_3).contains("wrist_3"), "{}", error(&without_wrist_3));
@@ -339,7 +339,7 @@ kinematics:
     }
 
     #[test]
-    fn a_prefix_says_which_arm() {
+    fn a_prefix_selects_the_arm() {
         let left = ur5e().with_prefix_replaced("", "left_").unwrap();
         let calibration = Calibration::from_text(NOMINAL, "arm.yaml").unwrap();
         assert_eq!(left.prefixes_of(&calibration), ["left_"]);
@@ -348,7 +348,7 @@ kinematics:
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn a_written_calibration_is_read_back() {
         let robot = ur5e();
         let text = robot.ur_calibration("", "calib_7").unwrap();
         let calibration = Calibration::from_text(&text, "own.yaml").unwrap();
@@ -361,7 +361,7 @@ kinematics:
     }
 
     #[test]
-    fn the_joints_of_our_own_file_are_taken() {
+    fn the_joints_of_a_written_calibration_are_used() {
         let json = r#"{"schema": "poseaudit.calibration/1", "arm": "ur5e", "joints": [
             {"name": "elbow_joint", "parent": "a", "xyz": [-0.4251, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}]}"#;
         let calibration = Calibration::from_text(json, "calibration.json").unwrap();

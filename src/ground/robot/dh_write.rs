@@ -144,7 +144,7 @@ mod tests {
     use crate::robot::catalogue;
 
     #[test]
-    fn turning_arms_become_tables_with_the_same_kinematics() {
+    fn revolute_arms_become_dh_tables_with_equal_kinematics() {
         for name in ["ur5e", "panda", "ur10"] {
             let robot = catalogue::find(name).unwrap();
             let tip = robot.leaf_links().last().unwrap();

@@ -156,7 +156,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     #[test]
-    fn sines_are_those_of_the_standard_library() {
+    fn sines_match_the_standard_library() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         let edges = [0.0, -0.0, std::f64::consts::FRAC_PI_2, std::f64::consts::PI, 1e5, 2e5];
         let random = (0..4000).map(|at| rng.random_range(-1.0..1.0) * 10_f64.powi(at % 6));
@@ -174,7 +174,7 @@ mod tests {
 
     /// Up to rounding.
     #[test]
-    fn many_at_once_are_what_each_is() {
+    fn a_batch_matches_single_evaluations() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(7);
         for robot in catalogue::entries() {
             let link = |name: &Option<String>| robot.link(name.as_deref().expect("it has one"));

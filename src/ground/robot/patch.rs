@@ -293,7 +293,7 @@ joint_types = ["revolute", "revolute", "prismatic"]
     }
 
     #[test]
-    fn fk_of_reported_positions_is_the_true_pose() {
+    fn patched_fk_of_reported_positions_is_the_true_pose() {
         let robot = Robot::from_urdf(URDF, "two.urdf").unwrap();
         let offsets = [("turn", 0.02), ("lift", -0.003), ("twist", 0.4), ("another", 1.0)];
         let patched = robot.text_with_offsets(&offsets).unwrap();
@@ -310,7 +310,7 @@ joint_types = ["revolute", "revolute", "prismatic"]
     }
 
     #[test]
-    fn a_dh_table_takes_the_offset_into_its_rows() {
+    fn an_offset_is_written_into_the_rows_of_a_dh_table() {
         let robot = Robot::from_toml(DH, "arm.toml").unwrap();
         let offsets = [("joint_2", 0.01), ("joint_3", 0.002)];
         let patched = robot.text_with_offsets(&offsets).unwrap();
@@ -324,7 +324,7 @@ joint_types = ["revolute", "revolute", "prismatic"]
     }
 
     #[test]
-    fn the_same_rows_are_another_arm_under_the_other_convention() {
+    fn equal_rows_give_another_arm_under_the_other_convention() {
         let robot = Robot::from_toml(DH, "arm.toml").unwrap();
         let rebuilt = robot.under_other_convention().unwrap();
         assert_eq!(robot.text_with_offsets(&[]).unwrap(), DH);
@@ -339,7 +339,7 @@ joint_types = ["revolute", "revolute", "prismatic"]
     }
 
     #[test]
-    fn what_has_no_text_or_not_its_own_origins_is_refused() {
+    fn a_robot_without_its_own_text_is_not_patched() {
         let catalogued = crate::robot::catalogue::find("ur5e").unwrap();
         let why = catalogued.text_with_offsets(&[("elbow_joint", 0.1)]).unwrap_err();
         assert!(matches!(why, PatchError::NoText), "{why}");

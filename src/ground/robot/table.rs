@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn dh_tables_reproduce_the_joints_as_nearly_as_the_catalogue_says() {
+    fn dh_tables_match_the_joints_within_the_catalogues_tolerance() {
         let mut compared = 0;
         for (file, text) in VENDORS {
             let tables: Vendor<RobotTable> = parse(text, file).unwrap();

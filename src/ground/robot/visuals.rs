@@ -129,7 +129,7 @@ mod tests {
     </robot>"#;
 
     #[test]
-    fn visuals_are_those_of_their_links_and_broken_ones_are_left_out() {
+    fn visuals_belong_to_their_links_and_broken_ones_are_skipped() {
         let robot = Robot::from_urdf(URDF, "test").unwrap();
         let visuals = robot.visuals();
         let links: Vec<&str> = visuals.iter().map(|visual| robot.link_name(visual.link)).collect();
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_for_links_in_collisions_is_apart() {
+    fn collision_shapes_are_separate_from_visuals() {
         let shapes: Vec<Shape> = Robot::from_urdf(URDF, "test")
             .unwrap()
             .collisions()
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn they_follow_a_link_that_is_renamed() {
+    fn visuals_follow_a_renamed_link() {
         let robot = Robot::from_urdf(URDF, "test").unwrap();
         let left = robot.renamed(|name| format!("left_{name}")).unwrap();
         let links: Vec<LinkId> = left.visuals().iter().map(|visual| visual.link).collect();
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn other_models_have_none() {
+    fn models_without_a_urdf_have_no_visuals() {
         assert!(crate::robot::catalogue::find("ur5e").unwrap().visuals().is_empty());
     }
 }

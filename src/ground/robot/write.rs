@@ -66,7 +66,7 @@ mod tests {
     use crate::robot::{Robot, catalogue};
 
     #[test]
-    fn every_arm_of_the_catalogue_is_the_same_as_a_urdf() {
+    fn every_catalogue_arm_survives_a_urdf_round_trip() {
         for robot in catalogue::entries() {
             let read = Robot::from_urdf(&robot.to_urdf(), "written.urdf").unwrap();
             assert_eq!(read.joints().len(), robot.joints().len());

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_grow_is_refused_before_it_is_parsed() {
+    fn entity_expansion_and_large_xml_are_refused_before_parsing() {
         let entities = format!(
             "<!DOCTYPE r [<!ENTITY a \"{}\">]><robot name=\"{}\"/>",
             "a".repeat(200_000),
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn comments_and_quotes_hold_no_tags_and_the_error_has_its_place() {
+    fn tags_in_comments_and_quotes_are_ignored_and_errors_have_a_place() {
         let text = format!(
             "<?xml version='1.0'?><!DOCTYPE robot><robot><!-- {} --><a b='>{}'/><![CDATA[{}]]></robot>",
             "<a>".repeat(200),

@@ -115,7 +115,7 @@ mod tests {
 
     /// SciPy 1.17: `scipy.stats.t.ppf(p, dof)`.
     #[test]
-    fn quantiles_are_those_of_tables() {
+    fn t_quantiles_match_tables() {
         for (p, dof, expected) in [
             (0.975, 5.0, 2.570_581_835_6),
             (0.975, 30.0, 2.042_272_456_3),
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_of_a_length_covers_whatever_the_length_and_the_shape_of_the_noise() {
+    fn the_interval_of_a_length_covers_the_truth_for_any_length_and_covariance() {
         for sigma in [[1.0, 1.0, 1.0], [1.0, 1.0, 0.1], [1.0, 0.1, 0.1]] {
             for direction in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]] {
                 for size in [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0] {
@@ -160,14 +160,14 @@ mod tests {
     }
 
     #[test]
-    fn a_direction_that_is_hardly_known_does_not_lengthen_a_vector() {
+    fn an_uncertain_direction_does_not_lengthen_a_vector() {
         let all = lengths([3.0, 0.0, 0.0], [0.01, 0.01, 1.0]);
         let mean = all.iter().map(|length| length.norm.value).sum::<f64>() / all.len() as f64;
         assert!((mean - 3.0).abs() < 0.06, "{mean}");
     }
 
     #[test]
-    fn a_vector_of_noise_is_rarely_taken_for_one() {
+    fn a_vector_of_noise_is_rarely_significant() {
         let all = lengths([0.0; 3], [1.0, 0.3, 2.0]);
         let taken = |bound: f64| all.iter().filter(|length| length.p_value < bound).count();
         assert!((150..250).contains(&taken(0.05)) && taken(0.001) < 14, "{}", taken(0.05));
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn no_standard_error_means_no_end_of_the_interval() {
+    fn an_infinite_standard_error_gives_an_unbounded_interval() {
         let blind = Measured { value: 1.0, std_error: f64::INFINITY, dof: 10.0 };
         assert_eq!(blind.interval(0.95), [f64::NEG_INFINITY, f64::INFINITY]);
     }

@@ -27,7 +27,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn as_many_lie_below_a_quantile_as_are_asked_for(
+        fn a_quantile_has_its_share_of_values_below(
             mut values in prop::collection::vec(-1e9..1e9_f64, 1..60),
             part in 0.0..=1.0_f64,
         ) {
@@ -40,7 +40,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_has_no_median() {
+    fn an_empty_series_has_no_median() {
         assert_eq!(median(&mut []), None);
         assert_eq!(median(&mut [3.0, 1.0, 2.0, 9.0]), Some(3.0));
     }

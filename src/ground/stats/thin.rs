@@ -36,7 +36,7 @@ mod tests {
     const MOST: usize = 4_000;
 
     #[test]
-    fn short_streams_are_kept_whole() {
+    fn short_streams_are_not_thinned() {
         assert_eq!(even_rows(5, MOST), [0, 1, 2, 3, 4]);
         assert_eq!(extreme_rows(&[&[3.0, 1.0, 2.0]], MOST), [0, 1, 2]);
         assert!(even_rows(0, MOST).is_empty() && extreme_rows(&[&[]], MOST).is_empty());
@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_stream_keeps_its_ends_and_its_bound() {
+    fn a_thinned_stream_keeps_its_ends_and_the_row_limit() {
         for rows in [MOST + 1, 10_001, 123_457] {
             let kept = even_rows(rows, MOST);
             assert!(kept.len() <= MOST + 1 && kept.is_sorted());
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_peak_of_each_series_survives() {
+    fn a_single_peak_of_each_series_survives_thinning() {
         let mut up: Vec<f64> = (0..100_000).map(|row| f64::from(row % 7)).collect();
         let mut down: Vec<f64> = (0..100_000).map(|row| f64::from(row % 11)).collect();
         (up[51_234], down[70_001]) = (99.0, -99.0);

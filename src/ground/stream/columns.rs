@@ -422,7 +422,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_of_publishing_is_kept_from_the_first_that_differs() {
+    fn publish_times_are_stored_from_the_first_difference_on() {
         let mut times = Times::default();
         for (log, publish) in [(10, 10), (20, 20), (30, 29), (40, 40)] {
             times.push(0, log, publish);
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn every_clock_is_moved_by_its_own_time_since_the_first() {
+    fn shifting_back_moves_every_clock_by_its_own_time() {
         let mut times = Times::default();
         for (header, log) in [(0, 50), (1_000, 60), (3_000, 80)] {
             times.push(header, log, log + 1);

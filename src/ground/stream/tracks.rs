@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cubic_is_interpolated_exactly_in_any_order_of_times() {
+    fn a_cubic_is_interpolated_exactly_for_times_in_any_order() {
         let (track, mut cursor) = (track(), 0);
         for t in [0.35, 0.0021, 0.2, 0.2, 0.38999, 0.01, 0.1234] {
             let (mut q, mut qd) = ([0.0], [0.0]);
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_is_bridged_only_by_joints_at_rest() {
+    fn a_gap_is_interpolated_only_if_the_joints_rest() {
         let t_s: Vec<f64> =
             (0..20).map(|i| f64::from(i) * 0.01 + if i < 10 { 0.0 } else { 0.5 }).collect();
         let mut track =
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_sampling_is_no_gap() {
+    fn a_low_sampling_rate_is_no_gap() {
         let t_s: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.2).collect();
         let track =
             JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s, noise: Vec::new() };

@@ -15,7 +15,7 @@ fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (Check
 }
 
 #[test]
-fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_not_known() {
+fn an_unexplained_residual_is_a_finding_above_noise_and_inconclusive_if_noise_is_unknown() {
     let (_, findings) = judged(0.03, 0.02, |_| ());
     assert_eq!(findings[0].severity, Severity::Error);
     assert!(
@@ -33,7 +33,7 @@ fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_n
 }
 
 #[test]
-fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
+fn findings_explain_their_effect_and_inconclusive_causes_do_not() {
     let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
     assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
     let (row, _) = judged(0.03, 1e-4, |arm| {
@@ -46,7 +46,7 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
 }
 
 #[test]
-fn what_was_taken_off_poses_that_no_rule_names_is_no_pass() {
+fn an_unreported_correction_of_poses_prevents_a_pass() {
     let (row, _) = judged(0.03, 1e-4, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
         proof.joints_corrected = Some(proof.as_logged.clone());
@@ -55,7 +55,7 @@ fn what_was_taken_off_poses_that_no_rule_names_is_no_pass() {
 }
 
 #[test]
-fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
+fn an_error_at_the_noise_level_is_noise() {
     let (row, findings) = judged(0.004, 0.004, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
         for error in [&mut proof.as_logged].into_iter().chain(&mut proof.corrected) {
@@ -68,7 +68,7 @@ fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
 }
 
 #[test]
-fn where_nothing_could_be_held_against_the_joints_that_is_open() {
+fn joint_states_without_a_reference_are_inconclusive() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
     (arm.poses, arm.tf, arm.imus) = (Vec::new(), None, Vec::new());
@@ -79,7 +79,7 @@ fn where_nothing_could_be_held_against_the_joints_that_is_open() {
 }
 
 #[test]
-fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
+fn a_disagreement_of_poses_and_joints_withdraws_all_causes_with_the_reason() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
     arm.poses[0].proof = Ok(left(0.7, 0.7));
@@ -101,7 +101,7 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
 }
 
 #[test]
-fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
+fn a_competing_model_that_fits_is_the_finding() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
     arm.better_model = Some(CompetingModel {
@@ -119,7 +119,7 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
 }
 
 #[test]
-fn a_residual_of_a_guessed_arm_is_open_while_another_fits_as_well() {
+fn the_residual_of_a_guessed_arm_is_inconclusive_if_another_fits_equally() {
     let mut run = clean_run();
     run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
     assert_eq!(ask(&MDL001, &run).1.len(), 1);
@@ -134,7 +134,7 @@ fn a_residual_of_a_guessed_arm_is_open_while_another_fits_as_well() {
 }
 
 #[test]
-fn beside_what_nothing_explains_a_tool_and_growth_are_not_believed() {
+fn an_unexplained_residual_withdraws_tool_and_radial_scale() {
     let found = |tool_m: f64| {
         let mut run = clean_run();
         run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));

@@ -25,7 +25,7 @@ fn xyz(poses: impl Iterator<Item = Pose>) -> Vec<Vec3> {
 }
 
 #[test]
-fn any_unit_is_found_in_any_axes_and_inverted() {
+fn unit_axes_and_inversion_are_identified() {
     let fk = arm();
     let tool = pose([0.02, 0.01, 0.15], rotation_from_rotvec(Vec3::new(0.1, 0.0, 0.4)));
     for (k, &axes) in Axes::all().iter().enumerate() {
@@ -51,7 +51,7 @@ fn any_unit_is_found_in_any_axes_and_inverted() {
 }
 
 #[test]
-fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
+fn an_unknown_world_frame_can_be_mirrored_or_scaled_but_not_rotated() {
     let fk = arm();
     let world = pose([3.0, -1.0, 0.5], rotation_from_rotvec(Vec3::new(0.3, -0.2, 2.0)));
     let turned = xyz(fk.iter().map(|fk| world * fk));
@@ -65,7 +65,7 @@ fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
 }
 
 #[test]
-fn growth_is_no_unit_and_another_arm_is_nothing() {
+fn radial_scale_is_no_unit_and_another_arm_does_not_fit() {
     let fk = arm();
     let grown: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(|p| p * 1.01).collect();
     assert!(first(&fk, &grown, true, None).is_standard());
@@ -75,7 +75,7 @@ fn growth_is_no_unit_and_another_arm_is_nothing() {
 }
 
 #[test]
-fn what_never_changes_is_left_out() {
+fn constant_coordinates_are_ignored() {
     let fk = arm();
     for constant in 0..3 {
         let mut logged: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(|p| p * 1000.0).collect();

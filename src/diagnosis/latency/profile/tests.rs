@@ -36,7 +36,7 @@ fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedS
 }
 
 #[test]
-fn a_jump_is_found_with_its_moment_and_size() {
+fn a_latency_step_is_estimated_with_time_and_size() {
     for (at_s, size_s) in [(7.3, 0.012), (12.41, -0.03)] {
         let profile = course_at(
             &aligned(|t_s| if t_s < at_s { 0.001 } else { 0.001 + size_s }, 1e-4, 0.0),
@@ -54,7 +54,7 @@ fn a_jump_is_found_with_its_moment_and_size() {
 }
 
 #[test]
-fn a_latency_that_wanders_is_measured_from_least_to_most() {
+fn a_wandering_latency_is_measured_from_minimum_to_maximum() {
     let profile = course_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
     let profile = profile.expect("a course");
     assert!(profile.is_unsteady, "{profile:?}");
@@ -62,7 +62,7 @@ fn a_latency_that_wanders_is_measured_from_least_to_most() {
 }
 
 #[test]
-fn noise_a_skew_and_a_bent_model_are_steady() {
+fn noise_skew_and_model_error_are_steady() {
     for noise_m in [1e-6, 1e-4, 2e-3] {
         let steady = course_at(&aligned(|_| 0.0, noise_m, 0.0), 0.0).expect("a course");
         assert!(!steady.is_unsteady, "{steady:?}");
@@ -74,7 +74,7 @@ fn noise_a_skew_and_a_bent_model_are_steady() {
 }
 
 #[test]
-fn an_arm_at_rest_tells_nothing() {
+fn an_arm_at_rest_has_no_latency_profile() {
     let mut still = aligned(|_| 0.0, 0.0, 0.0);
     still.fk_at_truth.fill(truth(0.0));
     assert!(course_at(&still, 0.0).is_err());
@@ -82,7 +82,7 @@ fn an_arm_at_rest_tells_nothing() {
 }
 
 #[test]
-fn a_ramp_is_told_with_its_ends() {
+fn a_ramp_is_estimated_with_its_ends() {
     let late = |t_s: f64| 0.02 * ((t_s - 6.0) / 7.0).clamp(0.0, 1.0);
     let found = course_at(&aligned(late, 1e-4, 0.0), 0.0).expect("a course");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{:?}", found.shape) };
@@ -102,7 +102,7 @@ fn stop_and_go(t_s: f64) -> Pose {
 }
 
 #[test]
-fn a_ramp_is_told_of_an_arm_that_stops_and_goes() {
+fn a_ramp_is_estimated_in_stop_and_go_motion() {
     let mut random = crate::test_random::Lcg::new();
     let mut found = AlignedSamples::default();
     for row in 0..3200 {
@@ -122,7 +122,7 @@ fn a_ramp_is_told_of_an_arm_that_stops_and_goes() {
 }
 
 #[test]
-fn a_latency_that_goes_with_the_load_is_told_with_its_swing() {
+fn a_load_dependent_latency_is_estimated_with_its_range() {
     let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
     let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
     let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;

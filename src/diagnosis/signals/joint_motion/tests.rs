@@ -26,7 +26,7 @@ fn stop(t: f64, acceleration: f64) -> (f64, f64) {
 }
 
 #[test]
-fn a_stop_is_found_in_positions_and_velocities() {
+fn a_stop_is_detected_in_positions_and_velocities() {
     let t_s = times();
     let (q, qd): (Vec<f64>, Vec<f64>) = t_s.iter().map(|&t| stop(t, 25.0)).unzip();
     for (values, series) in [(q, JointSampleKind::Positions), (qd, JointSampleKind::Velocities)] {
@@ -37,7 +37,7 @@ fn a_stop_is_found_in_positions_and_velocities() {
 }
 
 #[test]
-fn noise_does_not_feign_a_stop() {
+fn noise_is_no_stop() {
     let t_s = times();
     for size in [1e-5, 1e-2] {
         let at = |row: usize| (0.5 * t_s[row]).sin() + size * noise(row);
@@ -51,7 +51,7 @@ fn noise_does_not_feign_a_stop() {
 }
 
 #[test]
-fn steps_of_an_encoder_do_not_feign_a_stop() {
+fn encoder_steps_are_no_stop() {
     let (t_s, step) = (times(), 6e-3);
     let swing = |t: f64| 0.3 * (-(t - 10.0).powi(2)).exp();
     let q: Vec<f64> = t_s.iter().map(|t| (swing(*t) / step).round() * step).collect();
@@ -63,7 +63,7 @@ fn steps_of_an_encoder_do_not_feign_a_stop() {
 }
 
 #[test]
-fn noise_that_grows_with_speed_does_not_feign_a_stop() {
+fn speed_dependent_noise_is_no_stop() {
     // Stamps up to 0.2 ms off, one fast swing.
     let t_s: Vec<f64> = (0..12_500).map(|row| row as f64 / 500.0).collect();
     let angle =
@@ -74,7 +74,7 @@ fn noise_that_grows_with_speed_does_not_feign_a_stop() {
 }
 
 #[test]
-fn values_that_are_sent_several_times_are_no_stops() {
+fn repeated_values_are_no_stops() {
     let t_s: Vec<f64> = (0..4000).map(|row| row as f64 / 500.0).collect();
     let at = |t: f64| ((t * RATE_HZ).floor() / RATE_HZ * 2.0).sin();
     let qd: Vec<f64> = t_s.iter().map(|&t| at(t + 1e-6)).collect();
@@ -84,7 +84,7 @@ fn values_that_are_sent_several_times_are_no_stops() {
 }
 
 #[test]
-fn a_gap_is_no_stop_and_few_samples_tell_nothing() {
+fn a_gap_is_no_stop_and_few_samples_give_no_result() {
     let mut t_s = times();
     t_s[500..].iter_mut().for_each(|t| *t += 0.5);
     let qd: Vec<f64> = t_s.iter().map(|&t| if t < 4.2 { 1.0 } else { 0.0 }).collect();
@@ -96,7 +96,7 @@ fn a_gap_is_no_stop_and_few_samples_tell_nothing() {
 }
 
 #[test]
-fn positions_beyond_either_limit_are_timed() {
+fn the_duration_beyond_either_limit_is_measured() {
     let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.1).collect();
     let q: Vec<f64> = t_s.iter().map(|t| 2.0 * (t - 5.0).clamp(-2.0, 1.0)).collect();
     let limits = Limits { lower: Some(-3.5), upper: Some(1.9), velocity: None };
@@ -109,7 +109,7 @@ fn positions_beyond_either_limit_are_timed() {
 }
 
 #[test]
-fn rates_over_a_window_are_those_of_a_line_up_to_its_ends() {
+fn rates_of_a_line_are_exact_up_to_its_ends() {
     let t_s: Vec<f64> = (0..500).map(|row| f64::from(row) * 0.002).collect();
     let step = 6e-3;
     let q: Vec<f64> = t_s.iter().map(|t| (0.7 * t / step).round() * step).collect();
@@ -121,7 +121,7 @@ fn rates_over_a_window_are_those_of_a_line_up_to_its_ends() {
 }
 
 #[test]
-fn one_reading_of_speed_gone_wrong_is_no_excess() {
+fn a_single_wrong_speed_sample_is_no_violation() {
     let t_s: Vec<f64> = (0..10).map(|row| row as f64 * 0.1).collect();
     let limits = Limits { velocity: Some(2.0), ..Limits::default() };
     let mut qd = vec![0.5; 10];

@@ -19,7 +19,7 @@ fn followed(done: impl Fn(f64) -> f64) -> Result<Response, NotObservable> {
 }
 
 #[test]
-fn a_delay_is_found_with_its_sign_whatever_the_offset_and_the_gain() {
+fn a_delay_is_estimated_with_its_sign_for_any_offset_and_gain() {
     for delay_s in [-0.1, 0.0, 0.003, 0.14, 0.3] {
         let found = followed(|t| 3.0 + 0.9 * motion(t - delay_s)).expect("it follows");
         assert!((found.delay_s.value - delay_s).abs() < 1e-4, "{delay_s}: {found:?}");
@@ -28,7 +28,7 @@ fn a_delay_is_found_with_its_sign_whatever_the_offset_and_the_gain() {
 }
 
 #[test]
-fn a_low_pass_is_told_from_a_delay() {
+fn a_low_pass_is_distinguished_from_a_delay() {
     let t_s = times();
     let command = TimeSeries::new(t_s.clone(), vec![t_s.iter().map(|&t| motion(t)).collect()]);
     for corner_hz in [1.0, 4.0] {
@@ -43,7 +43,7 @@ fn a_low_pass_is_told_from_a_delay() {
 }
 
 #[test]
-fn what_repeats_itself_and_what_does_not_follow_are_said() {
+fn periodic_and_unrelated_responses_give_a_reason() {
     let t_s = times();
     let wave = |t: f64| (6.0 * t).sin();
     let command = TimeSeries::new(t_s.clone(), vec![t_s.iter().map(|&t| wave(t)).collect()]);
@@ -56,7 +56,7 @@ fn what_repeats_itself_and_what_does_not_follow_are_said() {
 }
 
 #[test]
-fn a_vector_is_followed_in_turned_axes() {
+fn the_delay_of_a_vector_does_not_depend_on_its_axes() {
     let t_s = times();
     let column = |phase: f64, late_s: f64| -> Vec<f64> {
         t_s.iter().map(|&t| motion(1.3 * (t - late_s) + phase)).collect()

@@ -26,7 +26,7 @@ fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
 }
 
 #[test]
-fn rates_are_rates_whatever_the_encoder() {
+fn velocities_match_positions_at_any_encoder_resolution() {
     for bits in [0.0, 14.0, 12.0, 10.0] {
         let quantum = if bits > 0.0 { std::f64::consts::TAU / f64::exp2(bits) } else { 0.0 };
         let found = found(quantum, |t| rate(0, t));
@@ -39,7 +39,7 @@ fn rates_are_rates_whatever_the_encoder() {
 }
 
 #[test]
-fn each_cause_is_named_with_its_amount() {
+fn each_velocity_fault_is_classified_with_its_size() {
     let degrees = found(0.0, |t| rate(0, t).to_degrees());
     assert!(matches!(degrees.shape, VelocityShape::Scaled(by) if (by - 57.296).abs() < 0.1));
     assert!((degrees.error.value - 56.296).abs() < 0.1, "{degrees:?}");
@@ -61,7 +61,7 @@ fn a_difference_of_two_samples_is_a_rate() {
 }
 
 #[test]
-fn what_is_in_a_gap_is_not_compared() {
+fn windows_with_a_gap_are_skipped() {
     // Small, fast motion needs long windows.
     let at = |t: f64| 0.02 * (9.0 * t).sin();
     let t_s: Vec<f64> = (0..1500).map(|row| f64::from(row) * 0.02).collect();
@@ -76,7 +76,7 @@ fn what_is_in_a_gap_is_not_compared() {
 }
 
 #[test]
-fn an_encoder_has_steps_and_noise_has_none() {
+fn the_encoder_step_is_detected_and_noise_has_none() {
     let smooth: Vec<f64> = (0..3000).map(|row| position(0, f64::from(row) * 0.004)).collect();
     let step = std::f64::consts::TAU / 1024.0;
     let stepped: Vec<f64> = smooth.iter().map(|q| (q / step).round() * step).collect();
