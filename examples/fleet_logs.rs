@@ -12,15 +12,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use poseaudit::synth::{Motion, START, Scenario};
 
-const RUNS: u32 = 16;
-const DAYS_APART: f64 = 4.0;
+const LOGS_PER_ARM: u32 = 16;
+const DAYS_BETWEEN_LOGS: f64 = 4.0;
 
 fn main() -> Result<()> {
     let folder: PathBuf = env::args_os().nth(1).context("name a folder")?.into();
     for (index, arm) in ["berlin/cell1", "berlin/cell2", "oslo/cell1"].into_iter().enumerate() {
-        for run in 0..RUNS {
-            let day = DAYS_APART * f64::from(run);
-            let mut log = sound(1 + u64::from(run) + 100 * index as u64);
+        for run in 0..LOGS_PER_ARM {
+            let day = DAYS_BETWEEN_LOGS * f64::from(run);
+            let mut log = run_without_faults(1 + u64::from(run) + 100 * index as u64);
             log.start = START.shifted(day * 86_400.0);
             match arm {
                 "berlin/cell1" => log.joints.zero_offsets = vec![0.0, 0.0, 3e-4 + 1.6e-5 * day],
@@ -35,7 +35,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn sound(seed: u64) -> Scenario {
+fn run_without_faults(seed: u64) -> Scenario {
     let mut run = Scenario::ur5e();
     (run.seed, run.duration_s, run.motion) = (seed, 6.0, Motion::Continuous);
     run.joints.timing.rate_hz = 50.0;

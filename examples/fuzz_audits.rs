@@ -21,7 +21,7 @@ fn main() {
     let mut arguments = env::args().skip(1).peekable();
     if let Some(found) = arguments.peek().filter(|found| Path::new(found).is_file()) {
         let bytes = fs::read(found).unwrap_or_default();
-        println!("{:#?}", audits::audit_of(&bytes));
+        println!("{:#?}", audits::audit_and_check(&bytes));
         return;
     }
     let Some(seconds) = arguments.next().and_then(|seconds| seconds.parse().ok()) else {
@@ -30,17 +30,17 @@ fn main() {
     };
     let folder = PathBuf::from(arguments.next().unwrap_or_else(|| "fuzz/found".to_owned()));
     let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds/audits");
-    let mut kept: Vec<Vec<u8>> = fs::read_dir(seeds)
+    let mut corpus: Vec<Vec<u8>> = fs::read_dir(seeds)
         .map(|seeds| seeds.flatten().filter_map(|seed| fs::read(seed.path()).ok()).collect())
         .unwrap_or_default();
-    kept.push(Vec::new());
-    let from = Instant::now();
+    corpus.push(Vec::new());
+    let started = Instant::now();
     let mut random = rand_pcg::Pcg64::seed_from_u64(
         env::var("SEED").map_or(1, |seed| seed.parse().unwrap_or(1)),
     );
-    let (mut known, mut runs, mut broken) = (BTreeSet::new(), 0_u64, 0_u64);
-    while from.elapsed() < Duration::from_secs(seconds) {
-        let mut bytes = kept[random.random_range(0..kept.len())].clone();
+    let (mut known_answers, mut runs, mut failures) = (BTreeSet::new(), 0_u64, 0_u64);
+    while started.elapsed() < Duration::from_secs(seconds) {
+        let mut bytes = corpus[random.random_range(0..corpus.len())].clone();
         for _ in 0..random.random_range(1..8) {
             let at = random.random_range(0..=bytes.len());
             match random.random_range(0..4) {
@@ -58,17 +58,17 @@ fn main() {
         runs += 1;
         // Keeps the current string, in case the audit never ends.
         let _ = fs::create_dir_all(&folder).and_then(|()| fs::write(folder.join("last"), &bytes));
-        let begun_s = audits::processor_s();
-        match catch_panic(|| audits::audit_of(&bytes)) {
+        let started_s = audits::processor_time_s();
+        match catch_panic(|| audits::audit_and_check(&bytes)) {
             Ok(answers) => {
-                let before = known.len();
-                known.extend(answers);
-                if known.len() > before {
-                    kept.push(bytes);
+                let before = known_answers.len();
+                known_answers.extend(answers);
+                if known_answers.len() > before {
+                    corpus.push(bytes);
                 }
             }
             Err(what) => {
-                broken += 1;
+                failures += 1;
                 let hash = blake3::hash(what.as_bytes()).to_hex();
                 let path = folder.join(&hash[..12]);
                 fs::create_dir_all(&folder)
@@ -77,18 +77,21 @@ fn main() {
                 println!("{}: {}", path.display(), what.chars().take(400).collect::<String>());
             }
         }
-        let took_s = audits::processor_s() - begun_s;
-        if took_s > SLOW_S {
+        let elapsed_s = audits::processor_time_s() - started_s;
+        if elapsed_s > SLOW_S {
             let path = folder.join(format!("slow-{runs}"));
             let _ = fs::copy(folder.join("last"), &path);
-            println!("{}: {took_s:.1} s", path.display());
+            println!("{}: {elapsed_s:.1} s", path.display());
         }
         if runs.is_multiple_of(20) {
-            let (seconds, answers, kept) = (from.elapsed().as_secs(), known.len(), kept.len());
-            println!("{seconds} s: {runs} audits, {answers} answers, {kept} kept, {broken} broken");
+            let (seconds, answers, corpus) =
+                (started.elapsed().as_secs(), known_answers.len(), corpus.len());
+            println!(
+                "{seconds} s: {runs} audits, {answers} answers, {corpus} kept, {failures} broken"
+            );
         }
     }
-    let (answers, kept) = (known.len(), kept.len());
-    println!("{runs} audits, {answers} answers, {kept} kept, {broken} broken");
-    process::exit(i32::from(broken > 0));
+    let (answers, corpus) = (known_answers.len(), corpus.len());
+    println!("{runs} audits, {answers} answers, {corpus} kept, {failures} broken");
+    process::exit(i32::from(failures > 0));
 }

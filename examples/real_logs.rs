@@ -21,7 +21,7 @@ use anyhow::{Context, Result, bail, ensure};
 #[path = "../tests/real/table.rs"]
 mod table;
 
-use table::{Expectation, call, markdown};
+use table::{Expectation, arguments_of, markdown};
 
 /// Answer of the program.
 struct Answer {
@@ -86,7 +86,7 @@ fn main() -> Result<ExitCode> {
                 line.iter().copied().filter(|(_, differences)| !differences.is_empty()).collect();
             let right = line.len() - differing.len();
             let logs = &expectation.logs[0];
-            let (name, call) = (&source.repository, call(expectation));
+            let (name, call) = (&source.repository, arguments_of(expectation));
             print!("{name}, {logs}, {call}: {right} of {} right", line.len());
             match &expectation.open {
                 Some(_) if differing.is_empty() => println!("; no longer open: delete `open`"),
@@ -134,13 +134,13 @@ fn options() -> Result<Options> {
         }
     }
     let folder = folder.context("the folder of the recordings is missing")?;
-    let program = program.map_or_else(built, Ok)?;
+    let program = program.map_or_else(build_program, Ok)?;
     let limit = Duration::from_secs(limit_s);
     Ok(Options { folder, program, only, threads, limit, verbose })
 }
 
 /// Builds the program in the profile of this example and returns its path.
-fn built() -> Result<PathBuf> {
+fn build_program() -> Result<PathBuf> {
     let mut build = Command::new(env!("CARGO"));
     build.args(["build", "--quiet", "--bin", "poseaudit"]).current_dir(env!("CARGO_MANIFEST_DIR"));
     if !cfg!(debug_assertions) {
@@ -263,13 +263,13 @@ fn audit(job: &Job, options: &Options) -> Result<Answer> {
 fn differences(expected: &Expectation, answer: &Answer) -> Vec<String> {
     let mut differences = Vec::new();
     if !expected.verdict.contains(&answer.verdict) {
-        let said = if answer.verdict == "refused" {
+        let message = if answer.verdict == "refused" {
             answer.text.lines().next().unwrap_or_default()
         } else {
             ""
         };
         differences.push(format!(
-            "{}, not {} {said}",
+            "{}, not {} {message}",
             answer.verdict,
             expected.verdict.join(" or ")
         ));

@@ -21,14 +21,14 @@ use poseaudit::{Options, audit};
 mod tables;
 
 /// A first byte from here on stands for a table, a lower one for messages.
-const TABLES: u8 = 0xe8;
+const FIRST_TABLE_BYTE: u8 = 0xe8;
 /// Maximum processor time for an audit of a 1 MB log in an unoptimised build, s.
-const LONGEST_S: f64 = 60.0;
+const MAX_PROCESSOR_TIME_S: f64 = 60.0;
 /// Maximum peak memory of the process, kB.
-const MOST_KB: u64 = 1_500_000;
+const MAX_PEAK_KB: u64 = 1_500_000;
 
 /// Extreme numbers for message fields.
-const ODD: [f64; 18] = [
+const EXTREME_NUMBERS: [f64; 18] = [
     f64::NAN,
     f64::INFINITY,
     f64::NEG_INFINITY,
@@ -50,7 +50,7 @@ const ODD: [f64; 18] = [
 ];
 
 /// Extreme times, ns: at the limits of the range, and near them.
-const ODD_NANOS: [i64; 10] = [
+const EXTREME_NANOS: [i64; 10] = [
     0,
     1,
     -1,
@@ -64,32 +64,32 @@ const ODD_NANOS: [i64; 10] = [
 ];
 
 /// Hostile names that overwrite a text, up to its length.
-const ODD_TEXTS: [&str; 8] =
+const HOSTILE_TEXTS: [&str; 8] =
     ["/", "../../x", "\u{1b}[31m", "\u{202e}abc", "\"><script>", "%s%n", "\0\0\0\0", "tool0"];
 
 /// Source of choices: bytes in order, then zeros.
-struct Draw<'a>(&'a [u8]);
+struct ChoiceSource<'a>(&'a [u8]);
 
-impl Draw<'_> {
+impl ChoiceSource<'_> {
     /// A choice below `count`.
-    fn of(&mut self, count: usize) -> usize {
+    fn below(&mut self, count: usize) -> usize {
         let Some((first, rest)) = self.0.split_first() else { return 0 };
         self.0 = rest;
         usize::from(*first) * count.max(1) / 256
     }
 
     /// A choice below `count`, which may be large.
-    fn place(&mut self, count: usize) -> usize {
-        let fine = self.of(256);
-        (self.of(256) * 256 + fine) * count.max(1) / 65536
+    fn index_below(&mut self, count: usize) -> usize {
+        let fine = self.below(256);
+        (self.below(256) * 256 + fine) * count.max(1) / 65536
     }
 
-    fn is(&mut self) -> bool {
-        self.of(2) == 1
+    fn flag(&mut self) -> bool {
+        self.below(2) == 1
     }
 
-    fn one_of<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[self.of(choices.len())]
+    fn choose<T: Copy>(&mut self, choices: &[T]) -> T {
+        choices[self.below(choices.len())]
     }
 }
 
@@ -106,22 +106,22 @@ struct Message {
 
 /// Audits the log derived from `bytes`, and checks the invariants of its report. Returns the kinds of its
 /// answers, which distinguish logs.
-pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
+pub fn audit_and_check(bytes: &[u8]) -> BTreeSet<String> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run");
     let (mut draw, written) = match bytes.split_first() {
-        Some((first, rest)) if *first >= TABLES => {
-            let mut draw = Draw(rest);
+        Some((first, rest)) if *first >= FIRST_TABLE_BYTE => {
+            let mut draw = ChoiceSource(rest);
             let written = tables::write(&mut draw, &path);
             (draw, Some(written))
         }
         _ => {
-            let mut draw = Draw(bytes);
+            let mut draw = ChoiceSource(bytes);
             write_messages(&mut draw, &path);
             (draw, None)
         }
     };
-    let robot = draw.one_of(&[None, None, Some("ur5e"), Some("panda")]);
+    let robot = draw.choose(&[None, None, Some("ur5e"), Some("panda")]);
     let options = Options {
         logs: vec![path],
         run: RunOptions {
@@ -130,23 +130,23 @@ pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
         },
         ..Options::default()
     };
-    let are_pictured = draw.is();
+    let with_figures_drawn = draw.flag();
     let audited = || -> Result<Report, Trouble> {
         let audited = audit(&options)?;
-        Ok(if are_pictured { audited.with_figures().report } else { audited.report })
+        Ok(if with_figures_drawn { audited.with_figures().report } else { audited.report })
     };
-    let start_s = processor_s();
+    let start_s = processor_time_s();
     let report = catch_panic(audited).unwrap_or_else(|panic| panic!("a panic: {panic}"));
-    let took_s = processor_s() - start_s;
-    assert!(took_s < LONGEST_S, "it took {took_s} s");
+    let elapsed_s = processor_time_s() - start_s;
+    assert!(elapsed_s < MAX_PROCESSOR_TIME_S, "it took {elapsed_s} s");
     let peak_kb = peak_kb();
-    assert!(peak_kb < MOST_KB, "it took {peak_kb} kB");
+    assert!(peak_kb < MAX_PEAK_KB, "it took {peak_kb} kB");
     match report {
         Ok(report) => {
             if let Some(written) = written {
                 tables::assert_rows_are_reported(&written, &report);
             }
-            answers(&report)
+            check_report(&report)
         }
         Err(trouble) => {
             assert!(!trouble.what.contains('\n') && !trouble.remedy.is_empty());
@@ -156,43 +156,44 @@ pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
 }
 
 /// Writes a log of messages.
-fn write_messages(draw: &mut Draw, path: &Path) {
-    let mut messages = messages(&scenario(draw));
-    for _ in 0..draw.of(6) {
+fn write_messages(draw: &mut ChoiceSource, path: &Path) {
+    let mut messages = messages_of(&draw_scenario(draw));
+    for _ in 0..draw.below(6) {
         edit(draw, &mut messages);
     }
-    match draw.of(4) {
-        0 => std::fs::write(path, mcap(&messages, None)).expect("a file"),
-        1 => std::fs::write(path, mcap(&messages, Some(Compression::Zstd))).expect("a file"),
-        2 => std::fs::write(path, mcap(&messages, Some(Compression::Lz4))).expect("a file"),
-        _ => database(&messages, path),
+    match draw.below(4) {
+        0 => std::fs::write(path, encode_mcap(&messages, None)).expect("a file"),
+        1 => std::fs::write(path, encode_mcap(&messages, Some(Compression::Zstd))).expect("a file"),
+        2 => std::fs::write(path, encode_mcap(&messages, Some(Compression::Lz4))).expect("a file"),
+        _ => write_database(&messages, path),
     }
 }
 
 /// A sound run, or one with a planted fault.
-fn scenario(draw: &mut Draw) -> Scenario {
-    let mut run = Scenario { duration_s: 2.0 + 0.5 * draw.of(5) as f64, ..Scenario::ur5e() };
-    run.joints.timing.rate_hz = draw.one_of(&[50.0, 25.0]);
-    run.pose.timing.rate_hz = draw.one_of(&[25.0, 50.0, 0.0]);
-    run.tf.timing.rate_hz = draw.one_of(&[12.5, 0.0, 50.0]);
-    run.imu.timing.rate_hz = draw.one_of(&[100.0, 0.0]);
-    run.description = draw.is();
-    run.motion = if draw.is() { Motion::Continuous } else { Motion::PickAndPlace };
-    run.pose.timing.latency_s = draw.one_of(&[0.0, 0.02]);
-    run.joints.zero_offsets = vec![0.0, draw.one_of(&[0.0, 0.02])];
-    if draw.is() {
-        let misreading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
-        run.pose.coding = Coding::Misread(misreading);
+fn draw_scenario(draw: &mut ChoiceSource) -> Scenario {
+    let mut run = Scenario { duration_s: 2.0 + 0.5 * draw.below(5) as f64, ..Scenario::ur5e() };
+    run.joints.timing.rate_hz = draw.choose(&[50.0, 25.0]);
+    run.pose.timing.rate_hz = draw.choose(&[25.0, 50.0, 0.0]);
+    run.tf.timing.rate_hz = draw.choose(&[12.5, 0.0, 50.0]);
+    run.imu.timing.rate_hz = draw.choose(&[100.0, 0.0]);
+    run.description = draw.flag();
+    run.motion = if draw.flag() { Motion::Continuous } else { Motion::PickAndPlace };
+    run.pose.timing.latency_s = draw.choose(&[0.0, 0.02]);
+    run.joints.zero_offsets = vec![0.0, draw.choose(&[0.0, 0.02])];
+    if draw.flag() {
+        let misinterpretation =
+            Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
+        run.pose.coding = Coding::Misread(misinterpretation);
     }
-    run.joints.in_degrees = draw.of(8) == 1;
-    run.pose.in_millimetres = draw.of(8) == 1;
-    run.pose.as_numbers = (draw.of(4) == 1).then_some(Convention::RotVec);
-    run.namespace = draw.one_of(&["", "/left"]).to_owned();
+    run.joints.in_degrees = draw.below(8) == 1;
+    run.pose.in_millimetres = draw.below(8) == 1;
+    run.pose.as_numbers = (draw.below(4) == 1).then_some(Convention::RotVec);
+    run.namespace = draw.choose(&["", "/left"]).to_owned();
     run
 }
 
 /// The messages of a run.
-fn messages(run: &Scenario) -> Vec<Message> {
+fn messages_of(run: &Scenario) -> Vec<Message> {
     let mut bytes = Vec::new();
     run.write_mcap(Cursor::new(&mut bytes), None).expect("a log");
     let read = mcap::MessageStream::new(&bytes).expect("a log");
@@ -211,7 +212,7 @@ fn messages(run: &Scenario) -> Vec<Message> {
 }
 
 /// Edits some messages of one topic.
-fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
+fn edit(draw: &mut ChoiceSource, messages: &mut Vec<Message>) {
     let topics: Vec<String> = {
         let names: BTreeSet<&String> = messages.iter().map(|message| &message.topic).collect();
         names.into_iter().cloned().collect()
@@ -219,16 +220,17 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
     if topics.is_empty() {
         return;
     }
-    let topic = topics[draw.of(topics.len())].clone();
+    let topic = topics[draw.below(topics.len())].clone();
     let rows: Vec<usize> =
         (0..messages.len()).filter(|&row| messages[row].topic == topic).collect();
-    let rows = some(draw, &rows);
+    let rows = select_rows(draw, &rows);
     let Some(length) = rows.iter().map(|&row| messages[row].cdr.len()).max() else { return };
-    match draw.of(14) {
+    match draw.below(14) {
         // Numbers are aligned to eight bytes after the encapsulation header.
         0..4 => {
-            let (at, value) = (4 + 8 * draw.place((length - 4) / 8), draw.one_of(&ODD));
-            let all = draw.of(4) == 3;
+            let (at, value) =
+                (4 + 8 * draw.index_below((length - 4) / 8), draw.choose(&EXTREME_NUMBERS));
+            let all = draw.below(4) == 3;
             for row in rows {
                 let cdr = &mut messages[row].cdr;
                 let end = if all { cdr.len() } else { cdr.len().min(at + 8) };
@@ -238,7 +240,8 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
             }
         }
         4 => {
-            let (at, factor) = (4 + 8 * draw.place((length - 4) / 8), draw.one_of(&ODD));
+            let (at, factor) =
+                (4 + 8 * draw.index_below((length - 4) / 8), draw.choose(&EXTREME_NUMBERS));
             for row in rows {
                 if let Some(place) = messages[row].cdr.get_mut(at..at + 8) {
                     let value = f64::from_le_bytes(place.try_into().expect("eight bytes"));
@@ -248,7 +251,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
         }
         // Most messages start with a header's stamp.
         5 => {
-            let nanos = draw.one_of(&ODD_NANOS);
+            let nanos = draw.choose(&EXTREME_NANOS);
             let (seconds, rest) =
                 (nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000));
             for row in rows {
@@ -259,7 +262,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
             }
         }
         6 => {
-            let (nanos, adds, both) = (draw.one_of(&ODD_NANOS), draw.is(), draw.is());
+            let (nanos, adds, both) = (draw.choose(&EXTREME_NANOS), draw.flag(), draw.flag());
             for row in rows {
                 let message = &mut messages[row];
                 let before = if adds { message.log_ns } else { 0 };
@@ -268,16 +271,16 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
             }
         }
         7 => {
-            let gone: BTreeSet<usize> = rows.into_iter().collect();
+            let removed: BTreeSet<usize> = rows.into_iter().collect();
             let mut row = 0..;
-            messages.retain(|_| !gone.contains(&row.next().unwrap_or(0)));
+            messages.retain(|_| !removed.contains(&row.next().unwrap_or(0)));
         }
         8 => {
-            let twice: Vec<Message> = rows.iter().map(|&row| messages[row].clone()).collect();
-            messages.extend(twice);
+            let repeated: Vec<Message> = rows.iter().map(|&row| messages[row].clone()).collect();
+            messages.extend(repeated);
         }
         9 => {
-            let (at, text) = (4 + draw.place(length), draw.one_of(&ODD_TEXTS));
+            let (at, text) = (4 + draw.index_below(length), draw.choose(&HOSTILE_TEXTS));
             for row in rows {
                 let letters = messages[row].cdr.iter_mut().skip(at);
                 let letters = letters.skip_while(|byte| !byte.is_ascii_lowercase());
@@ -285,7 +288,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
             }
         }
         10 => {
-            let (at, value) = (draw.place(length), draw.of(256) as u8);
+            let (at, value) = (draw.index_below(length), draw.below(256) as u8);
             for row in rows {
                 if let Some(byte) = messages[row].cdr.get_mut(at) {
                     *byte = value;
@@ -293,13 +296,13 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
             }
         }
         11 => {
-            let keep = draw.place(length);
+            let keep = draw.index_below(length);
             rows.iter().for_each(|&row| messages[row].cdr.truncate(keep));
         }
-        12 => describe(draw, messages),
+        12 => edit_description(draw, messages),
         _ => {
-            let other = topics[draw.of(topics.len())].clone();
-            let name = draw.one_of(&["", "/a b", "/x\n/y", "/tool0/pose", "joint_states"]);
+            let other = topics[draw.below(topics.len())].clone();
+            let name = draw.choose(&["", "/a b", "/x\n/y", "/tool0/pose", "joint_states"]);
             let name = if name.is_empty() { other } else { name.to_owned() };
             rows.iter().for_each(|&row| messages[row].topic.clone_from(&name));
         }
@@ -307,31 +310,31 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
 }
 
 /// Selects rows: one, a span, every n-th, or all.
-fn some(draw: &mut Draw, rows: &[usize]) -> Vec<usize> {
-    let at = draw.place(rows.len());
-    match draw.of(4) {
+fn select_rows(draw: &mut ChoiceSource, rows: &[usize]) -> Vec<usize> {
+    let at = draw.index_below(rows.len());
+    match draw.below(4) {
         0 => rows.get(at).copied().into_iter().collect(),
-        1 => rows.iter().skip(at).take(1 + draw.place(rows.len())).copied().collect(),
-        2 => rows.iter().skip(at).step_by(2 + draw.of(40)).copied().collect(),
+        1 => rows.iter().skip(at).take(1 + draw.index_below(rows.len())).copied().collect(),
+        2 => rows.iter().skip(at).step_by(2 + draw.below(40)).copied().collect(),
         _ => rows.to_vec(),
     }
 }
 
 /// Changes a number of the arm's description, or removes a part of it.
-fn describe(draw: &mut Draw, messages: &mut [Message]) {
+fn edit_description(draw: &mut ChoiceSource, messages: &mut [Message]) {
     let is_it = |message: &&mut Message| message.topic.ends_with(ROBOT_DESCRIPTION);
     let Some(message) = messages.iter_mut().find(is_it) else { return };
     let Some(text) = message.cdr.get(8..) else { return };
     let text = String::from_utf8_lossy(text).trim_end_matches('\0').to_owned();
     let places: Vec<usize> = text.match_indices('"').map(|(at, _)| at).collect();
-    let Some(&start) = places.get(2 * draw.place(places.len() / 2)) else { return };
+    let Some(&start) = places.get(2 * draw.index_below(places.len() / 2)) else { return };
     let end = places.iter().copied().find(|&at| at > start).unwrap_or(text.len());
     let odd =
         ["1e308 0 0", "-1e155 1e155 1", "0 0 0", "nan", "prismatic", "floating", "", "1e6 0 0"];
-    let text = match draw.is() {
-        true => format!("{}\"{}{}", &text[..start], draw.one_of(&odd), &text[end..]),
+    let text = match draw.flag() {
+        true => format!("{}\"{}{}", &text[..start], draw.choose(&odd), &text[end..]),
         false => {
-            let end = (end + 1 + draw.place(4000)).min(text.len());
+            let end = (end + 1 + draw.index_below(4000)).min(text.len());
             let end = (end..=text.len()).find(|&at| text.is_char_boundary(at)).unwrap_or(end);
             format!("{}{}", &text[..start], &text[end..])
         }
@@ -342,7 +345,7 @@ fn describe(draw: &mut Draw, messages: &mut [Message]) {
     message.cdr.push(0);
 }
 
-fn mcap(messages: &[Message], compression: Option<Compression>) -> Vec<u8> {
+fn encode_mcap(messages: &[Message], compression: Option<Compression>) -> Vec<u8> {
     let mut bytes = Vec::new();
     let options = WriteOptions::new().compression(compression).compression_threads(0);
     let mut writer = options.create(Cursor::new(&mut bytes)).expect("a writer");
@@ -365,7 +368,7 @@ fn mcap(messages: &[Message], compression: Option<Compression>) -> Vec<u8> {
 }
 
 /// A rosbag2 database with the messages.
-fn database(messages: &[Message], path: &Path) {
+fn write_database(messages: &[Message], path: &Path) {
     let database = rusqlite::Connection::open(path).expect("a database");
     let schema = "
         BEGIN;
@@ -398,7 +401,7 @@ fn database(messages: &[Message], path: &Path) {
 }
 
 /// Checks the invariants of a report, and returns its answers.
-fn answers(report: &Report) -> BTreeSet<String> {
+fn check_report(report: &Report) -> BTreeSet<String> {
     // Exit statuses: 0 and 1 by the verdict, 2 and 3 by the error.
     let status = match (&report.error, report.verdict) {
         (Some(trouble), _) if trouble.kind == TroubleKind::Call => 2,
@@ -417,10 +420,10 @@ fn answers(report: &Report) -> BTreeSet<String> {
         let written = String::from_utf8(written).expect("UTF-8");
         assert!(!written.is_empty());
         if name == "json" {
-            numbers(&serde_json::from_str(&written).expect("JSON"), "");
+            assert_plausible_numbers(&serde_json::from_str(&written).expect("JSON"), "");
         }
         if name == "text" {
-            written.lines().for_each(amounts);
+            written.lines().for_each(assert_no_invalid_value);
         }
     }
     for finding in &report.findings {
@@ -433,21 +436,22 @@ fn answers(report: &Report) -> BTreeSet<String> {
     if report.verdict == Verdict::Pass && report.error.is_none() {
         let is_audited = |role: &str| matches!(role, "joints" | "pose" | "tf" | "imu");
         for stream in report.streams.iter().filter(|stream| stream.dropped > 0) {
-            let is_its = |topic: Option<&String>| topic == Some(&stream.topic);
-            let is_found = report.findings.iter().any(|found| is_its(found.subject.topic.as_ref()));
-            let is_said = is_found
+            let is_topic = |topic: Option<&String>| topic == Some(&stream.topic);
+            let is_found =
+                report.findings.iter().any(|found| is_topic(found.subject.topic.as_ref()));
+            let is_reported = is_found
                 || report.checks.iter().any(|row| {
                     let reason = row.reason.as_deref().unwrap_or_default();
-                    is_its(row.subject.topic.as_ref()) && reason.contains("left out")
+                    is_topic(row.subject.topic.as_ref()) && reason.contains("left out")
                 });
-            assert!(!is_audited(stream.role) || is_said, "{stream:?}");
+            assert!(!is_audited(stream.role) || is_reported, "{stream:?}");
         }
     }
     answers
 }
 
 /// Asserts that a line contains no invalid value.
-fn amounts(line: &str) {
+fn assert_no_invalid_value(line: &str) {
     // Messages say which numbers are unusable.
     let line = &line.replace("(NaN, infinite or beyond 1e12)", "");
     let mut words = line.split(|c: char| !c.is_alphanumeric());
@@ -457,14 +461,18 @@ fn amounts(line: &str) {
 }
 
 /// Asserts that all numbers of a report are plausible.
-fn numbers(value: &serde_json::Value, place: &str) {
+fn assert_plausible_numbers(value: &serde_json::Value, place: &str) {
     match value {
         serde_json::Value::Number(number) => {
             let number = number.as_f64().unwrap_or(f64::INFINITY);
             assert!(number.abs() < 1e30, "{place}: {number}");
         }
-        serde_json::Value::Array(values) => values.iter().for_each(|value| numbers(value, place)),
-        serde_json::Value::Object(map) => map.iter().for_each(|(key, value)| numbers(value, key)),
+        serde_json::Value::Array(values) => {
+            values.iter().for_each(|value| assert_plausible_numbers(value, place))
+        }
+        serde_json::Value::Object(map) => {
+            map.iter().for_each(|(key, value)| assert_plausible_numbers(value, key))
+        }
         _ => {}
     }
 }
@@ -477,10 +485,10 @@ fn peak_kb() -> u64 {
 }
 
 /// Processor time of this process, s; 0 if the system does not provide it.
-pub fn processor_s() -> f64 {
-    const TICKS_A_SECOND: f64 = 100.0;
+pub fn processor_time_s() -> f64 {
+    const TICKS_PER_S: f64 = 100.0;
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = status.rsplit(')').next().unwrap_or_default().split_whitespace();
     let ticks = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok());
-    ticks.sum::<f64>() / TICKS_A_SECOND
+    ticks.sum::<f64>() / TICKS_PER_S
 }

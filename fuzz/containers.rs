@@ -7,7 +7,7 @@ fn crc(polynomial: u32, bytes: &[u8]) -> u32 {
 }
 
 /// A zip archive of uncompressed files (APPNOTE.TXT 6.3.10).
-pub fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
+pub fn zip_archive(files: &[(&str, &[u8])]) -> Vec<u8> {
     let (mut all, mut directory) = (Vec::new(), Vec::new());
     for (name, content) in files {
         let offset = all.len() as u32;
@@ -33,7 +33,7 @@ pub fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
 }
 
 /// A record in the frame of TFRecord, with masked CRC-32C checksums.
-pub fn framed_record(record: &[u8]) -> Vec<u8> {
+pub fn tfrecord_frame(record: &[u8]) -> Vec<u8> {
     let masked = |bytes: &[u8]| {
         crc(0x82f6_3b78, bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
     };

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-use self::containers::{framed_record, zipped};
+use self::containers::{tfrecord_frame, zip_archive};
 use mcap::records::MessageHeader;
 use poseaudit::log::{self, Log, LogError, ReadOptions};
 use poseaudit::time::Clock;
@@ -17,26 +17,26 @@ pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
 pub const TARGETS: [Target; 20] = [
-    ("mcap", file),
-    ("rosbag1", file),
-    ("rosbag2", file),
-    ("rtde", file),
-    ("zstd", file),
-    ("metadata", metadata),
-    ("ros2msg", |bytes| message("cdr", "ros2msg", bytes)),
-    ("ros2idl", |bytes| message("cdr", "ros2idl", bytes)),
-    ("ros1", |bytes| message("ros1", "ros1msg", bytes)),
-    ("protobuf", |bytes| message("protobuf", "protobuf", bytes)),
-    ("json", |bytes| message("json", "jsonschema", bytes)),
-    ("csv", file),
-    ("hdf5", file),
-    ("lerobot", lerobot),
-    ("npy", file),
-    ("npz", npz),
-    ("parquet", file),
-    ("rsi", file),
-    ("tfrecord", tfrecord),
-    ("zarr", zarr),
+    ("mcap", read_file),
+    ("rosbag1", read_file),
+    ("rosbag2", read_file),
+    ("rtde", read_file),
+    ("zstd", read_file),
+    ("metadata", read_metadata),
+    ("ros2msg", |bytes| read_message("cdr", "ros2msg", bytes)),
+    ("ros2idl", |bytes| read_message("cdr", "ros2idl", bytes)),
+    ("ros1", |bytes| read_message("ros1", "ros1msg", bytes)),
+    ("protobuf", |bytes| read_message("protobuf", "protobuf", bytes)),
+    ("json", |bytes| read_message("json", "jsonschema", bytes)),
+    ("csv", read_file),
+    ("hdf5", read_file),
+    ("lerobot", read_lerobot),
+    ("npy", read_file),
+    ("npz", read_npz),
+    ("parquet", read_file),
+    ("rsi", read_file),
+    ("tfrecord", read_tfrecord),
+    ("zarr", read_zarr),
 ];
 
 /// Runs the named target on `bytes`.
@@ -46,38 +46,39 @@ pub fn feed(target: &str, bytes: &[u8]) {
 }
 
 /// Reads a log of any kind from these bytes.
-fn file(bytes: &[u8]) {
+fn read_file(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("log");
     fs::write(&path, bytes).expect("a file");
-    check(open(&path));
+    check_log(open(&path));
 }
 
 /// Reads a folder with this `metadata.yaml` and a valid file.
-fn metadata(bytes: &[u8]) {
+fn read_metadata(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("metadata.yaml"), bytes).expect("a file");
-    let log = recorded("json", "std_msgs/msg/String", "jsonschema", b"", br#"{"data":"a"}"#);
+    let log =
+        mcap_with_message("json", "std_msgs/msg/String", "jsonschema", b"", br#"{"data":"a"}"#);
     fs::write(folder.path().join("run_0.mcap"), log).expect("a file");
-    check(open(folder.path()));
+    check_log(open(folder.path()));
 }
 
 /// Reads a dataset with this `info.json` and a valid episode.
-fn lerobot(bytes: &[u8]) {
+fn read_lerobot(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     let chunk = folder.path().join("data/chunk-000");
     fs::create_dir_all(&chunk).expect("a folder");
     fs::create_dir_all(folder.path().join("meta")).expect("a folder");
     fs::write(folder.path().join("meta/info.json"), bytes).expect("a file");
     fs::write(chunk.join("episode_000000.parquet"), EPISODE).expect("a file");
-    check(open(folder.path()));
+    check_log(open(folder.path()));
 }
 
 const EPISODE: &[u8] = include_bytes!("seeds/lerobot.parquet");
 
 /// Reads a store with one array: two bytes of length, its metadata, and its first chunk.
-fn zarr(bytes: &[u8]) {
-    let Some((metadata, chunk)) = delimited::<2>(bytes) else { return };
+fn read_zarr(bytes: &[u8]) {
+    let Some((metadata, chunk)) = split_after_length::<2>(bytes) else { return };
     let folder = tempfile::tempdir().expect("a folder");
     fs::create_dir(folder.path().join("q")).expect("a folder");
     for (name, content) in [
@@ -88,42 +89,42 @@ fn zarr(bytes: &[u8]) {
     ] {
         fs::write(folder.path().join(name), content).expect("a file");
     }
-    check(open(folder.path()));
+    check_log(open(folder.path()));
 }
 
 /// Reads an archive of two arrays; the first follows two bytes of its length.
-fn npz(bytes: &[u8]) {
-    let Some((first, second)) = delimited::<2>(bytes) else { return };
-    file(&zipped(&[("timestamp.npy", first), ("q.npy", second)]));
+fn read_npz(bytes: &[u8]) {
+    let Some((first, second)) = split_after_length::<2>(bytes) else { return };
+    read_file(&zip_archive(&[("timestamp.npy", first), ("q.npy", second)]));
 }
 
 /// Reads a file of records with valid checksums, each after two bytes of its length.
-fn tfrecord(mut bytes: &[u8]) {
+fn read_tfrecord(mut bytes: &[u8]) {
     let mut framed = Vec::new();
-    while let Some((record, rest)) = delimited::<2>(bytes) {
-        framed.extend(framed_record(record));
+    while let Some((record, rest)) = split_after_length::<2>(bytes) {
+        framed.extend(tfrecord_frame(record));
         bytes = rest;
     }
-    file(&framed);
+    read_file(&framed);
 }
 
 /// Reads a log with one message, after its type (one length byte) and its schema (two).
-fn message(encoding: &str, schema_encoding: &str, bytes: &[u8]) {
-    let Some((type_name, rest)) = delimited::<1>(bytes) else { return };
-    let Some((schema, data)) = delimited::<2>(rest) else { return };
+fn read_message(encoding: &str, schema_encoding: &str, bytes: &[u8]) {
+    let Some((type_name, rest)) = split_after_length::<1>(bytes) else { return };
+    let Some((schema, data)) = split_after_length::<2>(rest) else { return };
     let Ok(type_name) = std::str::from_utf8(type_name) else { return };
-    file(&recorded(encoding, type_name, schema_encoding, schema, data));
+    read_file(&mcap_with_message(encoding, type_name, schema_encoding, schema, data));
 }
 
 /// Splits after a length of `WIDTH` bytes and that much data.
-fn delimited<const WIDTH: usize>(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+fn split_after_length<const WIDTH: usize>(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<WIDTH>()?;
     let length = length.iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
     rest.split_at_checked(length)
 }
 
 /// An MCAP file with the message twice.
-fn recorded(
+fn mcap_with_message(
     encoding: &str,
     type_name: &str,
     schema_encoding: &str,
@@ -148,7 +149,7 @@ fn open(path: &Path) -> Result<Log, LogError> {
 }
 
 /// Checks the invariants of every reader.
-fn check(read: Result<Log, LogError>) {
+fn check_log(read: Result<Log, LogError>) {
     let log = match read {
         Ok(log) => log,
         Err(error) => return assert!(!error.to_string().is_empty()),

@@ -11,9 +11,9 @@ use poseaudit::report::{Report, Verdict};
 use poseaudit::robot::catalogue;
 use serde_json::{Value, json};
 
-use self::containers::{framed_record, zipped};
+use self::containers::{tfrecord_frame, zip_archive};
 use self::hdf5_writer::{DataSet, hdf5};
-use super::{Draw, ODD, some};
+use super::{ChoiceSource, EXTREME_NUMBERS, select_rows};
 
 #[allow(clippy::duplicate_mod, reason = "the tests also load it with feed.rs")]
 #[path = "containers.rs"]
@@ -27,7 +27,7 @@ const RATE_HZ: f64 = 50.0;
 const JOINTS: &[&str] = &["q", "joint_positions"];
 const POSES: &[&str] = &["pose", "tcp_pose"];
 /// Times of rows, s.
-const ODD_TIMES: [f64; 7] = [f64::NAN, 0.0, -1.0, 1e9, 1e308, f64::INFINITY, 3.0];
+const EXTREME_TIMES_S: [f64; 7] = [f64::NAN, 0.0, -1.0, 1e9, 1e308, f64::INFINITY, 3.0];
 
 /// One row: its time, six joint positions and a pose.
 #[derive(Clone)]
@@ -39,14 +39,14 @@ struct Row {
 
 impl Row {
     /// Whether the row holds a number in these cells.
-    fn holds(&self, cells: impl Fn(&Self) -> &Vec<f64>) -> bool {
+    fn has_numbers(&self, cells: impl Fn(&Self) -> &Vec<f64>) -> bool {
         cells(self).iter().any(|value| value.is_finite())
     }
 }
 
 /// What was written of each topic.
 #[derive(Debug)]
-pub struct Written {
+pub struct WrittenRows {
     joints: u64,
     poses: u64,
     /// Whether the bytes of the file were damaged, so that names and numbers may be others.
@@ -54,38 +54,39 @@ pub struct Written {
 }
 
 /// Writes a table at `path`.
-pub fn write(draw: &mut Draw, path: &Path) -> Written {
-    let mut rows = rows(draw);
-    for _ in 0..draw.of(5) {
+pub fn write(draw: &mut ChoiceSource, path: &Path) -> WrittenRows {
+    let mut rows = draw_rows(draw);
+    for _ in 0..draw.below(5) {
         edit(draw, &mut rows);
     }
-    let count =
-        |cells: fn(&Row) -> &Vec<f64>| rows.iter().filter(|row| row.holds(cells)).count() as u64;
-    let mut written = Written {
+    let count = |cells: fn(&Row) -> &Vec<f64>| {
+        rows.iter().filter(|row| row.has_numbers(cells)).count() as u64
+    };
+    let mut written = WrittenRows {
         joints: count(|row| &row.joints),
         poses: count(|row| &row.pose),
         is_damaged: false,
     };
-    let mut content = match draw.of(7) {
-        0 => csv(draw, &rows, ","),
-        1 => csv(draw, &rows, "\t"),
-        2 => archive(&rows),
-        3 => of_hdf5(draw, &rows, &mut written),
-        4 => steps(&rows),
-        5 => parquet(&rows),
+    let mut content = match draw.below(7) {
+        0 => text_table(draw, &rows, ","),
+        1 => text_table(draw, &rows, "\t"),
+        2 => npz_archive(&rows),
+        3 => hdf5_file(draw, &rows, &mut written),
+        4 => tfrecord_steps(&rows),
+        5 => parquet_file(&rows),
         _ => {
-            store(draw, &rows, path);
+            write_zarr(draw, &rows, path);
             return written;
         }
     };
-    let at = draw.place(content.len());
-    match draw.of(6) {
+    let at = draw.index_below(content.len());
+    match draw.below(6) {
         4 => {
             content.truncate(at);
             written.is_damaged = true;
         }
         5 => {
-            let end = (at + 1 + draw.of(16)).min(content.len());
+            let end = (at + 1 + draw.below(16)).min(content.len());
             content.get_mut(at..end).into_iter().flatten().for_each(|byte| *byte ^= 0x55);
             written.is_damaged = true;
         }
@@ -96,11 +97,11 @@ pub fn write(draw: &mut Draw, path: &Path) -> Written {
 }
 
 /// Rows of a UR5e that moves all its joints.
-fn rows(draw: &mut Draw) -> Vec<Row> {
+fn draw_rows(draw: &mut ChoiceSource) -> Vec<Row> {
     let robot = catalogue::find("ur5e").expect("a UR5e");
     let link = |name: &str| robot.link(name).expect("a link");
     let chain = robot.chain(link("base_link"), link("tool0")).expect("a chain");
-    let from_s = draw.one_of(&[0.0, 1.7e9, 5.0]);
+    let from_s = draw.choose(&[0.0, 1.7e9, 5.0]);
     let row = |row: usize| {
         let elapsed_s = row as f64 / RATE_HZ;
         let joints: Vec<f64> = (0..6)
@@ -114,16 +115,17 @@ fn rows(draw: &mut Draw) -> Vec<Row> {
         let pose = vec![at.x, at.y, at.z, turn.i, turn.j, turn.k, turn.w];
         Row { time_s: from_s + elapsed_s, joints, pose }
     };
-    (0..100 + 50 * draw.of(5)).map(row).collect()
+    (0..100 + 50 * draw.below(5)).map(row).collect()
 }
 
 /// Changes some of the rows.
-fn edit(draw: &mut Draw, rows: &mut Vec<Row>) {
+fn edit(draw: &mut ChoiceSource, rows: &mut Vec<Row>) {
     let all: Vec<usize> = (0..rows.len()).collect();
-    let chosen = some(draw, &all);
-    match draw.of(8) {
+    let chosen = select_rows(draw, &all);
+    match draw.below(8) {
         0..3 => {
-            let (at, value, is_whole) = (draw.of(13), draw.one_of(&ODD), draw.of(4) == 3);
+            let (at, value, is_whole) =
+                (draw.below(13), draw.choose(&EXTREME_NUMBERS), draw.below(4) == 3);
             for row in chosen {
                 let Row { joints, pose, .. } = &mut rows[row];
                 let cells = if at < 6 { joints } else { pose };
@@ -134,11 +136,11 @@ fn edit(draw: &mut Draw, rows: &mut Vec<Row>) {
             }
         }
         3 => {
-            let time_s = draw.one_of(&ODD_TIMES);
+            let time_s = draw.choose(&EXTREME_TIMES_S);
             chosen.into_iter().for_each(|row| rows[row].time_s = time_s);
         }
         4 => {
-            let by_s = draw.one_of(&[1e-3, -0.5, 10.0, -100.0]);
+            let by_s = draw.choose(&[1e-3, -0.5, 10.0, -100.0]);
             chosen.into_iter().for_each(|row| rows[row].time_s += by_s);
         }
         5 => {
@@ -146,8 +148,8 @@ fn edit(draw: &mut Draw, rows: &mut Vec<Row>) {
             rows.retain(|_| !chosen.contains(&row.next().unwrap_or(0)));
         }
         6 => {
-            let twice: Vec<Row> = chosen.into_iter().map(|row| rows[row].clone()).collect();
-            rows.extend(twice);
+            let repeated: Vec<Row> = chosen.into_iter().map(|row| rows[row].clone()).collect();
+            rows.extend(repeated);
         }
         _ => {
             let others: Vec<Row> = chosen.iter().rev().map(|&row| rows[row].clone()).collect();
@@ -157,7 +159,7 @@ fn edit(draw: &mut Draw, rows: &mut Vec<Row>) {
 }
 
 /// A table in text, with some lines changed.
-fn csv(draw: &mut Draw, rows: &[Row], delimiter: &str) -> Vec<u8> {
+fn text_table(draw: &mut ChoiceSource, rows: &[Row], delimiter: &str) -> Vec<u8> {
     let names = "timestamp q1 q2 q3 q4 q5 q6 x y z qx qy qz qw".replace(' ', delimiter);
     let row = |row: &Row| {
         let cells = [&[row.time_s][..], &row.joints, &row.pose].concat();
@@ -167,10 +169,10 @@ fn csv(draw: &mut Draw, rows: &[Row], delimiter: &str) -> Vec<u8> {
     };
     let mut lines: Vec<String> = rows.iter().map(row).collect();
     if !lines.is_empty() {
-        for _ in 0..draw.of(3) {
-            let line = draw.place(lines.len());
+        for _ in 0..draw.below(3) {
+            let line = draw.index_below(lines.len());
             let own = &mut lines[line];
-            match draw.of(6) {
+            match draw.below(6) {
                 0 => *own += delimiter,
                 1 => *own += &format!("\n # stopped{delimiter}by hand"),
                 2 => *own += &format!("\n{names}"),
@@ -192,12 +194,12 @@ fn arrays(rows: &[Row]) -> [(&'static str, usize, Vec<f64>); 3] {
     ]
 }
 
-fn bytes_of(values: &[f64]) -> Vec<u8> {
+fn le_bytes(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
 /// An archive of NumPy.
-fn archive(rows: &[Row]) -> Vec<u8> {
+fn npz_archive(rows: &[Row]) -> Vec<u8> {
     let files = arrays(rows).map(|(name, width, values)| {
         let header = format!(
             "{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, {width}), }}\n",
@@ -206,27 +208,27 @@ fn archive(rows: &[Row]) -> Vec<u8> {
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
         bytes.extend((header.len() as u16).to_le_bytes());
         bytes.extend(header.as_bytes());
-        bytes.extend(bytes_of(&values));
+        bytes.extend(le_bytes(&values));
         (format!("{name}.npy"), bytes)
     });
     let files: Vec<(&str, &[u8])> =
         files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())).collect();
-    zipped(&files)
+    zip_archive(&files)
 }
 
 /// Rows whose chunks are not written: some of those that are neither the first nor the last.
-fn missing(draw: &mut Draw, rows: usize) -> Vec<bool> {
+fn draw_missing_rows(draw: &mut ChoiceSource, rows: usize) -> Vec<bool> {
     let mut missing = vec![false; rows];
-    if rows > 4 && draw.of(3) == 2 {
+    if rows > 4 && draw.below(3) == 2 {
         let inner: Vec<usize> = (2..rows - 2).collect();
-        some(draw, &inner).into_iter().for_each(|row| missing[row] = true);
+        select_rows(draw, &inner).into_iter().for_each(|row| missing[row] = true);
     }
     missing
 }
 
-fn of_hdf5(draw: &mut Draw, rows: &[Row], written: &mut Written) -> Vec<u8> {
-    let missing = missing(draw, rows.len());
-    let is_chunked = draw.is();
+fn hdf5_file(draw: &mut ChoiceSource, rows: &[Row], written: &mut WrittenRows) -> Vec<u8> {
+    let missing = draw_missing_rows(draw, rows.len());
+    let is_chunked = draw.flag();
     // Contiguous numbers have no missing chunks. Numbers that are missing everywhere were never there.
     if rows.is_empty() || missing.iter().all(|missing| *missing) {
         written.is_damaged = true;
@@ -246,8 +248,8 @@ fn of_hdf5(draw: &mut Draw, rows: &[Row], written: &mut Written) -> Vec<u8> {
 }
 
 /// A folder of Zarr with a chunk for each row of joint positions.
-fn store(draw: &mut Draw, rows: &[Row], path: &Path) {
-    let missing = missing(draw, rows.len());
+fn write_zarr(draw: &mut ChoiceSource, rows: &[Row], path: &Path) {
+    let missing = draw_missing_rows(draw, rows.len());
     fs::create_dir_all(path).expect("a folder");
     fs::write(path.join(".zgroup"), r#"{"zarr_format": 2}"#).expect("a file");
     for (name, width, values) in arrays(rows) {
@@ -261,13 +263,13 @@ fn store(draw: &mut Draw, rows: &[Row], path: &Path) {
             if width == 6 && missing[number] {
                 continue;
             }
-            fs::write(folder.join(format!("{number}.0")), bytes_of(chunk)).expect("a file");
+            fs::write(folder.join(format!("{number}.0")), le_bytes(chunk)).expect("a file");
         }
     }
 }
 
 /// Records of a step each, as TensorFlow writes them.
-fn steps(rows: &[Row]) -> Vec<u8> {
+fn tfrecord_steps(rows: &[Row]) -> Vec<u8> {
     let field = |number: u8, content: &[u8]| -> Vec<u8> {
         let mut all = vec![number << 3 | 2];
         let mut length = content.len();
@@ -293,13 +295,13 @@ fn steps(rows: &[Row]) -> Vec<u8> {
             feature("joint_positions", &row.joints),
             feature("tcp_pose", &row.pose),
         ];
-        framed_record(&field(1, &features.concat()))
+        tfrecord_frame(&field(1, &features.concat()))
     };
     rows.iter().flat_map(record).collect()
 }
 
 /// A file of Parquet with a column for each number.
-fn parquet(rows: &[Row]) -> Vec<u8> {
+fn parquet_file(rows: &[Row]) -> Vec<u8> {
     let mut columns: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     let mut put = |name: &str, value: f64| columns.entry(name.to_owned()).or_default().push(value);
     for row in rows {
@@ -316,7 +318,7 @@ fn parquet(rows: &[Row]) -> Vec<u8> {
 }
 
 /// Asserts that each row that was written is audited or reported as lost.
-pub fn assert_rows_are_reported(written: &Written, report: &Report) {
+pub fn assert_rows_are_reported(written: &WrittenRows, report: &Report) {
     if report.error.is_some() {
         return;
     }
@@ -325,20 +327,20 @@ pub fn assert_rows_are_reported(written: &Written, report: &Report) {
         .map(|found| found.evidence.more.get("messages_lost").and_then(Value::as_u64))
         .collect();
     // Damage may take what nothing counts.
-    let is_uncounted = lost.iter().any(Option::is_none);
+    let has_uncounted_loss = lost.iter().any(Option::is_none);
     let lost: u64 = lost.into_iter().flatten().sum();
     for (names, rows) in [(JOINTS, written.joints), (POSES, written.poses)] {
         let own = report.streams.iter().filter(|stream| names.contains(&stream.topic.as_str()));
         let read: u64 = own.map(|stream| stream.count).sum();
         let missing = rows.saturating_sub(read);
-        if missing == 0 || is_uncounted {
+        if missing == 0 || has_uncounted_loss {
             continue;
         }
         assert!(
             written.is_damaged || missing <= lost,
             "{rows} rows of {names:?} were written, {read} read, {lost} reported"
         );
-        let is_silent = report.verdict == Verdict::Pass && report.findings.is_empty();
-        assert!(!is_silent, "it passes without {missing} of {rows} rows of {names:?}");
+        let is_unreported = report.verdict == Verdict::Pass && report.findings.is_empty();
+        assert!(!is_unreported, "it passes without {missing} of {rows} rows of {names:?}");
     }
 }

@@ -7,7 +7,7 @@ use serde::Deserialize;
 const EXPECTED: &str = include_str!("expected.toml");
 
 #[derive(Deserialize)]
-pub struct Table {
+pub struct ExpectationTable {
     pub source: Vec<Source>,
 }
 
@@ -51,11 +51,11 @@ pub struct Expectation {
 
 /// Reads the table.
 pub fn sources() -> Result<Vec<Source>, toml::de::Error> {
-    toml::from_str(EXPECTED).map(|Table { source }| source)
+    toml::from_str(EXPECTED).map(|ExpectationTable { source }| source)
 }
 
 /// Arguments of an expectation, shortened for the summary.
-pub fn call(expectation: &Expectation) -> String {
+pub fn arguments_of(expectation: &Expectation) -> String {
     let mut call = String::new();
     for arg in &expectation.args {
         call += &format!("{arg} ");
@@ -99,7 +99,7 @@ pub fn markdown(sources: &[Source]) -> String {
                 page,
                 "| {} | {} | {} | {answer} | {} |",
                 line.logs.iter().map(|logs| format!("`{logs}`")).collect::<Vec<_>>().join(", "),
-                call(line),
+                arguments_of(line),
                 line.arm.join(", "),
                 line.open.as_deref().unwrap_or_default(),
             );
