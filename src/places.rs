@@ -243,7 +243,6 @@ fn holds(folder: &Path, file: &Metadata) -> bool {
 }
 
 impl Output {
-    /// Whether they cannot both be written.
     fn collides(&self, other: &Self) -> bool {
         let (a, b) = (&self.place, &other.place);
         if a.is_device() || b.is_device() {

@@ -10,7 +10,6 @@ use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, Run
 
 use super::{messages, misuse};
 
-/// Searches for the config.
 const AUTO: &str = "auto";
 
 /// The audit options.
@@ -166,7 +165,6 @@ impl AuditOptions {
     }
 }
 
-/// Leading folders without wildcards.
 fn path_before_wildcards(pattern: &Path) -> PathBuf {
     let is_plain = |part: &std::path::Component<'_>| {
         !part.as_os_str().to_string_lossy().contains(['*', '?', '[', '{'])

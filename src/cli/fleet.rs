@@ -277,7 +277,6 @@ struct Summary<'a> {
     outcomes: &'a Outcomes,
 }
 
-/// Failed logs listed as text.
 const MAX_LISTED_FAILURES: usize = 20;
 
 impl<'a> Summary<'a> {

@@ -46,7 +46,6 @@ struct Page {
     text: Vec<u8>,
 }
 
-/// Pages, including subcommands.
 fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
     let man = Man::new(command.clone());
     let mut text = Vec::new();

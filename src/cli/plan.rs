@@ -163,7 +163,6 @@ impl From<PurposeName> for Purpose {
     }
 }
 
-/// Output format of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// What it shows, for people

@@ -12,7 +12,6 @@ use poseaudit::log::Progress;
 
 use super::messages;
 
-/// Delay before a bar is shown.
 const BAR_DELAY: Duration = Duration::from_secs(1);
 const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 

@@ -103,7 +103,6 @@ impl ReportOptions {
         }
     }
 
-    /// Formats without duplicates.
     fn distinct_formats(&self) -> Vec<&'static Format> {
         let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
         FORMATS.iter().filter(wanted).collect()

@@ -10,7 +10,6 @@ use super::reports::ReportOptions;
 
 const STATISTICS_OPTION: &str = "--statistics";
 
-/// Findings of one rule.
 #[derive(Serialize)]
 struct RuleCount {
     code: &'static str,

@@ -122,7 +122,6 @@ struct TransformPrinter<'a> {
     start: Stamp,
 }
 
-/// Origin of the pose.
 fn pose_origin(path: &TfPath<'_>, at: Stamp) -> &'static str {
     match path.span() {
         None => "static",

@@ -67,7 +67,6 @@ pub struct Args {
     format: Format,
 }
 
-/// When to exit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Until {
     /// The verdict is FAIL

@@ -36,7 +36,6 @@ impl Template {
         self.0.push('\n');
     }
 
-    /// Writes a setting with a remark.
     fn set(&mut self, key: &str, value: &str, remark: &str) {
         let setting = format!("{key} = {value}");
         match remark.is_empty() {
@@ -263,7 +262,6 @@ fn amount(unit: Unit, value: f64) -> String {
     }
 }
 
-/// Rounds to three digits.
 fn rounded(rate_hz: f64) -> String {
     let digits = 2 - rate_hz.log10().floor() as i32;
     let step = 10f64.powi(-digits);

@@ -40,7 +40,6 @@ fn retain_libraries(mut lines: Lines) -> Lines {
     lines
 }
 
-/// Inverts the rotation, not the position.
 pub(super) fn invert_rotation() -> Lines {
     lines([
         "rotation.inv()",
@@ -59,7 +58,7 @@ pub(super) fn invert_pose() -> Lines {
     ])
 }
 
-/// By π/180 or its inverse.
+/// Multiplies by π/180 or its inverse.
 pub(super) fn convert_angles(to_radians: bool) -> Lines {
     match to_radians {
         true => lines([

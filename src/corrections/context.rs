@@ -7,7 +7,6 @@ use crate::report::{Report, StreamRow};
 use crate::run::Run;
 use crate::stats::Measured;
 
-/// Input for deriving corrections.
 pub(super) struct CorrectionContext<'a> {
     pub report: &'a Report,
     pub run: &'a Run,

@@ -13,7 +13,6 @@ use crate::geometry::CodeLine;
 use crate::report::markdown::escape_prose;
 use crate::report::{quote_line, sanitize};
 
-/// Index of the other files.
 const INDEX: &str = "corrections.md";
 
 /// All files except the models.

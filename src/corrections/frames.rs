@@ -3,7 +3,6 @@ use std::path::Path;
 use super::corrections_file::rounded;
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 
-/// Frame fixed in another frame.
 #[derive(Clone, Debug)]
 pub(super) struct FixedFrame {
     /// Finding with its subject.
@@ -47,7 +46,6 @@ fn number(value: f64) -> String {
     rounded(value).to_string()
 }
 
-/// Quotes `name` if necessary.
 fn shell_quoted(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     match !name.is_empty() && name.chars().all(is_plain) {
@@ -56,7 +54,6 @@ fn shell_quoted(name: &str) -> String {
     }
 }
 
-/// Escapes text for attributes and comments.
 pub(super) fn escape_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")

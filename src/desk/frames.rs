@@ -45,7 +45,7 @@ impl FrameNames {
     }
 }
 
-/// Apart from a prefix.
+/// Whether the names match apart from a prefix.
 fn meets(given: &str, frame: &str) -> bool {
     let prefix = given.strip_suffix(frame);
     prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
@@ -69,7 +69,6 @@ struct Entry {
     to: String,
 }
 
-/// Two frames with a common origin.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Turn {
@@ -77,7 +76,7 @@ struct Turn {
     who: String,
     from: String,
     to: String,
-    /// Of `to` in terms of `from`.
+    /// Axes of `to` in terms of `from`.
     axes: String,
 }
 

@@ -11,7 +11,6 @@ enum Token<'a> {
     Mark(char),
 }
 
-/// Names of a rotation's numbers.
 struct Names {
     names: &'static [&'static str],
     coding: Option<RotationEncoding>,

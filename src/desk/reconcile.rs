@@ -13,7 +13,6 @@ use crate::geometry::{Pose, angle_between};
 /// Score difference.
 const NO_BETTER: f64 = 1.5;
 
-/// Listed explanations.
 const TOLD: usize = 6;
 
 /// Input of the search.

@@ -103,7 +103,6 @@ impl Place {
     }
 }
 
-/// Steps from A to B.
 #[derive(Clone, Copy)]
 pub(super) struct Steps {
     pub(super) inversion: Inversion,

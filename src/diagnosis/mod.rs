@@ -406,7 +406,7 @@ pub struct PoseDiagnosis {
     pub tool_changes: Vec<FrameChange>,
     /// Change points of the radial scale, m/m.
     pub radial_scale_changes: Vec<ScalarChange>,
-    /// Where `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
+    /// Spans in which `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
     pub encoding_spans: EncodingSpans,
     /// Residual after correcting every finding.
     pub residual: EstimateResult<StreamResidual>,

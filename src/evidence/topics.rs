@@ -95,7 +95,6 @@ pub(super) fn tf(run: &Run) -> TfEvidence {
     }
 }
 
-/// Streams without any orientation.
 pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {

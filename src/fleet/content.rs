@@ -103,7 +103,7 @@ pub fn key_of(content: &str, version: &str, settings: &str) -> String {
     hasher.finalize().to_hex()[..KEY_DIGITS].to_owned()
 }
 
-/// The length separates different splits.
+/// Hashes the length too, to distinguish different splits.
 fn part_of(hasher: &mut Hasher, part: &[u8]) {
     hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
 }

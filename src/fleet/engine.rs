@@ -207,7 +207,6 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// Starts the process if necessary.
     fn worker<'a>(&self, worker: &'a mut Option<Worker>) -> Result<&'a mut Worker, Trouble> {
         if let Some(worker) = worker {
             return Ok(worker);

@@ -45,7 +45,6 @@ impl LogInput {
     }
 }
 
-/// Rejects files given twice, and copies.
 pub(super) fn reject_duplicates(inputs: &[LogInput]) -> Result<(), LogError> {
     let mut by_size: HashMap<u64, Vec<&LogInput>> = HashMap::new();
     for input in inputs {

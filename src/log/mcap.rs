@@ -150,7 +150,6 @@ enum Summary {
     },
 }
 
-/// Usable content of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum ChunkUse {
     /// Most of the chunk, or unknown: it is decompressed and verified.
@@ -161,7 +160,6 @@ enum ChunkUse {
     Absent,
 }
 
-/// End of the data section.
 enum DataEnd<'a> {
     Closed(Frame<'a>),
     Open,

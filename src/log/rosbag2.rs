@@ -33,7 +33,6 @@ const METADATA: &str = "metadata.yaml";
 
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// Used parts of the metadata.
 #[derive(Deserialize)]
 struct Document {
     rosbag2_bagfile_information: Information,
@@ -111,7 +110,6 @@ fn information(path: &Path) -> Result<Information, String> {
     Ok(document.rosbag2_bagfile_information)
 }
 
-/// Listed files that exist.
 fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<LogInput> {
     let by_file = information.files.iter().map(|file| file.path.as_str());
     let by_path = information.relative_file_paths.iter().map(String::as_str);
@@ -176,7 +174,6 @@ fn further_splits(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     paths
 }
 
-/// Log files not in `inputs`.
 fn unlisted(folder: &Path, inputs: &[LogInput]) -> Vec<PathBuf> {
     let mut paths = files_in(folder).unwrap_or_default();
     paths.retain(|path| !inputs.iter().any(|input| input.path == *path) && is_log(path));

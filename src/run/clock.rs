@@ -208,7 +208,6 @@ pub(super) fn group_by_clock<'a>(
     groups
 }
 
-/// Delays of a stream, ns.
 #[derive(Clone, Copy, Debug)]
 struct DelayStats {
     median: i64,

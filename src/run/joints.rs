@@ -74,7 +74,6 @@ impl<'a> JointTopics<'a> {
     }
 }
 
-/// Merged track of some joints.
 #[derive(Clone)]
 pub(super) struct MergedJoints {
     pub track: Arc<JointTrack>,
@@ -223,7 +222,6 @@ impl<'a> JointTopic<'a> {
     }
 }
 
-/// Position of a sweep over samples.
 #[derive(Default)]
 struct Cursor {
     next: usize,

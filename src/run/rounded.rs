@@ -40,7 +40,6 @@ impl RoundedStamps {
 /// Minimum tick, s.
 const LEAST_TICK_S: f64 = 2e-4;
 
-/// Restores rounded stamps on `clock`.
 pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
     let mut known: Vec<(Vec<i64>, Restored)> = Vec::new();

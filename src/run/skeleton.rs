@@ -2,7 +2,6 @@
 
 use crate::robot::{Joint, JointKind, LinkId, Robot};
 
-/// A path of logged joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ArmPath {
     /// Link above the first joint.

@@ -62,7 +62,6 @@ const CONTROLLERS: &[&str] =
 const TRACKERS: &[&str] =
     &["vicon_", "mocap", "motion_capture_", "optitrack_", "vrpn_", "apriltag_", "aruco_"];
 
-/// Evidence for a pose stream's source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseNames<'a> {
     pub topic: &'a str,

@@ -44,12 +44,10 @@ impl CdrWriter {
         self.0.push(0);
     }
 
-    /// Element count of a sequence.
     pub(super) fn count(&mut self, count: usize) {
         self.u32(u32::try_from(count).expect("a message has fewer than 2^32 elements"));
     }
 
-    /// `std_msgs/Header`.
     pub(super) fn header(&mut self, stamp: Stamp, frame_id: &str) {
         let seconds = stamp.nanos().div_euclid(NANOS_PER_SECOND);
         let nanos = stamp.nanos().rem_euclid(NANOS_PER_SECOND);

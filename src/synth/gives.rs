@@ -66,7 +66,6 @@ impl Bends {
                         .collect()
                 }
                 Giving::PushedPlay => {
-                    /// Time to cross the gap.
                     const CROSSING_S: f64 = 0.05;
                     let most = gives.by_rad * Self::STEP_S / CROSSING_S;
                     let mut before = positions.first().map_or(0.0, |q| q[gives.joint]);

@@ -304,7 +304,6 @@ impl Scenario {
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
-    /// Scenario in effect at `time_s`.
     fn at(&self, time_s: f64) -> &Scenario {
         let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
         begun.checked_sub(1).map_or(self, |last| &self.later[last].1)

@@ -22,7 +22,6 @@ pub(super) struct Message {
     pub(super) cdr: Vec<u8>,
 }
 
-/// Messages about the arm itself.
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = latched(scenario);
     messages.extend(joint_states(scenario, truth));
@@ -32,7 +31,6 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-/// Static transforms and the description.
 fn latched(scenario: &Scenario) -> Vec<Message> {
     let robot = &scenario.robot;
     let fixed = robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed);

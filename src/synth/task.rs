@@ -68,7 +68,6 @@ fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s
 }
 
 impl Task {
-    /// At least `count` legs.
     pub(super) fn legs(self, random: &mut Pcg64, count: usize) -> Vec<Leg> {
         /// Half width, m.
         const WIDTH_M: f64 = 0.1;

@@ -164,7 +164,6 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 
 const MAX_AXIS_ANGLE_RAD: f64 = 10.0 * DEGREE;
 
-/// Matrix with labelled rows and columns.
 fn direction_cosines(mount: &Rotation, link: &str) -> Value {
     let columns = [0, 1, 2].map(|axis| mount * Vec3::ith(axis, 1.0));
     let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));

@@ -359,7 +359,6 @@ fn small(case: &Case, residual: &ExceedingResidual) -> Fault {
     }
 }
 
-/// Rounds to one significant digit.
 fn round_to_one(value: f64) -> f64 {
     let unit = 10f64.powf(value.abs().log10().floor());
     (value / unit).round() * unit

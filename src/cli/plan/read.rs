@@ -99,7 +99,6 @@ fn are_speeds_consistent(given: &[f64], by_positions: &[f64]) -> bool {
     (off / given.len().max(1) as f64).sqrt() < MAX_SPEED_DEVIATION_RATIO * highest
 }
 
-/// Central differences, one-sided at the ends.
 fn speeds_from_positions(track: &JointTrack) -> Vec<f64> {
     let last = track.len() - 1;
     let at = |row: usize, joint: usize| {

@@ -49,7 +49,6 @@ enum ReadMode {
     Whole(u64),
 }
 
-/// Last printed state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct PrintedState {
     /// Verdict, or why it is missing.
@@ -279,7 +278,6 @@ fn is_closed(path: &Path) -> bool {
     read.is_ok() && end == MAGIC
 }
 
-/// Changes since the last line.
 struct ChangeLine<'a> {
     log: &'a WatchedLog,
     previous: &'a PrintedState,
@@ -301,7 +299,6 @@ impl ChangeLine<'_> {
         self.previous.findings.keys().filter(|key| !self.printed().findings.contains_key(*key))
     }
 
-    /// Rules that make the verdict inconclusive.
     fn undecided_rules(&self) -> Vec<&'static str> {
         let is_open = self.report.verdict == Verdict::Inconclusive;
         if is_open { self.report.undecided() } else { Vec::new() }

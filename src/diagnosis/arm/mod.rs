@@ -420,7 +420,6 @@ fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     prismatic
 }
 
-/// Fits all streams together.
 fn diagnose(
     recorded: &JointTrack,
     corrected: &CorrectedJoints,

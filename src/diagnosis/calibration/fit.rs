@@ -51,7 +51,6 @@ impl LinearizedStream {
         Self { linear: self.linear.subset(&samples), weights }
     }
 
-    /// Residuals by kind.
     fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
         self.linear.residuals_after(step.as_slice())
     }
@@ -247,7 +246,6 @@ impl CalibrationSystem<'_> {
         self.robot.with_deviations(self.path, &deviations, &self.zeros(state))
     }
 
-    /// Zero per joint of the chain.
     fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {
@@ -350,7 +348,6 @@ impl CalibrationSystem<'_> {
         Some((cholesky.solve(&right), cholesky))
     }
 
-    /// Maximises the marginal likelihood.
     fn best_link_m(&self, normal: &Normal, state: &CalibrationState) -> f64 {
         let (min_m, max_m, times) = DEVIATION_GRID_M;
         let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);

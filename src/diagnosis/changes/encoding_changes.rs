@@ -44,7 +44,6 @@ impl BaselineSegment {
     }
 }
 
-/// Compares one aspect of an encoding.
 type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {

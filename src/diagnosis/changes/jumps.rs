@@ -20,7 +20,6 @@ const MIN_SEPARATION_S: f64 = 0.5;
 /// Converts rotations to lengths.
 const LEVER_M: f64 = 0.3;
 
-/// Jump between two samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {
     /// Midpoint of the two stamps, from the run's origin.

@@ -148,7 +148,6 @@ fn diagnose_with_jumps(
     .then_some(after)
 }
 
-/// Parameters of the changes.
 fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
     let of_stream = |diagnosis: &PoseDiagnosis| {
         let frames = diagnosis.tool_changes.len() + diagnosis.reference_changes.len();
@@ -214,7 +213,6 @@ struct BaselineSegment {
     diagnosis: ArmDiagnosis,
 }
 
-/// Any other segment.
 struct OtherSegment {
     span: Span,
     /// Diagnosis on its own.

@@ -102,7 +102,6 @@ impl NumericTable {
     }
 }
 
-/// Position in metres.
 struct PositionColumns {
     position: [usize; 3],
     xyz: Vec<Vec3>,

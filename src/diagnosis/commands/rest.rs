@@ -8,7 +8,6 @@ use ground::stream::{JointTrack, sample_noise};
 /// In shorter rests the motion has not settled.
 pub(super) const MIN_REST_S: f64 = 0.1;
 
-/// Interval without joint motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rest {
     pub from_s: f64,

@@ -9,7 +9,6 @@ fn blend(t_s: f64, from_s: f64) -> f64 {
     u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
 }
 
-/// Stamps over 6 s.
 fn times(rate_hz: f64) -> Vec<f64> {
     (0..(6.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect()
 }

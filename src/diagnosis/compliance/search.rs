@@ -75,7 +75,6 @@ impl ComplianceTerm {
         }
     }
 
-    /// Physical and significant.
     fn is_significant(&self) -> bool {
         let size = self.size();
         let is_plausible = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
@@ -122,7 +121,6 @@ impl FreeParameters {
     }
 }
 
-/// Search on one linearisation.
 pub(super) struct ComplianceSearch<'a> {
     run: &'a ComplianceRun<'a>,
     samples: &'a [ResidualSamples],
@@ -174,7 +172,6 @@ impl<'a> ComplianceSearch<'a> {
             .then_some(ComplianceTerm { amount, ..term })
     }
 
-    /// Terms that the motion can show.
     fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
         let largest = self.max_torque.iter().copied().fold(0.0, f64::max);

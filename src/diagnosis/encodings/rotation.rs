@@ -293,7 +293,7 @@ pub(crate) fn estimate_encoding_with_gravity(
 
 /// Best distinct candidates, plus the selected and the logged encoding, all with the frames of `best`.
 fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
-    /// Besides those two.
+    /// Number of distinct candidates.
     const MAX_RANKED: usize = 6;
     let same_frames = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut same_frames: Vec<&EncodingFit> = same_frames.collect();
@@ -429,7 +429,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     screened.into_par_iter().flat_map_iter(refit).collect()
 }
 
-/// The first is not a fault.
+/// Frame errors to fit; only the first is faultless.
 fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     match (samples.reference_known, samples.reference_free) {
         (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],

@@ -253,7 +253,6 @@ impl PlanarTravel {
     }
 }
 
-/// FK at mostly increasing times.
 struct FkSequence<'a> {
     joints: &'a JointTrack,
     stream: &'a PoseStream<'a>,

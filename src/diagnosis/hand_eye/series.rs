@@ -85,7 +85,6 @@ pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     (sum / series.poses.len().max(1) as f64).into()
 }
 
-/// Simultaneous poses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PosePair {
     /// `base_from_hand` or, for a camera in the base, `hand_from_base`.
@@ -94,7 +93,6 @@ pub(super) struct PosePair {
     pub target: Pose,
 }
 
-/// Both streams for one mounting.
 pub(super) struct HandEyeSetting<'a> {
     hand: &'a PoseSeries,
     period_s: f64,

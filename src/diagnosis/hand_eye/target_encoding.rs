@@ -180,7 +180,7 @@ fn decoded_with<'a>(streams: &HandEyeStreams<'a>, encoding: TargetEncoding) -> D
 fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     /// Median of matching angles.
     const MAX_ANGLE_DIFFERENCE_RAD: f64 = 0.03;
-    /// That improve the angles.
+    /// Encodings that improve the angles.
     const MAX_ENCODINGS: usize = 6;
     let difference_of = |encoding| {
         let decoded = decoded_with(streams, encoding);

@@ -16,7 +16,6 @@ const MIN_SIDE_SHARE: f64 = 0.06;
 const MIN_GAIN: f64 = 45.0;
 const OUTLIER_SIGMAS: f64 = 8.0;
 
-/// Tests on a linearised model.
 pub(super) struct ExtensionTests<'a> {
     linear: &'a Linear,
     t_s: Vec<f64>,
@@ -28,7 +27,6 @@ pub(super) struct ExtensionTests<'a> {
     pub residual_squares: f64,
 }
 
-/// Extension and its residual.
 #[derive(Clone, Debug)]
 pub(super) struct ModelExtension {
     /// Change point or time constant, s; 0 if neither applies.

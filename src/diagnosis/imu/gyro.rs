@@ -212,7 +212,6 @@ struct GyroModel<'a> {
     slip: Option<(f64, [f64; 2], Rotation)>,
 }
 
-/// Gyro integrated over one window.
 struct IntegratedRotation {
     first_from_last: Rotation,
     /// Derivative, about axes at the last sample, by a constant rate change.

@@ -277,7 +277,6 @@ fn ambiguous_lags(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     (equal.len() > 1).then_some(equal)
 }
 
-/// Motion of the IMU's link.
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,

@@ -27,7 +27,6 @@ pub(super) struct DesignNoise {
     pub groups: Vec<Vec<usize>>,
 }
 
-/// Covariance of the fitted parameters.
 pub(super) struct Solved {
     free: Vec<usize>,
     covariance: DMatrix<f64>,
@@ -167,7 +166,6 @@ impl Step {
 /// In fixed directions; beyond it a parameter is not observable.
 const MAX_FIXED_SHARE: f64 = 1e-3;
 
-/// Residual norm per sample.
 pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
     linear.residual[0].iter().map(|&residual| Vec3::from(residual).norm())
 }

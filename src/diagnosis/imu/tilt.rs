@@ -48,7 +48,6 @@ impl Link<'_> {
         (count >= MIN_SAMPLES).then_some(UpDirections { in_world, in_base })
     }
 
-    /// Tilt from samples at rest.
     pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<MeasuredLength> {
         let track = self.stream.track;
         if track.orientation.is_empty() {

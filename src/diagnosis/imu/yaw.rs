@@ -24,7 +24,6 @@ const MIN_WALK_GAIN: f64 = 7.0;
 const MAX_JUMPS: usize = 3;
 const FLOOR_RAD: f64 = 1e-6;
 
-/// Decomposition of a yaw error.
 #[derive(Clone, Debug, Default)]
 pub(super) struct YawDecomposition {
     /// If jumps or a walk change its estimate.
@@ -73,7 +72,6 @@ pub(super) fn decompose_yaw(series: &[(f64, f64)]) -> YawDecomposition {
     best.map(|fit| bins.decomposition(&fit)).unwrap_or_default()
 }
 
-/// Removes whole turns.
 pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let (mut turns, mut last) = (0.0, None);
     let unwrap = |&(t_s, angle): &(f64, f64)| {

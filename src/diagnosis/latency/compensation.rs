@@ -195,7 +195,6 @@ fn diagnose_without_coarse_changes(
     diagnose_arm(joints, &streams, max_lag_s)
 }
 
-/// Replaces the given tracks.
 fn with_tracks<'a>(
     streams: &[PoseStream<'a>],
     tracks: &'a [Option<PoseTrack>],
@@ -283,7 +282,6 @@ pub fn compensate_latency(
     Some(with_stamps(stream.track, &profile.compensated(&stream.track.t_s)))
 }
 
-/// Selects rows and replaces their stamps.
 pub(crate) fn with_stamps(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared

@@ -72,7 +72,6 @@ pub(crate) fn estimate_delay_jitter(
     })
 }
 
-/// Delay relative to the fitted latency.
 struct SampleDelay {
     delay_s: f64,
     /// m/s.

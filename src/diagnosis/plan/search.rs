@@ -141,7 +141,6 @@ struct MotionSearch<'a> {
 }
 
 impl MotionSearch<'_> {
-    /// Random motion within the limits.
     fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
         let Self { requirements, seconds, rest_s, harmonics } = *self;
         let mut series = FourierMotion::at_rest(requirements.around, seconds, rest_s, harmonics);

@@ -88,7 +88,7 @@ pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
 }
 
 impl DhStreamResiduals {
-    /// Declared, other.
+    /// Result for the declared and for the other convention.
     fn explained_by(&self) -> [bool; 2] {
         [self.declared.is_explained(), self.other.is_some_and(|other| other.is_explained())]
     }

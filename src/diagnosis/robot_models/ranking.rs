@@ -234,7 +234,6 @@ pub(crate) fn tool_fit(
     best.min_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// Price of a free frame.
 pub(crate) fn frame_price(samples: usize) -> f64 {
     let free = FitAssumption::Reference { tool: false }.parameters() as f64;
     free * crate::selection::model_selection::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))

@@ -201,7 +201,6 @@ struct DeviationModel {
     dof: f64,
 }
 
-/// Posterior for one set of zeros.
 struct DeviationFit {
     /// Joints whose zeros are fixed effects.
     zeros: Vec<usize>,

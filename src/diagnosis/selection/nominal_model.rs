@@ -101,7 +101,6 @@ pub(crate) fn link_deviations_beat_profile(
     calibration.gain_over(&without_profile) + price > calibration.price
 }
 
-/// Rms length.
 pub(crate) fn rms(residual: &[[f64; 3]]) -> f64 {
     let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
     (squares / residual.len().max(1) as f64).sqrt()

@@ -163,7 +163,6 @@ pub(crate) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     (0..values.len()).map(at).collect()
 }
 
-/// Gains at one delay.
 struct DelayFit {
     /// Per group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,

@@ -167,7 +167,6 @@ impl LineFit {
     }
 }
 
-/// Fit with a known spread.
 struct WeightedFit {
     slope: f64,
     slope_variance: f64,

@@ -243,7 +243,6 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
-/// Integral from the first sample.
 struct Integral {
     /// Values by cubic and by linear interpolation.
     at: Vec<[f64; 2]>,

@@ -35,7 +35,7 @@ pub enum VibrationFailure {
 
 /// Maximum frequency of usual arm motion, Hz.
 pub const MAX_ARM_MOTION_HZ: f64 = 10.0;
-/// Even for slower motion.
+/// Minimum frequency, even for slower motion.
 const MIN_TONE_HZ: f64 = 4.0;
 /// Rms, where the commanded motion ends.
 const MIN_COMMANDED_MOTION_M: f64 = 0.1e-3;
@@ -258,7 +258,7 @@ impl Spectrum {
         min_bin
     }
 
-    /// From bin `from` upwards.
+    /// Vibration from bin `from` upwards.
     fn vibration_above(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
         /// Not exceeded by chance.
         const NOISE_SIGMAS: f64 = 6.0;

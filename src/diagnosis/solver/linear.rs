@@ -363,7 +363,6 @@ struct Score {
     lasting: Vec<f64>,
 }
 
-/// Adds symmetrically.
 fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
     matrix[(row, column)] += value;
     if row != column {

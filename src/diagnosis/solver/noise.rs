@@ -54,7 +54,6 @@ impl Correlation {
         (self.last - self.first + 1) as f64
     }
 
-    /// Mean of `ρ^lag`.
     fn mean_autoregression(&self, rho: f64) -> f64 {
         let power = |lag: usize| rho.powi(lag as i32);
         (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())

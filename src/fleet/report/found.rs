@@ -22,7 +22,6 @@ pub(super) fn worst_logs(
     points.into_iter().map(sorted).collect()
 }
 
-/// Sorted by severity and frequency.
 pub(super) fn finding_rows(
     found: BTreeMap<Cause, Found>,
     asked: &BTreeMap<Cause, usize>,

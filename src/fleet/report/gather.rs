@@ -25,7 +25,6 @@ pub struct Gathered {
     pub errors: Vec<ErrorRow>,
 }
 
-/// Row of `runs`.
 struct Log {
     path: String,
     content: String,

@@ -1,7 +1,6 @@
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
-/// Part of a table.
 pub(super) struct Part<'a>(pub(super) &'a DataFrame);
 
 impl Part<'_> {

@@ -8,7 +8,6 @@ use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::finding::Severity;
 use crate::report::sanitize;
 
-/// Width of the label column.
 const LABEL: usize = 16;
 
 /// Limit per table; JSON and HTML contain more.

@@ -101,7 +101,6 @@ impl Store {
         keys.iter().try_for_each(|key| self.forget(key))
     }
 
-    /// Merges if there are enough parts.
     fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
         let all = parts::of(&self.folder.of(table))?;
         let alike: Vec<PathBuf> =

@@ -93,7 +93,6 @@ impl StoreError {
         }
     }
 
-    /// The part no longer exists.
     fn is_gone(&self) -> bool {
         matches!(self, StoreError::File { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }

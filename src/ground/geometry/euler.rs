@@ -104,7 +104,7 @@ impl EulerOrder {
         self.half_angle_solutions(rotation).map(|halves| halves.map(Phase::doubled))
     }
 
-    /// Of `numbers`, rad, in [0, π/2].
+    /// Distance of `numbers` from gimbal lock, rad, in [0, π/2].
     pub(super) fn gimbal_margin(self, numbers: [f64; 3]) -> f64 {
         let [_, middle, _] = self.turns();
         let past_half_turn = numbers[middle.number].rem_euclid(PI);
@@ -219,7 +219,7 @@ impl Phase {
         Self { cos, sin }
     }
 
-    /// Of (x, y), not both zero.
+    /// Direction of (x, y), not both zero.
     fn towards(x: f64, y: f64) -> Self {
         let length = length(x, y);
         Self { cos: x / length, sin: y / length }

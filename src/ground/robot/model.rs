@@ -89,7 +89,6 @@ pub struct Joint {
     pub mimic: Option<Mimic>,
 }
 
-/// Byte offsets of declarations.
 struct Offsets {
     links: Vec<usize>,
     joints: Vec<usize>,

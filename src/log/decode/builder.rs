@@ -155,7 +155,6 @@ impl Builder {
         Self { kinds, parts, stamped }
     }
 
-    /// Copy without rows.
     pub(crate) fn empty_copy(&self) -> Self {
         Self::new(self.kinds, self.stamped)
     }

@@ -120,7 +120,6 @@ impl<'a> Cursor<'a> {
         self.at
     }
 
-    /// Moves to a position from [`Cursor::at`].
     pub(super) fn seek(&mut self, at: usize) {
         self.at = at;
     }

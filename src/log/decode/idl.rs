@@ -23,7 +23,6 @@ pub(super) fn parse(type_name: &str, schema: &[u8]) -> Result<Schema, SchemaErro
     Schema::new(type_name, parser.resolve()?)
 }
 
-/// Type of a member.
 #[derive(Clone, Debug)]
 struct Type {
     base: Base,
@@ -337,7 +336,6 @@ impl Parser<'_> {
         self.structs.push(of);
     }
 
-    /// Resolves names and aliases.
     fn resolve(mut self) -> Result<Vec<Definition>, SchemaError> {
         // Aliases of arrays may add structures.
         let mut index = 0;

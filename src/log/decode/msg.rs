@@ -136,7 +136,6 @@ fn type_of(
     Ok((base_of(owner, base, dialect), arity))
 }
 
-/// Type of one value.
 fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
     if let Some(primitive) = primitive(name, dialect) {
         return Base::Number(primitive);

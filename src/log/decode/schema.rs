@@ -129,7 +129,7 @@ pub(super) enum Base {
     /// In CDR version 2, its collections have a length prefix.
     Enumeration(Primitive),
     Text,
-    /// By [`canonical`] name.
+    /// Keyed by [`canonical`] name.
     Message(String),
     /// Can be neither read nor skipped; with the reason.
     Unreadable(&'static str),

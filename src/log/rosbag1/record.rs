@@ -63,7 +63,6 @@ pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option
     const OP: &[u8] = b"\x04\0\0\0op=";
     /// Maximum length of the fields before it.
     const BEFORE: usize = 256;
-    /// Maximum number of candidates.
     const MOST: usize = 10_000;
     let rest = bytes.get(from..)?;
     let fields = rest.windows(OP.len()).enumerate().filter(|(_, window)| *window == OP);
@@ -153,7 +152,6 @@ impl<'a> Header<'a> {
     }
 }
 
-/// A topic of one sender.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Connection<'a> {
     pub(super) id: u32,

@@ -44,13 +44,11 @@ impl Batch {
     }
 }
 
-/// Collects rows in order.
 pub(super) struct Batches<'a> {
     filling: Batch,
     sink: Sink<'a>,
 }
 
-/// Destination of full batches.
 enum Sink<'a> {
     Here(&'a mut Intake),
     /// Decoded by another thread, which returns them empty.

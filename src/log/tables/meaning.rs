@@ -435,7 +435,6 @@ fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     100 * unit >= MIN_UNIT_PERCENT * table.rows
 }
 
-/// Matches velocities to joints by name.
 fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>) {
     let words_of = |cell: &Cell| {
         let column = &table.columns[cell.column];

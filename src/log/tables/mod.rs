@@ -65,7 +65,6 @@ const MAX_METADATA_BYTES: u64 = 4 << 20;
 const RATE_NAMES: &[&str] =
     &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
-/// One episode.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
     pub rows: usize,

@@ -360,7 +360,6 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     (contains_any(&own, LIMB_WORDS) || is_gripper(&own)).then(|| bare.to_owned())
 }
 
-/// Stem and number.
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     let words = words(name);
     let at = words.iter().rposition(|word| word.chars().all(|c| c.is_ascii_digit()))?;
@@ -496,7 +495,6 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-/// Number of [`PoseComponent::Label`]s.
 pub(super) fn label_count() -> usize {
     ANGLE_LABELS.len()
 }

@@ -171,7 +171,6 @@ const RATE_NAMES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "con
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 
-/// First `most` bytes.
 fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, TableError> {
     let member = archive.by_index(index).map_err(|error| format!("it cannot be read: {error}"))?;
     let mut content = Vec::new();
@@ -183,7 +182,6 @@ fn unpack_member(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u
 }
 
 impl Header {
-    /// Size of all elements.
     fn bytes(&self) -> Option<usize> {
         let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.row_bytes)

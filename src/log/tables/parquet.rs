@@ -102,7 +102,6 @@ struct PageCounts {
 
 type SharedPageCounts = Arc<Mutex<PageCounts>>;
 
-/// Skips and records damaged pages.
 struct IntactPages {
     pages: SerializedPageReader<Bytes>,
     /// Headers of the pages not yet read.
@@ -399,7 +398,6 @@ impl LeafValues {
         Self { is_list, defined, element, rows, values, lengths, lost, why: None }
     }
 
-    /// Rows read or given up.
     fn count(&self) -> usize {
         if self.is_list { self.lengths.len() } else { self.values.len() }
     }

@@ -139,7 +139,6 @@ impl Calibrated {
         text
     }
 
-    /// Significant parameters, largest first.
     fn largest(&self) -> Vec<(String, usize)> {
         const SHOWN: usize = 8;
         let found = &self.found;

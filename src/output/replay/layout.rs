@@ -202,7 +202,6 @@ fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<P
     Ok(plot)
 }
 
-/// Findings with their log messages.
 fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;

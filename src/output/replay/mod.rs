@@ -206,7 +206,6 @@ impl State {
         }
     }
 
-    /// Residuals against FK.
     fn residuals(self, stream: &ReplayStream<'_>) -> PoseDistances {
         match self {
             State::Logged => stream.aligned.before(),
@@ -303,7 +302,6 @@ fn application(wanted: &Recording) -> ApplicationId {
     named.unwrap_or(APPLICATION.into())
 }
 
-/// Adds notes on meshes.
 fn messages(
     wanted: &Recording,
     replay: &Replay<'_>,
@@ -324,7 +322,6 @@ fn messages(
     Ok((tape.finish().messages()?, notes))
 }
 
-/// Adds notes on the arm's meshes.
 fn draw_arm(
     tape: &Tape,
     arm: &ReplayArm<'_>,

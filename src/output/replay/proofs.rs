@@ -214,7 +214,6 @@ impl Shown<'_> {
         Ok(())
     }
 
-    /// Three arrows from the origin.
     fn axes(&self, path: &EntityPath, axes: &[[f64; 3]; 3], name: &str) -> Result<(), ReplayCause> {
         let arrows = Arrows3D::from_vectors(axes.map(|axis| axis.map(|part| part as f32)))
             .with_origins([[0.0f32; 3]])

@@ -34,7 +34,6 @@ impl Seed {
     }
 }
 
-/// Recording and layout.
 pub(super) struct Reel {
     pub seed: Seed,
     recording: StoreId,

@@ -20,7 +20,6 @@ pub(super) fn root(arm: &str) -> EntityPath {
     entity(&["arms", arm])
 }
 
-/// Drawn rows.
 pub(super) fn kept(joints: &JointTrack) -> Vec<usize> {
     thin::even_rows(joints.len(), MOST_ROWS)
 }

@@ -124,7 +124,6 @@ impl Seen {
         Ok(Self { messages, notes })
     }
 
-    /// Chunks except the blueprint.
     fn chunks(&self, path: &EntityPath) -> Vec<Chunk> {
         let recorded = self.messages.iter().filter_map(|message| match message {
             LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Recording => {
@@ -355,7 +354,6 @@ fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     Ok(())
 }
 
-/// One mesh per link.
 const MESHED: &str = r#"<robot name="two">
   <link name="base"><visual><geometry><mesh filename="package://two/base.obj"/></geometry></visual></link>
   <joint name="turn" type="continuous"><parent link="base"/><child link="tool0"/><origin xyz="0 0 1"/></joint>

@@ -125,7 +125,6 @@ impl Tool<'_> {
     }
 }
 
-/// Trail without times.
 fn trail(
     tape: &Tape,
     path: &EntityPath,

@@ -8,7 +8,6 @@ use crate::places::Places;
 use crate::report::Trouble;
 use crate::report::reached_workspaces;
 
-/// Tables in write order.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
 /// Registers the files in `folder`.

@@ -16,7 +16,6 @@ const HOSTILE: &str = "/pose</script><img src=x onerror=alert(1)>\"'&";
 const POSE: &str = "/pose";
 const IMU: &str = "/imu";
 
-/// Finding of a rule with plots.
 fn finding(code: &'static str, topic: &str) -> Finding {
     let measured = Measured { value: 1e-2, std_error: 1e-4, dof: 1e3 };
     let cause = match code {

@@ -187,7 +187,7 @@ pub(super) fn fit_piecewise_linear(
     windows: &[LatencyWindow],
     samples: &[NormalizedSample],
 ) -> Option<LatencyProfile> {
-    /// Inner ones.
+    /// Inner knots.
     const MAX_KNOTS: usize = 16;
     /// To fit the levels.
     const MAX_SAMPLES: usize = 6000;
@@ -278,7 +278,6 @@ pub(super) fn fit_piecewise_linear(
 /// Levels and inner knots.
 pub(super) const THREE_SEGMENT_PARAMETERS: f64 = 6.0;
 
-/// Best path with three segments.
 pub(super) fn piecewise_chi2(windows: &[LatencyWindow]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
     let chi2_of = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);

@@ -116,7 +116,6 @@ impl Poses {
 }
 
 impl Poses {
-    /// Key of each group.
     fn keys(&self) -> Vec<&str> {
         let mut keys = vec![""; self.groups.len()];
         self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
@@ -200,7 +199,6 @@ impl PoseSet {
         self.most = self.most.max(later.most);
     }
 
-    /// Too many poses for an arm.
     pub(super) fn is_too_large(&self) -> bool {
         self.most > self.naming.max_poses()
     }

@@ -6,7 +6,6 @@ use super::super::row::{self, Row, RowTimes};
 use super::super::schema::bounded;
 use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, is_usable};
 
-/// Distinct texts per topic.
 const MAX_TEXTS: usize = 64;
 
 const MAX_TEXT_BYTES: usize = 16 << 20;

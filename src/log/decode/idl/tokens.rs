@@ -34,7 +34,6 @@ impl<'a> Tokens<'a> {
         self.at == self.text.len()
     }
 
-    /// Position for [`Tokens::since`].
     pub(super) fn here(&self) -> usize {
         self.at
     }

@@ -90,7 +90,6 @@ impl Types {
         self.messages.get(name)
     }
 
-    /// Reads a `FileDescriptorProto`.
     fn file(&mut self, file: &[u8]) -> Result<(), SchemaError> {
         let mut package = String::new();
         let mut reader = Reader::new(file);
@@ -144,7 +143,6 @@ impl Types {
     }
 }
 
-/// A `FieldDescriptorProto`.
 fn field(field: &[u8]) -> Result<Field, SchemaError> {
     const REPEATED: u64 = 3;
     let (mut name, mut number, mut label, mut code) = (String::new(), 0, 0, 0);

@@ -76,7 +76,6 @@ impl<'a> Reader<'a> {
         self.at == self.bytes.len()
     }
 
-    /// Error at the current position.
     pub(crate) fn error(&self, fault: Fault) -> WireError {
         WireError { path: String::new(), offset: self.at, fault }
     }

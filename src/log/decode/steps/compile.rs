@@ -36,7 +36,6 @@ impl<'a> Compiler<'a> {
         Self { schema, wanted, each, wire, fields: 0, found: vec![false; wanted.len()] }
     }
 
-    /// Steps for a whole message.
     pub(super) fn compile(mut self) -> Result<Vec<Step>, SchemaError> {
         let mut steps = Vec::new();
         self.message(self.schema.root(), "", 0, &mut steps)?;
@@ -283,7 +282,6 @@ fn unread(path: &str, spelled: &str, why: &'static str) -> Op {
     Op::Unreadable(Box::new(SchemaError::Unreadable { field, spelled, why }))
 }
 
-/// Merges consecutive skips.
 fn push(steps: &mut Vec<Step>, op: Op, path: String) {
     if let Op::Skip { size, count: Count::Fixed(more) } = op
         && let Some(Step { op: Op::Skip { size: before, count: Count::Fixed(count) }, .. }) =

@@ -2,7 +2,6 @@ use super::super::cursor::{Cursor, Short};
 use super::super::row::Row;
 use super::super::schema::{Arity, Primitive, SchemaError};
 
-/// One field to read or skip.
 #[derive(Debug)]
 pub(super) struct Step {
     pub(super) op: Op,
@@ -68,7 +67,6 @@ impl Op {
         }
     }
 
-    /// Nested steps.
     pub(super) fn inner(&self) -> &[Step] {
         match self {
             Op::Repeat { steps, .. } | Op::Delimited { steps, .. } => steps,

@@ -90,7 +90,6 @@ fn json_of_any_depth_is_read_or_refused() {
     assert!(error(format, long).len() < 300);
 }
 
-/// Length-delimited field.
 fn field(number: u8, content: &[u8]) -> Vec<u8> {
     let mut bytes = vec![number << 3 | 2];
     let mut length = content.len();

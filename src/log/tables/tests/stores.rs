@@ -360,7 +360,6 @@ fn a_declared_rate_that_is_none_is_no_rate() {
     }
 }
 
-/// Six moving joints.
 pub(super) fn joints_of(row: usize) -> Vec<f64> {
     (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
 }

@@ -24,7 +24,6 @@ struct Header {
     block: usize,
 }
 
-/// Unpacks at most `most` bytes.
 pub(crate) fn unpack(chunk: &[u8], most: usize) -> Result<Vec<u8>, TableError> {
     let cut = || TableError::from("a chunk is truncated");
     let (header, rest) = chunk.split_first_chunk::<HEADER_BYTES>().ok_or_else(cut)?;

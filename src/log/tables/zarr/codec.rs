@@ -66,7 +66,6 @@ impl Codec {
     }
 }
 
-/// Reads at most `most` bytes.
 pub(super) fn read_all(decoder: impl Read, most: usize) -> Result<Vec<u8>, TableError> {
     let mut bytes = Vec::new();
     decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(codec_error)?;

@@ -186,14 +186,12 @@ fn array_of_chunk(key: &str) -> Option<&str> {
     (!is_chunk(path) && !path.split('/').any(|part| part == "..")).then_some(path)
 }
 
-/// Arrays below `home`.
 fn arrays_with_chunks(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> BTreeSet<String> {
     let names = archive.file_names().filter_map(Result::ok);
     let of = |name: &str| array_of_chunk(name.strip_prefix(home)?).map(str::to_owned);
     names.filter_map(|name| of(&name)).collect()
 }
 
-/// Folders below `home`.
 fn folders_with_metadata(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> Vec<String> {
     let of = |name: &str| {
         let name = name.strip_prefix(home)?;

@@ -57,7 +57,6 @@ impl FindingContext<'_> {
         }
     }
 
-    /// From the finding's evidence.
     fn evidence(&self, key: &str) -> Option<f64> {
         self.finding.evidence.more.get(key)?.as_f64()
     }
