@@ -91,7 +91,6 @@ fn finding_text(finding: &Finding, outline: &Outline) -> String {
     lines.map(|line| escape_prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
-/// Collapsible section.
 fn write_details(
     title: &str,
     lines: Vec<String>,
@@ -109,7 +108,6 @@ fn write_details(
     writeln!(out, "\n</details>\n")
 }
 
-/// Inline code.
 pub(crate) fn inline_code(name: &str) -> String {
     let is_tame = |c: char| c.is_ascii_alphanumeric() || "/_-. :,+=()".contains(c);
     let is_padded = name.starts_with(' ') || name.ends_with(' ');

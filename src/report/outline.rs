@@ -227,7 +227,6 @@ fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
         && subject.joint.as_ref().is_some_and(|joint| robot.joints.contains(joint))
 }
 
-/// Groups of three digits.
 fn group_digits(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);

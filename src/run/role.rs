@@ -60,7 +60,6 @@ pub(super) const NON_ARM_JOINT_WORDS: &[&str] = &[
     "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
 ];
 
-/// Words of command topics.
 const COMMAND_WORDS: &[&str] = &[
     "goal",
     "goals",
@@ -203,7 +202,6 @@ pub(super) fn role_by_content(topic: &str, columns: &Columns) -> Option<RoleDeci
     Some(verdict)
 }
 
-/// Role by topic name alone.
 pub(super) fn role_by_name(topic: &str) -> Role {
     let (frame, child) = (FrameKind::Unnamed, FrameKind::Unnamed);
     let unnamed =

@@ -44,7 +44,6 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
     std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
 }
 
-/// Whether they are significant.
 pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
     diagnosis
         .latency_profile

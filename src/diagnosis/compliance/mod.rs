@@ -150,7 +150,6 @@ impl ArmResidual {
 }
 
 impl ComplianceRun<'_> {
-    /// See [`diagnose_with_compliance`].
     fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let samples = self.samples(self.joints, diagnosis);
         let before = ArmResidual::from_diagnosis(diagnosis);
@@ -334,7 +333,6 @@ impl ComplianceRun<'_> {
         Some((joints, diagnosis))
     }
 
-    /// `diagnosis` is the diagnosis of `joints`.
     fn samples(&self, joints: &JointTrack, diagnosis: &ArmDiagnosis) -> Vec<ResidualSamples> {
         let corrected = diagnosis.joints.corrected_joints(joints, self.is_prismatic);
         let both = self.streams.iter().zip(&diagnosis.streams);

@@ -346,7 +346,6 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
-/// Reused buffers.
 struct LinkBuffers {
     cursor: usize,
     track: [Vec<f64>; 2],

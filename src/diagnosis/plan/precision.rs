@@ -218,7 +218,7 @@ impl<'a> LinearizedMotion<'a> {
         }
     }
 
-    /// About the first `asked` parameters.
+    /// Query about the first `requested` parameters.
     fn flat_query(parameters: Vec<usize>, requested: usize) -> PrecisionQuery {
         let before = vec![f64::INFINITY; parameters.len()];
         PrecisionQuery { parameters, prior: before, requested: (0..requested).collect() }

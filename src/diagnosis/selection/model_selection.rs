@@ -254,7 +254,6 @@ pub(crate) fn price(independent: f64) -> f64 {
     independent.max(2.0).ln() + 8.0
 }
 
-/// Optional causes with the lowest score.
 fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> CauseSet {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {

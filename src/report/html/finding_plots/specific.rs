@@ -309,7 +309,6 @@ impl FindingContext<'_> {
         ]
     }
 
-    /// Estimate of the finding.
     fn amount_text(&self) -> String {
         match &self.finding.estimate {
             Some(Estimate::Scalar { name, value, unit, .. }) => {
