@@ -86,7 +86,7 @@ impl Call {
             path: path.clone(),
             application: self.application.clone(),
             id: self.recording.clone(),
-            beside_log: true,
+            shares_log_timelines: true,
             mesh_roots: Vec::new(),
         };
         let options = Options { logs: vec![self.log.clone()], ..Options::default() };

@@ -88,16 +88,16 @@ fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
         Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..options };
     let mut places = options.places();
     if let Some(recording) = args.recording() {
-        recording.enter(&mut places);
+        recording.register_outputs(&mut places);
     }
     if let Some(path) = &args.mcap {
-        foxglove::enter(path, &mut places);
+        foxglove::register_outputs(path, &mut places);
     }
     if let Some(folder) = &args.parquet {
-        tables::enter(folder, &mut places);
+        tables::register_outputs(folder, &mut places);
     }
     if let Some(folder) = &args.fix {
-        fix::enter(folder, &options.run.robots, &mut places);
+        fix::register_outputs(folder, &options.run.robots, &mut places);
     }
     args.write_baseline.iter().for_each(|path| places.writes(BASELINE_OPTION, path));
     args.reports.register_outputs(&mut places);

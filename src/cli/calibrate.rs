@@ -51,7 +51,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let with = |options: Options| Options { logs: logs.clone(), ..options };
     // Before reading the config, so a file that would be overwritten is reported first.
     let mut places = with(audit_options.options_without_config()).places();
-    poseaudit::output::calibration::enter(&out, &mut places);
+    poseaudit::output::calibration::register_outputs(&out, &mut places);
     places.check()?;
     if out.exists() && !out.is_dir() {
         return Err(misuse(

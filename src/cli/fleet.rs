@@ -12,8 +12,8 @@ use clap::{Subcommand, ValueEnum};
 use poseaudit::Options;
 use poseaudit::finding::Severity;
 use poseaudit::fleet::{
-    AuditSettings, Call, Identity, Limits, Outcomes, Source, Store, Template, memory_bytes,
-    pending, run as audit_all, serve, sources,
+    AuditSettings, FleetCall, Identity, Limits, LogSource, Outcomes, Store, Template,
+    available_memory_bytes, find_sources, pending, run as audit_all, serve,
 };
 use poseaudit::log::{SourceName, is_url};
 use poseaudit::places::Places;
@@ -162,7 +162,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if args.worker {
         return run_worker(&options, &Store::create(&out)?, args.pages);
     }
-    let sources = sources(&args.sources, io::stdin().lock())?;
+    let sources = find_sources(&args.sources, io::stdin().lock())?;
     register_places(&args, &options, &out, &sources).check()?;
     if args.pending {
         return list_pending(&args, &options, &out, sources);
@@ -178,7 +178,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         }
     })?;
     let logs = outcomes.logs - outcomes.duplicates;
-    Ok(match outcomes.unaudited() {
+    Ok(match outcomes.count_unaudited() {
         unaudited if unaudited == logs => Outcome::Unusable,
         0 if summary.failing == 0 => Outcome::Clean,
         _ if fail_on.is_none() => Outcome::Clean,
@@ -186,7 +186,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-fn register_places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
+fn register_places(args: &Args, options: &Options, out: &Path, sources: &[LogSource]) -> Places {
     let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
     sources.iter().for_each(|source| places.reads_log(&source.path));
@@ -198,9 +198,9 @@ fn list_pending(
     args: &Args,
     options: &Options,
     out: &Path,
-    sources: Vec<Source>,
+    sources: Vec<LogSource>,
 ) -> Result<Outcome, Trouble> {
-    let settings = AuditSettings::of(options)?;
+    let settings = AuditSettings::from_options(options)?;
     let pending = match Store::open(out) {
         Some(store) => pending(sources, &store, &settings, args.identity.into(), args.retry)?,
         None => sources,
@@ -223,18 +223,18 @@ fn audit(
     args: &Args,
     options: &Options,
     out: &Path,
-    sources: Vec<Source>,
+    sources: Vec<LogSource>,
 ) -> Result<Outcomes, Trouble> {
-    let settings = AuditSettings::of(options)?;
+    let settings = AuditSettings::from_options(options)?;
     let store = Store::create(out)?;
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZero::get);
-    let share = || Some((memory_bytes()? / jobs as u64).max(MIN_MEMORY_BYTES));
+    let share = || Some((available_memory_bytes()? / jobs as u64).max(MIN_MEMORY_BYTES));
     let limits = Limits {
         time: Some(Duration::from_secs_f64(args.timeout.min(1e9))),
         memory_bytes: args.memory.or_else(share),
     };
     let progress = FleetProgressBar::new(sources.len());
-    let outcomes = audit_all(&Call {
+    let outcomes = audit_all(&FleetCall {
         sources,
         store: &store,
         settings: &settings,
@@ -282,7 +282,7 @@ const MAX_LISTED_FAILURES: usize = 20;
 impl<'a> Summary<'a> {
     fn new(out: &Path, outcomes: &'a Outcomes, fail: (Option<Severity>, bool)) -> Self {
         let out = out.display().to_string();
-        let failing = outcomes.failing(fail.0, fail.1);
+        let failing = outcomes.count_failing(fail.0, fail.1);
         Self { schema: "poseaudit.fleet-run/1", out, failing, outcomes }
     }
 

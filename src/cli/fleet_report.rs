@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use poseaudit::checks::Selector;
 use poseaudit::config::FailOn;
 use poseaudit::fleet::report::{
-    Day, FleetReport, Question, write_html, write_markdown, write_text,
+    Day, FleetQuery, FleetReport, write_html, write_markdown, write_text,
 };
 use poseaudit::fleet::{Store, Template};
 use poseaudit::log;
@@ -86,19 +86,21 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         let what = "no fleet results in this folder";
         return Err(misuse(place, what, "name the folder written by `poseaudit fleet --out`"));
     };
-    let question = Question {
+    let question = FleetQuery {
         fail_on: args.fail_on.into(),
-        fails_open: args.fail_on == FailOn::Inconclusive,
+        fails_if_inconclusive: args.fail_on == FailOn::Inconclusive,
         since_ns: args.since.map(Day::start_ns),
         template: args.labels_from,
         settings: args.settings,
         select: args.select,
     };
-    let report = FleetReport::of(&store, &question)?;
+    let report = FleetReport::build(&store, &question)?;
     // Links need a base folder; stdout has none.
     let report = match args.output.as_deref().map(|path| path.parent()) {
-        Some(Some(folder)) if !folder.as_os_str().is_empty() => report.linked_from(folder),
-        Some(_) => report.linked_from(Path::new(".")),
+        Some(Some(folder)) if !folder.as_os_str().is_empty() => {
+            report.with_links_relative_to(folder)
+        }
+        Some(_) => report.with_links_relative_to(Path::new(".")),
         None => report,
     };
     output::emit(args.output.as_deref(), |out| match args.format {

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanBytes, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use poseaudit::fleet::Course;
+use poseaudit::fleet::FleetProgress;
 use poseaudit::log::Progress;
 
 use super::messages;
@@ -89,7 +89,7 @@ impl FleetProgressBar {
         Self { bar, began, last_line: Mutex::new(began) }
     }
 
-    pub fn show(&self, course: Course) {
+    pub fn show(&self, course: FleetProgress) {
         if let Some(bar) = &self.bar {
             bar.set_position(course.done as u64);
             return;
@@ -99,7 +99,7 @@ impl FleetProgressBar {
             return;
         }
         *last_line = Instant::now();
-        let Course { done, total, audited } = course;
+        let FleetProgress { done, total, audited } = course;
         let rate = audited as f64 / self.began.elapsed().as_secs_f64();
         let remaining = match rate > 0.0 {
             true => format!(", {:.0} s left", (total - done) as f64 / rate),

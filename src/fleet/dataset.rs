@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::sources::Source;
+use super::sources::LogSource;
 use crate::Options;
 use crate::boundary::catch_panic;
 use crate::log::{self, SourceName, enclosing_dataset, is_store, is_table, is_url, split_episode};
@@ -16,22 +16,22 @@ use crate::run::{Run, identify_columns};
 pub type Groups = BTreeMap<PathBuf, Vec<usize>>;
 
 /// Smaller datasets are not sampled.
-const FEW: usize = 4;
+const MIN_DATASET_LOGS: usize = 4;
 /// Logs sampled; up to twice as many if none is conclusive.
-pub const ASKED: usize = 3;
+pub const SAMPLED_LOGS: usize = 3;
 
 /// LeRobot folders, files with many episodes, and tables in one folder.
-pub fn groups(sources: &[Source]) -> Groups {
+pub fn group_by_dataset(sources: &[LogSource]) -> Groups {
     let mut groups = Groups::new();
     for (at, source) in sources.iter().enumerate() {
-        groups.entry(group_of(&source.path)).or_default().push(at);
+        groups.entry(dataset_of(&source.path)).or_default().push(at);
     }
-    groups.retain(|key, members| !key.as_os_str().is_empty() && members.len() >= FEW);
+    groups.retain(|key, members| !key.as_os_str().is_empty() && members.len() >= MIN_DATASET_LOGS);
     groups
 }
 
 /// Empty if the log belongs to no dataset.
-pub fn group_of(path: &Path) -> PathBuf {
+pub fn dataset_of(path: &Path) -> PathBuf {
     if is_url(path) {
         return PathBuf::new();
     }
@@ -45,7 +45,7 @@ pub fn group_of(path: &Path) -> PathBuf {
 }
 
 /// Sample spread over all logs, in the order of inspection.
-pub fn asked(members: &[usize]) -> Vec<usize> {
+pub fn sample_logs(members: &[usize]) -> Vec<usize> {
     let at = |share: f64| members[((members.len() - 1) as f64 * share) as usize];
     let mut asked: Vec<usize> = Vec::new();
     for share in [0.0, 0.5, 1.0, 0.25, 0.75, 0.125] {
@@ -56,7 +56,7 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
     asked
 }
 
-pub fn learnt(path: &Path, options: &Options) -> Option<SharedMapping> {
+pub fn infer_shared(path: &Path, options: &Options) -> Option<SharedMapping> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
     let from = SourceName::from_path(path).to_string();
     let from = from.rsplit('/').next().unwrap_or_default().to_owned();
@@ -78,7 +78,7 @@ pub fn learnt(path: &Path, options: &Options) -> Option<SharedMapping> {
 }
 
 /// The arm if all agree, and the columns if all conclusive logs agree.
-pub fn together(told: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping> {
+pub fn merge_shared(told: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping> {
     let first = told.first()?;
     // Tables in one folder may belong to several arms.
     let is_one =
@@ -101,7 +101,7 @@ pub fn together(told: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping>
 }
 
 /// Whether the columns are undetermined and another log may help.
-pub fn is_open(told: &[SharedMapping]) -> bool {
+pub fn is_undetermined(told: &[SharedMapping]) -> bool {
     let is_told =
         |it: &SharedMapping| it.columns.as_ref().is_some_and(|columns| columns.is_determined());
     told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)

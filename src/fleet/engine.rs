@@ -9,30 +9,30 @@ use std::thread;
 use std::time::{Duration, Instant};
 use std::{io, mem};
 
-use super::child::{Death, Job, Limits, Worker};
-use super::content::{Content, Identity, Stand, key_of};
+use super::audit_log::{crash_trouble, store_failure};
+use super::content::{FileState, Identity, LogContent, row_key};
 use super::dataset::{self, Groups, SharedMapping};
 use super::labels::{Labels, Template};
 use super::outcomes::{Failure, Outcomes};
 use super::settings::AuditSettings;
-use super::settle::{crashed, give_up};
-use super::sources::Source;
+use super::sources::LogSource;
 use super::store::{SourceRow, Status, Store};
-use super::task::{Answer, Task};
+use super::task::{AuditAnswer, Task};
+use super::worker::{AuditJob, Limits, Worker, WorkerFailure};
 use crate::log::{SourceName, is_url, list};
 use crate::report::{Trouble, TroubleKind};
 
 /// When content hashes are saved, in logs and in time.
-const NOTED_AFTER: usize = 100;
-const NOTED_EVERY: Duration = Duration::from_secs(10);
+const SAVE_INTERVAL_LOGS: usize = 100;
+const SAVE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Logs after which small table parts are merged.
-const MERGED_AFTER: usize = 100;
+const MERGE_INTERVAL_LOGS: usize = 100;
 
 /// Parameters of one call.
-pub struct Call<'a> {
+pub struct FleetCall<'a> {
     /// Logs.
-    pub sources: Vec<Source>,
+    pub sources: Vec<LogSource>,
     /// Destination of the results.
     pub store: &'a Store,
     /// Settings.
@@ -52,12 +52,12 @@ pub struct Call<'a> {
     /// Starts a worker process: see [`super::serve`].
     pub worker: &'a (dyn Fn() -> io::Result<Command> + Sync),
     /// Called after each log.
-    pub progress: &'a (dyn Fn(Course) + Sync),
+    pub progress: &'a (dyn Fn(FleetProgress) + Sync),
 }
 
 /// Progress of a call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Course {
+pub struct FleetProgress {
     /// Logs processed.
     pub done: usize,
     /// Logs audited by this call.
@@ -71,45 +71,45 @@ pub struct Course {
 /// # Errors
 /// If the store cannot be read or written, or a process cannot be started. Problems of a log are stored in
 /// its row.
-pub fn run(call: &Call<'_>) -> Result<Outcomes, Trouble> {
-    call.store.keep_settings(call.settings)?;
+pub fn run(call: &FleetCall<'_>) -> Result<Outcomes, Trouble> {
+    call.store.save_settings(call.settings)?;
     let engine = Engine {
         call,
-        done: call.store.done()?,
-        contents: call.store.contents()?,
-        groups: dataset::groups(&call.sources),
+        stored_answers: call.store.finished_answers()?,
+        contents: call.store.known_contents()?,
+        groups: dataset::group_by_dataset(&call.sources),
         shared: Mutex::new(HashMap::new()),
         next: AtomicUsize::new(0),
         since_merge: AtomicUsize::new(0),
-        book: Mutex::new(Book::default()),
+        state: Mutex::new(EngineState::default()),
     };
     thread::scope(|scope| {
         for _ in 0..call.jobs.clamp(1, call.sources.len().max(1)) {
-            scope.spawn(|| engine.work());
+            scope.spawn(|| engine.run_thread());
         }
     });
-    let mut book = engine.book.into_inner().unwrap_or_else(PoisonError::into_inner);
-    call.store.add_sources(&mem::take(&mut book.learnt))?;
-    if let Some(trouble) = book.trouble {
+    let mut state = engine.state.into_inner().unwrap_or_else(PoisonError::into_inner);
+    call.store.add_sources(&mem::take(&mut state.new_sources))?;
+    if let Some(trouble) = state.trouble {
         return Err(trouble);
     }
     call.store.compact()?;
-    book.outcomes.logs = call.sources.len();
-    book.outcomes.errors.sort();
-    Ok(book.outcomes)
+    state.outcomes.logs = call.sources.len();
+    state.outcomes.errors.sort();
+    Ok(state.outcomes)
 }
 
 /// Content according to the listing.
-fn object(url: &Path) -> io::Result<Content> {
+fn remote_content(url: &Path) -> io::Result<LogContent> {
     let found = list(url).map_err(io::Error::other)?;
     let object = found.iter().find(|object| Path::new(&object.url) == url);
-    object.map(Content::from).ok_or_else(|| io::Error::other("no such object"))
+    object.map(LogContent::from).ok_or_else(|| io::Error::other("no such object"))
 }
 
 struct Engine<'a> {
-    call: &'a Call<'a>,
+    call: &'a FleetCall<'a>,
     /// Stored answers per row key.
-    done: HashMap<String, Answer>,
+    stored_answers: HashMap<String, AuditAnswer>,
     /// Keyed by file state (path, size, modification time).
     contents: HashMap<String, String>,
     /// Datasets of the logs, and their shared properties.
@@ -117,45 +117,46 @@ struct Engine<'a> {
     shared: Mutex<HashMap<PathBuf, Option<SharedMapping>>>,
     next: AtomicUsize,
     since_merge: AtomicUsize,
-    book: Mutex<Book>,
+    state: Mutex<EngineState>,
 }
 
 #[derive(Default)]
-struct Book {
+struct EngineState {
     outcomes: Outcomes,
-    course: Course,
+    progress: FleetProgress,
     /// Assigned to a thread.
-    taken: HashSet<String>,
+    assigned: HashSet<String>,
     /// Rows to save.
-    learnt: Vec<SourceRow>,
-    noted: Option<Instant>,
+    new_sources: Vec<SourceRow>,
+    last_save: Option<Instant>,
     /// Ends the call.
     trouble: Option<Trouble>,
 }
 
-enum Settled {
-    Now(Answer, Option<String>),
-    Before(Answer),
+enum LogResult {
+    New(AuditAnswer, Option<String>),
+    Stored(AuditAnswer),
     Duplicate,
 }
 
-enum Looked {
-    Settled(Settled),
-    Open(Box<Job>),
+enum LogLookup {
+    Known(LogResult),
+    ToAudit(Box<AuditJob>),
 }
 
 impl Engine<'_> {
-    fn book(&self) -> MutexGuard<'_, Book> {
-        self.book.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, EngineState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn work(&self) {
+    fn run_thread(&self) {
         /// Logs per order. An order is also limited to a share of the logs, so all workers finish at about
         /// the same time.
-        const MOST: usize = 32;
-        const SHARES: usize = 4;
+        const MAX_LOGS_PER_ORDER: usize = 32;
+        const MIN_ORDERS_PER_JOB: usize = 4;
         let all = self.call.sources.len();
-        let count = (all / (SHARES * self.call.jobs.max(1))).clamp(1, MOST);
+        let count =
+            (all / (MIN_ORDERS_PER_JOB * self.call.jobs.max(1))).clamp(1, MAX_LOGS_PER_ORDER);
         let mut worker = None;
         loop {
             let first = self.next.fetch_add(count, Ordering::Relaxed);
@@ -165,42 +166,46 @@ impl Engine<'_> {
             if sources.is_empty() {
                 return;
             }
-            if let Err(trouble) = self.settle(sources, &mut worker) {
+            if let Err(trouble) = self.process_logs(sources, &mut worker) {
                 self.next.store(all, Ordering::Relaxed);
-                self.book().trouble.get_or_insert(trouble);
+                self.state().trouble.get_or_insert(trouble);
                 return;
             }
         }
     }
 
     /// Ensures that each log has a row.
-    fn settle(&self, sources: &[Source], worker: &mut Option<Worker>) -> Result<(), Trouble> {
-        let mut open: Vec<(&Path, Job)> = Vec::new();
+    fn process_logs(
+        &self,
+        sources: &[LogSource],
+        worker: &mut Option<Worker>,
+    ) -> Result<(), Trouble> {
+        let mut pending: Vec<(&Path, AuditJob)> = Vec::new();
         for source in sources {
-            match self.looked(source, worker)? {
-                Looked::Settled(settled) => self.enter(&source.path, settled)?,
-                Looked::Open(job) => open.push((&source.path, *job)),
+            match self.look_up(source, worker)? {
+                LogLookup::Known(result) => self.record_result(&source.path, result)?,
+                LogLookup::ToAudit(job) => pending.push((&source.path, *job)),
             }
         }
-        while !open.is_empty() {
-            let jobs = open.iter().map(|(_, job)| job.clone()).collect();
-            match self.worker(worker)?.audited(jobs) {
+        while !pending.is_empty() {
+            let jobs = pending.iter().map(|(_, job)| job.clone()).collect();
+            match self.worker(worker)?.audit(jobs) {
                 Ok(answers) => {
                     let is_over = answers.iter().any(|(answer, _)| !answer.status.is_final());
-                    let done: Vec<_> = open.drain(..answers.len().min(open.len())).collect();
+                    let done: Vec<_> = pending.drain(..answers.len().min(pending.len())).collect();
                     for ((path, _), (answer, what)) in done.into_iter().zip(answers) {
-                        self.enter(path, Settled::Now(answer, what))?;
+                        self.record_result(path, LogResult::New(answer, what))?;
                     }
                     // The failure may have left the process in a bad state.
                     if is_over {
                         *worker = None;
                     }
                 }
-                Err((at, death)) => {
+                Err((at, failure)) => {
                     *worker = None;
-                    let (path, Job { task, .. }) = open.remove(at.min(open.len() - 1));
-                    let settled = self.died(&task, death)?;
-                    self.enter(path, settled)?;
+                    let (path, AuditJob { task, .. }) = pending.remove(at.min(pending.len() - 1));
+                    let result = self.record_failure(&task, failure)?;
+                    self.record_result(path, result)?;
                 }
             }
         }
@@ -211,56 +216,60 @@ impl Engine<'_> {
         if let Some(worker) = worker {
             return Ok(worker);
         }
-        let command = (self.call.worker)().map_err(|error| self.unable(error.to_string()))?;
+        let command = (self.call.worker)().map_err(|error| self.call_trouble(error.to_string()))?;
         match Worker::start(command, &self.call.limits) {
             Ok(started) => Ok(worker.insert(started)),
-            Err(Death::Unable(why)) => Err(self.unable(why)),
-            Err(death) => Err(self.unable(format!("{death:?}"))),
+            Err(WorkerFailure::Unavailable(why)) => Err(self.call_trouble(why)),
+            Err(failure) => Err(self.call_trouble(format!("{failure:?}"))),
         }
     }
 
     /// Stores the row of a log whose process failed.
-    fn died(&self, task: &Task, death: Death) -> Result<Settled, Trouble> {
-        let (status, what) = match death {
-            Death::Unable(why) => return Err(self.unable(why)),
-            Death::TimedOut => (Status::TimedOut, self.too_long()),
-            Death::OutOfMemory => (Status::OutOfMemory, self.too_much()),
-            Death::Crashed(how) => {
-                (Status::Crashed, crashed(task, format!("the audit process failed: {how}")))
+    fn record_failure(&self, task: &Task, failure: WorkerFailure) -> Result<LogResult, Trouble> {
+        let (status, what) = match failure {
+            WorkerFailure::Unavailable(why) => return Err(self.call_trouble(why)),
+            WorkerFailure::TimedOut => (Status::TimedOut, self.timeout_trouble()),
+            WorkerFailure::OutOfMemory => (Status::OutOfMemory, self.memory_trouble()),
+            WorkerFailure::Crashed(how) => {
+                (Status::Crashed, crash_trouble(task, format!("the audit process failed: {how}")))
             }
         };
         let trouble = Trouble { place: task.path.clone(), ..what };
-        let answer = give_up(task, status, &trouble, self.call.store)?;
-        Ok(Settled::Now(answer, Some(trouble.what)))
+        let answer = store_failure(task, status, &trouble, self.call.store)?;
+        Ok(LogResult::New(answer, Some(trouble.what)))
     }
 
-    fn looked(&self, source: &Source, worker: &mut Option<Worker>) -> Result<Looked, Trouble> {
+    fn look_up(
+        &self,
+        source: &LogSource,
+        worker: &mut Option<Worker>,
+    ) -> Result<LogLookup, Trouble> {
         let path = &source.path;
         let content = match &source.content {
             Some(content) => Ok(content.clone()),
-            None if is_url(path) => object(path),
+            None if is_url(path) => remote_content(path),
             None => self.content(path),
         };
         let content = match content {
             Ok(content) => content,
-            Err(error) => return self.unreadable(path, &error).map(Looked::Settled),
+            Err(error) => return self.record_unreadable(path, &error).map(LogLookup::Known),
         };
-        let task = self.task(path, &content.id, content.stand);
-        if !self.book().taken.insert(task.key.clone()) {
-            return Ok(Looked::Settled(Settled::Duplicate));
+        let task = self.task(path, &content.id, content.state);
+        if !self.state().assigned.insert(task.key.clone()) {
+            return Ok(LogLookup::Known(LogResult::Duplicate));
         }
-        if let Some(answer) = self.done.get(&task.key)
+        if let Some(answer) = self.stored_answers.get(&task.key)
             && (answer.status.is_final() || !self.call.retry)
         {
-            return Ok(Looked::Settled(Settled::Before(*answer)));
+            return Ok(LogLookup::Known(LogResult::Stored(*answer)));
         }
-        let unread = self.task(path, &unread_content(path), Stand { bytes: 0, mtime_ns: 0 });
-        if self.done.contains_key(&unread.key) {
-            self.call.store.forget(&unread.key)?;
+        let unread = self.task(path, &unreadable_id(path), FileState { bytes: 0, mtime_ns: 0 });
+        if self.stored_answers.contains_key(&unread.key) {
+            self.call.store.delete_parts(&unread.key)?;
         }
         let shared = self.shared(path, worker)?;
         let path = path.as_os_str().as_encoded_bytes().to_vec();
-        Ok(Looked::Open(Box::new(Job { path, task, shared })))
+        Ok(LogLookup::ToAudit(Box::new(AuditJob { path, task, shared })))
     }
 
     /// Inferred once from a sample, and stored.
@@ -269,7 +278,7 @@ impl Engine<'_> {
         path: &Path,
         worker: &mut Option<Worker>,
     ) -> Result<Option<SharedMapping>, Trouble> {
-        let group = dataset::group_of(path);
+        let group = dataset::dataset_of(path);
         if group.as_os_str().is_empty() {
             return Ok(None);
         }
@@ -278,25 +287,26 @@ impl Engine<'_> {
             return Ok(shared.clone());
         }
         let (store, settings) = (self.call.store, &self.call.settings.hash);
-        let kept = store.dataset(&group, settings);
-        let shared = match (kept, self.groups.get(&group)) {
-            (Some(kept), _) => Some(kept),
+        let stored = store.load_dataset(&group, settings);
+        let shared = match (stored, self.groups.get(&group)) {
+            (Some(stored), _) => Some(stored),
             (None, Some(members)) => {
-                let mut told: Vec<SharedMapping> = Vec::new();
-                for at in dataset::asked(members) {
-                    if told.len() >= dataset::ASKED && !dataset::is_open(&told) {
+                let mut samples: Vec<SharedMapping> = Vec::new();
+                for at in dataset::sample_logs(members) {
+                    if samples.len() >= dataset::SAMPLED_LOGS && !dataset::is_undetermined(&samples)
+                    {
                         break;
                     }
                     let path = self.call.sources[at].path.as_os_str().as_encoded_bytes().to_vec();
-                    match self.worker(worker)?.learnt(path) {
-                        Ok(shared) => told.extend(shared),
+                    match self.worker(worker)?.learn(path) {
+                        Ok(shared) => samples.extend(shared),
                         // Reported by the log's own audit.
                         Err(_) => *worker = None,
                     }
                 }
-                let shared = dataset::together(told, &group);
+                let shared = dataset::merge_shared(samples, &group);
                 if let Some(shared) = &shared {
-                    store.keep_dataset(&group, settings, shared)?;
+                    store.save_dataset(&group, settings, shared)?;
                 }
                 shared
             }
@@ -307,30 +317,30 @@ impl Engine<'_> {
     }
 
     /// Uses the stored hash if the files are unchanged.
-    fn content(&self, path: &Path) -> io::Result<Content> {
-        let stand = Stand::of(path)?;
+    fn content(&self, path: &Path) -> io::Result<LogContent> {
+        let file_state = FileState::read(path)?;
         if self.call.identity == Identity::File {
-            return Content::of(path, stand, Identity::File);
+            return LogContent::identify(path, file_state, Identity::File);
         }
-        let source = stand.name(path);
+        let source = file_state.hash(path);
         if let Some(id) = self.contents.get(&source) {
-            return Ok(Content { id: id.clone(), stand });
+            return Ok(LogContent { id: id.clone(), state: file_state });
         }
-        let content = Content::of(path, stand, Identity::Content)?;
+        let content = LogContent::identify(path, file_state, Identity::Content)?;
         // The log may still be written.
-        if Stand::of(path)? == stand {
-            self.book().learnt.push(SourceRow {
+        if FileState::read(path)? == file_state {
+            self.state().new_sources.push(SourceRow {
                 source,
                 path: SourceName::from_path(path).to_string(),
-                bytes: stand.bytes,
-                mtime_ns: stand.mtime_ns,
+                bytes: file_state.bytes,
+                mtime_ns: file_state.mtime_ns,
                 content: content.id.clone(),
             });
         }
         Ok(content)
     }
 
-    fn task(&self, path: &Path, content: &str, stand: Stand) -> Task {
+    fn task(&self, path: &Path, content: &str, file_state: FileState) -> Task {
         let call = self.call;
         let version = env!("CARGO_PKG_VERSION");
         let name = SourceName::from_path(path).to_string();
@@ -338,88 +348,88 @@ impl Engine<'_> {
         let mut labels = by_path.unwrap_or_default();
         labels.extend(call.labels.clone());
         Task {
-            key: key_of(content, version, &call.settings.hash),
+            key: row_key(content, version, &call.settings.hash),
             path: name,
             content: content.to_owned(),
             version: version.to_owned(),
             settings: call.settings.hash.clone(),
-            bytes: stand.bytes,
-            mtime_ns: stand.mtime_ns,
+            bytes: file_state.bytes,
+            mtime_ns: file_state.mtime_ns,
             labels,
         }
     }
 
     /// The path replaces the content.
-    fn unreadable(&self, path: &Path, error: &io::Error) -> Result<Settled, Trouble> {
-        let task = self.task(path, &unread_content(path), Stand { bytes: 0, mtime_ns: 0 });
+    fn record_unreadable(&self, path: &Path, error: &io::Error) -> Result<LogResult, Trouble> {
+        let task = self.task(path, &unreadable_id(path), FileState { bytes: 0, mtime_ns: 0 });
         let trouble = Trouble {
             kind: TroubleKind::Log,
             what: format!("cannot be read: {error}"),
             place: task.path.clone(),
             remedy: "make it readable and run again".to_owned(),
         };
-        let answer = give_up(&task, Status::Unreadable, &trouble, self.call.store)?;
-        Ok(Settled::Now(answer, Some(trouble.what)))
+        let answer = store_failure(&task, Status::Unreadable, &trouble, self.call.store)?;
+        Ok(LogResult::New(answer, Some(trouble.what)))
     }
 
-    fn too_long(&self) -> Trouble {
+    fn timeout_trouble(&self) -> Trouble {
         let seconds = self.call.limits.time.unwrap_or_default().as_secs_f64();
         let what = format!("the audit took longer than {seconds} s");
         let remedy = "raise --timeout and run again with --retry".to_owned();
         Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
     }
 
-    fn too_much(&self) -> Trouble {
+    fn memory_trouble(&self) -> Trouble {
         let mebibytes = self.call.limits.memory_bytes.unwrap_or_default() >> 20;
         let what = format!("the audit needed more than {mebibytes} MiB of memory");
         let remedy = "raise --memory and run again with --retry".to_owned();
         Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
     }
 
-    fn unable(&self, what: String) -> Trouble {
+    fn call_trouble(&self, what: String) -> Trouble {
         let place = self.call.store.path().display().to_string();
         let remedy = "fix this and run again; finished logs are kept".to_owned();
         Trouble { kind: TroubleKind::Call, what, place, remedy }
     }
 
     /// Records the outcome of a log, and saves and merges tables at intervals.
-    fn enter(&self, path: &Path, settled: Settled) -> Result<(), Trouble> {
+    fn record_result(&self, path: &Path, result: LogResult) -> Result<(), Trouble> {
         let mut is_new = false;
-        let mut book = self.book();
-        match settled {
-            Settled::Duplicate => book.outcomes.duplicates += 1,
-            Settled::Before(answer) => {
-                book.outcomes.done_before += 1;
-                book.outcomes.count(answer);
+        let mut state = self.state();
+        match result {
+            LogResult::Duplicate => state.outcomes.duplicates += 1,
+            LogResult::Stored(answer) => {
+                state.outcomes.done_before += 1;
+                state.outcomes.add(answer);
             }
-            Settled::Now(answer, what) => {
+            LogResult::New(answer, what) => {
                 is_new = true;
-                book.outcomes.done_now += 1;
-                book.course.audited += 1;
-                book.outcomes.count(answer);
+                state.outcomes.done_now += 1;
+                state.progress.audited += 1;
+                state.outcomes.add(answer);
                 if answer.status != Status::Audited {
                     let path = SourceName::from_path(path).to_string();
-                    book.outcomes.errors.push(Failure { path, status: answer.status, what });
+                    state.outcomes.errors.push(Failure { path, status: answer.status, what });
                 }
             }
         }
-        book.course.done += 1;
-        book.course.total = self.call.sources.len();
-        let course = book.course;
-        let is_due = book.noted.get_or_insert_with(Instant::now).elapsed() > NOTED_EVERY;
-        let learnt = match is_due || book.learnt.len() >= NOTED_AFTER {
+        state.progress.done += 1;
+        state.progress.total = self.call.sources.len();
+        let progress = state.progress;
+        let is_due = state.last_save.get_or_insert_with(Instant::now).elapsed() > SAVE_INTERVAL;
+        let new_sources = match is_due || state.new_sources.len() >= SAVE_INTERVAL_LOGS {
             true => {
-                book.noted = Some(Instant::now());
-                mem::take(&mut book.learnt)
+                state.last_save = Some(Instant::now());
+                mem::take(&mut state.new_sources)
             }
             false => Vec::new(),
         };
-        drop(book);
-        self.call.store.add_sources(&learnt)?;
-        (self.call.progress)(course);
+        drop(state);
+        self.call.store.add_sources(&new_sources)?;
+        (self.call.progress)(progress);
         if is_new {
             let since_merge = self.since_merge.fetch_add(1, Ordering::Relaxed) + 1;
-            if since_merge.is_multiple_of(MERGED_AFTER) {
+            if since_merge.is_multiple_of(MERGE_INTERVAL_LOGS) {
                 self.call.store.compact()?;
             }
         }
@@ -427,7 +437,7 @@ impl Engine<'_> {
     }
 }
 
-fn unread_content(path: &Path) -> String {
+fn unreadable_id(path: &Path) -> String {
     let path = path.as_os_str().as_encoded_bytes();
     format!("unread:{}", blake3::hash(path).to_hex())
 }

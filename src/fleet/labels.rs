@@ -15,7 +15,7 @@ pub struct Template {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Token {
     Text(String),
-    Anything,
+    Wildcard,
     Name(String),
 }
 
@@ -28,13 +28,13 @@ impl FromStr for Template {
     type Err = TemplateError;
 
     fn from_str(text: &str) -> Result<Self, TemplateError> {
-        let parts: Vec<Vec<Token>> = text.split('/').map(tokens).collect::<Result<_, _>>()?;
+        let parts: Vec<Vec<Token>> = text.split('/').map(parse_tokens).collect::<Result<_, _>>()?;
         let has_name = parts.iter().flatten().any(|token| matches!(token, Token::Name(_)));
         has_name.then_some(Self { parts }).ok_or(TemplateError("it contains no {name}"))
     }
 }
 
-fn tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
+fn parse_tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
     let (mut tokens, mut rest) = (Vec::new(), part);
     while let Some(at) = rest.find(['*', '{', '}']) {
         if at > 0 {
@@ -43,7 +43,7 @@ fn tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
         let after = &rest[at + 1..];
         rest = match rest.as_bytes()[at] {
             b'*' => {
-                tokens.push(Token::Anything);
+                tokens.push(Token::Wildcard);
                 after
             }
             b'{' => {
@@ -70,7 +70,7 @@ impl Template {
         let mut labels = Labels::new();
         let Some(skipped) = parts.len().checked_sub(self.parts.len()) else { return labels };
         for (tokens, part) in self.parts.iter().zip(&parts[skipped..]) {
-            if !take(tokens, part, &mut labels) {
+            if !match_tokens(tokens, part, &mut labels) {
                 return Labels::new();
             }
         }
@@ -79,16 +79,16 @@ impl Template {
 }
 
 /// Names match the shortest non-empty text.
-fn take(tokens: &[Token], text: &str, labels: &mut Labels) -> bool {
+fn match_tokens(tokens: &[Token], text: &str, labels: &mut Labels) -> bool {
     let Some((first, others)) = tokens.split_first() else { return text.is_empty() };
     let ends = text.char_indices().map(|(at, _)| at).chain([text.len()]);
     match first {
-        Token::Text(wanted) => {
-            text.strip_prefix(wanted.as_str()).is_some_and(|rest| take(others, rest, labels))
-        }
-        Token::Anything => ends.into_iter().any(|end| take(others, &text[end..], labels)),
+        Token::Text(wanted) => text
+            .strip_prefix(wanted.as_str())
+            .is_some_and(|rest| match_tokens(others, rest, labels)),
+        Token::Wildcard => ends.into_iter().any(|end| match_tokens(others, &text[end..], labels)),
         Token::Name(name) => ends.into_iter().filter(|&end| end > 0).any(|end| {
-            let is_taken = take(others, &text[end..], labels);
+            let is_taken = match_tokens(others, &text[end..], labels);
             if is_taken {
                 labels.insert(name.clone(), text[..end].to_owned());
             }
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_says_its_labels_from_its_end() {
+    fn labels_are_read_from_the_end_of_a_path() {
         let said = labels("{site}/{arm}/*", "/data/berlin/cell3/run_1.mcap");
         assert_eq!(said, "arm=cell3 site=berlin ");
         let said = labels("{site}_{arm}_*.mcap", "/data/berlin_cell_3_x.mcap");
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_nothing_is_no_template() {
+    fn a_template_without_names_is_rejected() {
         for text in ["*/*", "{site", "{}/*", "site}"] {
             assert!(text.parse::<Template>().is_err(), "{text}");
         }

@@ -1,7 +1,7 @@
 use serde::Serialize;
 
 use super::store::Status;
-use super::task::Answer;
+use super::task::AuditAnswer;
 use crate::finding::Severity;
 use crate::report::Verdict;
 
@@ -23,7 +23,7 @@ pub struct Outcomes {
     /// Logs not audited by this call, by path.
     pub errors: Vec<Failure>,
     #[serde(skip)]
-    answers: Vec<Answer>,
+    answers: Vec<AuditAnswer>,
 }
 
 /// Logs by status: see [`Status`].
@@ -68,25 +68,26 @@ pub struct Failure {
 
 impl Outcomes {
     /// Logs with a finding of severity `fail_on` or above, or, if `fails_open`, an inconclusive verdict.
-    pub fn failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
-        let is_open = |answer: &Answer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
+    pub fn count_failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
+        let is_open =
+            |answer: &AuditAnswer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
         self.answers.iter().filter(|answer| answer.fails(fail_on) || is_open(answer)).count()
     }
 
     /// Logs without an audit.
-    pub fn unaudited(&self) -> usize {
+    pub fn count_unaudited(&self) -> usize {
         self.answers.iter().filter(|answer| answer.status != Status::Audited).count()
     }
 
-    pub(super) fn count(&mut self, answer: Answer) {
-        self.statuses.count(answer.status);
-        self.verdicts.count(answer.verdict);
+    pub(super) fn add(&mut self, answer: AuditAnswer) {
+        self.statuses.add(answer.status);
+        self.verdicts.add(answer.verdict);
         self.answers.push(answer);
     }
 }
 
 impl Statuses {
-    pub(super) fn count(&mut self, status: Status) {
+    pub(super) fn add(&mut self, status: Status) {
         *match status {
             Status::Audited => &mut self.audited,
             Status::NotAudited => &mut self.not_audited,
@@ -99,7 +100,7 @@ impl Statuses {
 }
 
 impl Verdicts {
-    pub(super) fn count(&mut self, verdict: Option<Verdict>) {
+    pub(super) fn add(&mut self, verdict: Option<Verdict>) {
         match verdict {
             Some(Verdict::Pass) => self.pass += 1,
             Some(Verdict::Fail) => self.fail += 1,

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::Path;
 
-use super::content::{Content, Identity, Stand, key_of};
+use super::content::{FileState, Identity, LogContent, row_key};
 use super::settings::AuditSettings;
-use super::sources::Source;
+use super::sources::LogSource;
 use super::store::Store;
 use crate::report::Trouble;
 
@@ -15,23 +15,23 @@ use crate::report::Trouble;
 /// # Errors
 /// If the store cannot be read.
 pub fn pending(
-    sources: Vec<Source>,
+    sources: Vec<LogSource>,
     store: &Store,
     settings: &AuditSettings,
     identity: Identity,
     retry: bool,
-) -> Result<Vec<Source>, Trouble> {
-    let (done, contents) = (store.done()?, store.contents()?);
+) -> Result<Vec<LogSource>, Trouble> {
+    let (done, contents) = (store.finished_answers()?, store.known_contents()?);
     let known = |path: &Path| -> io::Result<Option<String>> {
-        let stand = Stand::of(path)?;
+        let state = FileState::read(path)?;
         match identity {
-            Identity::File => Ok(Some(Content::of(path, stand, identity)?.id)),
-            Identity::Content => Ok(contents.get(&stand.name(path)).cloned()),
+            Identity::File => Ok(Some(LogContent::identify(path, state, identity)?.id)),
+            Identity::Content => Ok(contents.get(&state.hash(path)).cloned()),
         }
     };
-    let is_done = |source: &Source| {
+    let is_done = |source: &LogSource| {
         let content = known(&source.path).ok().flatten();
-        let key = content.map(|id| key_of(&id, env!("CARGO_PKG_VERSION"), &settings.hash));
+        let key = content.map(|id| row_key(&id, env!("CARGO_PKG_VERSION"), &settings.hash));
         let answer = key.and_then(|key| done.get(&key));
         answer.is_some_and(|answer| answer.status.is_final() || !retry)
     };

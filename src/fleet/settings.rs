@@ -15,23 +15,23 @@ pub struct AuditSettings {
     /// 16 digits.
     pub hash: String,
     /// Readable form.
-    pub said: Value,
+    pub readable: Value,
 }
 
 /// 64 bits: there are few settings.
-const DIGITS: usize = 16;
+const HASH_DIGITS: usize = 16;
 
 impl AuditSettings {
     /// Files count by their content. The log, the output options and the failing severity are not included.
     ///
     /// # Errors
     /// If a file cannot be read.
-    pub fn of(options: &Options) -> Result<Self, Trouble> {
+    pub fn from_options(options: &Options) -> Result<Self, Trouble> {
         let Options { read, run, policy, .. } = options;
         let robot = |robot: &crate::run::RobotSource| -> Result<Value, Trouble> {
             let file = Path::new(&robot.model);
             let model = match file.is_file() {
-                true => content_of(file)?,
+                true => file_hash(file)?,
                 false if catalogue::find(&robot.model).is_none() => {
                     return Err(Trouble {
                         kind: TroubleKind::Call,
@@ -46,7 +46,7 @@ impl AuditSettings {
             Ok(json!({ "prefix": robot.prefix, "model": model }))
         };
         let calibration = |one: &crate::run::CalibrationSource| -> Result<Value, Trouble> {
-            Ok(json!({ "prefix": one.prefix, "file": content_of(&one.file)? }))
+            Ok(json!({ "prefix": one.prefix, "file": file_hash(&one.file)? }))
         };
         let config = options.config.as_deref();
         // Config entries refer to lines of the config; its path must not affect the hash.
@@ -55,7 +55,7 @@ impl AuditSettings {
             Some(place) => text.replace(place.as_str(), "config"),
             None => text,
         };
-        let said = json!({
+        let readable = json!({
             "robots": run.robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
             "calibrations": run.calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
             "joint_map": run.joint_map.iter().map(|of| (&of.logged, &of.modelled)).collect::<Vec<_>>(),
@@ -68,15 +68,15 @@ impl AuditSettings {
             "declarations": shown(format!("{:?}", run.declared)),
             "topics": shown(format!("{:?}", run.topics)),
             "rules": shown(format!("{:?}", policy.rules)),
-            "config": config.map(content_of).transpose()?,
-            "corrections": options.corrections.as_deref().map(content_of).transpose()?,
+            "config": config.map(file_hash).transpose()?,
+            "corrections": options.corrections.as_deref().map(file_hash).transpose()?,
         });
-        let hash = blake3::hash(said.to_string().as_bytes()).to_hex()[..DIGITS].to_owned();
-        Ok(Self { hash, said })
+        let hash = blake3::hash(readable.to_string().as_bytes()).to_hex()[..HASH_DIGITS].to_owned();
+        Ok(Self { hash, readable })
     }
 }
 
-fn content_of(path: &Path) -> Result<String, Trouble> {
+fn file_hash(path: &Path) -> Result<String, Trouble> {
     let bytes = fs::read(path).map_err(|error| Trouble {
         kind: TroubleKind::Call,
         what: format!("cannot be read: {error}"),
@@ -94,27 +94,27 @@ mod tests {
     use crate::run::RunOptions;
 
     #[test]
-    fn what_changes_an_audit_changes_the_hash_and_nothing_else_does() -> Result<(), Trouble> {
-        let plain = AuditSettings::of(&Options::default())?;
+    fn the_hash_changes_exactly_with_what_changes_an_audit() -> Result<(), Trouble> {
+        let plain = AuditSettings::from_options(&Options::default())?;
         let same = Options {
             logs: vec!["a.mcap".into()],
             policy: Policy { fail_on: None, ..Policy::default() },
             ..Options::default()
         };
-        assert_eq!(AuditSettings::of(&same)?, plain);
+        assert_eq!(AuditSettings::from_options(&same)?, plain);
         let other = RunOptions { max_latency_s: 4.0, ..RunOptions::default() };
         let other = Options { run: other, ..Options::default() };
-        assert_ne!(AuditSettings::of(&other)?.hash, plain.hash);
+        assert_ne!(AuditSettings::from_options(&other)?.hash, plain.hash);
         Ok(())
     }
 
     #[test]
-    fn a_config_counts_by_what_is_in_it() -> Result<(), Trouble> {
+    fn a_config_counts_by_its_content() -> Result<(), Trouble> {
         let folder = tempfile::tempdir().expect("a folder");
         let of = |name: &str, text: &str| {
             let path = folder.path().join(name);
             fs::write(&path, text).expect("a file");
-            AuditSettings::of(&Config::from_file(&path)?.options())
+            AuditSettings::from_options(&Config::from_file(&path)?.options())
         };
         let text = "[stream.\"/tcp\"]\nconvention = \"rotvec\"\n";
         assert_eq!(of("a.toml", text)?, of("b.toml", text)?);

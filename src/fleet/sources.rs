@@ -4,26 +4,26 @@ use std::path::{Path, PathBuf};
 
 use walkdir::{DirEntry, WalkDir};
 
-use super::content::Content;
+use super::content::LogContent;
 use crate::log::{self, RemoteObject, SourceName};
 use crate::report::{Trouble, TroubleKind};
 
 /// Location of one log.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Source {
+pub struct LogSource {
     /// Absolute path of a file or rosbag2 folder, or URL of an object.
     pub path: PathBuf,
     /// Content, if known from a listing.
-    pub content: Option<Content>,
+    pub content: Option<LogContent>,
 }
 
-impl Source {
-    fn at(path: PathBuf) -> Self {
+impl LogSource {
+    fn from_path(path: PathBuf) -> Self {
         Self { path, content: None }
     }
 }
 
-impl From<&RemoteObject> for Source {
+impl From<&RemoteObject> for LogSource {
     fn from(object: &RemoteObject) -> Self {
         Self { path: PathBuf::from(&object.url), content: Some(object.into()) }
     }
@@ -31,7 +31,7 @@ impl From<&RemoteObject> for Source {
 
 /// Files with these names count as logs even if their bytes do not identify them, so empty or truncated
 /// logs are reported.
-const ENDINGS: &[&str] = &[
+const LOG_SUFFIXES: &[&str] = &[
     ".mcap",
     ".bag",
     ".bag.active",
@@ -44,7 +44,7 @@ const ENDINGS: &[&str] = &[
 ];
 
 /// Metadata file of a rosbag2 folder.
-const METADATA: &str = "metadata.yaml";
+const METADATA_FILE: &str = "metadata.yaml";
 
 /// Logs given by `wanted`, each once, sorted by path. Entries are files, folders (searched recursively),
 /// patterns such as `runs/*/*.mcap`, URLs, or URL prefixes and patterns such as `s3://bucket/cell7`. For
@@ -56,7 +56,7 @@ const METADATA: &str = "metadata.yaml";
 ///
 /// # Errors
 /// If a named entry does not exist, a pattern is invalid, a store cannot be listed, or no log is found.
-pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
+pub fn find_sources(wanted: &[String], mut list: impl Read) -> Result<Vec<LogSource>, Trouble> {
     let mut found = Vec::new();
     for named in wanted {
         let named = &log::normalize_url(Path::new(named)).to_string_lossy().into_owned();
@@ -65,23 +65,26 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
             "-" => {
                 let mut text = Vec::new();
                 let read = list.read_to_end(&mut text);
-                read.map_err(|error| trouble("-", format!("stdin cannot be read: {error}")))?;
-                for path in listed(&text) {
-                    of_path(&path, &mut found);
+                read.map_err(|error| {
+                    source_trouble("-", format!("stdin cannot be read: {error}"))
+                })?;
+                for path in parse_list(&text) {
+                    add_path(&path, &mut found);
                 }
             }
-            url if log::is_url(Path::new(url)) => of_url(url, &mut found)?,
-            path if fs::symlink_metadata(path).is_ok() => of_path(Path::new(path), &mut found),
+            url if log::is_url(Path::new(url)) => add_url(url, &mut found)?,
+            path if fs::symlink_metadata(path).is_ok() => add_path(Path::new(path), &mut found),
             pattern if pattern.contains(['*', '?', '[']) => {
-                let paths = glob::glob(pattern)
-                    .map_err(|error| trouble(pattern, format!("invalid pattern: {error}")))?;
+                let paths = glob::glob(pattern).map_err(|error| {
+                    source_trouble(pattern, format!("invalid pattern: {error}"))
+                })?;
                 // Unreadable folders.
-                paths.filter_map(Result::ok).for_each(|path| of_path(&path, &mut found));
+                paths.filter_map(Result::ok).for_each(|path| add_path(&path, &mut found));
             }
-            path => return Err(trouble(path, "no such file or folder".to_owned())),
+            path => return Err(source_trouble(path, "no such file or folder".to_owned())),
         }
         if found.len() == before {
-            return Err(trouble(named, "contains no log".to_owned()));
+            return Err(source_trouble(named, "contains no log".to_owned()));
         }
     }
     found.sort();
@@ -96,7 +99,7 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
     Ok(found)
 }
 
-fn listed(text: &[u8]) -> Vec<PathBuf> {
+fn parse_list(text: &[u8]) -> Vec<PathBuf> {
     let separator = if text.contains(&0) { 0 } else { b'\n' };
     let lines = text.split(|&byte| byte == separator);
     let lines = lines.map(|line| line.strip_suffix(b"\r").unwrap_or(line));
@@ -115,28 +118,29 @@ pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
 }
 
 /// Objects at, below or matching `url`.
-fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
+fn add_url(url: &str, found: &mut Vec<LogSource>) -> Result<(), Trouble> {
     let is_web = url.starts_with("http");
     let stars = url.find('*').filter(|_| !is_web);
     let Some(stars) = stars else {
         let below = log::list(Path::new(url))?;
-        let is_asked = |object: &&RemoteObject| object.url == url || has_ending(&object.url);
-        found.extend(below.iter().filter(is_asked).map(Source::from));
+        let is_asked = |object: &&RemoteObject| object.url == url || has_log_suffix(&object.url);
+        found.extend(below.iter().filter(is_asked).map(LogSource::from));
         return Ok(());
     };
     let pattern = glob::Pattern::new(url);
-    let pattern = pattern.map_err(|error| trouble(url, format!("invalid pattern: {error}")))?;
+    let pattern =
+        pattern.map_err(|error| source_trouble(url, format!("invalid pattern: {error}")))?;
     let prefix = &url[..url[..stars].rfind('/').map_or(stars, |slash| slash + 1)];
     let options = glob::MatchOptions { require_literal_separator: true, ..Default::default() };
     let below = log::list(Path::new(prefix))?;
     let is_asked = |object: &&RemoteObject| pattern.matches_with(&object.url, options);
-    found.extend(below.iter().filter(is_asked).map(Source::from));
+    found.extend(below.iter().filter(is_asked).map(LogSource::from));
     Ok(())
 }
 
-fn of_path(path: &Path, found: &mut Vec<Source>) {
+fn add_path(path: &Path, found: &mut Vec<LogSource>) {
     if log::is_url(path) {
-        found.push(Source::at(log::normalize_url(path)));
+        found.push(LogSource::from_path(log::normalize_url(path)));
         return;
     }
     if !path.is_dir() || is_recording(path) {
@@ -165,12 +169,12 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
 }
 
 /// Episodes of a table file, or the file itself.
-fn episodes_of(path: &Path) -> Vec<Source> {
+fn episodes_of(path: &Path) -> Vec<LogSource> {
     let path = absolute(path);
     let names = log::episodes(&path);
-    let episode = |name: &String| Source::at(format!("{}#{name}", path.display()).into());
+    let episode = |name: &String| LogSource::from_path(format!("{}#{name}", path.display()).into());
     match names.is_empty() {
-        true => vec![Source::at(path)],
+        true => vec![LogSource::from_path(path)],
         false => names.iter().map(episode).collect(),
     }
 }
@@ -194,12 +198,12 @@ fn is_recording(folder: &Path) -> bool {
         let name = entry.map(|entry| entry.file_name().to_string_lossy().into_owned());
         name.is_ok_and(|name| name.contains(".db3") || name.contains(".mcap"))
     };
-    folder.join(METADATA).is_file()
+    folder.join(METADATA_FILE).is_file()
         && fs::read_dir(folder).is_ok_and(|mut entries| entries.any(is_part))
 }
 
 fn is_log(path: &Path) -> bool {
-    if path.file_name().is_some_and(|name| has_ending(&name.to_string_lossy())) {
+    if path.file_name().is_some_and(|name| has_log_suffix(&name.to_string_lossy())) {
         return true;
     }
     let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
@@ -211,12 +215,12 @@ fn is_log(path: &Path) -> bool {
     is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
-fn has_ending(name: &str) -> bool {
+fn has_log_suffix(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
-    ENDINGS.iter().any(|ending| name.ends_with(ending))
+    LOG_SUFFIXES.iter().any(|ending| name.ends_with(ending))
 }
 
-fn trouble(place: &str, what: String) -> Trouble {
+fn source_trouble(place: &str, what: String) -> Trouble {
     let remedy = "name logs, folders of logs, a pattern in quotes, or - for a list on stdin";
     let place = SourceName::from_path(Path::new(place)).to_string();
     Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
@@ -226,13 +230,13 @@ fn trouble(place: &str, what: String) -> Trouble {
 mod tests {
     use super::*;
 
-    fn names(found: &[Source], folder: &Path) -> Vec<String> {
-        let inside = |source: &Source| source.path.strip_prefix(folder).map(Path::to_owned);
+    fn names(found: &[LogSource], folder: &Path) -> Vec<String> {
+        let inside = |source: &LogSource| source.path.strip_prefix(folder).map(Path::to_owned);
         found.iter().filter_map(|it| Some(inside(it).ok()?.display().to_string())).collect()
     }
 
     #[test]
-    fn a_folder_is_all_logs_in_it_and_nothing_else() -> io::Result<()> {
+    fn a_folder_yields_its_logs_and_nothing_else() -> io::Result<()> {
         let folder = tempfile::tempdir()?;
         let at = |name: &str| folder.path().join(name);
         fs::create_dir_all(at("a/bag"))?;
@@ -246,14 +250,14 @@ mod tests {
         fs::write(at("a/bag/metadata.yaml"), "")?;
         fs::write(at("a/bag/bag_0.db3"), "")?;
         let named = folder.path().join("a").display().to_string();
-        let found = sources(&[named], io::empty()).expect("logs");
+        let found = find_sources(&[named], io::empty()).expect("logs");
         let expected = ["a/bag", "a/empty.mcap", "a/nameless", "a/robot.csv"];
         assert_eq!(names(&found, folder.path()), expected);
         Ok(())
     }
 
     #[test]
-    fn of_parquet_in_a_folder_the_data_of_a_dataset_are_logs() -> io::Result<()> {
+    fn a_folder_of_parquet_yields_only_the_data_of_a_dataset() -> io::Result<()> {
         let folder = tempfile::tempdir()?;
         let at = |name: &str| folder.path().join(name);
         for (folder, file) in [
@@ -265,13 +269,14 @@ mod tests {
             fs::write(at(folder).join(file), b"PAR1")?;
         }
         fs::write(at("set/meta/info.json"), "{}")?;
-        let found = sources(&[folder.path().display().to_string()], io::empty()).expect("logs");
+        let found =
+            find_sources(&[folder.path().display().to_string()], io::empty()).expect("logs");
         assert_eq!(names(&found, folder.path()), ["set/data/chunk-000/episode_000000.parquet"]);
         Ok(())
     }
 
     #[test]
-    fn a_list_and_a_pattern_name_each_log_once() -> io::Result<()> {
+    fn lists_and_patterns_yield_each_log_once() -> io::Result<()> {
         let folder = tempfile::tempdir()?;
         let at = |name: &str| folder.path().join(name).display().to_string();
         for name in ["1.mcap", "2.mcap", "3.bag"] {
@@ -279,19 +284,19 @@ mod tests {
         }
         let list = format!("{}\r\n\n{}\n", at("1.mcap"), at("gone.mcap"));
         let wanted = [at("*.mcap"), "-".to_owned()];
-        let found = sources(&wanted, list.as_bytes()).expect("logs");
+        let found = find_sources(&wanted, list.as_bytes()).expect("logs");
         assert_eq!(names(&found, folder.path()), ["1.mcap", "2.mcap", "gone.mcap"]);
         let zeros = format!("{}\0{}\0", at("3.bag"), at("1.mcap"));
-        assert_eq!(sources(&["-".to_owned()], zeros.as_bytes()).expect("logs").len(), 2);
+        assert_eq!(find_sources(&["-".to_owned()], zeros.as_bytes()).expect("logs").len(), 2);
         Ok(())
     }
 
     #[test]
-    fn what_names_nothing_is_a_wrong_call() {
+    fn sources_without_logs_are_rejected() {
         let empty = tempfile::tempdir().expect("a folder");
         let empty = empty.path().display().to_string();
         for wanted in ["no/such", "no/such/*.mcap", "-", empty.as_str()] {
-            let refused = sources(&[wanted.to_owned()], io::empty()).expect_err(wanted);
+            let refused = find_sources(&[wanted.to_owned()], io::empty()).expect_err(wanted);
             assert_eq!((refused.kind, refused.place.as_str()), (TroubleKind::Call, wanted));
         }
     }

@@ -62,7 +62,7 @@ impl Status {
     }
 
     /// Status by name.
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|status| status.name() == name)
     }
 
@@ -73,7 +73,7 @@ impl Status {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Answer {
+pub struct AuditAnswer {
     pub status: Status,
     /// Warnings count as failures.
     pub verdict: Option<Verdict>,
@@ -85,7 +85,7 @@ pub struct Answer {
     pub infos: u32,
 }
 
-impl Answer {
+impl AuditAnswer {
     pub const fn without_report(status: Status) -> Self {
         Self { status, verdict: None, errors: 0, warnings: 0, infos: 0 }
     }
@@ -106,8 +106,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fails_is_what_the_caller_says() {
-        let answer = Answer { warnings: 1, ..Answer::without_report(Status::Audited) };
+    fn the_caller_decides_which_severity_fails() {
+        let answer = AuditAnswer { warnings: 1, ..AuditAnswer::without_report(Status::Audited) };
         let fails = |fail_on| answer.fails(fail_on);
         assert!(fails(Some(Severity::Warning)) && !fails(Some(Severity::Error)) && !fails(None));
     }

@@ -10,7 +10,7 @@ use crate::report::{Trouble, write_whole};
 use crate::run::RobotSource;
 
 /// Registers the files that may be written into `folder`, including patched copies of robot files.
-pub fn enter(folder: &Path, robots: &[RobotSource], places: &mut Places) {
+pub fn register_outputs(folder: &Path, robots: &[RobotSource], places: &mut Places) {
     let patched = robots.iter().filter_map(RobotSource::file).flat_map(model_files);
     let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
     places.writes_into("--fix", folder, names);

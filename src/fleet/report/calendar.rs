@@ -7,17 +7,17 @@ use crate::time::NANOS_PER_SECOND;
 pub const DAY_NS: i64 = 86_400 * NANOS_PER_SECOND;
 
 /// First calendar stamp, 2000-01-01. Earlier stamps are times of a controller or a simulation.
-pub const FIRST_NS: i64 = 946_684_800 * NANOS_PER_SECOND;
+pub const FIRST_CALENDAR_NS: i64 = 946_684_800 * NANOS_PER_SECOND;
 
 /// UTC day, such as `2026-05-28`.
-pub fn day(stamp_ns: i64) -> String {
+pub fn format_day(stamp_ns: i64) -> String {
     // Within jiff's range.
     let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
     Offset::UTC.to_datetime(time).date().to_string()
 }
 
 /// In UTC, with the least precision that distinguishes the stamps: days, minutes or seconds.
-pub fn apart(from_ns: i64, to_ns: i64) -> [String; 2] {
+pub fn format_distinct(from_ns: i64, to_ns: i64) -> [String; 2] {
     let at = |stamp_ns: i64| {
         let time = Timestamp::from_nanosecond(stamp_ns.into()).unwrap_or_default();
         Offset::UTC.to_datetime(time)
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn days_are_those_of_the_calendar_and_come_back() {
+    fn days_match_the_calendar_and_parse_back() {
         for (seconds, text) in [
             (0, "1970-01-01"),
             (951_782_400, "2000-02-29"),
@@ -68,7 +68,7 @@ mod tests {
             (1_798_761_599, "2026-12-31"),
             (4_107_542_400, "2100-03-01"),
         ] {
-            assert_eq!(day(seconds * NANOS_PER_SECOND), text);
+            assert_eq!(format_day(seconds * NANOS_PER_SECOND), text);
             let start_ns = text.parse::<Day>().expect("a day").start_ns();
             assert_eq!(start_ns, (seconds * NANOS_PER_SECOND).div_euclid(DAY_NS) * DAY_NS);
         }
@@ -78,7 +78,10 @@ mod tests {
             (3_600, ["2026-05-28 20:26 UTC", "2026-05-28 21:26 UTC"]),
             (5, ["2026-05-28 20:26:40 UTC", "2026-05-28 20:26:45 UTC"]),
         ] {
-            assert_eq!(apart(start_ns, start_ns + later_s * NANOS_PER_SECOND), [from, to]);
+            assert_eq!(
+                format_distinct(start_ns, start_ns + later_s * NANOS_PER_SECOND),
+                [from, to]
+            );
         }
         for text in ["2026-02-29", "2026-13-01", "28.5.2026", "2026-5-1", "0-0-0"] {
             assert!(text.parse::<Day>().is_err(), "{text}");

@@ -8,18 +8,18 @@ use maud::{Markup, html};
 use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
-use super::text::{head, how_often, totals};
-use super::{At, Course, DatasetRow, FindingRow, FleetReport, TrendRow, calendar};
+use super::text::{frequency_text, header_lines, totals_text};
+use super::{DatasetRow, FindingRow, FleetReport, TrendKind, TrendPosition, TrendRow, calendar};
 use crate::log::ESCAPED;
 use crate::report::html::{Plot, PlotSeries, PlotStyle, SeriesRole, css_percent, page_shell};
 
-const MOST_PLOTS: usize = 100;
+const MAX_PLOTS: usize = 100;
 
 /// Limit per table; JSON contains all.
-const MOST_ROWS: usize = 500;
+const MAX_ROWS: usize = 500;
 
 /// Logs per plot.
-const MOST_POINTS: usize = 1000;
+const MAX_POINTS: usize = 1000;
 
 /// The output is deterministic.
 ///
@@ -31,36 +31,36 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
 
 fn page(report: &FleetReport) -> Markup {
     let (class, word) = if report.failing { ("fail", "FAIL") } else { ("pass", "PASS") };
-    let drawn: Vec<(String, &TrendRow, Plot)> = drawn(report);
+    let drawn: Vec<(String, &TrendRow, Plot)> = trend_plots(report);
     let plots: Map<String, Value> =
-        drawn.iter().map(|(id, _, plot)| (id.clone(), plot.json(MOST_POINTS))).collect();
-    let (moving, others): (Vec<_>, Vec<_>) =
-        drawn.iter().partition(|(_, row, _)| row.course.is_moving());
+        drawn.iter().map(|(id, _, plot)| (id.clone(), plot.json(MAX_POINTS))).collect();
+    let (found_trends, others): (Vec<_>, Vec<_>) =
+        drawn.iter().partition(|(_, row, _)| row.kind.is_trend());
     let body = html! {
         a .skip href="#moves" { "Skip to trends" }
         header .page {
             p .tool { "poseaudit" }
             h1 { "Fleet" }
             dl .facts {
-                @for (label, said) in head(report) { dt { (label) } dd { (said) } }
+                @for (label, said) in header_lines(report) { dt { (label) } dd { (said) } }
             }
         }
         main {
             section .verdict aria-labelledby="verdict" {
-                h2 #verdict { strong { (word) } " " span { (totals(report)) } }
+                h2 #verdict { strong { (word) } " " span { (totals_text(report)) } }
             }
             noscript {
                 p .note { "The plots need JavaScript; their values are in the tables under them." }
             }
             section #moves aria-labelledby="moves-title" {
-                h2 #moves-title .quiet[moving.is_empty()] {
-                    @if moving.is_empty() { "No trend found" } @else { "Trends found" }
+                h2 #moves-title .quiet[found_trends.is_empty()] {
+                    @if found_trends.is_empty() { "No trend found" } @else { "Trends found" }
                 }
-                @for (id, row, plot) in &moving { (article(id, row, plot)) }
+                @for (id, row, plot) in &found_trends { (trend_article(id, row, plot)) }
             }
             (datasets(report))
             (findings(report))
-            (matrix(report))
+            (rule_matrix(report))
             (arms(report))
             (logs(report))
             (errors(report))
@@ -69,7 +69,7 @@ fn page(report: &FleetReport) -> Markup {
                 section #plots aria-labelledby="plots-title" {
                     h2 #plots-title { "Over time" }
                     div .proof {
-                        @for (id, _, plot) in &others { (plot.markup(id, None, MOST_POINTS)) }
+                        @for (id, _, plot) in &others { (plot.markup(id, None, MAX_POINTS)) }
                     }
                 }
             }
@@ -79,21 +79,25 @@ fn page(report: &FleetReport) -> Markup {
 }
 
 /// Found trends first.
-fn drawn(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
+fn trend_plots(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
     let rows = report.trends.iter().filter(|row| row.level.is_some());
-    let numbered = rows.take(MOST_PLOTS).enumerate();
-    numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, plot(row))).collect()
+    let numbered = rows.take(MAX_PLOTS).enumerate();
+    numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, trend_plot(row))).collect()
 }
 
 /// Over days or episodes, with its line.
-fn plot(row: &TrendRow) -> Plot {
-    let (factor, y_label) = everyday(&row.unit);
-    let first = row.points.first().map_or(At::Episode(0), |first| first.at);
+fn trend_plot(row: &TrendRow) -> Plot {
+    let (factor, y_label) = display_factor(&row.unit);
+    let first = row.points.first().map_or(TrendPosition::Episode(0), |first| first.at);
     let (per, x_label, origin) = match first {
-        At::Time(first_ns) => (86_400.0, "days", format!("Day 0 is {}.", calendar::day(first_ns))),
-        At::Episode(_) => (1.0, "episodes", "Episodes are counted from the first.".to_owned()),
+        TrendPosition::Time(first_ns) => {
+            (86_400.0, "days", format!("Day 0 is {}.", calendar::format_day(first_ns)))
+        }
+        TrendPosition::Episode(_) => {
+            (1.0, "episodes", "Episodes are counted from the first.".to_owned())
+        }
     };
-    let x: Vec<f64> = row.points.iter().map(|point| point.at.since(first) / per).collect();
+    let x: Vec<f64> = row.points.iter().map(|point| point.at.elapsed_since(first) / per).collect();
     let half = |ci95: [f64; 2]| 0.5 * (ci95[1] - ci95[0]) * factor;
     let amounts = PlotSeries {
         label: row.name.clone(),
@@ -103,7 +107,7 @@ fn plot(row: &TrendRow) -> Plot {
     };
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
     // A line does not describe a step.
-    let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| PlotSeries {
+    let line = row.line.filter(|_| row.kind != TrendKind::Stepped).map(|[from, to]| PlotSeries {
         label: "line".to_owned(),
         role: SeriesRole::Reference,
         values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
@@ -111,12 +115,12 @@ fn plot(row: &TrendRow) -> Plot {
     });
     Plot {
         title: "Over time",
-        robot: row.whose.robot.clone().unwrap_or_default(),
-        stream: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
-        caption: match row.course.is_moving() {
+        robot: row.subject.robot.clone().unwrap_or_default(),
+        stream: format!("{} {} {}", row.code, row.subject.arm_label(), row.subject.part_label()),
+        caption: match row.kind.is_trend() {
             // The heading contains the summary.
             true => origin,
-            false => format!("{}: {}. {origin}", row.course.name(), row.says()),
+            false => format!("{}: {}. {origin}", row.kind.name(), row.summary()),
         },
         x,
         x_label,
@@ -128,7 +132,7 @@ fn plot(row: &TrendRow) -> Plot {
 }
 
 /// Factor and symbol of the display unit.
-fn everyday(symbol: &str) -> (f64, &'static str) {
+fn display_factor(symbol: &str) -> (f64, &'static str) {
     match symbol {
         "m" => (1e3, "mm"),
         "rad" => (1f64.to_degrees(), "°"),
@@ -142,18 +146,18 @@ fn everyday(symbol: &str) -> (f64, &'static str) {
     }
 }
 
-fn article(id: &str, row: &TrendRow, plot: &Plot) -> Markup {
+fn trend_article(id: &str, row: &TrendRow, plot: &Plot) -> Markup {
     html! {
         article .finding .warning aria-labelledby={ (id) "-title" } {
             p .badge {
-                span .severity { (row.course.name()) } " " code { (row.code) } " "
+                span .severity { (row.kind.name()) } " " code { (row.code) } " "
                 span .kind { (row.name) }
             }
             h3 id={ (id) "-title" } {
-                span .subject { (row.whose.arm_label()) " " (row.whose.part()) } " "
-                span .message { (row.says()) }
+                span .subject { (row.subject.arm_label()) " " (row.subject.part_label()) } " "
+                span .message { (row.summary()) }
             }
-            div .proof { (plot.markup(id, Some(&plot.stream), MOST_POINTS)) }
+            div .proof { (plot.markup(id, Some(&plot.stream), MAX_POINTS)) }
         }
     }
 }
@@ -163,9 +167,9 @@ fn findings(report: &FleetReport) -> Markup {
         html! {
             tr .(row.severity.name()) {
                 th scope="row" { span .severity { (row.severity.name()) } " " code { (row.code) } }
-                td { (row.whose.arm_label()) }
-                td { (row.whose.part()) }
-                td .words { (row.title) ", " (how_often(row)) }
+                td { (row.subject.arm_label()) }
+                td { (row.subject.part_label()) }
+                td .words { (row.title) ", " (frequency_text(row)) }
                 td .words {
                     @if let Some(worst) = &row.worst {
                         (worst.message) br; span .quiet { (worst.path) }
@@ -183,7 +187,7 @@ fn arms(report: &FleetReport) -> Markup {
         let fails = row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs));
         html! {
             tr {
-                th scope="row" { (row.whose.arm_label()) }
+                th scope="row" { (row.subject.arm_label()) }
                 td { (row.logs) }
                 td { (row.verdicts.pass) }
                 td { (row.verdicts.fail) }
@@ -195,7 +199,7 @@ fn arms(report: &FleetReport) -> Markup {
 }
 
 /// Logs with findings, per rule and arm.
-fn matrix(report: &FleetReport) -> Markup {
+fn rule_matrix(report: &FleetReport) -> Markup {
     let codes: BTreeSet<&str> =
         report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
     if codes.is_empty() {
@@ -207,7 +211,7 @@ fn matrix(report: &FleetReport) -> Markup {
             |code: &str| arm.fails.iter().find(|fail| fail.code == code).map(|fail| fail.logs);
         html! {
             tr {
-                th scope="row" { (arm.whose.arm_label()) }
+                th scope="row" { (arm.subject.arm_label()) }
                 @for code in &codes {
                     @match logs(code) {
                         Some(count) => {
@@ -224,7 +228,7 @@ fn matrix(report: &FleetReport) -> Markup {
 }
 
 /// Link relative to the page, or absolute.
-fn link(page: &Path) -> String {
+fn page_link(page: &Path) -> String {
     let page = page.display().to_string();
     let path = utf8_percent_encode(&page, ESCAPED);
     if page.starts_with('/') { format!("file://{path}") } else { path.to_string() }
@@ -236,14 +240,14 @@ fn logs(report: &FleetReport) -> Markup {
         let start_ns = row.start_ns.as_ref().and_then(|start| start.parse().ok());
         html! {
             tr {
-                td { @if let Some(start_ns) = start_ns { (calendar::day(start_ns)) } }
+                td { @if let Some(start_ns) = start_ns { (calendar::format_day(start_ns)) } }
                 th scope="row" .words {
                     @match &row.page {
-                        Some(page) => { a href=(link(page)) { (row.path) } }
+                        Some(page) => { a href=(page_link(page)) { (row.path) } }
                         None => { (row.path) }
                     }
                 }
-                td { (row.whose.arm_label()) }
+                td { (row.subject.arm_label()) }
                 td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
                 td { (row.codes.join(", ")) }
             }
@@ -256,28 +260,26 @@ fn datasets(report: &FleetReport) -> Markup {
     let rows: Vec<(&DatasetRow, String, String, &str)> = report
         .datasets
         .iter()
-        .flat_map(|of| {
-            let robot = of
-                .robot
+        .flat_map(|dataset| {
+            let robot = dataset.robot.iter().map(move |robot| {
+                (dataset, "arm".to_owned(), robot.clone(), "all sampled logs agree")
+            });
+            let columns = dataset.columns.iter().map(move |row| {
+                (dataset, row.is.clone(), row.columns.join(", "), row.why.as_str())
+            });
+            let open = dataset
+                .open_question
                 .iter()
-                .map(move |robot| (of, "arm".to_owned(), robot.clone(), "all sampled logs agree"));
-            let columns = of
-                .columns
-                .iter()
-                .map(move |row| (of, row.is.clone(), row.columns.join(", "), row.why.as_str()));
-            let open = of
-                .open
-                .iter()
-                .map(move |open| (of, "open".to_owned(), String::new(), open.as_str()));
+                .map(move |open| (dataset, "open".to_owned(), String::new(), open.as_str()));
             robot.chain(columns).chain(open)
         })
         .collect();
     table("datasets", "Columns", &["dataset", "what", "columns", "by"], &rows, |row| {
-        let (of, is, columns, why) = row;
+        let (dataset, cell, columns, why) = row;
         html! {
             tr {
-                th scope="row" .words { (of.dataset) }
-                td { (is) }
+                th scope="row" .words { (dataset.dataset) }
+                td { (cell) }
                 td .words { (columns) }
                 td .words { (why) }
             }
@@ -302,10 +304,10 @@ fn trends(report: &FleetReport) -> Markup {
         html! {
             tr {
                 th scope="row" { code { (row.code) } }
-                td { (row.whose.arm_label()) }
-                td { (row.whose.part()) }
-                td { (row.course.name()) }
-                td .words { (row.says()) }
+                td { (row.subject.arm_label()) }
+                td { (row.subject.part_label()) }
+                td { (row.kind.name()) }
+                td .words { (row.summary()) }
             }
         }
     })
@@ -326,11 +328,11 @@ fn table<T>(
                 div .scroll tabindex="0" role="region" aria-labelledby={ (id) "-title" } {
                     table {
                         thead { tr { @for head in heads { th scope="col" { (head) } } } }
-                        tbody { @for one in rows.iter().take(MOST_ROWS) { (row(one)) } }
+                        tbody { @for one in rows.iter().take(MAX_ROWS) { (row(one)) } }
                     }
                 }
-                @if rows.len() > MOST_ROWS {
-                    p .note { "and " (rows.len() - MOST_ROWS) " more, which the JSON report lists" }
+                @if rows.len() > MAX_ROWS {
+                    p .note { "and " (rows.len() - MAX_ROWS) " more, which the JSON report lists" }
                 }
             }
         }

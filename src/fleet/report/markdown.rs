@@ -2,12 +2,12 @@
 
 use std::io::{self, Write};
 
-use super::text::{arm, head, how_often, totals};
+use super::text::{arm_text, frequency_text, header_lines, totals_text};
 use super::{FindingRow, FleetReport};
 use crate::report::markdown::{escape_prose, inline_code};
 
 /// JSON and HTML contain more.
-const MOST_ROWS: usize = 20;
+const MAX_ROWS: usize = 20;
 
 /// Writes the report as Markdown.
 ///
@@ -15,11 +15,11 @@ const MOST_ROWS: usize = 20;
 /// If `out` cannot be written.
 pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     let word = if report.failing { "FAIL" } else { "PASS" };
-    writeln!(out, "## Pose audit: {word}\n\n{}\n", escape_prose(&totals(report)))?;
-    for (label, said) in head(report) {
-        writeln!(out, "- {label}: {}", escape_prose(&said))?;
+    writeln!(out, "## Pose audit: {word}\n\n{}\n", escape_prose(&totals_text(report)))?;
+    for (label, text) in header_lines(report) {
+        writeln!(out, "- {label}: {}", escape_prose(&text))?;
     }
-    report.arms.iter().try_for_each(|row| writeln!(out, "- {}", escape_prose(&arm(row))))?;
+    report.arms.iter().try_for_each(|row| writeln!(out, "- {}", escape_prose(&arm_text(row))))?;
     for dataset in &report.datasets {
         let lines = dataset.lines();
         let head = lines.first().map(String::as_str).unwrap_or_default();
@@ -37,26 +37,32 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
                 escape_prose(&row.why)
             )?;
         }
-        dataset.open.iter().try_for_each(|open| writeln!(out, "\n{}", escape_prose(open)))?;
+        dataset
+            .open_question
+            .iter()
+            .try_for_each(|open| writeln!(out, "\n{}", escape_prose(open)))?;
     }
     if !report.findings.is_empty() {
         let head = "| severity | rule | subject | found | worst in | last in |";
         writeln!(out, "\n{head}\n|---|---|---|---|---|---|")?;
     }
-    report.findings.iter().take(MOST_ROWS).try_for_each(|row| finding(row, out))?;
+    report.findings.iter().take(MAX_ROWS).try_for_each(|row| write_finding(row, out))?;
     if !report.errors.is_empty() {
         writeln!(out, "\n| not audited | why |\n|---|---|")?;
     }
-    let mut errors = report.errors.iter().take(MOST_ROWS);
+    let mut errors = report.errors.iter().take(MAX_ROWS);
     errors.try_for_each(|row| {
         writeln!(out, "| {} | {} |", inline_code(&row.path), escape_prose(&row.what))
     })
 }
 
-fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
-    let (severity, often) = (row.severity.name(), how_often(row));
-    let subject =
-        if row.whose.part().is_empty() { row.whose.arm_label() } else { row.whose.part() };
+fn write_finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
+    let (severity, often) = (row.severity.name(), frequency_text(row));
+    let subject = if row.subject.part_label().is_empty() {
+        row.subject.arm_label()
+    } else {
+        row.subject.part_label()
+    };
     let found = format!("{}, {often}: {}", row.title, row.message);
     let worst = row.worst.as_ref().map_or(&row.path, |worst| &worst.path);
     writeln!(

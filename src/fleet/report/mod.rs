@@ -1,11 +1,11 @@
 //! Fleet report: rules violated by arms, sites and topics, and trends of estimates.
 
+mod aggregate;
 mod calendar;
-mod found;
-mod gather;
+mod finding_rows;
 mod html;
 mod markdown;
-mod part;
+mod table_part;
 mod text;
 mod trends;
 
@@ -14,28 +14,28 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::outcomes::{Statuses, Verdicts};
-use super::store::{KeptDataset, Status, Store, StoreError};
+use super::store::{Status, Store, StoreError, StoredDataset};
 use crate::checks::Selector;
 use crate::finding::Severity;
 use crate::report::Verdict;
 use crate::run::{SharedColumns, SharedRow};
 
-pub use calendar::{Day, day};
+pub use calendar::{Day, format_day};
 pub use html::write as write_html;
 pub use markdown::write as write_markdown;
 pub use text::write as write_text;
-pub use trends::{At, Course, Moved, Point, TrendRow};
+pub use trends::{TrendKind, TrendPoint, TrendPosition, TrendRow, TrendValue};
 
 /// JSON schema.
 pub const SCHEMA: &str = "poseaudit.fleet/1";
 
 /// Query of a results folder.
 #[derive(Clone, Debug, Default)]
-pub struct Question {
+pub struct FleetQuery {
     /// Lowest severity that fails the report, if any.
     pub fail_on: Option<Severity>,
     /// Inconclusive verdicts fail the report.
-    pub fails_open: bool,
+    pub fails_if_inconclusive: bool,
     /// Start of the counted findings, ns since 1970. Trends use all runs.
     pub since_ns: Option<i64>,
     /// Derives labels from paths, in place of the stored ones.
@@ -106,7 +106,7 @@ pub struct LogCounts {
 
 /// Subject: a site, arm and robot, and a part of the log.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-pub struct Whose {
+pub struct FleetSubject {
     /// Site.
     pub site: Option<String>,
     /// Arm.
@@ -124,7 +124,7 @@ pub struct Whose {
     pub frame: Option<String>,
 }
 
-impl Whose {
+impl FleetSubject {
     /// Site, arm and robot.
     pub fn arm_label(&self) -> String {
         let parts = [&self.site, &self.arm, &self.robot].into_iter().flatten();
@@ -133,7 +133,7 @@ impl Whose {
     }
 
     /// Joint, topic and frame; empty for the whole log.
-    pub fn part(&self) -> String {
+    pub fn part_label(&self) -> String {
         let parts = [&self.joint, &self.topic, &self.frame].into_iter().flatten();
         parts.map(String::as_str).collect::<Vec<_>>().join(" ")
     }
@@ -145,35 +145,37 @@ pub struct DatasetRow {
     /// Folder or file.
     pub dataset: String,
     /// Logs sampled.
-    pub asked: Vec<String>,
+    #[serde(rename = "asked")]
+    pub sampled: Vec<String>,
     /// Catalogue arm.
     pub robot: Option<String>,
     /// Columns not identified by name.
     pub columns: Vec<SharedRow>,
     /// Open question.
-    pub open: Option<String>,
+    #[serde(rename = "open")]
+    pub open_question: Option<String>,
 }
 
 impl DatasetRow {
-    fn of(kept: KeptDataset) -> Self {
-        let KeptDataset { dataset, shared, .. } = kept;
+    fn from_stored(stored: StoredDataset) -> Self {
+        let StoredDataset { dataset, shared, .. } = stored;
         let columns = shared.columns.as_ref();
         Self {
             dataset,
-            asked: shared.from,
+            sampled: shared.from,
             robot: shared.robot,
             columns: columns.map(SharedColumns::rows).unwrap_or_default(),
-            open: columns.and_then(SharedColumns::question).map(str::to_owned),
+            open_question: columns.and_then(SharedColumns::question).map(str::to_owned),
         }
     }
 
     /// Arm, columns, open question.
     fn lines(&self) -> Vec<String> {
         let robot = self.robot.as_deref().map_or(String::new(), |robot| format!(": {robot}"));
-        let head = format!("{}{robot}, by {}", self.dataset, self.asked.join(", "));
+        let head = format!("{}{robot}, by {}", self.dataset, self.sampled.join(", "));
         let row =
             |row: &SharedRow| format!("{} = {} ({})", row.is, row.columns.join(", "), row.why);
-        let open = self.open.iter().map(|open| format!("open: {open}"));
+        let open = self.open_question.iter().map(|open| format!("open: {open}"));
         std::iter::once(head).chain(self.columns.iter().map(row)).chain(open).collect()
     }
 }
@@ -183,7 +185,7 @@ impl DatasetRow {
 pub struct ArmRow {
     /// Site, arm and robot.
     #[serde(flatten)]
-    pub whose: Whose,
+    pub subject: FleetSubject,
     /// Logs.
     pub logs: usize,
     /// Logs by verdict.
@@ -199,7 +201,7 @@ pub struct LogRow {
     pub path: String,
     /// Site, arm and robots.
     #[serde(flatten)]
-    pub whose: Whose,
+    pub subject: FleetSubject,
     /// Audit status.
     pub status: Status,
     /// Warnings count as failures.
@@ -233,11 +235,12 @@ pub struct FindingRow {
     pub severity: Severity,
     /// Subject.
     #[serde(flatten)]
-    pub whose: Whose,
+    pub subject: FleetSubject,
     /// Logs with the finding.
     pub logs: usize,
     /// Logs that passed the rule.
-    pub sound: usize,
+    #[serde(rename = "sound")]
+    pub passed: usize,
     /// Message in the latest log.
     pub message: String,
     /// Path of the latest log.
@@ -246,12 +249,12 @@ pub struct FindingRow {
     pub start_ns: Option<String>,
     /// Log with the largest value, unless it is the latest.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub worst: Option<Worst>,
+    pub worst: Option<WorstLog>,
 }
 
 /// Log with the largest value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Worst {
+pub struct WorstLog {
     /// Message.
     pub message: String,
     /// Log.
@@ -274,7 +277,7 @@ pub struct ErrorRow {
 
 impl FleetReport {
     /// Makes page paths below `folder` relative.
-    pub fn linked_from(mut self, folder: &Path) -> Self {
+    pub fn with_links_relative_to(mut self, folder: &Path) -> Self {
         let Ok(folder) = folder.canonicalize() else { return self };
         for page in self.rows.iter_mut().filter_map(|row| row.page.as_mut()) {
             if let Ok(below) = page.strip_prefix(&folder) {
@@ -288,32 +291,32 @@ impl FleetReport {
     ///
     /// # Errors
     /// If the store cannot be read.
-    pub fn of(store: &Store, question: &Question) -> Result<Self, StoreError> {
-        let gathered = gather::gather(store, question)?;
-        let fails = |severity: Severity| question.fail_on.is_some_and(|least| severity >= least);
-        let trends = trends::rows(gathered.series);
-        let moves = trends.iter().any(|row| row.course.is_moving());
-        let failing = gathered.findings.iter().any(|row| fails(row.severity))
-            || (moves && fails(Severity::Warning))
-            || (question.fails_open && gathered.logs.verdicts.inconclusive > 0)
-            || (!gathered.errors.is_empty() && question.fail_on.is_some());
-        let datasets = store.datasets(&gathered.logs.settings);
+    pub fn build(store: &Store, query: &FleetQuery) -> Result<Self, StoreError> {
+        let data = aggregate::collect(store, query)?;
+        let fails = |severity: Severity| query.fail_on.is_some_and(|least| severity >= least);
+        let trends = trends::trend_rows(data.series);
+        let has_trend = trends.iter().any(|row| row.kind.is_trend());
+        let failing = data.findings.iter().any(|row| fails(row.severity))
+            || (has_trend && fails(Severity::Warning))
+            || (query.fails_if_inconclusive && data.logs.verdicts.inconclusive > 0)
+            || (!data.errors.is_empty() && query.fail_on.is_some());
+        let datasets = store.load_datasets(&data.logs.settings);
         Ok(Self {
             schema: SCHEMA,
             tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
             failing,
-            datasets: datasets.into_iter().map(DatasetRow::of).collect(),
-            logs: gathered.logs,
-            arms: gathered.arms,
-            rows: gathered.rows,
-            findings: gathered.findings,
+            datasets: datasets.into_iter().map(DatasetRow::from_stored).collect(),
+            logs: data.logs,
+            arms: data.arms,
+            rows: data.rows,
+            findings: data.findings,
             trends,
-            errors: gathered.errors,
+            errors: data.errors,
         })
     }
 
     /// Trends found.
-    pub fn moving(&self) -> impl Iterator<Item = &TrendRow> {
-        self.trends.iter().filter(|row| row.course.is_moving())
+    pub fn found_trends(&self) -> impl Iterator<Item = &TrendRow> {
+        self.trends.iter().filter(|row| row.kind.is_trend())
     }
 }

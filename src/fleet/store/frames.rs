@@ -5,12 +5,12 @@ use serde::Serialize;
 
 use super::{Status, TABLES, Table};
 use crate::finding::{Finding, Severity, Status as Decided};
-use crate::fleet::task::{Answer, Task};
+use crate::fleet::task::{AuditAnswer, Task};
 use crate::output::tables::{checks_frame, findings_frame};
 use crate::report::{Report, StreamRow, Trouble, Verdict};
 use crate::time::Stamp;
 
-/// Columns of `runs` for an [`Answer`], with the key.
+/// Columns of `runs` for an [`AuditAnswer`], with the key.
 pub const ANSWER_COLUMNS: &[&str] = &["key", "status", "verdict", "errors", "warnings", "infos"];
 
 #[derive(Debug)]
@@ -21,15 +21,15 @@ pub struct Tables {
 #[derive(Debug)]
 pub struct LogRows {
     pub key: String,
-    pub answer: Answer,
+    pub answer: AuditAnswer,
     pub tables: Tables,
 }
 
 /// Row of `runs`, without the report.
 #[derive(Clone, Copy, Debug)]
-pub struct Row<'a> {
+pub struct RunRow<'a> {
     pub task: &'a Task,
-    pub answer: &'a Answer,
+    pub answer: &'a AuditAnswer,
 }
 
 impl Tables {
@@ -37,19 +37,23 @@ impl Tables {
     ///
     /// # Errors
     /// Does not fail for valid reports.
-    pub fn of(row: Row<'_>, report: &Report, trouble: Option<&Trouble>) -> PolarsResult<Self> {
+    pub fn from_report(
+        row: RunRow<'_>,
+        report: &Report,
+        trouble: Option<&Trouble>,
+    ) -> PolarsResult<Self> {
         let key = row.task.key.as_str();
         let ignored = report.ignored.iter().map(|ignored| &ignored.finding);
         let findings: Vec<Finding> = report.findings.iter().chain(ignored).cloned().collect();
         let mut found = findings_frame(&findings)?;
         let counted = report.findings.iter().map(|_| None);
         let reasons = report.ignored.iter().map(|ignored| Some(ignored.reason.as_str()));
-        found.with_column(text("ignored_because", counted.chain(reasons)))?;
+        found.with_column(text_column("ignored_because", counted.chain(reasons)))?;
         let frames = TABLES.into_iter().map(|table| {
             let frame = match table {
-                Table::Streams => numbered(key, streams_frame(&report.streams)?)?,
-                Table::Checks => numbered(key, checks_frame(&report.checks)?)?,
-                Table::Findings => numbered(key, found.clone())?,
+                Table::Streams => with_row_numbers(key, streams_frame(&report.streams)?)?,
+                Table::Checks => with_row_numbers(key, checks_frame(&report.checks)?)?,
+                Table::Findings => with_row_numbers(key, found.clone())?,
                 Table::Errors => errors_frame(row, trouble)?,
                 Table::Runs | Table::Sources => runs_frame(row, Some(report))?,
             };
@@ -60,7 +64,7 @@ impl Tables {
 
     /// # Errors
     /// Does not fail for valid input.
-    pub fn of_trouble(row: Row<'_>, trouble: &Trouble) -> PolarsResult<Self> {
+    pub fn from_trouble(row: RunRow<'_>, trouble: &Trouble) -> PolarsResult<Self> {
         let frames = TABLES.into_iter().map(|table| {
             let frame = match table {
                 Table::Errors => errors_frame(row, Some(trouble))?,
@@ -78,7 +82,7 @@ impl Tables {
 }
 
 /// Answers with their keys. Unknown statuses are not final.
-pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
+pub fn read_answers(frame: &DataFrame) -> PolarsResult<Vec<(String, AuditAnswer)>> {
     let text = |name: &str| Ok::<_, PolarsError>(frame.column(name)?.str()?.iter());
     let count = |name: &str| -> PolarsResult<Vec<u32>> {
         Ok(frame.column(name)?.u32()?.iter().map(Option::unwrap_or_default).collect())
@@ -86,8 +90,8 @@ pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     let counts = [count("errors")?, count("warnings")?, count("infos")?];
     let rows = text("key")?.zip(text("status")?).zip(text("verdict")?).enumerate();
     let answers = rows.filter_map(|(row, ((key, status), verdict))| {
-        let answer = Answer {
-            status: status.and_then(Status::named).unwrap_or(Status::Unreadable),
+        let answer = AuditAnswer {
+            status: status.and_then(Status::from_name).unwrap_or(Status::Unreadable),
             verdict: verdict.and_then(Verdict::from_name),
             errors: counts[0][row],
             warnings: counts[1][row],
@@ -98,8 +102,8 @@ pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     Ok(answers.collect())
 }
 
-fn runs_frame(row: Row<'_>, report: Option<&Report>) -> PolarsResult<DataFrame> {
-    let Row { task, answer } = row;
+fn runs_frame(row: RunRow<'_>, report: Option<&Report>) -> PolarsResult<DataFrame> {
+    let RunRow { task, answer } = row;
     let log = report.map(|report| &report.log);
     let robots = report.map(|report| report.robots.as_slice()).unwrap_or_default();
     let names: Vec<&str> = robots.iter().map(|robot| robot.name.as_str()).collect();
@@ -112,36 +116,37 @@ fn runs_frame(row: Row<'_>, report: Option<&Report>) -> PolarsResult<DataFrame> 
     DataFrame::new(
         1,
         vec![
-            one("key", task.key.as_str()),
-            one("path", task.path.as_str()),
-            one("content", task.content.as_str()),
-            one("version", task.version.as_str()),
-            one("settings", task.settings.as_str()),
-            one("bytes", task.bytes),
-            one("mtime_ns", task.mtime_ns),
-            one("site", of_label("site")),
-            one("arm", of_label("arm")),
-            one("labels_json", as_json(&task.labels)),
-            one("status", answer.status.name()),
-            one("verdict", answer.verdict.map(Verdict::name)),
-            one("errors", answer.errors),
-            one("warnings", answer.warnings),
-            one("infos", answer.infos),
-            one("inconclusive", report.map(open)),
-            one("container", log.and_then(|log| Some(log.files.first()?.container))),
-            one("messages", log.map(|log| log.messages)),
-            one("start_ns", log.and_then(|log| stamp(log.start_ns))),
-            one("end_ns", log.and_then(|log| stamp(log.end_ns))),
-            one("duration_s", log.and_then(|log| log.duration_s)),
-            one("robots", (!names.is_empty()).then(|| names.join(", "))),
-            one("robots_json", as_json(&robots)),
-            one("notes_json", as_json(&log.map(|log| &log.notes))),
+            scalar_column("key", task.key.as_str()),
+            scalar_column("path", task.path.as_str()),
+            scalar_column("content", task.content.as_str()),
+            scalar_column("version", task.version.as_str()),
+            scalar_column("settings", task.settings.as_str()),
+            scalar_column("bytes", task.bytes),
+            scalar_column("mtime_ns", task.mtime_ns),
+            scalar_column("site", of_label("site")),
+            scalar_column("arm", of_label("arm")),
+            scalar_column("labels_json", as_json(&task.labels)),
+            scalar_column("status", answer.status.name()),
+            scalar_column("verdict", answer.verdict.map(Verdict::name)),
+            scalar_column("errors", answer.errors),
+            scalar_column("warnings", answer.warnings),
+            scalar_column("infos", answer.infos),
+            scalar_column("inconclusive", report.map(open)),
+            scalar_column("container", log.and_then(|log| Some(log.files.first()?.container))),
+            scalar_column("messages", log.map(|log| log.messages)),
+            scalar_column("start_ns", log.and_then(|log| stamp(log.start_ns))),
+            scalar_column("end_ns", log.and_then(|log| stamp(log.end_ns))),
+            scalar_column("duration_s", log.and_then(|log| log.duration_s)),
+            scalar_column("robots", (!names.is_empty()).then(|| names.join(", "))),
+            scalar_column("robots_json", as_json(&robots)),
+            scalar_column("notes_json", as_json(&log.map(|log| &log.notes))),
         ],
     )
 }
 
 fn streams_frame(streams: &[StreamRow]) -> PolarsResult<DataFrame> {
-    let of = |name: &str, of: fn(&StreamRow) -> Option<&str>| text(name, streams.iter().map(of));
+    let of =
+        |name: &str, of: fn(&StreamRow) -> Option<&str>| text_column(name, streams.iter().map(of));
     let count = |name: &str, of: fn(&StreamRow) -> u64| {
         Column::new(name.into(), streams.iter().map(of).collect::<Vec<_>>())
     };
@@ -172,20 +177,20 @@ fn streams_frame(streams: &[StreamRow]) -> PolarsResult<DataFrame> {
     )
 }
 
-fn errors_frame(row: Row<'_>, trouble: Option<&Trouble>) -> PolarsResult<DataFrame> {
+fn errors_frame(row: RunRow<'_>, trouble: Option<&Trouble>) -> PolarsResult<DataFrame> {
     let Some(trouble) = trouble else { return Ok(DataFrame::empty()) };
     let columns = vec![
-        one("path", row.task.path.as_str()),
-        one("status", row.answer.status.name()),
-        one("what", trouble.what.as_str()),
-        one("where", trouble.place.as_str()),
-        one("do", trouble.remedy.as_str()),
+        scalar_column("path", row.task.path.as_str()),
+        scalar_column("status", row.answer.status.name()),
+        scalar_column("what", trouble.what.as_str()),
+        scalar_column("where", trouble.place.as_str()),
+        scalar_column("do", trouble.remedy.as_str()),
     ];
-    numbered(&row.task.key, DataFrame::new(1, columns)?)
+    with_row_numbers(&row.task.key, DataFrame::new(1, columns)?)
 }
 
 /// Key and row number identify a row in any part.
-fn numbered(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
+fn with_row_numbers(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
     let rows = frame.height();
     let numbers: Vec<u32> = (0..rows as u32).collect();
     frame.insert_column(0, Column::new("key".into(), vec![key; rows]))?;
@@ -193,11 +198,11 @@ fn numbered(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
     Ok(frame)
 }
 
-fn text<'a>(name: &str, values: impl Iterator<Item = Option<&'a str>>) -> Column {
+fn text_column<'a>(name: &str, values: impl Iterator<Item = Option<&'a str>>) -> Column {
     Column::new(name.into(), values.collect::<Vec<_>>())
 }
 
-fn one<T, P: ?Sized>(name: &str, value: T) -> Column
+fn scalar_column<T, P: ?Sized>(name: &str, value: T) -> Column
 where
     Series: NamedFrom<Vec<T>, P>,
 {
@@ -210,6 +215,6 @@ fn as_json(value: &impl Serialize) -> String {
 }
 
 /// Number of findings, without ignored ones.
-pub(in crate::fleet) fn found(report: &Report, severity: Severity) -> u32 {
+pub(in crate::fleet) fn count_findings(report: &Report, severity: Severity) -> u32 {
     report.findings.iter().filter(|finding| finding.severity == severity).count() as u32
 }

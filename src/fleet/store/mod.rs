@@ -16,15 +16,15 @@ use std::path::{Path, PathBuf};
 use polars::prelude::{Column, DataFrame, PolarsError};
 use serde::{Deserialize, Serialize};
 
-use super::content::key_of;
+use super::content::row_key;
 use super::dataset::SharedMapping;
 use super::settings::AuditSettings;
-use super::task::Answer;
+use super::task::AuditAnswer;
 pub use super::task::Status;
 use crate::report::{Trouble, TroubleKind};
 
-pub(super) use frames::found;
-pub use frames::{LogRows, Row, Tables};
+pub(super) use frames::count_findings;
+pub use frames::{LogRows, RunRow, Tables};
 
 /// Table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -119,10 +119,10 @@ impl From<StoreError> for Trouble {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Folder(PathBuf);
+pub struct StoreFolder(PathBuf);
 
-impl Folder {
-    pub fn of(&self, table: Table) -> PathBuf {
+impl StoreFolder {
+    pub fn table_path(&self, table: Table) -> PathBuf {
         self.0.join(table.name())
     }
 }
@@ -130,7 +130,7 @@ impl Folder {
 /// Folder with audit results.
 #[derive(Clone, Debug)]
 pub struct Store {
-    folder: Folder,
+    folder: StoreFolder,
 }
 
 impl Store {
@@ -139,13 +139,13 @@ impl Store {
     /// # Errors
     /// If it cannot be created.
     pub fn create(folder: &Path) -> Result<Self, StoreError> {
-        let store = Self { folder: Folder(folder.to_owned()) };
+        let store = Self { folder: StoreFolder(folder.to_owned()) };
         for table in TABLES.into_iter().chain([Table::Sources]) {
-            let path = store.folder.of(table);
+            let path = store.folder.table_path(table);
             if let Err(source) = fs::create_dir_all(&path) {
                 return Err(StoreError::File { path, source });
             }
-            parts::sweep(&path);
+            parts::delete_abandoned(&path);
         }
         Ok(store)
     }
@@ -158,12 +158,12 @@ impl Store {
 
     /// Opens the store in `folder`, if any.
     pub fn open(folder: &Path) -> Option<Self> {
-        let folder = Folder(folder.to_owned());
-        folder.of(Table::Runs).is_dir().then_some(Self { folder })
+        let folder = StoreFolder(folder.to_owned());
+        folder.table_path(Table::Runs).is_dir().then_some(Self { folder })
     }
 
     /// Report page of a log.
-    pub fn page(&self, key: &str) -> PathBuf {
+    pub fn page_path(&self, key: &str) -> PathBuf {
         self.path().join(PAGES).join(format!("{key}.html"))
     }
 
@@ -176,30 +176,30 @@ impl Store {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn keep_settings(&self, settings: &AuditSettings) -> Result<(), StoreError> {
+    pub fn save_settings(&self, settings: &AuditSettings) -> Result<(), StoreError> {
         let path = self.path().join(SETTINGS).join(format!("{}.json", settings.hash));
         if path.is_file() {
             return Ok(());
         }
-        let text = format!("{:#}\n", settings.said);
+        let text = format!("{:#}\n", settings.readable);
         crate::report::write_whole(&path, |staged| fs::write(staged, &text))
             .map_err(|source| StoreError::File { path, source })
     }
 
     /// Shared properties of a dataset under these settings.
-    pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<SharedMapping> {
+    pub fn load_dataset(&self, dataset: &Path, settings: &str) -> Option<SharedMapping> {
         let text = fs::read_to_string(self.dataset_file(dataset, settings)).ok()?;
-        let kept: KeptDataset = serde_json::from_str(&text).ok()?;
+        let kept: StoredDataset = serde_json::from_str(&text).ok()?;
         Some(kept.shared)
     }
 
     /// Shared properties of all datasets under these settings, by name.
-    pub fn datasets(&self, settings: &str) -> Vec<KeptDataset> {
+    pub fn load_datasets(&self, settings: &str) -> Vec<StoredDataset> {
         let files = fs::read_dir(self.path().join(DATASETS)).into_iter().flatten().flatten();
         let texts = files.filter_map(|file| fs::read_to_string(file.path()).ok());
         let kept = texts.filter_map(|text| serde_json::from_str(&text).ok());
-        let mut kept: Vec<KeptDataset> =
-            kept.filter(|kept: &KeptDataset| kept.settings == settings).collect();
+        let mut kept: Vec<StoredDataset> =
+            kept.filter(|kept: &StoredDataset| kept.settings == settings).collect();
         kept.sort_by(|a, b| a.dataset.cmp(&b.dataset));
         kept
     }
@@ -208,7 +208,7 @@ impl Store {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn keep_dataset(
+    pub fn save_dataset(
         &self,
         dataset: &Path,
         settings: &str,
@@ -216,19 +216,19 @@ impl Store {
     ) -> Result<(), StoreError> {
         let path = self.dataset_file(dataset, settings);
         let dataset = dataset.display().to_string();
-        let kept = KeptDataset { dataset, settings: settings.to_owned(), shared: shared.clone() };
+        let kept = StoredDataset { dataset, settings: settings.to_owned(), shared: shared.clone() };
         let write = |staged: &Path| fs::write(staged, serde_json::to_vec_pretty(&kept)?);
         crate::report::write_whole(&path, write).map_err(|source| StoreError::File { path, source })
     }
 
     fn dataset_file(&self, dataset: &Path, settings: &str) -> PathBuf {
         let version = env!("CARGO_PKG_VERSION");
-        let name = key_of(&dataset.display().to_string(), version, settings);
+        let name = row_key(&dataset.display().to_string(), version, settings);
         self.path().join(DATASETS).join(format!("{name}.json"))
     }
 
     /// Time when these settings were first stored.
-    pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
+    pub(super) fn settings_time(&self, hash: &str) -> Option<std::time::SystemTime> {
         let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
@@ -242,18 +242,18 @@ impl Store {
             logs.into_iter().partition(|log| log.answer.status.is_final());
         match done.len() {
             0 | 1 => done.into_iter().try_for_each(|log| self.commit_one(&log.key, log.tables))?,
-            _ => self.commit_together(done)?,
+            _ => self.commit_merged(done)?,
         }
         others.into_iter().try_for_each(|log| self.commit_one(&log.key, log.tables))
     }
 
     fn commit_one(&self, key: &str, tables: Tables) -> Result<(), StoreError> {
         for (table, mut frame) in tables.into_frames() {
-            let path = self.folder.of(table).join(parts::name(key));
+            let path = self.folder.table_path(table).join(parts::file_name(key));
             match frame.height() {
                 // Left by an interrupted call.
-                0 => parts::remove(&path)?,
-                _ => parts::write(&path, &mut frame)?,
+                0 => parts::remove_part(&path)?,
+                _ => parts::write_part(&path, &mut frame)?,
             }
         }
         Ok(())
@@ -263,19 +263,21 @@ impl Store {
     ///
     /// # Errors
     /// If a part cannot be deleted.
-    pub fn forget(&self, key: &str) -> Result<(), StoreError> {
-        let paths = TABLES.into_iter().map(|table| self.folder.of(table).join(parts::name(key)));
-        paths.rev().try_for_each(|path| parts::remove(&path))
+    pub fn delete_parts(&self, key: &str) -> Result<(), StoreError> {
+        let paths = TABLES
+            .into_iter()
+            .map(|table| self.folder.table_path(table).join(parts::file_name(key)));
+        paths.rev().try_for_each(|path| parts::remove_part(&path))
     }
 
     /// Results of finished logs, by key.
     ///
     /// # Errors
     /// If a part cannot be read.
-    pub fn done(&self) -> Result<HashMap<String, Answer>, StoreError> {
+    pub fn finished_answers(&self) -> Result<HashMap<String, AuditAnswer>, StoreError> {
         let mut done = HashMap::new();
-        self.each(Table::Runs, Some(frames::ANSWER_COLUMNS), |frame| {
-            done.extend(frames::answers(&frame)?);
+        self.for_each_part(Table::Runs, Some(frames::ANSWER_COLUMNS), |frame| {
+            done.extend(frames::read_answers(&frame)?);
             Ok(())
         })?;
         Ok(done)
@@ -285,9 +287,9 @@ impl Store {
     ///
     /// # Errors
     /// If a part cannot be read.
-    pub fn contents(&self) -> Result<HashMap<String, String>, StoreError> {
+    pub fn known_contents(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut contents = HashMap::new();
-        self.each(Table::Sources, Some(&["source", "content"]), |frame| {
+        self.for_each_part(Table::Sources, Some(&["source", "content"]), |frame| {
             let texts = |name: &str| frame.column(name)?.str();
             for (source, content) in texts("source")?.iter().zip(texts("content")?.iter()) {
                 contents.extend(source.zip(content).map(|(a, b)| (a.to_owned(), b.to_owned())));
@@ -318,18 +320,21 @@ impl Store {
             text("content", |row| &row.content),
         ];
         let names: HashSet<&str> = rows.iter().map(|row| row.source.as_str()).collect();
-        let path = self.folder.of(Table::Sources).join(parts::name(&parts::together(names)));
+        let path = self
+            .folder
+            .table_path(Table::Sources)
+            .join(parts::file_name(&parts::combined_hash(names)));
         let frame = DataFrame::new(rows.len(), columns);
         let mut frame =
             frame.map_err(|source| StoreError::Content { path: path.clone(), source })?;
-        parts::write(&path, &mut frame)
+        parts::write_part(&path, &mut frame)
     }
 
     /// Passes each part of a table to `take`, with the given columns.
     ///
     /// # Errors
     /// If a part cannot be read, or `take` fails.
-    pub fn each(
+    pub fn for_each_part(
         &self,
         table: Table,
         columns: Option<&[&str]>,
@@ -337,13 +342,13 @@ impl Store {
     ) -> Result<(), StoreError> {
         let mut taken = HashSet::new();
         // A concurrent merge may replace parts.
-        for _ in 0..parts::MOST_TRIES {
+        for _ in 0..parts::MAX_TRIES {
             let mut is_gone = false;
-            for path in parts::of(&self.folder.of(table))? {
+            for path in parts::list(&self.folder.table_path(table))? {
                 if taken.contains(&path) {
                     continue;
                 }
-                match parts::read(&path, columns) {
+                match parts::read_part(&path, columns) {
                     Err(error) if error.is_gone() => is_gone = true,
                     Err(error) => return Err(error),
                     Ok(frame) => {
@@ -362,7 +367,7 @@ impl Store {
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-pub struct KeptDataset {
+pub struct StoredDataset {
     /// Folder or file.
     pub dataset: String,
     /// Hash.

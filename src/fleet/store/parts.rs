@@ -9,30 +9,30 @@ use polars::prelude::{
 
 use super::StoreError;
 
-const ENDING: &str = ".parquet";
+const SUFFIX: &str = ".parquet";
 
 /// Followed by the level.
-const MERGED: &str = "merged-";
+const MERGED_PREFIX: &str = "merged-";
 
 /// Incomplete files: see [`crate::report::write_whole`].
-const STAGED: &str = ".poseaudit-";
+const STAGED_PREFIX: &str = ".poseaudit-";
 
 /// Age of abandoned incomplete files.
-const LEFT_BEHIND: Duration = Duration::from_secs(3600);
+const MAX_STAGED_AGE: Duration = Duration::from_secs(3600);
 
 /// Scans of a folder during concurrent merges.
-pub const MOST_TRIES: usize = 5;
+pub const MAX_TRIES: usize = 5;
 
-pub fn name(key: &str) -> String {
-    format!("{key}{ENDING}")
+pub fn file_name(key: &str) -> String {
+    format!("{key}{SUFFIX}")
 }
 
-pub fn merged_name(level: u32, keys: &str) -> String {
-    format!("{MERGED}{level}-{keys}{ENDING}")
+pub fn merged_file_name(level: u32, keys: &str) -> String {
+    format!("{MERGED_PREFIX}{level}-{keys}{SUFFIX}")
 }
 
 /// Hash independent of the order.
-pub fn together<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
+pub fn combined_hash<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
     let mut keys: Vec<&str> = keys.into_iter().collect();
     keys.sort_unstable();
     blake3::hash(keys.join("\n").as_bytes()).to_hex()[..32].to_owned()
@@ -41,7 +41,7 @@ pub fn together<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
 /// 0 for a single log.
 pub fn level(path: &Path) -> u32 {
     let level =
-        || path.file_stem()?.to_str()?.strip_prefix(MERGED)?.split('-').next()?.parse().ok();
+        || path.file_stem()?.to_str()?.strip_prefix(MERGED_PREFIX)?.split('-').next()?.parse().ok();
     level().unwrap_or(0)
 }
 
@@ -51,7 +51,7 @@ pub fn key(path: &Path) -> Option<&str> {
 }
 
 /// Complete files, sorted by name.
-pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+pub fn list(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let fault = |source| StoreError::File { path: folder.to_owned(), source };
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -60,7 +60,7 @@ pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let mut parts = Vec::new();
     for entry in entries {
         let path = entry.map_err(fault)?.path();
-        let is_part = |name: &str| name.ends_with(ENDING) && !name.starts_with('.');
+        let is_part = |name: &str| name.ends_with(SUFFIX) && !name.starts_with('.');
         if path.file_name().and_then(|name| name.to_str()).is_some_and(is_part) {
             parts.push(path);
         }
@@ -70,7 +70,7 @@ pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
 }
 
 /// Reads only the given columns, if any.
-pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
+pub fn read_part(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
     let file =
         File::open(path).map_err(|source| StoreError::File { path: path.to_owned(), source })?;
     let columns = columns.map(|names| names.iter().map(|name| (*name).to_owned()).collect());
@@ -79,11 +79,11 @@ pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreErr
 }
 
 /// Atomic and durable.
-pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
+pub fn write_part(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
     crate::report::write_whole(path, |staged| write_durably(staged, frame)).map_err(|fault| {
         match fault {
-            Fault::File(source) => StoreError::File { path: path.to_owned(), source },
-            Fault::Frame(source) => StoreError::Content { path: path.to_owned(), source },
+            PartWriteError::File(source) => StoreError::File { path: path.to_owned(), source },
+            PartWriteError::Frame(source) => StoreError::Content { path: path.to_owned(), source },
         }
     })?;
     // Makes the rename durable; not supported on every system.
@@ -94,7 +94,7 @@ pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
 }
 
 /// Removes the file if it exists.
-pub fn remove(path: &Path) -> Result<(), StoreError> {
+pub fn remove_part(path: &Path) -> Result<(), StoreError> {
     match fs::remove_file(path) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {
             Err(StoreError::File { path: path.to_owned(), source })
@@ -104,13 +104,13 @@ pub fn remove(path: &Path) -> Result<(), StoreError> {
 }
 
 /// Deletes old incomplete files.
-pub fn sweep(folder: &Path) {
+pub fn delete_abandoned(folder: &Path) {
     let is_old = |path: &Path| {
         let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
-        matches!(changed.map(|time| time.elapsed()), Ok(Ok(age)) if age > LEFT_BEHIND)
+        matches!(changed.map(|time| time.elapsed()), Ok(Ok(age)) if age > MAX_STAGED_AGE)
     };
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let is_staged = entry.file_name().to_string_lossy().starts_with(STAGED);
+        let is_staged = entry.file_name().to_string_lossy().starts_with(STAGED_PREFIX);
         if is_staged && is_old(&entry.path()) {
             // Another process may have deleted it.
             let _ = fs::remove_file(entry.path());
@@ -118,7 +118,7 @@ pub fn sweep(folder: &Path) {
     }
 }
 
-fn write_durably(path: &Path, frame: &mut DataFrame) -> Result<(), Fault> {
+fn write_durably(path: &Path, frame: &mut DataFrame) -> Result<(), PartWriteError> {
     let file = File::create(path)?;
     let to_disk = file.try_clone()?;
     ParquetWriter::new(BufWriter::new(file))
@@ -129,7 +129,7 @@ fn write_durably(path: &Path, frame: &mut DataFrame) -> Result<(), Fault> {
 }
 
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum PartWriteError {
     #[error(transparent)]
     File(#[from] io::Error),
     #[error(transparent)]

@@ -15,7 +15,7 @@ impl Calibrated {
     pub fn json(&self) -> Value {
         let found = &self.found;
         let joints: Vec<Value> = self
-            .moved()
+            .changed_joints()
             .map(|joint| {
                 let origin = &joint.parent_from_joint;
                 let (parent, child) = (found.robot.link_name(joint.parent), found.robot.link_name(joint.child));
@@ -59,10 +59,10 @@ impl Calibrated {
             .streams
             .iter()
             .zip(&found.streams)
-            .map(|(taken, stream)| of_stream(taken, stream))
+            .map(|(taken, stream)| stream_json(taken, stream))
             .collect();
-        let untold: Vec<Value> =
-            found.undetermined.iter().map(|one| self.of_untold(one, &names)).collect();
+        let undetermined: Vec<Value> =
+            found.undetermined.iter().map(|one| self.undetermined_json(one, &names)).collect();
         let still: Vec<Value> = self
             .still
             .iter()
@@ -82,10 +82,10 @@ impl Calibrated {
             "links": links,
             "parameters": parameters,
             "covariance": covariance,
-            "workspace": {"expected": left(&found.calibrated_uncertainty), "drawing": left(&found.nominal_uncertainty)},
+            "workspace": {"expected": residual_json(&found.calibrated_uncertainty), "drawing": residual_json(&found.nominal_uncertainty)},
             "streams": streams,
             "left_out": self.left_out,
-            "not_told": untold,
+            "not_told": undetermined,
             "moved_little": still,
             "plan": self.plan,
             "converged": found.remaining_step.is_none(),
@@ -96,19 +96,21 @@ impl Calibrated {
 
     pub(super) fn parameter_names(&self) -> Vec<String> {
         let found = &self.found;
-        let links =
-            found.parameters.iter().map(|one| format!("{}.{}", found.links[one.link], axis(one)));
+        let links = found
+            .parameters
+            .iter()
+            .map(|one| format!("{}.{}", found.links[one.link], axis_name(one)));
         let zeros = found.zeros.iter().map(|&joint| format!("{}.zero", self.joints[joint]));
         links.chain(zeros).collect()
     }
 
-    fn of_untold(&self, untold: &UndeterminedDirection, names: &[String]) -> Value {
-        let parts: Vec<Value> = untold
+    fn undetermined_json(&self, undetermined: &UndeterminedDirection, names: &[String]) -> Value {
+        let parts: Vec<Value> = undetermined
             .parts
             .iter()
             .map(|&(at, share)| json!({"parameter": names[at], "share": share}))
             .collect();
-        json!({"parts": parts, "variance_left": untold.share, "effect_m": untold.effect_m})
+        json!({"parts": parts, "variance_left": undetermined.share, "effect_m": undetermined.effect_m})
     }
 
     /// Fixed by convention because poses do not determine them.
@@ -138,7 +140,7 @@ impl Calibrated {
     }
 }
 
-fn axis(parameter: &LinkParameter) -> String {
+fn axis_name(parameter: &LinkParameter) -> String {
     let turn = if parameter.is_rotation { "r" } else { "" };
     let along = parameter.direction.iter().position(|part| part.abs() > 1.0 - 1e-9);
     match along {
@@ -150,31 +152,31 @@ fn axis(parameter: &LinkParameter) -> String {
     }
 }
 
-fn left(of: &CalibrationResidual) -> Value {
-    json!({"m": finite(of.m), "rad": finite(of.rad)})
+fn residual_json(of: &CalibrationResidual) -> Value {
+    json!({"m": finite_or_none(of.m), "rad": finite_or_none(of.rad)})
 }
 
-fn finite(value: f64) -> Option<f64> {
+fn finite_or_none(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-fn frame(pose: &Option<Pose>) -> Option<Value> {
+fn frame_json(pose: &Option<Pose>) -> Option<Value> {
     let pose = pose.as_ref()?;
     Some(json!({"xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation)}))
 }
 
-fn of_stream(taken: &Taken, stream: &StreamCalibration) -> Value {
+fn stream_json(taken: &Taken, stream: &StreamCalibration) -> Value {
     let latency = stream
         .latency_s
         .map(|latency| json!({"value": latency.value, "ci95": latency.interval(0.95)}));
     json!({
         "log": taken.log.display().to_string(), "topic": taken.topic, "witness": taken.witness.name(),
         "base": taken.base, "tip": taken.tip, "read_as": taken.reading, "samples": stream.samples,
-        "latency_s": latency, "stream_from_base": frame(&stream.reference),
-        "tip_from_tool": frame(&stream.tool),
-        "before": left(&stream.before), "after": left(&stream.after),
-        "held_out": {"before": left(&stream.held_out_before), "after": left(&stream.held_out_after)},
-        "noise": {"m": finite(stream.noise[0]), "rad": finite(stream.noise[1]), "inflation": stream.inflation},
+        "latency_s": latency, "stream_from_base": frame_json(&stream.reference),
+        "tip_from_tool": frame_json(&stream.tool),
+        "before": residual_json(&stream.before), "after": residual_json(&stream.after),
+        "held_out": {"before": residual_json(&stream.held_out_before), "after": residual_json(&stream.held_out_after)},
+        "noise": {"m": finite_or_none(stream.noise[0]), "rad": finite_or_none(stream.noise[1]), "inflation": stream.inflation},
         "joints_moved": stream.spans,
     })
 }

@@ -12,17 +12,21 @@ use crate::report::{Trouble, write_whole};
 use crate::robot::{Calibration, Robot, catalogue};
 
 /// Model with the deviations.
-const MODEL: &str = "robot.urdf";
+const MODEL_FILE: &str = "robot.urdf";
 /// File for `--calibration`.
-const NUMBERS: &str = "calibration.json";
+const NUMBERS_FILE: &str = "calibration.json";
 /// Format of `ur_calibration`.
-const UR: &str = "calibration.yaml";
+const UR_FILE: &str = "calibration.yaml";
 /// Format of `--robot`.
-const DH: &str = "dh.toml";
+const DH_FILE: &str = "dh.toml";
 
 /// Registers the files that may be written into `folder`.
-pub fn enter(folder: &Path, places: &mut Places) {
-    places.writes_into("--out", folder, [MODEL, NUMBERS, UR, DH].map(str::to_owned));
+pub fn register_outputs(folder: &Path, places: &mut Places) {
+    places.writes_into(
+        "--out",
+        folder,
+        [MODEL_FILE, NUMBERS_FILE, UR_FILE, DH_FILE].map(str::to_owned),
+    );
 }
 
 impl Calibrated {
@@ -36,7 +40,7 @@ impl Calibrated {
             return Ok(Vec::new());
         }
         let mut places = self.read.clone();
-        enter(folder, &mut places);
+        register_outputs(folder, &mut places);
         places.check()?;
         let unwritable = |path: &Path, error: std::io::Error| {
             let what = format!("cannot be written: {error}");
@@ -53,9 +57,10 @@ impl Calibrated {
     }
 
     fn files(&self) -> Vec<(&'static str, String)> {
-        let mut files = vec![(MODEL, self.urdf()), (NUMBERS, format!("{:#}\n", self.json()))];
-        files.extend(self.ur_yaml().map(|text| (UR, text)));
-        files.extend(self.dh_table().map(|text| (DH, text)));
+        let mut files =
+            vec![(MODEL_FILE, self.urdf()), (NUMBERS_FILE, format!("{:#}\n", self.json()))];
+        files.extend(self.ur_yaml().map(|text| (UR_FILE, text)));
+        files.extend(self.dh_table().map(|text| (DH_FILE, text)));
         files
     }
 
@@ -66,7 +71,7 @@ impl Calibrated {
     }
 
     /// Joints with changed origins, in the robot's order.
-    fn moved(&self) -> impl Iterator<Item = &crate::robot::Joint> {
+    fn changed_joints(&self) -> impl Iterator<Item = &crate::robot::Joint> {
         let before = self.drawing.joints().iter();
         let both = self.found.robot.joints().iter().zip(before);
         both.filter(|(after, before)| after.parent_from_joint != before.parent_from_joint)

@@ -10,9 +10,9 @@ use crate::report::sanitize_display;
 use crate::run::PoseSourceKind;
 
 /// Unobservable directions listed.
-const LISTED: usize = 6;
+const MAX_LISTED_DIRECTIONS: usize = 6;
 /// Directions with less effect on the tip over the workspace are irrelevant, m.
-const NOTHING_M: f64 = 1e-6;
+const MIN_EFFECT_M: f64 = 1e-6;
 
 impl Calibrated {
     /// Writes the results and the names of the `files`.
@@ -78,7 +78,7 @@ impl Calibrated {
                 text += "  no significant deviation: the nominal model already fits this log\n";
             }
             if let Some(latency) = stream.latency_s {
-                let _ = writeln!(text, "  latency {}", shown(Unit::Second, latency));
+                let _ = writeln!(text, "  latency {}", format_measured(Unit::Second, latency));
             }
         }
         for why in &self.left_out {
@@ -106,17 +106,17 @@ impl Calibrated {
             1e3 * found.nominal_uncertainty.m,
             found.nominal_uncertainty.rad.to_degrees()
         );
-        let largest = self.largest();
+        let largest = self.largest_deviations();
         if !largest.is_empty() {
             text += "\nlargest deviations\n";
         }
         for (name, at) in largest {
             let value = found.value(at);
             let turns = found.parameters.get(at).is_none_or(|one| one.is_rotation);
-            let shown = shown(if turns { Unit::Radian } else { Unit::Metre }, value);
+            let shown = format_measured(if turns { Unit::Radian } else { Unit::Metre }, value);
             let _ = writeln!(text, "  {name:<34} {shown}");
         }
-        self.not_told(&mut text);
+        self.write_undetermined(&mut text);
         if files.iter().any(|file| file.ends_with("calibration.yaml")) {
             let last = found.links.len() - 1;
             let beyond = found.deviations[last].iter().zip(found.std_errors(last));
@@ -139,8 +139,8 @@ impl Calibrated {
         text
     }
 
-    fn largest(&self) -> Vec<(String, usize)> {
-        const SHOWN: usize = 8;
+    fn largest_deviations(&self) -> Vec<(String, usize)> {
+        const MAX_PARAMETERS: usize = 8;
         let found = &self.found;
         let size = |at: usize| {
             let scale = if found.parameters.get(at).is_none_or(|one| one.is_rotation) {
@@ -156,11 +156,11 @@ impl Calibrated {
                 || found.value(*at).interval(0.95).iter().all(|end| *end < 0.0)
         });
         all.sort_by(|a, b| size(b.1).total_cmp(&size(a.1)));
-        all.truncate(SHOWN);
+        all.truncate(MAX_PARAMETERS);
         all
     }
 
-    fn not_told(&self, text: &mut String) {
+    fn write_undetermined(&self, text: &mut String) {
         let found = &self.found;
         let names = self.parameter_names();
         text.push_str("\nfixed by convention, because poses do not determine it\n");
@@ -168,9 +168,9 @@ impl Calibrated {
             let _ = writeln!(text, "  {said}");
         }
         let (harmless, missing): (Vec<_>, Vec<_>) =
-            found.undetermined.iter().partition(|one| one.effect_m < NOTHING_M);
+            found.undetermined.iter().partition(|one| one.effect_m < MIN_EFFECT_M);
         let list = |text: &mut String, of: &[&crate::diagnosis::UndeterminedDirection]| {
-            for one in of.iter().take(LISTED) {
+            for one in of.iter().take(MAX_LISTED_DIRECTIONS) {
                 let parts: Vec<&str> =
                     one.parts.iter().take(4).map(|(at, _)| names[*at].as_str()).collect();
                 let _ = writeln!(
@@ -180,8 +180,8 @@ impl Calibrated {
                     1e3 * one.effect_m
                 );
             }
-            if of.len() > LISTED {
-                let _ = writeln!(text, "  and {} more", of.len() - LISTED);
+            if of.len() > MAX_LISTED_DIRECTIONS {
+                let _ = writeln!(text, "  and {} more", of.len() - MAX_LISTED_DIRECTIONS);
             }
         };
         if !harmless.is_empty() {
@@ -220,7 +220,7 @@ impl Calibrated {
     }
 }
 
-fn shown(unit: Unit, value: crate::stats::Measured) -> String {
+fn format_measured(unit: Unit, value: crate::stats::Measured) -> String {
     let [low, high] = value.interval(0.95);
     unit.show_interval(value.value, 0.5 * (high - low), false)
 }

@@ -29,13 +29,13 @@ use crate::stats::thin;
 use crate::time::Stamp;
 
 /// Scenes per stream.
-const MOST_SCENES: usize = 2_000;
+const MAX_SCENES: usize = 2_000;
 
 const LOG_TOPIC: &str = "/poseaudit/log";
 const SCENE_TOPIC: &str = "/poseaudit/scene";
 
 /// Registers the file.
-pub fn enter(path: &Path, places: &mut Places) {
+pub fn register_outputs(path: &Path, places: &mut Places) {
     places.writes("--mcap", path);
 }
 
@@ -46,11 +46,11 @@ impl Audited {
     /// If the file cannot be written or would replace an input file.
     pub fn write_foxglove(&self, path: &Path) -> Result<(), Trouble> {
         let mut places = self.read.clone();
-        enter(path, &mut places);
+        register_outputs(path, &mut places);
         places.check()?;
         let remedy = "set --mcap to a writable file";
         let unwritable = |what: String| Trouble::unwritable(path, what, remedy);
-        let bytes = written(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
+        let bytes = encode_mcap(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
         let write = |staged: &Path| fs::write(staged, &bytes);
         write_whole(path, write).map_err(|error| unwritable(error.to_string()))
     }
@@ -67,11 +67,12 @@ fn messages(audited: &Audited) -> Vec<Message> {
     let (start, end) = run.span.unwrap_or((run.origin, run.origin));
     let outline = Outline::new(report);
     let verdict = format!("{}: {}", report.verdict, outline.verdict_reason());
-    let mut messages = vec![log(start, 2, "verdict", &verdict)];
-    messages.extend(report.findings.iter().map(|finding| line(finding, &outline, start)));
+    let mut messages = vec![log_message(start, 2, "verdict", &verdict)];
+    messages
+        .extend(report.findings.iter().map(|finding| finding_message(finding, &outline, start)));
     let streams = evidence.robots.iter().flat_map(|arm| &arm.poses);
     for stream in streams.filter(|stream| stream.reference_known) {
-        messages.extend(scenes(stream, report, run.origin));
+        messages.extend(scene_messages(stream, report, run.origin));
     }
     messages.retain(|message| (start..=end).contains(&message.at));
     messages.sort_by_key(|message| (message.at, message.topic));
@@ -79,7 +80,7 @@ fn messages(audited: &Audited) -> Vec<Message> {
 }
 
 /// Log message at the finding's first stamp.
-fn line(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Message {
+fn finding_message(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Message {
     let level = match finding.severity {
         Severity::Info => 2,
         Severity::Warning => 3,
@@ -90,10 +91,10 @@ fn line(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Message {
     let about: String = about.collect();
     let text =
         format!("{} {subject}: {}{about}\nfix: {}", finding.code, finding.message, finding.fix);
-    log(finding.start_ns.unwrap_or(start).max(start), level, finding.code, &text)
+    log_message(finding.start_ns.unwrap_or(start).max(start), level, finding.code, &text)
 }
 
-fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
+fn log_message(at: Stamp, level: u8, code: &str, text: &str) -> Message {
     let content = json!({
         "timestamp": time(at),
         "level": level,
@@ -106,7 +107,11 @@ fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
 }
 
 /// Logged and FK pose of a stream's tool. Empty without findings.
-fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
+fn scene_messages(
+    stream: &StreamEvidence<PoseEvidence>,
+    report: &Report,
+    origin: Stamp,
+) -> Vec<Message> {
     let topic = stream.topic();
     let is_on = |finding: &&Finding| finding.subject.topic.as_deref() == Some(topic);
     let found: Vec<&Finding> = report.findings.iter().filter(is_on).collect();
@@ -126,9 +131,9 @@ fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp)
             "metadata": metadata,
             "arrows": [],
             "cubes": [],
-            "spheres": [ball(fk, FK_RGB), ball(logged, LOGGED_RGB)],
+            "spheres": [sphere(fk, FK_RGB), sphere(logged, LOGGED_RGB)],
             "cylinders": [],
-            "lines": [between(fk, logged)],
+            "lines": [line_between(fk, logged)],
             "triangles": [],
             "texts": [label(logged, &format!("{} {}", first.code, first.message))],
             "models": [],
@@ -136,15 +141,15 @@ fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp)
         let content = json!({ "deletions": [], "entities": [entity] });
         Message { topic: SCENE_TOPIC, at, content }
     };
-    thin::even_rows(aligned.t_s.len(), MOST_SCENES).into_iter().map(scene).collect()
+    thin::even_rows(aligned.t_s.len(), MAX_SCENES).into_iter().map(scene).collect()
 }
 
 const FK_RGB: [f64; 3] = [0.24, 0.78, 0.43];
 const LOGGED_RGB: [f64; 3] = [0.94, 0.31, 0.24];
 
 fn time(at: Stamp) -> Value {
-    const SECOND: i64 = 1_000_000_000;
-    json!({ "sec": at.nanos().div_euclid(SECOND), "nsec": at.nanos().rem_euclid(SECOND) })
+    const NANOS_PER_SECOND: i64 = 1_000_000_000;
+    json!({ "sec": at.nanos().div_euclid(NANOS_PER_SECOND), "nsec": at.nanos().rem_euclid(NANOS_PER_SECOND) })
 }
 
 fn point(pose: &Pose) -> Value {
@@ -152,7 +157,7 @@ fn point(pose: &Pose) -> Value {
     json!({ "x": at.x, "y": at.y, "z": at.z })
 }
 
-fn turned() -> Value {
+fn identity_rotation() -> Value {
     json!({ "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 })
 }
 
@@ -160,20 +165,20 @@ fn colour([r, g, b]: [f64; 3]) -> Value {
     json!({ "r": r, "g": g, "b": b, "a": 1.0 })
 }
 
-fn ball(pose: &Pose, rgb: [f64; 3]) -> Value {
+fn sphere(pose: &Pose, rgb: [f64; 3]) -> Value {
     /// Diameter, m.
-    const SIZE: f64 = 0.02;
+    const SPHERE_SIZE_M: f64 = 0.02;
     json!({
-        "pose": { "position": point(pose), "orientation": turned() },
-        "size": { "x": SIZE, "y": SIZE, "z": SIZE },
+        "pose": { "position": point(pose), "orientation": identity_rotation() },
+        "size": { "x": SPHERE_SIZE_M, "y": SPHERE_SIZE_M, "z": SPHERE_SIZE_M },
         "color": colour(rgb),
     })
 }
 
-fn between(from: &Pose, to: &Pose) -> Value {
+fn line_between(from: &Pose, to: &Pose) -> Value {
     json!({
         "type": 0,
-        "pose": { "position": { "x": 0.0, "y": 0.0, "z": 0.0 }, "orientation": turned() },
+        "pose": { "position": { "x": 0.0, "y": 0.0, "z": 0.0 }, "orientation": identity_rotation() },
         "thickness": 3.0,
         "scale_invariant": true,
         "points": [point(from), point(to)],
@@ -185,7 +190,7 @@ fn between(from: &Pose, to: &Pose) -> Value {
 
 fn label(pose: &Pose, text: &str) -> Value {
     json!({
-        "pose": { "position": point(pose), "orientation": turned() },
+        "pose": { "position": point(pose), "orientation": identity_rotation() },
         "billboard": true,
         "font_size": 14.0,
         "scale_invariant": true,
@@ -194,7 +199,7 @@ fn label(pose: &Pose, text: &str) -> Value {
     })
 }
 
-fn written(messages: &[Message]) -> Result<Vec<u8>, McapError> {
+fn encode_mcap(messages: &[Message]) -> Result<Vec<u8>, McapError> {
     let options = WriteOptions::new()
         .profile("")
         .library("poseaudit")

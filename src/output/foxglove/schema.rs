@@ -12,97 +12,101 @@ fn list(items: &Value) -> Value {
     json!({ "type": "array", "items": items })
 }
 
-fn of(kind: &str) -> Value {
+fn type_schema(kind: &str) -> Value {
     json!({ "type": kind })
 }
 
 fn time() -> Value {
-    object([("sec", of("integer")), ("nsec", of("integer"))])
+    object([("sec", type_schema("integer")), ("nsec", type_schema("integer"))])
 }
 
 fn vector() -> Value {
-    object(["x", "y", "z"].map(|axis| (axis, of("number"))))
+    object(["x", "y", "z"].map(|axis| (axis, type_schema("number"))))
 }
 
 fn pose() -> Value {
-    let orientation = object(["x", "y", "z", "w"].map(|axis| (axis, of("number"))));
+    let orientation = object(["x", "y", "z", "w"].map(|axis| (axis, type_schema("number"))));
     object([("position", vector()), ("orientation", orientation)])
 }
 
 fn colour() -> Value {
-    object(["r", "g", "b", "a"].map(|part| (part, of("number"))))
+    object(["r", "g", "b", "a"].map(|part| (part, type_schema("number"))))
 }
 
 pub fn log() -> Value {
     object([
         ("timestamp", time()),
-        ("level", of("integer")),
-        ("message", of("string")),
-        ("name", of("string")),
-        ("file", of("string")),
-        ("line", of("integer")),
+        ("level", type_schema("integer")),
+        ("message", type_schema("string")),
+        ("name", type_schema("string")),
+        ("file", type_schema("string")),
+        ("line", type_schema("integer")),
     ])
 }
 
 pub fn scene() -> Value {
-    let deletion = object([("timestamp", time()), ("type", of("integer")), ("id", of("string"))]);
-    let pair = object([("key", of("string")), ("value", of("string"))]);
+    let deletion = object([
+        ("timestamp", time()),
+        ("type", type_schema("integer")),
+        ("id", type_schema("string")),
+    ]);
+    let pair = object([("key", type_schema("string")), ("value", type_schema("string"))]);
     let arrow = object([
         ("pose", pose()),
-        ("shaft_length", of("number")),
-        ("shaft_diameter", of("number")),
-        ("head_length", of("number")),
-        ("head_diameter", of("number")),
+        ("shaft_length", type_schema("number")),
+        ("shaft_diameter", type_schema("number")),
+        ("head_length", type_schema("number")),
+        ("head_diameter", type_schema("number")),
         ("color", colour()),
     ]);
     let body = object([("pose", pose()), ("size", vector()), ("color", colour())]);
     let cylinder = object([
         ("pose", pose()),
         ("size", vector()),
-        ("bottom_scale", of("number")),
-        ("top_scale", of("number")),
+        ("bottom_scale", type_schema("number")),
+        ("top_scale", type_schema("number")),
         ("color", colour()),
     ]);
     let line = object([
-        ("type", of("integer")),
+        ("type", type_schema("integer")),
         ("pose", pose()),
-        ("thickness", of("number")),
-        ("scale_invariant", of("boolean")),
+        ("thickness", type_schema("number")),
+        ("scale_invariant", type_schema("boolean")),
         ("points", list(&vector())),
         ("color", colour()),
         ("colors", list(&colour())),
-        ("indices", list(&of("integer"))),
+        ("indices", list(&type_schema("integer"))),
     ]);
     let triangles = object([
         ("pose", pose()),
         ("points", list(&vector())),
         ("color", colour()),
         ("colors", list(&colour())),
-        ("indices", list(&of("integer"))),
+        ("indices", list(&type_schema("integer"))),
     ]);
     let text = object([
         ("pose", pose()),
-        ("billboard", of("boolean")),
-        ("font_size", of("number")),
-        ("scale_invariant", of("boolean")),
+        ("billboard", type_schema("boolean")),
+        ("font_size", type_schema("number")),
+        ("scale_invariant", type_schema("boolean")),
         ("color", colour()),
-        ("text", of("string")),
+        ("text", type_schema("string")),
     ]);
     let model = object([
         ("pose", pose()),
         ("scale", vector()),
         ("color", colour()),
-        ("override_color", of("boolean")),
-        ("url", of("string")),
-        ("media_type", of("string")),
-        ("data", of("string")),
+        ("override_color", type_schema("boolean")),
+        ("url", type_schema("string")),
+        ("media_type", type_schema("string")),
+        ("data", type_schema("string")),
     ]);
     let entity = object([
         ("timestamp", time()),
-        ("frame_id", of("string")),
-        ("id", of("string")),
+        ("frame_id", type_schema("string")),
+        ("id", type_schema("string")),
         ("lifetime", time()),
-        ("frame_locked", of("boolean")),
+        ("frame_locked", type_schema("boolean")),
         ("metadata", list(&pair)),
         ("arrows", list(&arrow)),
         ("cubes", list(&body)),

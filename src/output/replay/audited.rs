@@ -1,6 +1,8 @@
 //! Assembles a recording from a run, its estimates and the report.
 
-use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
+use super::{
+    ReceiveTimes, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write,
+};
 use crate::audit::Audited;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::geometry::Pose;
@@ -11,7 +13,7 @@ use crate::time::Stamp;
 
 impl Recording {
     /// Registers the output file and the readable meshes.
-    pub fn enter(&self, places: &mut Places) {
+    pub fn register_outputs(&self, places: &mut Places) {
         self.mesh_roots.iter().for_each(|root| places.reads_below(root));
         places.writes("--rrd", &self.path);
     }
@@ -24,7 +26,7 @@ impl Audited {
     /// If it cannot be written or would replace an input file.
     pub fn record(&mut self, recording: &Recording) -> Result<(), Trouble> {
         let mut places = self.read.clone();
-        recording.enter(&mut places);
+        recording.register_outputs(&mut places);
         places.check()?;
         let is_pictured = self.report.figures.is_some();
         if !is_pictured {
@@ -61,7 +63,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
             topic: facts.topic(),
             kind,
             aligned: &found.aligned,
-            received: receipts(run, source.stream),
+            received: receive_times(run, source.stream),
             base_from_reference: base_from_reference.unwrap_or_default(),
             reference_known: facts.reference_known && base_from_reference.is_some(),
             latency_s: found.latency_s.as_ref().map_or(0.0, |latency| latency.value),
@@ -80,29 +82,29 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
         received: arm
             .joint_sources
             .first()
-            .map_or_else(Receipts::default, |joint| receipts(run, joint.stream)),
+            .map_or_else(ReceiveTimes::default, |joint| receive_times(run, joint.stream)),
         recorded: arm.before_correction.as_ref().map_or(&arm.joints, |(recorded, _)| recorded),
         corrected: facts.diagnosis.corrected_joints(&arm.joints, &arm.are_prismatic()),
         streams: poses.chain(tf).collect(),
         imus: imus
             .map(|(source, facts)| ReplayImu {
                 topic: facts.topic(),
-                received: receipts(run, source.stream),
+                received: receive_times(run, source.stream),
                 yaw_error: &facts.diagnosis.yaw_error,
             })
             .collect(),
     }
 }
 
-fn receipts(run: &Run, stream: usize) -> Receipts {
+fn receive_times(run: &Run, stream: usize) -> ReceiveTimes {
     let clock = run.clocks.iter().find(|clock| clock.stream == stream);
     let Some((clock, stream)) = clock.zip(run.streams.get(stream)) else {
-        return Receipts::default();
+        return ReceiveTimes::default();
     };
     let rows = stream.times().into_iter().flat_map(|times| {
         clock.rows_of(times).map(|(stamp, row)| (stamp, Stamp::from_nanos(times.log[row])))
     });
-    Receipts::of(rows.collect())
+    ReceiveTimes::new(rows.collect())
 }
 
 /// In the base of an arm's chain. `None` if the link moves.

@@ -15,43 +15,47 @@ use re_sdk_types::external::uuid::Uuid;
 use re_sdk_types::{Archetype, AsComponents, View};
 
 use super::ReplayCause;
-use super::reel::Reel;
+use super::chunk_writer::ChunkWriter;
 
 #[derive(Clone, Copy)]
-pub(super) struct Part {
+pub(super) struct LayoutPart {
     kind: &'static str,
     id: Uuid,
 }
 
-impl Part {
+impl LayoutPart {
     fn path(self) -> String {
         format!("{}/{}", self.kind, self.id)
     }
 }
 
 pub(super) struct Blueprint<'a> {
-    reel: &'a Reel,
+    chunks: &'a ChunkWriter,
     parts: Cell<usize>,
 }
 
 impl<'a> Blueprint<'a> {
-    pub fn new(reel: &'a Reel) -> Self {
-        Self { reel, parts: Cell::new(0) }
+    pub fn new(chunks: &'a ChunkWriter) -> Self {
+        Self { chunks, parts: Cell::new(0) }
     }
 
-    fn part(&self, kind: &'static str) -> Part {
+    fn part(&self, kind: &'static str) -> LayoutPart {
         let number = self.parts.replace(self.parts.get() + 1);
-        Part { kind, id: Uuid::from_u128(self.reel.seed.id(&format!("{kind} {number}"))) }
+        LayoutPart { kind, id: Uuid::from_u128(self.chunks.seed.id(&format!("{kind} {number}"))) }
     }
 
     /// At the single time of a blueprint, on its timeline.
     fn log(&self, path: String, what: &impl AsComponents) -> Result<(), ReplayCause> {
         let time = TimePoint::default().with(Timeline::new_sequence("blueprint"), 0);
-        self.reel.lay_out(path, time, what)
+        self.chunks.log_layout(path, time, what)
     }
 
     /// View of class `V` on `origin` and everything below.
-    pub fn view<V: View>(&self, name: &str, origin: &EntityPath) -> Result<Part, ReplayCause> {
+    pub fn view<V: View>(
+        &self,
+        name: &str,
+        origin: &EntityPath,
+    ) -> Result<LayoutPart, ReplayCause> {
         let view = self.part("view");
         let contents = ViewContents::new(["$origin/**"]);
         self.log(format!("{}/ViewContents", view.path()), &contents)?;
@@ -64,26 +68,26 @@ impl<'a> Blueprint<'a> {
 
     pub fn set<A: Archetype + AsComponents>(
         &self,
-        view: Part,
+        view: LayoutPart,
         property: &A,
     ) -> Result<(), ReplayCause> {
         self.log(format!("{}/{}", view.path(), A::name().short_name()), property)
     }
 
     /// Side by side, with shares of the width.
-    pub fn row(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
+    pub fn row(&self, parts: &[LayoutPart], shares: &[f32]) -> Result<LayoutPart, ReplayCause> {
         let shares = shares.iter().map(|&share| ColumnShare(share.into()));
         self.container(ContainerKind::Horizontal, parts, |row| row.with_col_shares(shares))
     }
 
     /// Vertical, with shares of the height.
-    pub fn column(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
+    pub fn column(&self, parts: &[LayoutPart], shares: &[f32]) -> Result<LayoutPart, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |column| column.with_row_shares(shares))
     }
 
     /// Tab `first` is active.
-    pub fn tabs(&self, parts: &[Part], first: usize) -> Result<Part, ReplayCause> {
+    pub fn tabs(&self, parts: &[LayoutPart], first: usize) -> Result<LayoutPart, ReplayCause> {
         let first = parts.get(first).map(|part| ActiveTab(part.path().into()));
         self.container(ContainerKind::Tabs, parts, |tabs| match first {
             Some(first) => tabs.with_active_tab(first),
@@ -92,7 +96,12 @@ impl<'a> Blueprint<'a> {
     }
 
     /// Vertical under one name, with shares of the height.
-    pub fn page(&self, name: &str, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
+    pub fn page(
+        &self,
+        name: &str,
+        parts: &[LayoutPart],
+        shares: &[f32],
+    ) -> Result<LayoutPart, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |page| {
             page.with_row_shares(shares).with_display_name(name)
@@ -102,9 +111,9 @@ impl<'a> Blueprint<'a> {
     fn container(
         &self,
         kind: ContainerKind,
-        parts: &[Part],
+        parts: &[LayoutPart],
         with_shares: impl FnOnce(ContainerBlueprint) -> ContainerBlueprint,
-    ) -> Result<Part, ReplayCause> {
+    ) -> Result<LayoutPart, ReplayCause> {
         let container = self.part("container");
         let contents = parts.iter().map(|part| IncludedContent(part.path().into()));
         let blueprint = ContainerBlueprint::new(kind).with_contents(contents);
@@ -113,7 +122,7 @@ impl<'a> Blueprint<'a> {
     }
 
     /// Uses the container `root` and the time panel, with collapsed side panels.
-    pub fn finish(self, root: Part, time: &TimePanelBlueprint) -> Result<(), ReplayCause> {
+    pub fn finish(self, root: LayoutPart, time: &TimePanelBlueprint) -> Result<(), ReplayCause> {
         let viewport = ViewportBlueprint::new()
             .with_root_container(RootContainer(root.id.into()))
             .with_auto_layout(false)

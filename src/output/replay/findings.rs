@@ -8,9 +8,9 @@ use re_sdk_types::AnyValues;
 use re_sdk_types::archetypes::{StateChange, StateConfiguration, TextDocument, TextLog};
 use re_sdk_types::components::{MediaType, Text, TextLogLevel};
 
-use super::moments::Moments;
-use super::tape::{Tape, entity};
-use super::{Replay, ReplayArm, ReplayCause, layout, proofs};
+use super::row_times::RowTimes;
+use super::timeline_writer::{TimelineWriter, entity_path};
+use super::{Replay, ReplayArm, ReplayCause, finding_views, layout};
 use crate::finding::{Finding, Severity};
 use crate::report::markdown::{escape_prose, inline_code};
 use crate::report::outline::Outline;
@@ -18,24 +18,24 @@ use crate::time::Stamp;
 
 /// Log messages; parent of the pages.
 pub(super) fn log() -> EntityPath {
-    entity(&["findings"])
+    entity_path(&["findings"])
 }
 
 pub(super) fn spans() -> EntityPath {
-    entity(&["spans"])
+    entity_path(&["spans"])
 }
 
 /// The number keeps the order.
 pub(super) fn lane(index: usize, finding: &Finding) -> EntityPath {
-    spans().join(&entity(&[&format!("{:02}-{}", index + 1, finding.code)]))
+    spans().join(&entity_path(&[&format!("{:02}-{}", index + 1, finding.code)]))
 }
 
 pub(super) fn page(index: usize) -> EntityPath {
-    log().join(&entity(&[&format!("page_{}", index + 1)]))
+    log().join(&entity_path(&[&format!("page_{}", index + 1)]))
 }
 
 /// Each finding at its first stamp, with its time span and page.
-pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
+pub(super) fn write(writer: &TimelineWriter, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let outline = Outline::new(replay.report);
     let mut on: BTreeMap<EntityPath, (Vec<Text>, Vec<Text>)> = BTreeMap::new();
     for (index, finding) in replay.report.findings.iter().enumerate() {
@@ -44,25 +44,29 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
         let line = TextLog::new(format!("{}{}", heading(finding, &subject), finding.message))
             .with_level(level(finding.severity));
         // One column cannot hold different levels.
-        tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
+        writer.log_columns(
+            &log(),
+            &finding_times(writer, replay, finding, &[start]),
+            line.columns([1])?,
+        )?;
         let links = links(replay, index);
-        let text = format!("{}{}", markdown(finding, &outline), linked(&links));
+        let text = format!("{}{}", markdown(finding, &outline), links_markdown(&links));
         let text = TextDocument::new(text).with_media_type(MediaType::MARKDOWN);
-        tape.still(&page(index), &text)?;
+        writer.log_static(&page(index), &text)?;
         for (_, entity) in links {
             let said = format!("{}{}", heading(finding, &subject), finding.message);
             let (all, pages) = on.entry(entity).or_default();
             all.push(Text::from(said));
             pages.push(Text::from(recording_url(&page(index))));
         }
-        span(tape, replay, index, [start, end])?;
+        draw_span(writer, replay, index, [start, end])?;
     }
     // Selecting an entity shows its findings.
     for (entity, (all, pages)) in on {
         let back = AnyValues::default()
             .with_component::<Text>("findings", all)
             .with_component::<Text>("finding_pages", pages);
-        tape.still(&entity, &back)?;
+        writer.log_static(&entity, &back)?;
     }
     Ok(())
 }
@@ -70,14 +74,14 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
 /// Titles and links: time span, plots, and stream or joint.
 fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
     let finding = &replay.report.findings[index];
-    let own = proofs::views(replay.report, index).into_iter();
+    let own = finding_views::list(replay.report, index).into_iter();
     let own = own.map(|view| (view.title.to_owned(), view.path));
     let plots =
-        replay.arm_of(finding).map(|arm| layout::plots_of(finding, arm)).unwrap_or_default();
+        replay.arm_of(finding).map(|arm| layout::plot_entities(finding, arm)).unwrap_or_default();
     std::iter::once(("when".to_owned(), lane(index, finding))).chain(own).chain(plots).collect()
 }
 
-fn linked(links: &[(String, EntityPath)]) -> String {
+fn links_markdown(links: &[(String, EntityPath)]) -> String {
     let links = links
         .iter()
         .map(|(title, path)| format!("[{}]({})", escape_prose(title), recording_url(path)));
@@ -97,28 +101,28 @@ fn heading(finding: &Finding, subject: &str) -> String {
 }
 
 /// On the timelines of the arm's joint states.
-pub(super) fn moments(
-    tape: &Tape,
+pub(super) fn finding_times(
+    writer: &TimelineWriter,
     replay: &Replay<'_>,
     finding: &Finding,
     stamps: &[Stamp],
-) -> Moments {
+) -> RowTimes {
     match replay.arm_of(finding) {
-        Some(arm) => of_arm(tape, arm, stamps),
+        Some(arm) => arm_times(writer, arm, stamps),
         None => {
             let nanos: Vec<i64> = stamps.iter().map(|stamp| stamp.nanos()).collect();
-            Moments { logs_ns: nanos.clone(), samples: vec![0; nanos.len()], stamps_ns: nanos }
+            RowTimes { logs_ns: nanos.clone(), samples: vec![0; nanos.len()], stamps_ns: nanos }
         }
     }
 }
 
-fn of_arm(tape: &Tape, arm: &ReplayArm<'_>, stamps: &[Stamp]) -> Moments {
-    tape.moments(arm, &arm.received, stamps.iter().copied())
+fn arm_times(writer: &TimelineWriter, arm: &ReplayArm<'_>, stamps: &[Stamp]) -> RowTimes {
+    writer.row_times(arm, &arm.received, stamps.iter().copied())
 }
 
 /// A bar from the first to the last stamp.
-fn span(
-    tape: &Tape,
+fn draw_span(
+    writer: &TimelineWriter,
     replay: &Replay<'_>,
     index: usize,
     ends: [Stamp; 2],
@@ -128,10 +132,10 @@ fn span(
     let bar = format!("{}{}", heading(finding, finding.subject.label()), finding.message);
     let bar = bar.as_str();
     let style = StateConfiguration::new().with_values([bar]).with_colors([rgb(finding.severity)]);
-    tape.still(&path, &style)?;
+    writer.log_static(&path, &style)?;
     let states = StateChange::new().with_state([Text::from(bar), Text::from("")]);
-    let moments = moments(tape, replay, finding, &ends);
-    tape.columns(&path, &moments, states.columns_of_unit_batches()?)
+    let times = finding_times(writer, replay, finding, &ends);
+    writer.log_columns(&path, &times, states.columns_of_unit_batches()?)
 }
 
 const fn level(severity: Severity) -> &'static str {

@@ -14,26 +14,28 @@ use re_sdk_types::blueprint::views::{
 use re_sdk_types::components::Color;
 use re_sdk_types::datatypes;
 
-use super::blueprint::{Blueprint, Part};
-use super::plots::{self, Quantity};
-use super::proofs::{self, Kind};
-use super::reel::Reel;
-use super::{Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, tape, tools};
+use super::blueprint::{Blueprint, LayoutPart};
+use super::chunk_writer::ChunkWriter;
+use super::finding_views::{self, ViewKind};
+use super::plots::{self, PlotQuantity};
+use super::{
+    Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, timeline_writer, tools,
+};
 use crate::finding::Finding;
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
 /// Tabs for findings.
-const MOST_TABS: usize = 8;
+const MAX_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
 /// The viewer plays in a loop.
-pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> {
-    let blueprint = Blueprint::new(reel);
-    let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
+pub(super) fn draw(replay: &Replay<'_>, chunks: &ChunkWriter) -> Result<(), ReplayCause> {
+    let blueprint = Blueprint::new(chunks);
+    let arms = replay.arms.iter().map(|arm| scene_view(arm, &blueprint));
     let arms = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
-    let proof = proof(replay, &blueprint)?;
+    let proof = verdict_views(replay, &blueprint)?;
     let above = match arms.as_slice() {
         [] => proof,
         [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
@@ -48,28 +50,31 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
     let root = match replay.report.findings.len() {
         0 => above,
         // Height per lane.
-        lanes => blueprint
-            .column(&[above, below(&blueprint)?], &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)])?,
+        lanes => blueprint.column(
+            &[above, timeline_panel(&blueprint)?],
+            &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)],
+        )?,
     };
-    blueprint.finish(root, &time(replay))
+    blueprint.finish(root, &time_panel(replay))
 }
 
 /// Plays the run, or the shorter time span of the worst finding.
-fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
+fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
     /// Longer spans, as a fraction of the run, are replaced by the run.
-    const MOST: f64 = 0.8;
+    const MAX_SPAN_RATIO: f64 = 0.8;
     /// Margin before and after the span, s.
-    const AROUND_S: f64 = 0.5;
+    const SPAN_MARGIN_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
-        .with_timeline(tape::RUN)
+        .with_timeline(timeline_writer::RUN_TIMELINE)
         .with_play_state(PlayState::Playing);
     let (first, last) = replay.span;
     let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
-    let part = worst
-        .map(|(start, end)| (start.shifted(-AROUND_S).max(first), end.shifted(AROUND_S).min(last)));
+    let part = worst.map(|(start, end)| {
+        (start.shifted(-SPAN_MARGIN_S).max(first), end.shifted(SPAN_MARGIN_S).min(last))
+    });
     let is_part = |&(start, end): &(Stamp, Stamp)| {
-        start < end && end.seconds_since(start) < MOST * last.seconds_since(first)
+        start < end && end.seconds_since(start) < MAX_SPAN_RATIO * last.seconds_since(first)
     };
     match part.filter(is_part) {
         Some((start, end)) => {
@@ -85,20 +90,20 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
     }
 }
 
-fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
+fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
     /// Viewing direction.
-    const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
+    const VIEW_DIRECTION: Vec3 = Vec3::new(0.72, -0.88, 0.5);
     /// Viewing distance as a multiple of the scene's radius.
-    const AWAY: f64 = 1.8;
-    let times = tools::magnified(arm);
-    let name = match times {
+    const VIEW_DISTANCE_RATIO: f64 = 1.8;
+    let factor = tools::magnification(arm);
+    let name = match factor {
         1.0 => arm.name.to_owned(),
-        times => format!("{}, errors × {times}", arm.name),
+        factor => format!("{}, errors × {factor}", arm.name),
     };
-    let view = blueprint.view::<Spatial3DView>(&name, &scene::root(arm.name))?;
+    let view = blueprint.view::<Spatial3DView>(&name, &scene::arm_root(arm.name))?;
     // A fault may place logged poses a kilometre away.
-    let (middle, radius_m) = scene::ball(arm);
-    let eye = middle + FROM.normalize() * AWAY * radius_m.max(0.1);
+    let (middle, radius_m) = scene::bounding_sphere(arm);
+    let eye = middle + VIEW_DIRECTION.normalize() * VIEW_DISTANCE_RATIO * radius_m.max(0.1);
     let eye = EyeControls3D::new()
         .with_position(<[f64; 3]>::from(eye))
         .with_look_target(<[f64; 3]>::from(middle))
@@ -113,17 +118,20 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
 }
 
 /// Verdict with the worst finding, one tab per finding, then all errors of each arm.
-fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
+fn verdict_views(
+    replay: &Replay<'_>,
+    blueprint: &Blueprint<'_>,
+) -> Result<LayoutPart, ReplayCause> {
     /// Plots below the verdict.
-    const UNDER_VERDICT: usize = 1;
+    const PLOTS_BELOW_VERDICT: usize = 1;
     let mut parts = vec![blueprint.view::<TextDocumentView>("report", &page::report())?];
-    parts.extend(pictures(replay, 0, UNDER_VERDICT, blueprint)?);
+    parts.extend(finding_plots(replay, 0, PLOTS_BELOW_VERDICT, blueprint)?);
     let shares = [4.0, 3.0].into_iter().cycle().take(parts.len()).collect::<Vec<f32>>();
     let mut tabs = vec![blueprint.page(&replay.report.verdict.to_string(), &parts, &shares)?];
-    for (index, finding) in replay.report.findings.iter().take(MOST_TABS).enumerate() {
+    for (index, finding) in replay.report.findings.iter().take(MAX_TABS).enumerate() {
         let mut parts =
             vec![blueprint.view::<TextDocumentView>("what is wrong", &findings::page(index))?];
-        parts.extend(pictures(replay, index, usize::MAX, blueprint)?);
+        parts.extend(finding_plots(replay, index, usize::MAX, blueprint)?);
         let mut shares = vec![3.0; parts.len()];
         shares[0] = 4.0;
         tabs.push(blueprint.page(finding.code, &parts, &shares)?);
@@ -131,12 +139,12 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     for arm in &replay.arms {
         let mut plots = Vec::new();
         for (quantity, is_there) in [
-            (Quantity::Position, !arm.streams.is_empty()),
-            (Quantity::Rotation, !arm.streams.is_empty()),
-            (Quantity::Yaw, arm.imus.iter().any(ReplayImu::has_yaw)),
+            (PlotQuantity::Position, !arm.streams.is_empty()),
+            (PlotQuantity::Rotation, !arm.streams.is_empty()),
+            (PlotQuantity::Yaw, arm.imus.iter().any(ReplayImu::has_yaw)),
         ] {
             if is_there {
-                plots.push(plot(quantity.title(), &quantity.root(arm.name), blueprint)?);
+                plots.push(plot_view(quantity.title(), &quantity.root(arm.name), blueprint)?);
             }
         }
         let name = match replay.arms.len() {
@@ -151,58 +159,62 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
 }
 
 /// Plots of the finding, at most the given number: its specific ones, else the errors of its stream.
-fn pictures(
+fn finding_plots(
     replay: &Replay<'_>,
     index: usize,
     most: usize,
     blueprint: &Blueprint<'_>,
-) -> Result<Vec<Part>, ReplayCause> {
+) -> Result<Vec<LayoutPart>, ReplayCause> {
     let Some(finding) = replay.report.findings.get(index) else { return Ok(Vec::new()) };
-    let own = proofs::views(replay.report, index);
+    let own = finding_views::list(replay.report, index);
     if !own.is_empty() {
         let own = own.into_iter().take(most).map(|view| match view.kind {
-            Kind::Series => plot(view.title, &view.path, blueprint),
-            Kind::Bars => blueprint.view::<BarChartView>(view.title, &view.path),
-            Kind::Space => blueprint.view::<Spatial3DView>(view.title, &view.path),
+            ViewKind::Series => plot_view(view.title, &view.path, blueprint),
+            ViewKind::Bars => blueprint.view::<BarChartView>(view.title, &view.path),
+            ViewKind::Space => blueprint.view::<Spatial3DView>(view.title, &view.path),
         });
         return own.collect();
     }
-    let plots = replay.arm_of(finding).map(|arm| plots_of(finding, arm)).unwrap_or_default();
+    let plots = replay.arm_of(finding).map(|arm| plot_entities(finding, arm)).unwrap_or_default();
     let plots = plots.into_iter().take(most);
-    plots.map(|(title, series)| plot(&title, &series, blueprint)).collect()
+    plots.map(|(title, series)| plot_view(&title, &series, blueprint)).collect()
 }
 
 /// Plots with titles: errors of its stream (rotation first for rotation faults), yaw of its IMU, or the
 /// joint and the effect of its zero on all streams.
-pub(super) fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
+pub(super) fn plot_entities(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
     let topic = finding.subject.topic.as_deref().unwrap_or_default();
-    let titled = |quantity: Quantity, path| (quantity.title().to_owned(), path);
+    let titled = |quantity: PlotQuantity, path| (quantity.title().to_owned(), path);
     if arm.streams.iter().any(|stream| stream.topic == topic) {
-        let mut both = [Quantity::Position, Quantity::Rotation];
+        let mut both = [PlotQuantity::Position, PlotQuantity::Rotation];
         if finding.code.starts_with("ORD") {
             both.reverse();
         }
-        return both.map(|it| titled(it, it.of_topic(arm.name, topic))).into();
+        return both.map(|it| titled(it, it.topic_root(arm.name, topic))).into();
     }
     if let Some(imu) = arm.imus.iter().find(|imu| imu.topic == topic) {
-        let yaw = titled(Quantity::Yaw, Quantity::Yaw.of_topic(arm.name, topic));
+        let yaw = titled(PlotQuantity::Yaw, PlotQuantity::Yaw.topic_root(arm.name, topic));
         return imu.has_yaw().then_some(yaw).into_iter().collect();
     }
     let all = (!arm.streams.is_empty())
-        .then(|| titled(Quantity::Position, Quantity::Position.root(arm.name)));
+        .then(|| titled(PlotQuantity::Position, PlotQuantity::Position.root(arm.name)));
     let joint = finding.subject.joint.as_deref();
-    let joint = joint.and_then(|name| Some((name, plots::joint(arm, name)?)));
+    let joint = joint.and_then(|name| Some((name, plots::joint_entity(arm, name)?)));
     let joint = joint.map(|(name, (path, unit))| (format!("{name}, {unit}"), path));
     all.into_iter().chain(joint).collect()
 }
 
-fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
+fn plot_view(
+    title: &str,
+    series: &EntityPath,
+    blueprint: &Blueprint<'_>,
+) -> Result<LayoutPart, ReplayCause> {
     let plot = blueprint.view::<TimeSeriesView>(title, series)?;
     blueprint.set(plot, &PlotLegend::new().with_corner(Corner2D::LeftTop))?;
     Ok(plot)
 }
 
-fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
+fn timeline_panel(blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;
     let columns = [TextLogColumnKind::LogLevel, TextLogColumnKind::Body];

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use re_sdk_types::components::MediaType;
 
 /// Unit: bytes.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 
 #[derive(Debug)]
 pub(super) struct Mesh {
@@ -13,7 +13,7 @@ pub(super) struct Mesh {
 }
 
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum NoMesh {
+pub(super) enum MeshError {
     /// No such file below the mesh folders.
     NotFound,
     /// The viewer cannot read it.
@@ -25,12 +25,15 @@ impl Mesh {
     ///
     /// # Errors
     /// If the mesh is not found, or not supported by the viewer.
-    pub fn find(uri: &str, roots: &[PathBuf]) -> Result<Self, NoMesh> {
-        let place = places(uri, roots).into_iter().find(|place| place.is_file());
-        let place = place.ok_or(NoMesh::NotFound)?;
-        let unreadable = |error: std::io::Error| NoMesh::Unreadable(error.to_string());
-        if fs::metadata(&place).map_err(unreadable)?.len() > MOST_BYTES {
-            return Err(NoMesh::Unreadable(format!("it is larger than {} MiB", MOST_BYTES >> 20)));
+    pub fn find(uri: &str, roots: &[PathBuf]) -> Result<Self, MeshError> {
+        let place = candidate_paths(uri, roots).into_iter().find(|place| place.is_file());
+        let place = place.ok_or(MeshError::NotFound)?;
+        let unreadable = |error: std::io::Error| MeshError::Unreadable(error.to_string());
+        if fs::metadata(&place).map_err(unreadable)?.len() > MAX_BYTES {
+            return Err(MeshError::Unreadable(format!(
+                "it is larger than {} MiB",
+                MAX_BYTES >> 20
+            )));
         }
         let bytes = fs::read(&place).map_err(unreadable)?;
         let media_type = media_type(&place, &bytes)?;
@@ -44,7 +47,7 @@ impl Mesh {
 
 /// Candidate paths, likeliest first: below each folder the whole path, then without leading components. A
 /// folder may be the package, contain packages, or be an installation prefix.
-fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
+fn candidate_paths(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     let path = uri.split_once("://").map_or(uri, |(_, path)| path);
     let parts = path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".");
     let parts: Vec<&str> = parts.collect();
@@ -59,7 +62,7 @@ fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
 }
 
 /// Uses the extension, because most formats have no signature, and checks the content briefly.
-fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
+fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, MeshError> {
     let kind = place.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let begins_with = |mark: &str| {
         let beginning = &bytes[..bytes.len().min(4096)];
@@ -71,10 +74,12 @@ fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
         "obj" => (MediaType::OBJ, bytes.starts_with(b"v ") || begins_with("\nv ")),
         "glb" => (MediaType::GLB, bytes.starts_with(b"glTF")),
         "dae" => (MediaType::DAE, begins_with("<COLLADA")),
-        _ => return Err(NoMesh::Unreadable("the viewer reads STL, OBJ, GLB and DAE".to_owned())),
+        _ => {
+            return Err(MeshError::Unreadable("the viewer reads STL, OBJ, GLB and DAE".to_owned()));
+        }
     };
     let is_none =
-        || NoMesh::Unreadable(format!("it is not a valid {} file", kind.to_ascii_uppercase()));
+        || MeshError::Unreadable(format!("it is not a valid {} file", kind.to_ascii_uppercase()));
     is_one.then_some(media_type).ok_or_else(is_none)
 }
 
@@ -87,7 +92,7 @@ mod tests {
     const OBJ: &str = "# a triangle\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
 
     #[test]
-    fn a_folder_may_be_the_package_or_hold_it_or_be_where_it_is_installed() -> Outcome {
+    fn a_folder_may_be_the_package_its_parent_or_its_installation() -> Outcome {
         let uri = "package://my_arm/meshes/link.obj";
         for (at, root) in [
             ("my_arm/meshes/link.obj", ""),
@@ -106,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_files_the_one_with_more_of_the_path_is_taken() -> Outcome {
+    fn the_file_with_the_longer_matching_path_is_used() -> Outcome {
         let folder = tempfile::tempdir()?;
         fs::create_dir_all(folder.path().join("visual"))?;
         fs::write(folder.path().join("link.obj"), "v 9 9 9\n")?;
@@ -117,21 +122,21 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_read_outside_of_the_folders() -> Outcome {
+    fn no_file_outside_the_folders_is_read() -> Outcome {
         let folder = tempfile::tempdir()?;
         fs::create_dir(folder.path().join("in"))?;
         fs::write(folder.path().join("secret.obj"), OBJ)?;
         let roots = [folder.path().join("in")];
         let absolute = folder.path().join("secret.obj").display().to_string();
         for uri in ["../secret.obj", "package://a/../../secret.obj", &absolute] {
-            assert_eq!(Mesh::find(uri, &roots).map(|_| ()), Err(NoMesh::NotFound), "{uri}");
+            assert_eq!(Mesh::find(uri, &roots).map(|_| ()), Err(MeshError::NotFound), "{uri}");
         }
-        assert_eq!(Mesh::find(&absolute, &[]).map(|_| ()), Err(NoMesh::NotFound));
+        assert_eq!(Mesh::find(&absolute, &[]).map(|_| ()), Err(MeshError::NotFound));
         Ok(())
     }
 
     #[test]
-    fn what_the_viewer_does_not_read_is_said() -> Outcome {
+    fn unsupported_formats_are_reported() -> Outcome {
         let folder = tempfile::tempdir()?;
         for (name, content, why) in [
             ("a.3ds", OBJ, "the viewer reads STL, OBJ, GLB and DAE"),
@@ -141,7 +146,7 @@ mod tests {
         ] {
             fs::write(folder.path().join(name), content)?;
             let found = Mesh::find(name, &[folder.path().to_owned()]);
-            assert_eq!(found.map(|_| ()), Err(NoMesh::Unreadable(why.to_owned())), "{name}");
+            assert_eq!(found.map(|_| ()), Err(MeshError::Unreadable(why.to_owned())), "{name}");
         }
         Ok(())
     }

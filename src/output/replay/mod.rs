@@ -21,16 +21,16 @@
 mod arm;
 mod audited;
 mod blueprint;
+mod chunk_writer;
+mod finding_views;
 mod findings;
 mod layout;
 mod mesh;
-mod moments;
 mod page;
 mod plots;
-mod proofs;
-mod reel;
+mod row_times;
 mod scene;
-mod tape;
+mod timeline_writer;
 mod tools;
 mod visuals;
 
@@ -51,14 +51,14 @@ use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-pub use moments::Receipts;
-use reel::Reel;
-use tape::{Names, Tape};
+use chunk_writer::ChunkWriter;
+pub use row_times::ReceiveTimes;
+use timeline_writer::{TimelineNames, TimelineWriter};
 
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
 
 /// Rows per stream.
-const MOST_ROWS: usize = 4_000;
+const MAX_ROWS: usize = 4_000;
 
 /// Output path and identity of a recording. The viewer combines data with the same ids.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -71,7 +71,7 @@ pub struct Recording {
     pub id: Option<String>,
     /// The viewer also shows the log: timelines have its names, `ros2_timestamp` and `message_log_time`, so
     /// that one cursor moves both.
-    pub beside_log: bool,
+    pub shares_log_timelines: bool,
     /// Folders of meshes. No file outside them is read.
     pub mesh_roots: Vec<PathBuf>,
 }
@@ -122,7 +122,7 @@ pub struct ReplayArm<'a> {
     /// Columns of the chain's joints in the joint tracks.
     pub columns: &'a [usize],
     /// Receive times of joint states.
-    pub received: Receipts,
+    pub received: ReceiveTimes,
     /// Recorded joint states.
     pub recorded: &'a JointTrack,
     /// Corrected joint states.
@@ -135,12 +135,12 @@ pub struct ReplayArm<'a> {
 
 impl ReplayArm<'_> {
     /// With the topic if the arm has several streams.
-    fn label(&self, stream: &ReplayStream<'_>, state: State) -> String {
+    fn label(&self, stream: &ReplayStream<'_>, state: PoseState) -> String {
         let measured = self.streams.iter().filter(|other| other.kind == StreamKind::Pose);
         match stream.kind {
             StreamKind::Tf => stream.topic.to_owned(),
-            StreamKind::Pose if measured.count() == 1 => state.words().to_owned(),
-            StreamKind::Pose => format!("{} {}", stream.topic, state.words()),
+            StreamKind::Pose if measured.count() == 1 => state.label().to_owned(),
+            StreamKind::Pose => format!("{} {}", stream.topic, state.label()),
         }
     }
 }
@@ -155,7 +155,7 @@ pub struct ReplayStream<'a> {
     /// Samples aligned with FK.
     pub aligned: &'a AlignedSamples,
     /// Receive times.
-    pub received: Receipts,
+    pub received: ReceiveTimes,
     /// Pose of the samples' frame in the base of the chain.
     pub base_from_reference: Pose,
     /// The log connects that frame to the arm. Otherwise logged poses have no place and no error; corrected
@@ -175,48 +175,48 @@ pub enum StreamKind {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum PoseState {
     Logged,
     /// After correcting all findings.
-    Explained,
+    Corrected,
 }
 
-impl State {
+impl PoseState {
     /// Transforms derived from joints have no corrected state. Poses in a frame not connected to the arm
     /// have no logged state.
-    fn drawn(stream: &ReplayStream<'_>) -> impl Iterator<Item = State> {
-        let logged = stream.reference_known.then_some(State::Logged);
-        let explained = (stream.kind == StreamKind::Pose).then_some(State::Explained);
+    fn drawn_states(stream: &ReplayStream<'_>) -> impl Iterator<Item = PoseState> {
+        let logged = stream.reference_known.then_some(PoseState::Logged);
+        let explained = (stream.kind == StreamKind::Pose).then_some(PoseState::Corrected);
         logged.into_iter().chain(explained)
     }
 
     /// Last component of its paths.
     const fn entity(self) -> &'static str {
         match self {
-            State::Logged => "as_logged",
-            State::Explained => "as_explained",
+            PoseState::Logged => "as_logged",
+            PoseState::Corrected => "as_explained",
         }
     }
 
     /// Poses in the reference frame.
     fn poses<'a>(self, stream: &ReplayStream<'a>) -> &'a [Pose] {
         match self {
-            State::Logged => &stream.aligned.logged,
-            State::Explained => &stream.aligned.corrected,
+            PoseState::Logged => &stream.aligned.logged,
+            PoseState::Corrected => &stream.aligned.corrected,
         }
     }
 
     fn residuals(self, stream: &ReplayStream<'_>) -> PoseDistances {
         match self {
-            State::Logged => stream.aligned.before(),
-            State::Explained => stream.aligned.after(),
+            PoseState::Logged => stream.aligned.before(),
+            PoseState::Corrected => stream.aligned.after(),
         }
     }
 
-    const fn words(self) -> &'static str {
+    const fn label(self) -> &'static str {
         match self {
-            State::Logged => "as logged",
-            State::Explained => "as explained",
+            PoseState::Logged => "as logged",
+            PoseState::Corrected => "as explained",
         }
     }
 
@@ -224,8 +224,8 @@ impl State {
     const fn rgb(self, kind: StreamKind) -> [u8; 3] {
         match (kind, self) {
             (StreamKind::Tf, _) => [200, 150, 255],
-            (StreamKind::Pose, State::Logged) => [240, 80, 60],
-            (StreamKind::Pose, State::Explained) => [60, 200, 110],
+            (StreamKind::Pose, PoseState::Logged) => [240, 80, 60],
+            (StreamKind::Pose, PoseState::Corrected) => [60, 200, 110],
         }
     }
 }
@@ -236,7 +236,7 @@ pub struct ReplayImu<'a> {
     /// Topic.
     pub topic: &'a str,
     /// Receive times.
-    pub received: Receipts,
+    pub received: ReceiveTimes,
     /// s from the run's origin, and yaw against FK, rad.
     pub yaw_error: &'a [(f64, f64)],
 }
@@ -293,7 +293,7 @@ fn record(
     replay: &Replay<'_>,
 ) -> Result<Vec<String>, ReplayCause> {
     let (messages, notes) = messages(wanted, replay)?;
-    fs::write(staged, reel::bytes(&messages)?)?;
+    fs::write(staged, chunk_writer::encode(&messages)?)?;
     Ok(notes)
 }
 
@@ -306,39 +306,40 @@ fn messages(
     wanted: &Recording,
     replay: &Replay<'_>,
 ) -> Result<(Vec<LogMsg>, Vec<String>), ReplayCause> {
-    let reel = Reel::new(replay, &application(wanted), wanted.id.clone());
-    layout::draw(replay, &reel)?;
-    let names = if wanted.beside_log { Names::OF_VIEWER } else { Names::OWN };
-    let tape = Tape::new(reel, replay.origin, names);
+    let chunks = ChunkWriter::new(replay, &application(wanted), wanted.id.clone());
+    layout::draw(replay, &chunks)?;
+    let names =
+        if wanted.shares_log_timelines { TimelineNames::VIEWER } else { TimelineNames::STANDALONE };
+    let writer = TimelineWriter::new(chunks, replay.origin, names);
     let mut meshes = Vec::new();
     for arm in &replay.arms {
-        meshes.extend(draw_arm(&tape, arm, &wanted.mesh_roots)?);
-        plots::draw(&tape, arm, replay.report)?;
+        meshes.extend(draw_arm(&writer, arm, &wanted.mesh_roots)?);
+        plots::draw(&writer, arm, replay.report)?;
     }
-    proofs::draw(&tape, replay)?;
-    findings::write(&tape, replay)?;
-    page::write(&tape, replay, &meshes)?;
+    finding_views::draw(&writer, replay)?;
+    findings::write(&writer, replay)?;
+    page::write(&writer, replay, &meshes)?;
     let notes = if wanted.mesh_roots.is_empty() { Vec::new() } else { meshes };
-    Ok((tape.finish().messages()?, notes))
+    Ok((writer.finish().messages()?, notes))
 }
 
 fn draw_arm(
-    tape: &Tape,
+    writer: &TimelineWriter,
     arm: &ReplayArm<'_>,
     mesh_roots: &[PathBuf],
 ) -> Result<Vec<String>, ReplayCause> {
     let size_m = arm.chain.max_reach_m();
-    tape.still(&scene::root(arm.name), &ViewCoordinates::RIGHT_HAND_Z_UP())?;
-    let drawn = visuals::draw(tape, arm, size_m, mesh_roots)?;
-    if !drawn.is_whole {
-        arm::draw(tape, arm, "arm", &arm.corrected, size_m)?;
+    writer.log_static(&scene::arm_root(arm.name), &ViewCoordinates::RIGHT_HAND_Z_UP())?;
+    let drawn = visuals::draw(writer, arm, size_m, mesh_roots)?;
+    if !drawn.is_complete {
+        arm::draw(writer, arm, "arm", &arm.corrected, size_m)?;
     }
     if arm.corrected.q != arm.recorded.q {
-        arm::draw_thin(tape, arm, "arm_as_recorded", arm.recorded, size_m)?;
+        arm::draw_thin(writer, arm, "arm_as_recorded", arm.recorded, size_m)?;
     }
-    tools::draw_tip(tape, arm, size_m)?;
+    tools::draw_tip(writer, arm, size_m)?;
     for stream in &arm.streams {
-        tools::draw(tape, arm, stream, size_m)?;
+        tools::draw(writer, arm, stream, size_m)?;
     }
     Ok(drawn.notes)
 }

@@ -6,22 +6,22 @@ use re_log_types::EntityPath;
 use re_sdk_types::archetypes::TextDocument;
 use re_sdk_types::components::MediaType;
 
-use super::tape::{Tape, entity};
-use super::{MOST_ROWS, Replay, ReplayCause, findings};
+use super::timeline_writer::{TimelineWriter, entity_path};
+use super::{MAX_ROWS, Replay, ReplayCause, findings};
 use crate::report::markdown::escape_prose;
 use crate::report::outline::Outline;
 
 pub(super) fn report() -> EntityPath {
-    entity(&["report"])
+    entity_path(&["report"])
 }
 
 pub(super) fn write(
-    tape: &Tape,
+    writer: &TimelineWriter,
     replay: &Replay<'_>,
     meshes: &[String],
 ) -> Result<(), ReplayCause> {
     let page = TextDocument::new(markdown(replay, meshes)).with_media_type(MediaType::MARKDOWN);
-    tape.still(&report(), &page)
+    writer.log_static(&report(), &page)
 }
 
 fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
@@ -41,7 +41,11 @@ fn markdown(replay: &Replay<'_>, meshes: &[String]) -> String {
     list(&mut page, "Skipped", outline.skipped_checks());
     let notes = report.log.notes.iter().map(|note| note.note.clone());
     list(&mut page, "Notes", notes.collect());
-    list(&mut page, "In this recording", meshes.iter().cloned().chain(decimated(replay)).collect());
+    list(
+        &mut page,
+        "In this recording",
+        meshes.iter().cloned().chain(decimation_notes(replay)).collect(),
+    );
     page
 }
 
@@ -58,7 +62,7 @@ fn list(page: &mut String, title: &str, lines: Vec<String>) {
 }
 
 /// Streams of which not all samples are drawn.
-fn decimated(replay: &Replay<'_>) -> Vec<String> {
+fn decimation_notes(replay: &Replay<'_>) -> Vec<String> {
     let joints = replay
         .arms
         .iter()
@@ -68,9 +72,9 @@ fn decimated(replay: &Replay<'_>) -> Vec<String> {
         streams.map(|stream| (format!("samples of {}", stream.topic), stream.aligned.t_s.len()));
     let imus = replay.arms.iter().flat_map(|arm| &arm.imus);
     let imus = imus.map(|imu| (format!("samples of {}", imu.topic), imu.yaw_error.len()));
-    let long = joints.chain(streams).chain(imus).filter(|(_, rows)| *rows > MOST_ROWS);
+    let long = joints.chain(streams).chain(imus).filter(|(_, rows)| *rows > MAX_ROWS);
     let mut lines: Vec<String> =
-        long.map(|(what, rows)| format!("{rows} {what}, thinned to about {MOST_ROWS}")).collect();
+        long.map(|(what, rows)| format!("{rows} {what}, thinned to about {MAX_ROWS}")).collect();
     if !lines.is_empty() {
         lines.push(
             "thinned evenly for moving objects; plots keep minimum and maximum values".into(),

@@ -5,8 +5,8 @@ use re_sdk_types::archetypes::Transform3D;
 use re_sdk_types::components::{Radius, RotationQuat};
 use re_sdk_types::datatypes::Quaternion;
 
-use super::tape::entity;
-use super::{MOST_ROWS, ReplayArm};
+use super::timeline_writer::entity_path;
+use super::{MAX_ROWS, ReplayArm};
 use crate::geometry::{Pose, Rotation, Vec3, xyz_of, xyzw_from_rotation};
 use crate::stats::thin;
 use crate::stream::JointTrack;
@@ -16,12 +16,12 @@ pub(super) const JOINT_RGB: [u8; 3] = [92, 122, 158];
 pub(super) const RECORDED_RGB: [u8; 3] = [110, 115, 125];
 
 /// Everything drawn for an arm, in the base of the chain.
-pub(super) fn root(arm: &str) -> EntityPath {
-    entity(&["arms", arm])
+pub(super) fn arm_root(arm: &str) -> EntityPath {
+    entity_path(&["arms", arm])
 }
 
-pub(super) fn kept(joints: &JointTrack) -> Vec<usize> {
-    thin::even_rows(joints.len(), MOST_ROWS)
+pub(super) fn drawn_rows(joints: &JointTrack) -> Vec<usize> {
+    thin::even_rows(joints.len(), MAX_ROWS)
 }
 
 pub(super) fn positions(arm: &ReplayArm<'_>, joints: &JointTrack, row: usize) -> Vec<f64> {
@@ -30,12 +30,12 @@ pub(super) fn positions(arm: &ReplayArm<'_>, joints: &JointTrack, row: usize) ->
 }
 
 /// Bounding sphere of the motion in the base frame: centre and radius, m.
-pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
+pub(super) fn bounding_sphere(arm: &ReplayArm<'_>) -> (Vec3, f64) {
     /// More rows barely change the result.
-    const ENOUGH: usize = 200;
+    const MAX_ROWS: usize = 200;
     let (mut low, mut high) = (Vec3::zeros(), Vec3::zeros());
     let mut frames = Vec::new();
-    for row in thin::even_rows(arm.corrected.len(), ENOUGH) {
+    for row in thin::even_rows(arm.corrected.len(), MAX_ROWS) {
         let q = positions(arm, &arm.corrected, row);
         arm.chain.joint_frames(&q, &mut frames);
         frames.push(arm.chain.forward(&q));
@@ -47,18 +47,18 @@ pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
     ((low + high) / 2.0, ((high - low).norm() / 2.0).max(0.1 * arm.chain.max_reach_m()))
 }
 
-pub(super) fn still(pose: &Pose) -> Transform3D {
-    let rotation = rotation_of(&pose.rotation);
+pub(super) fn static_transform(pose: &Pose) -> Transform3D {
+    let rotation = rotation_component(&pose.rotation);
     Transform3D::update_fields().with_translation(xyz_of(pose)).with_quaternion(rotation)
 }
 
-pub(super) fn moving(poses: &[Pose]) -> Transform3D {
+pub(super) fn transforms(poses: &[Pose]) -> Transform3D {
     Transform3D::update_fields()
         .with_many_translation(poses.iter().map(xyz_of))
-        .with_many_quaternion(poses.iter().map(|pose| rotation_of(&pose.rotation)))
+        .with_many_quaternion(poses.iter().map(|pose| rotation_component(&pose.rotation)))
 }
 
-pub(super) fn rotation_of(rotation: &Rotation) -> RotationQuat {
+pub(super) fn rotation_component(rotation: &Rotation) -> RotationQuat {
     quaternion(xyzw_from_rotation(rotation))
 }
 

@@ -8,7 +8,7 @@ use re_sdk_types::archetypes::{
 };
 use re_sdk_types::components::{Scalar, Text};
 
-use super::tape::entity;
+use super::timeline_writer::entity_path;
 use super::*;
 use crate::diagnosis::AlignedSamples;
 use crate::finding::{Cause, Evidence, Severity, Subject};
@@ -48,9 +48,9 @@ fn motion(chain: &Chain, rows: usize) -> (JointTrack, AlignedSamples) {
     (joints, aligned)
 }
 
-fn received(joints: &JointTrack) -> Receipts {
+fn received(joints: &JointTrack) -> ReceiveTimes {
     let stamps = joints.t_s.iter().map(|&t_s| ORIGIN.shifted(t_s));
-    Receipts::of(stamps.map(|stamp| (stamp, stamp.shifted(TRANSPORT_S))).collect())
+    ReceiveTimes::new(stamps.map(|stamp| (stamp, stamp.shifted(TRANSPORT_S))).collect())
 }
 
 fn finding() -> Finding {
@@ -87,7 +87,7 @@ fn stream(aligned: &AlignedSamples, kind: StreamKind) -> ReplayStream<'_> {
         topic: if kind == StreamKind::Tf { "/tf" } else { "/tcp/pose" },
         kind,
         aligned,
-        received: Receipts::default(),
+        received: ReceiveTimes::default(),
         base_from_reference: Pose::identity(),
         reference_known: true,
         latency_s: 0.022,
@@ -113,13 +113,16 @@ fn replay<'a>(arms: Vec<ReplayArm<'a>>, report: &'a Report) -> Replay<'a> {
     Replay { origin: ORIGIN, span: (ORIGIN, ORIGIN.shifted(0.5)), arms, report }
 }
 
-struct Seen {
+struct ReadRecording {
     messages: Vec<LogMsg>,
     notes: Vec<String>,
 }
 
-impl Seen {
-    fn of(replay: &Replay<'_>, wanted: &Recording) -> Result<Self, Box<dyn std::error::Error>> {
+impl ReadRecording {
+    fn write_and_read(
+        replay: &Replay<'_>,
+        wanted: &Recording,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
         let (messages, notes) = messages(wanted, replay)?;
         Ok(Self { messages, notes })
     }
@@ -135,7 +138,7 @@ impl Seen {
     }
 
     fn with(&self, path: &[&str], component: &ComponentDescriptor) -> Option<Chunk> {
-        let chunks = self.chunks(&entity(path)).into_iter();
+        let chunks = self.chunks(&entity_path(path)).into_iter();
         chunks.filter(|chunk| chunk.components().get(component.component).is_some()).last()
     }
 
@@ -160,7 +163,7 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
     arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
-    arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    arm.imus = vec![ReplayImu { topic: "/imu/data", received: ReceiveTimes::default(), yaw_error }];
     let report = report(Verdict::Fail, vec![finding()]);
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("made/run.rrd");
@@ -171,7 +174,8 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     let mut second = self::arm(robot, &chain, &recorded);
     second.corrected.q.iter_mut().for_each(|position| *position += 0.01);
     second.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
-    second.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    second.imus =
+        vec![ReplayImu { topic: "/imu/data", received: ReceiveTimes::default(), yaw_error }];
     write(&Recording::from(again.clone()), &replay(vec![second], &report))?;
     assert!(bytes == fs::read(&again)?, "the bytes of equal recordings differ");
     assert!(notes.is_empty(), "{notes:?}");
@@ -179,14 +183,14 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
 }
 
 #[test]
-fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
+fn a_finding_has_its_own_views_with_limit_and_links() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)];
     // Errors of a healthy stream are not magnified.
-    assert_eq!(tools::magnified(&arm), 1.0);
+    assert_eq!(tools::magnification(&arm), 1.0);
     let shake = Finding { code: "MOT001", ..finding() };
     let mut report = report(Verdict::Fail, vec![shake]);
     let (spectrum, trace) = (vec![[10.0, 1e-3], [12.0, 2e-3]], vec![[0.1, 1e-3], [0.2, -1e-3]]);
@@ -195,7 +199,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
         start: Some(ORIGIN),
         ..Figures::default()
     });
-    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(vec![arm], &report), &Recording::default())?;
     let bars = seen.with(&["proof/01/spectrum"], &BarChart::descriptor_values());
     assert!(bars.is_some());
     let value = |path: &str| -> Vec<f64> {
@@ -216,7 +220,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
 }
 
 #[test]
-fn every_entity_is_there() -> Outcome {
+fn every_expected_entity_is_written() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
@@ -224,9 +228,9 @@ fn every_entity_is_there() -> Outcome {
     arm.corrected.q.iter_mut().for_each(|position| *position += 0.01);
     arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     let yaw_error = &[(0.0, 0.1), (0.1, 0.2)];
-    arm.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
+    arm.imus = vec![ReplayImu { topic: "/imu/data", received: ReceiveTimes::default(), yaw_error }];
     let report = report(Verdict::Fail, vec![finding()]);
-    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(vec![arm], &report), &Recording::default())?;
     for path in [
         "arms/ur5e/arm",
         "arms/ur5e/arm_as_recorded",
@@ -245,19 +249,19 @@ fn every_entity_is_there() -> Outcome {
         "findings/page_1",
         "report",
     ] {
-        assert!(!seen.chunks(&entity(&[path])).is_empty(), "{path}");
+        assert!(!seen.chunks(&entity_path(&[path])).is_empty(), "{path}");
     }
     Ok(())
 }
 
 #[test]
-fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
+fn links_match_forward_kinematics_on_every_timeline() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, _) = motion(&chain, 50);
     let report = report(Verdict::Pass, Vec::new());
     let arms = || vec![arm(robot, &chain, &recorded)];
-    let seen = Seen::of(&replay(arms(), &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(arms(), &report), &Recording::default())?;
     let translation = Transform3D::descriptor_translation();
     for (link, frame) in [("tool0", None), ("forearm_link", Some(2))] {
         let chunk = seen.with(&["arms", "ur5e", "links", link], &translation).ok_or(link)?;
@@ -277,8 +281,8 @@ fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
         assert_eq!(times(&chunk, "stamp")[3], ORIGIN.nanos() + 30_000_000);
         assert_eq!(times(&chunk, "log_time")[3], ORIGIN.nanos() + 33_000_000);
     }
-    let wanted = Recording { beside_log: true, ..Recording::default() };
-    let seen = Seen::of(&replay(arms(), &report), &wanted)?;
+    let wanted = Recording { shares_log_timelines: true, ..Recording::default() };
+    let seen = ReadRecording::write_and_read(&replay(arms(), &report), &wanted)?;
     let chunk = seen.with(&["arms", "ur5e", "tip"], &translation).ok_or("tip")?;
     assert_eq!(times(&chunk, "ros2_timestamp")[3], ORIGIN.nanos() + 30_000_000);
     assert_eq!(times(&chunk, "message_log_time")[3], ORIGIN.nanos() + 33_000_000);
@@ -286,14 +290,14 @@ fn links_are_where_forward_kinematics_has_them_on_every_timeline() -> Outcome {
 }
 
 #[test]
-fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
+fn corrected_poses_are_drawn_at_their_time_of_measurement() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)];
     let report = report(Verdict::Pass, Vec::new());
-    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(vec![arm], &report), &Recording::default())?;
     let translation = Transform3D::descriptor_translation();
     let of = |state| seen.with(&["arms", "ur5e", "/tcp/pose", state], &translation).ok_or(state);
     let (logged, explained) = (of("as_logged")?, of("as_explained")?);
@@ -304,20 +308,20 @@ fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
 }
 
 #[test]
-fn a_long_run_is_thinned_and_says_so() -> Outcome {
+fn a_long_run_is_decimated_with_a_note() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 9_001);
     let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)];
     let report = report(Verdict::Pass, Vec::new());
-    let seen = Seen::of(&replay(vec![arm], &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(vec![arm], &report), &Recording::default())?;
     let mut in_time = 0;
     for message in &seen.messages {
         let LogMsg::ArrowMsg(id, message) = message else { continue };
         let chunk = Chunk::from_arrow_msg(message)?;
         let is_still = chunk.is_static() || id.kind() == StoreKind::Blueprint;
-        assert!(is_still || chunk.num_rows() <= MOST_ROWS + 1, "{}", chunk.entity_path());
+        assert!(is_still || chunk.num_rows() <= MAX_ROWS + 1, "{}", chunk.entity_path());
         in_time += usize::from(!is_still);
     }
     assert!(in_time > 10);
@@ -328,7 +332,7 @@ fn a_long_run_is_thinned_and_says_so() -> Outcome {
 }
 
 #[test]
-fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
+fn a_finding_has_a_span_a_message_and_a_page() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, _) = motion(&chain, 50);
@@ -336,10 +340,10 @@ fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     (whole.start_ns, whole.end_ns) = (None, None);
     let report = report(Verdict::Fail, vec![finding(), whole]);
     let arms = vec![arm(robot, &chain, &recorded)];
-    let seen = Seen::of(&replay(arms, &report), &Recording::default())?;
+    let seen = ReadRecording::write_and_read(&replay(arms, &report), &Recording::default())?;
     let state = StateChange::descriptor_state();
     for (lane, ends) in [("01-LAT001", [100, 300]), ("02-LAT001", [0, 500])] {
-        let chunks = seen.chunks(&entity(&["spans", lane]));
+        let chunks = seen.chunks(&entity_path(&["spans", lane]));
         let chunk = chunks.iter().find(|chunk| !chunk.is_static()).ok_or(lane)?;
         assert_eq!(times(chunk, "run"), ends.map(|ms| ms * 1_000_000), "{lane}");
         let states = [0, 1].map(|row| chunk.component_batch::<Text>(state.component, row));
@@ -361,7 +365,7 @@ const MESHED: &str = r#"<robot name="two">
 </robot>"#;
 
 #[test]
-fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
+fn missing_meshes_are_replaced_and_reported() -> Outcome {
     let robot = Robot::from_urdf(MESHED, "test")?;
     let chain = chain(&robot);
     let (recorded, _) = motion(&chain, 50);
@@ -369,13 +373,16 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
     let folder = tempfile::tempdir()?;
     let seen = |mesh_roots| {
         let wanted = Recording { mesh_roots, ..Recording::default() };
-        Seen::of(&replay(vec![arm(&robot, &chain, &recorded)], &report), &wanted)
+        ReadRecording::write_and_read(
+            &replay(vec![arm(&robot, &chain, &recorded)], &report),
+            &wanted,
+        )
     };
     let (blob, lengths) = (Asset3D::descriptor_blob(), Capsules3D::descriptor_lengths());
-    let mesh = |seen: &Seen, link| {
+    let mesh = |seen: &ReadRecording, link| {
         seen.with(&["arms", "ur5e", "links", link, "visual_0"], &blob).is_some()
     };
-    let capsules = |seen: &Seen| seen.with(&["arms", "ur5e", "arm"], &lengths).is_some();
+    let capsules = |seen: &ReadRecording| seen.with(&["arms", "ur5e", "arm"], &lengths).is_some();
 
     let none = seen(Vec::new())?;
     assert!(capsules(&none) && !mesh(&none, "base") && none.notes.is_empty());
@@ -403,11 +410,11 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
 }
 
 #[test]
-fn the_layout_is_for_the_application_of_the_recording() -> Outcome {
+fn the_layout_has_the_application_of_the_recording() -> Outcome {
     let report = report(Verdict::Inconclusive, Vec::new());
     let wanted =
         Recording { application: Some("an-opened-log".to_owned()), ..Recording::default() };
-    let seen = Seen::of(&replay(Vec::new(), &report), &wanted)?;
+    let seen = ReadRecording::write_and_read(&replay(Vec::new(), &report), &wanted)?;
     let mut layouts =
         seen.messages.iter().map(LogMsg::store_id).filter(|id| id.kind() == StoreKind::Blueprint);
     let layout = layouts.next().ok_or("a layout")?;
@@ -416,7 +423,7 @@ fn the_layout_is_for_the_application_of_the_recording() -> Outcome {
 }
 
 #[test]
-fn a_run_without_an_arm_still_has_its_page() -> Outcome {
+fn a_run_without_an_arm_has_a_page() -> Outcome {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("run.rrd");
     let report = report(Verdict::Inconclusive, vec![finding()]);
@@ -437,13 +444,13 @@ fn an_error_names_the_file() -> Outcome {
 }
 
 #[test]
-fn the_topic_is_named_only_where_the_state_alone_does_not_tell() -> Outcome {
+fn a_label_has_the_topic_only_if_the_state_is_ambiguous() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
-    let of = |arm: &ReplayArm<'_>, row: usize| arm.label(&arm.streams[row], State::Logged);
+    let of = |arm: &ReplayArm<'_>, row: usize| arm.label(&arm.streams[row], PoseState::Logged);
     assert_eq!((of(&arm, 0), of(&arm, 1)), ("as logged".to_owned(), "/tf".to_owned()));
     arm.streams.push(stream(&aligned, StreamKind::Pose));
     assert_eq!(of(&arm, 0), "/tcp/pose as logged");

@@ -2,18 +2,24 @@ use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
 use re_sdk_types::components::{FillMode, LineStrip3D, Radius};
 
-use super::moments::Moments;
-use super::scene::{ARM_RGB, RECORDED_RGB, kept, positions, quaternion, radius, still};
-use super::tape::{Tape, entity};
-use super::{MOST_ROWS, ReplayArm, ReplayCause, ReplayStream, State, StreamKind};
+use super::row_times::RowTimes;
+use super::scene::{
+    ARM_RGB, RECORDED_RGB, drawn_rows, positions, quaternion, radius, static_transform,
+};
+use super::timeline_writer::{TimelineWriter, entity_path};
+use super::{MAX_ROWS, PoseState, ReplayArm, ReplayCause, ReplayStream, StreamKind};
 use crate::geometry::{Pose, Vec3, xyz_of, xyzw_from_rotation};
 use crate::stats::thin;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
 
-pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<(), ReplayCause> {
-    let kept = kept(&arm.corrected);
-    let mut moved = Moved { moments: tape.of_joints(arm, &kept), ..Moved::default() };
+pub(super) fn draw_tip(
+    writer: &TimelineWriter,
+    arm: &ReplayArm<'_>,
+    size_m: f64,
+) -> Result<(), ReplayCause> {
+    let kept = drawn_rows(&arm.corrected);
+    let mut moved = PoseTrack { times: writer.joint_times(arm, &kept), ..PoseTrack::default() };
     for &row in &kept {
         let base_from_tip = arm.chain.forward(&positions(arm, &arm.corrected, row));
         moved.xyz.push(xyz_of(&base_from_tip));
@@ -22,71 +28,78 @@ pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<
     let label = format!("{} by FK", arm.chain.tip_name());
     let fill = FillMode::MajorWireframe;
     let tool = Tool { label: &label, is_named: false, rgb: ARM_RGB, fill };
-    tool.draw(tape, &entity(&["arms", arm.name, "tip"]), &moved, size_m)
+    tool.draw(writer, &entity_path(&["arms", arm.name, "tip"]), &moved, size_m)
 }
 
 /// Draws a stream's tool with trail and error.
 pub(super) fn draw(
-    tape: &Tape,
+    writer: &TimelineWriter,
     arm: &ReplayArm<'_>,
     stream: &ReplayStream<'_>,
     size_m: f64,
 ) -> Result<(), ReplayCause> {
-    let reference = entity(&["arms", arm.name, stream.topic]);
-    tape.still(&reference, &still(&stream.base_from_reference))?;
-    for state in State::drawn(stream) {
-        let moved = Moved::of(tape, arm, stream, state, state.poses(stream));
+    let reference = entity_path(&["arms", arm.name, stream.topic]);
+    writer.log_static(&reference, &static_transform(&stream.base_from_reference))?;
+    for state in PoseState::drawn_states(stream) {
+        let moved = PoseTrack::new(writer, arm, stream, state, state.poses(stream));
         let rgb = state.rgb(stream.kind);
         let fill = match (stream.kind, state) {
             (StreamKind::Tf, _) => FillMode::MajorWireframe,
-            (StreamKind::Pose, State::Logged) => FillMode::Solid,
-            (StreamKind::Pose, State::Explained) => FillMode::TransparentFillMajorWireframe,
+            (StreamKind::Pose, PoseState::Logged) => FillMode::Solid,
+            (StreamKind::Pose, PoseState::Corrected) => FillMode::TransparentFillMajorWireframe,
         };
         let is_named = stream.kind == StreamKind::Pose;
         let tool = Tool { label: &arm.label(stream, state), is_named, rgb, fill };
-        tool.draw(tape, &reference.join(&entity(&[state.entity()])), &moved, size_m)?;
+        tool.draw(writer, &reference.join(&entity_path(&[state.entity()])), &moved, size_m)?;
         if stream.kind == StreamKind::Pose {
-            let path = reference.join(&entity(&[&format!("{}_trail", state.entity())]));
-            trail(tape, &path, &moved.xyz, rgb)?;
+            let path = reference.join(&entity_path(&[&format!("{}_trail", state.entity())]));
+            draw_trail(writer, &path, &moved.xyz, rgb)?;
         }
     }
     if stream.kind == StreamKind::Tf {
         return Ok(());
     }
-    let by_fk = Moved::of(tape, arm, stream, State::Logged, &stream.aligned.fk);
-    trail(tape, &reference.join(&entity(&["fk_trail"])), &by_fk.xyz, RECORDED_RGB)?;
+    let by_fk = PoseTrack::new(writer, arm, stream, PoseState::Logged, &stream.aligned.fk);
+    draw_trail(writer, &reference.join(&entity_path(&["fk_trail"])), &by_fk.xyz, RECORDED_RGB)?;
     if !stream.reference_known {
         return Ok(());
     }
-    let logged = Moved::of(tape, arm, stream, State::Logged, &stream.aligned.logged);
-    errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
+    let logged = PoseTrack::new(writer, arm, stream, PoseState::Logged, &stream.aligned.logged);
+    draw_errors(
+        writer,
+        &reference.join(&entity_path(&["error"])),
+        &by_fk,
+        &logged,
+        magnification(arm),
+        size_m,
+    )
 }
 
 #[derive(Default)]
-struct Moved {
-    moments: Moments,
+struct PoseTrack {
+    times: RowTimes,
     xyz: Vec<[f64; 3]>,
     xyzw: Vec<[f64; 4]>,
 }
 
-impl Moved {
+impl PoseTrack {
     /// A logged pose is at its stamp and receive time; a corrected pose at its time of measurement.
-    fn of(
-        tape: &Tape,
+    fn new(
+        writer: &TimelineWriter,
         arm: &ReplayArm<'_>,
         stream: &ReplayStream<'_>,
-        state: State,
+        state: PoseState,
         poses: &[Pose],
     ) -> Self {
         let (late_s, received) = match state {
-            State::Explained => (stream.latency_s, &arm.received),
-            State::Logged => (0.0, &stream.received),
+            PoseState::Corrected => (stream.latency_s, &arm.received),
+            PoseState::Logged => (0.0, &stream.received),
         };
-        let kept = thin::even_rows(poses.len(), MOST_ROWS);
-        let stamps = kept.iter().map(|&row| tape.stamp(stream.aligned.t_s[row]).shifted(-late_s));
+        let kept = thin::even_rows(poses.len(), MAX_ROWS);
+        let stamps = kept.iter().map(|&row| writer.stamp(stream.aligned.t_s[row]).shifted(-late_s));
         let drawn = kept.iter().map(|&row| &poses[row]);
         Self {
-            moments: tape.moments(arm, received, stamps),
+            times: writer.row_times(arm, received, stamps),
             xyz: drawn.clone().map(xyz_of).collect(),
             xyzw: drawn.map(|pose| xyzw_from_rotation(&pose.rotation)).collect(),
         }
@@ -105,9 +118,9 @@ struct Tool<'a> {
 impl Tool<'_> {
     fn draw(
         &self,
-        tape: &Tape,
+        writer: &TimelineWriter,
         path: &EntityPath,
-        moved: &Moved,
+        moved: &PoseTrack,
         size_m: f64,
     ) -> Result<(), ReplayCause> {
         let half = [0.05, 0.02, 0.08].map(|part| part * size_m);
@@ -116,17 +129,17 @@ impl Tool<'_> {
             .with_fill_mode(self.fill)
             .with_labels([self.label])
             .with_show_labels(self.is_named);
-        tape.still(path, &body)?;
-        tape.still(path, &TransformAxes3D::new((0.2 * size_m) as f32))?;
+        writer.log_static(path, &body)?;
+        writer.log_static(path, &TransformAxes3D::new((0.2 * size_m) as f32))?;
         let poses = Transform3D::update_fields()
             .with_many_translation(moved.xyz.iter().copied())
             .with_many_quaternion(moved.xyzw.iter().copied().map(quaternion));
-        tape.columns(path, &moved.moments, poses.columns_of_unit_batches()?)
+        writer.log_columns(path, &moved.times, poses.columns_of_unit_batches()?)
     }
 }
 
-fn trail(
-    tape: &Tape,
+fn draw_trail(
+    writer: &TimelineWriter,
     path: &EntityPath,
     xyz: &[[f64; 3]],
     rgb: [u8; 3],
@@ -134,15 +147,15 @@ fn trail(
     let strip = LineStrips3D::new([LineStrip3D::from_iter(xyz.iter().copied())])
         .with_colors([rgb])
         .with_radii([Radius::new_ui_points(1.0)]);
-    tape.still(path, &strip)
+    writer.log_static(path, &strip)
 }
 
 /// From FK to the logged position, magnified by `times`.
-fn errors(
-    tape: &Tape,
+fn draw_errors(
+    writer: &TimelineWriter,
     path: &EntityPath,
-    by_fk: &Moved,
-    logged: &Moved,
+    by_fk: &PoseTrack,
+    logged: &PoseTrack,
     times: f64,
     size_m: f64,
 ) -> Result<(), ReplayCause> {
@@ -151,47 +164,47 @@ fn errors(
         .with_radii([radius(0.005 * size_m)])
         .with_labels([format!("error × {times}")])
         .with_show_labels(false);
-    tape.still(path, &style)?;
+    writer.log_static(path, &style)?;
     let pairs = by_fk.xyz.iter().zip(&logged.xyz);
     let vectors = pairs.map(|(fk, logged)| times * (Vec3::from(*logged) - Vec3::from(*fk)));
     let vectors = vectors.map(|vector| <[f64; 3]>::from(vector).map(|part| part as f32));
     let origins = by_fk.xyz.iter().map(|xyz| xyz.map(|part| part as f32));
     let arrows = Arrows3D::update_fields().with_vectors(vectors).with_origins(origins);
-    tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)
+    writer.log_columns(path, &logged.times, arrows.columns_of_unit_batches()?)
 }
 
-pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
+pub(super) fn magnification(arm: &ReplayArm<'_>) -> f64 {
     /// Length of an arrow, as a fraction of the arm's reach.
-    const LONGEST: f64 = 0.25;
+    const MAX_ARROW_RATIO: f64 = 0.25;
     /// Smallest magnified error, m.
-    const WORTH_M: f64 = 1e-3;
+    const MIN_MAGNIFIED_M: f64 = 1e-3;
     let measured =
         arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
     let errors = measured.flat_map(|stream| stream.aligned.before().m);
     let longest_m = errors.fold(0.0, f64::max);
     // A healthy run has no visible errors.
-    if longest_m < WORTH_M {
+    if longest_m < MIN_MAGNIFIED_M {
         return 1.0;
     }
-    most_times(longest_m, LONGEST * arm.chain.max_reach_m())
+    largest_factor(longest_m, MAX_ARROW_RATIO * arm.chain.max_reach_m())
 }
 
 /// Largest of 1, 10, 100 and 1000 that scales a length to at most `most_m`, else 1.
-fn most_times(length_m: f64, most_m: f64) -> f64 {
+fn largest_factor(length_m: f64, most_m: f64) -> f64 {
     let fits = |times: &f64| times * length_m <= most_m;
     [1000.0, 100.0, 10.0].into_iter().find(fits).unwrap_or(1.0)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::most_times;
+    use super::largest_factor;
 
     #[test]
-    fn small_errors_are_magnified_and_large_ones_are_not() {
+    fn only_small_errors_are_magnified() {
         for (longest_m, times) in
             [(2.0, 1.0), (0.15, 1.0), (0.02, 10.0), (0.001, 100.0), (1e-5, 1000.0), (0.0, 1000.0)]
         {
-            assert_eq!(most_times(longest_m, 0.2), times, "{longest_m}");
+            assert_eq!(largest_factor(longest_m, 0.2), times, "{longest_m}");
         }
     }
 }

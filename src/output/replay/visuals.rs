@@ -9,32 +9,32 @@ use re_sdk_types::archetypes::{
 use re_sdk_types::components::{AlbedoFactor, FillMode, Scale3D};
 use re_sdk_types::datatypes::Rgba32;
 
-use super::mesh::{Mesh, NoMesh};
-use super::scene::{ARM_RGB, kept, moving, positions, radius, still};
-use super::tape::{Tape, entity};
+use super::mesh::{Mesh, MeshError};
+use super::scene::{ARM_RGB, drawn_rows, positions, radius, static_transform, transforms};
+use super::timeline_writer::{TimelineWriter, entity_path};
 use super::{ReplayArm, ReplayCause};
 use crate::geometry::Pose;
 use crate::robot::{Chain, LinkId, Shape, Visual};
 
 /// Missing files that are named.
-const NAMED: usize = 3;
+const MAX_NAMED_FILES: usize = 3;
 
-pub(super) struct Drawn {
+pub(super) struct VisualsResult {
     /// All visuals are drawn.
-    pub is_whole: bool,
+    pub is_complete: bool,
     /// Notes for the report.
     pub notes: Vec<String>,
 }
 
 /// Links of an arm, and links of its robot that move with them.
 pub(super) fn draw(
-    tape: &Tape,
+    writer: &TimelineWriter,
     arm: &ReplayArm<'_>,
     size_m: f64,
     mesh_roots: &[PathBuf],
-) -> Result<Drawn, ReplayCause> {
+) -> Result<VisualsResult, ReplayCause> {
     let visuals = arm.robot.visuals();
-    let mut found = Found::default();
+    let mut found = VisualCounts::default();
     for link in arm.robot.links() {
         let name = arm.robot.link_name(link);
         let is_of_chain = is_of_chain(arm, link);
@@ -42,21 +42,21 @@ pub(super) fn draw(
         if !is_of_chain && shown.is_empty() {
             continue;
         }
-        let path = entity(&["arms", arm.name, "links"]).join(&entity(&[name]));
-        let Some(carried) = Carried::of(arm, link) else {
-            found.adrift += shown.len();
+        let path = entity_path(&["arms", arm.name, "links"]).join(&entity_path(&[name]));
+        let Some(carried) = LinkMotion::from_link(arm, link) else {
+            found.unplaced += shown.len();
             continue;
         };
-        carried.draw(tape, arm, &path)?;
+        carried.draw(writer, arm, &path)?;
         if is_of_chain {
-            frame(tape, arm, &path, name, size_m)?;
+            draw_frame(writer, arm, &path, name, size_m)?;
         }
         for (index, visual) in shown.into_iter().enumerate() {
-            let path = path.join(&entity(&[&format!("visual_{index}")]));
-            found.draw(tape, &path, visual, mesh_roots)?;
+            let path = path.join(&entity_path(&[&format!("visual_{index}")]));
+            found.draw(writer, &path, visual, mesh_roots)?;
         }
     }
-    Ok(found.told(arm, !mesh_roots.is_empty()))
+    Ok(found.into_result(arm, !mesh_roots.is_empty()))
 }
 
 /// The base, the tip, or moved by a joint of the chain.
@@ -68,46 +68,51 @@ fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
         || joints.any(|joint| joint.child == link)
 }
 
-enum Carried {
+enum LinkMotion {
     /// Fixed in the base.
-    Still(Pose),
+    Fixed(Pose),
     /// At the end of a chain with these joints of the arm.
-    Moved(Box<Chain>, Vec<usize>),
+    Moving(Box<Chain>, Vec<usize>),
 }
 
-impl Carried {
+impl LinkMotion {
     /// `None` for a link moved by joints outside the arm, such as a gripper's finger.
-    fn of(arm: &ReplayArm<'_>, link: LinkId) -> Option<Self> {
+    fn from_link(arm: &ReplayArm<'_>, link: LinkId) -> Option<Self> {
         let base = arm.robot.link(arm.chain.base_name())?;
         if let Some(pose) = arm.robot.fixed_transform(base, link) {
-            return Some(Carried::Still(pose));
+            return Some(LinkMotion::Fixed(pose));
         }
         let chain = arm.robot.chain(base, link).ok()?;
         let of_arm = |name: &String| arm.chain.joint_names().iter().position(|it| it == name);
         let joints = chain.joint_names().iter().map(of_arm).collect::<Option<Vec<usize>>>()?;
-        Some(Carried::Moved(Box::new(chain), joints))
+        Some(LinkMotion::Moving(Box::new(chain), joints))
     }
 
-    fn draw(&self, tape: &Tape, arm: &ReplayArm<'_>, path: &EntityPath) -> Result<(), ReplayCause> {
+    fn draw(
+        &self,
+        writer: &TimelineWriter,
+        arm: &ReplayArm<'_>,
+        path: &EntityPath,
+    ) -> Result<(), ReplayCause> {
         let (chain, joints) = match self {
-            Carried::Still(pose) => return tape.still(path, &still(pose)),
-            Carried::Moved(chain, joints) => (chain, joints),
+            LinkMotion::Fixed(pose) => return writer.log_static(path, &static_transform(pose)),
+            LinkMotion::Moving(chain, joints) => (chain, joints),
         };
-        let kept = kept(&arm.corrected);
+        let kept = drawn_rows(&arm.corrected);
         let poses = kept.iter().map(|&row| {
             let q = positions(arm, &arm.corrected, row);
             let own: Vec<f64> = joints.iter().map(|&joint| q[joint]).collect();
             chain.forward(&own)
         });
         let poses: Vec<Pose> = poses.collect();
-        let moments = tape.of_joints(arm, &kept);
-        tape.columns(path, &moments, moving(&poses).columns_of_unit_batches()?)
+        let times = writer.joint_times(arm, &kept);
+        writer.log_columns(path, &times, transforms(&poses).columns_of_unit_batches()?)
     }
 }
 
 /// Axes and name, which is always visible at the ends of the chain, else on hover.
-fn frame(
-    tape: &Tape,
+fn draw_frame(
+    writer: &TimelineWriter,
     arm: &ReplayArm<'_>,
     path: &EntityPath,
     name: &str,
@@ -119,37 +124,37 @@ fn frame(
         .with_colors([ARM_RGB])
         .with_labels([name])
         .with_show_labels(is_base);
-    let path = path.join(&entity(&["frame"]));
-    tape.still(&path, &name_tag)?;
-    tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))
+    let path = path.join(&entity_path(&["frame"]));
+    writer.log_static(&path, &name_tag)?;
+    writer.log_static(&path, &TransformAxes3D::new((0.09 * size_m) as f32))
 }
 
 #[derive(Default)]
-struct Found {
+struct VisualCounts {
     /// Drawn visuals, and meshes among them.
     drawn: usize,
     meshes: usize,
     /// Missing meshes, with the reason.
-    missing: Vec<(String, NoMesh)>,
+    missing: Vec<(String, MeshError)>,
     /// Visuals on links whose position is unknown.
-    adrift: usize,
+    unplaced: usize,
 }
 
-impl Found {
+impl VisualCounts {
     fn draw(
         &mut self,
-        tape: &Tape,
+        writer: &TimelineWriter,
         path: &EntityPath,
         visual: &Visual,
         mesh_roots: &[PathBuf],
     ) -> Result<(), ReplayCause> {
-        let place = still(&visual.link_from_visual);
+        let place = static_transform(&visual.link_from_visual);
         match &visual.shape {
             Shape::Mesh { uri, scale } => match Mesh::find(uri, mesh_roots) {
                 Ok(mesh) => {
                     let scale = Scale3D::from(scale.map(|part| part as f32));
-                    tape.still(path, &place.with_scale(scale))?;
-                    tape.still(path, &asset(mesh))?;
+                    writer.log_static(path, &place.with_scale(scale))?;
+                    writer.log_static(path, &mesh_asset(mesh))?;
                     self.meshes += 1;
                 }
                 Err(why) => {
@@ -158,9 +163,9 @@ impl Found {
                 }
             },
             Shape::Box(edges_m) => {
-                tape.still(path, &place)?;
+                writer.log_static(path, &place)?;
                 let halves = edges_m.map(|edge| (edge / 2.0) as f32);
-                tape.still(
+                writer.log_static(
                     path,
                     &Boxes3D::from_half_sizes([halves])
                         .with_colors([ARM_RGB])
@@ -168,27 +173,27 @@ impl Found {
                 )?;
             }
             &Shape::Cylinder { radius_m, length_m } => {
-                tape.still(path, &place)?;
+                writer.log_static(path, &place)?;
                 let round = Cylinders3D::update_fields()
                     .with_lengths([length_m as f32])
                     .with_radii([radius_m as f32])
                     .with_colors([ARM_RGB])
                     .with_fill_mode(FillMode::Solid);
-                tape.still(path, &round)?;
+                writer.log_static(path, &round)?;
             }
             &Shape::Sphere(radius_m) => {
-                tape.still(path, &place)?;
+                writer.log_static(path, &place)?;
                 let ball = Ellipsoids3D::from_half_sizes([[radius_m as f32; 3]])
                     .with_colors([ARM_RGB])
                     .with_fill_mode(FillMode::Solid);
-                tape.still(path, &ball)?;
+                writer.log_static(path, &ball)?;
             }
         }
         self.drawn += 1;
         Ok(())
     }
 
-    fn told(self, arm: &ReplayArm<'_>, has_roots: bool) -> Drawn {
+    fn into_result(self, arm: &ReplayArm<'_>, has_roots: bool) -> VisualsResult {
         let is_whole = self.drawn > 0 && self.missing.is_empty();
         let all = self.meshes + self.missing.len();
         let mut notes = Vec::new();
@@ -197,50 +202,51 @@ impl Found {
                 "{} is drawn as capsules: set --mesh-root to the folders that contain its {}, such as \
                  {first}",
                 arm.name,
-                counted(all, "mesh", "meshes"),
+                count_text(all, "mesh", "meshes"),
             ));
         } else if !self.missing.is_empty() {
-            let mut names: Vec<String> = self.missing.iter().take(NAMED).map(named).collect();
-            let others = self.missing.len().saturating_sub(NAMED);
+            let mut names: Vec<String> =
+                self.missing.iter().take(MAX_NAMED_FILES).map(describe_missing).collect();
+            let others = self.missing.len().saturating_sub(MAX_NAMED_FILES);
             if others > 0 {
                 names.push(format!("and {others} more"));
             }
             notes.push(format!(
                 "{} of the {} of {} are not drawn, shown as capsules instead: {}",
                 self.missing.len(),
-                counted(all, "mesh", "meshes"),
+                count_text(all, "mesh", "meshes"),
                 arm.name,
                 names.join("; "),
             ));
         } else if all > 0 {
-            let them = counted(all, "mesh", "meshes");
+            let them = count_text(all, "mesh", "meshes");
             notes.push(format!("{} is drawn with the {them} of its model", arm.name));
         } else if has_roots {
             notes.push(format!("the model of {} has no mesh: it is drawn as capsules", arm.name));
         }
-        if self.adrift > 0 {
+        if self.unplaced > 0 {
             notes.push(format!(
                 "{} of {} on links that other joints move are not drawn",
-                counted(self.adrift, "visual", "visuals"),
+                count_text(self.unplaced, "visual", "visuals"),
                 arm.name,
             ));
         }
-        Drawn { is_whole, notes }
+        VisualsResult { is_complete: is_whole, notes }
     }
 }
 
-fn named((uri, why): &(String, NoMesh)) -> String {
+fn describe_missing((uri, why): &(String, MeshError)) -> String {
     match why {
-        NoMesh::NotFound => format!("{uri} is not below --mesh-root"),
-        NoMesh::Unreadable(why) => format!("{uri} cannot be shown: {why}"),
+        MeshError::NotFound => format!("{uri} is not below --mesh-root"),
+        MeshError::Unreadable(why) => format!("{uri} cannot be shown: {why}"),
     }
 }
 
-fn counted(count: usize, one: &str, many: &str) -> String {
+fn count_text(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-fn asset(mesh: Mesh) -> Asset3D {
+fn mesh_asset(mesh: Mesh) -> Asset3D {
     let [red, green, blue] = ARM_RGB;
     let is_coloured = mesh.is_coloured();
     let asset = Asset3D::new(mesh.bytes).with_media_type(mesh.media_type);

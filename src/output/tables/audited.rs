@@ -8,11 +8,12 @@ use crate::places::Places;
 use crate::report::Trouble;
 use crate::report::reached_workspaces;
 
-const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
+const TABLE_NAMES: [&str; 6] =
+    ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
 /// Registers the files in `folder`.
-pub fn enter(folder: &Path, places: &mut Places) {
-    places.writes_into("--parquet", folder, NAMES.map(|name| format!("{name}.parquet")));
+pub fn register_outputs(folder: &Path, places: &mut Places) {
+    places.writes_into("--parquet", folder, TABLE_NAMES.map(|name| format!("{name}.parquet")));
 }
 
 impl Audited {
@@ -23,7 +24,7 @@ impl Audited {
     /// If a table cannot be written or would replace an input file.
     pub fn write_tables(&self, folder: &Path) -> Result<(), Trouble> {
         let mut places = self.read.clone();
-        enter(folder, &mut places);
+        register_outputs(folder, &mut places);
         places.check()?;
         let Self { report, run, evidence, .. } = self;
         let remedy = "set --parquet to a writable folder";
@@ -41,7 +42,7 @@ impl Audited {
             workspace::reach_map_frame(&arms),
             workspace::reached_poses_frame(&arms, run.origin),
         ];
-        for (name, frame) in NAMES.into_iter().zip(frames) {
+        for (name, frame) in TABLE_NAMES.into_iter().zip(frames) {
             let mut frame = frame.map_err(|error| trouble(error.to_string()))?;
             write_table(folder, name, &mut frame).map_err(|TableError { path, cause }| {
                 Trouble { place: path.display().to_string(), ..trouble(cause) }

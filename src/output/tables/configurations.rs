@@ -10,7 +10,7 @@ use polars::prelude::{
 use crate::geometry::{Pose, xyz_of, xyzw_from_rotation};
 use crate::robot::{Chain, JointKind};
 
-use super::{TableError, split};
+use super::{TableError, split_components};
 
 /// Joint positions from a file, one configuration per row.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,7 +40,7 @@ impl Configurations {
 }
 
 /// Factor to rad or m.
-fn unit(column: &str, kind: JointKind, deg: bool) -> f64 {
+fn unit_factor(column: &str, kind: JointKind, deg: bool) -> f64 {
     let column = column.trim();
     let is_deg = column.ends_with("_deg") || (deg && !column.ends_with("_rad"));
     if is_deg && kind != JointKind::Prismatic { 1_f64.to_radians() } else { 1.0 }
@@ -60,8 +60,8 @@ fn from_parquet(path: &Path, chain: &Chain, deg: bool) -> Result<Configurations,
     let mut q = vec![0.0; rows * chain.dof()];
     for (joint, name) in chain.joint_names().iter().enumerate() {
         let column = frame.columns().iter().find(|column| is_column_of(column.name(), name));
-        let column = column.ok_or_else(|| missing(name))?;
-        let unit = unit(column.name(), chain.joint_kinds()[joint], deg);
+        let column = column.ok_or_else(|| missing_column(name))?;
+        let unit = unit_factor(column.name(), chain.joint_kinds()[joint], deg);
         let numbers = column.cast(&DataType::Float64).map_err(|error| error.to_string())?;
         let numbers = numbers.f64().map_err(|error| error.to_string())?;
         for (row, number) in (0..rows).map(|row| (row, numbers.get(row))) {
@@ -85,7 +85,7 @@ fn from_csv(text: &[u8], chain: &Chain, deg: bool) -> Result<Configurations, Str
         |record: &csv::StringRecord| record.iter().any(|cell| cell.parse::<f64>().is_err());
     let kinds = chain.joint_kinds().iter();
     let mut places: Vec<(usize, f64)> =
-        kinds.enumerate().map(|(joint, kind)| (joint, unit("", *kind, deg))).collect();
+        kinds.enumerate().map(|(joint, kind)| (joint, unit_factor("", *kind, deg))).collect();
     let has_head = match records.peek() {
         Some(Ok(first)) => is_head(first),
         _ => false,
@@ -93,8 +93,8 @@ fn from_csv(text: &[u8], chain: &Chain, deg: bool) -> Result<Configurations, Str
     if has_head && let Some(Ok(head)) = records.next() {
         for (joint, name) in chain.joint_names().iter().enumerate() {
             let column = head.iter().position(|column| is_column_of(column, name));
-            let column = column.ok_or_else(|| missing(name))?;
-            places[joint] = (column, unit(&head[column], chain.joint_kinds()[joint], deg));
+            let column = column.ok_or_else(|| missing_column(name))?;
+            places[joint] = (column, unit_factor(&head[column], chain.joint_kinds()[joint], deg));
         }
     }
     let (mut q, mut rows) = (Vec::new(), 0);
@@ -117,7 +117,7 @@ fn from_csv(text: &[u8], chain: &Chain, deg: bool) -> Result<Configurations, Str
     Ok(Configurations { q, rows })
 }
 
-fn missing(joint: &str) -> String {
+fn missing_column(joint: &str) -> String {
     format!("it has no column `{joint}`")
 }
 
@@ -136,8 +136,8 @@ pub fn kinematics_frame(chain: &Chain, q: &[f64], poses: &[Pose]) -> PolarsResul
         .collect();
     let xyz: Vec<[f64; 3]> = poses.iter().map(xyz_of).collect();
     let xyzw: Vec<[f64; 4]> = poses.iter().map(|pose| xyzw_from_rotation(&pose.rotation)).collect();
-    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
-    columns.extend(split(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    columns.extend(split_components(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
+    columns.extend(split_components(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
     DataFrame::new(poses.len(), columns)
 }
 
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_found_by_name_in_any_order() {
+    fn columns_are_matched_by_name_in_any_order() {
         let chain = chain();
         let names = chain.joint_names();
         let mut head: Vec<String> = names.iter().map(|name| format!("{name}_rad")).collect();
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_says_its_unit() {
+    fn a_column_name_states_its_unit() {
         let chain = chain();
         let names = chain.joint_names();
         let head: Vec<String> = names.iter().map(|name| format!("{name}_deg")).collect();
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again() {
+    fn written_tables_are_read_back() {
         let chain = chain();
         let q: Vec<f64> = (0..12).map(|k| f64::from(k) * 0.1).collect();
         let mut poses = Vec::new();

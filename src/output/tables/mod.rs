@@ -6,7 +6,7 @@ mod parquet;
 mod rows;
 mod workspace;
 
-pub use audited::enter;
+pub use audited::register_outputs;
 pub use configurations::{Configurations, kinematics_frame};
 pub use parquet::{TableError, write_frame, write_table};
 use rows::joints_frame;
@@ -38,8 +38,14 @@ fn aligned_frame(aligned: &AlignedSamples, origin: Stamp) -> PolarsResult<DataFr
     ] {
         let (xyz, xyzw): (Vec<_>, Vec<_>) =
             poses.iter().map(|pose| (xyz_of(pose), xyzw_from_rotation(&pose.rotation))).unzip();
-        columns.extend(split(["x_m", "y_m", "z_m"].map(|part| format!("{name}_{part}")), &xyz));
-        columns.extend(split(["qx", "qy", "qz", "qw"].map(|part| format!("{name}_{part}")), &xyzw));
+        columns.extend(split_components(
+            ["x_m", "y_m", "z_m"].map(|part| format!("{name}_{part}")),
+            &xyz,
+        ));
+        columns.extend(split_components(
+            ["qx", "qy", "qz", "qw"].map(|part| format!("{name}_{part}")),
+            &xyzw,
+        ));
     }
     let (before, after) = (aligned.before(), aligned.after());
     columns.extend([
@@ -86,7 +92,10 @@ fn column(name: &str, values: &[f64]) -> Column {
 }
 
 /// One column per component of `rows`.
-fn split<const N: usize>(names: [String; N], rows: &[[f64; N]]) -> impl Iterator<Item = Column> {
+fn split_components<const N: usize>(
+    names: [String; N],
+    rows: &[[f64; N]],
+) -> impl Iterator<Item = Column> {
     names.into_iter().enumerate().map(|(part, name)| {
         let values: Vec<f64> = rows.iter().map(|row| row[part]).collect();
         Column::new(name.into(), values)
@@ -127,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_a_sample_and_the_units_in_the_names() -> PolarsResult<()> {
+    fn there_is_one_row_per_sample_and_names_state_units() -> PolarsResult<()> {
         let frame = aligned_frame(&aligned(), ORIGIN)?;
         assert_eq!(frame.shape(), (2, 2 + 4 * 7 + 5));
         let names: Vec<&str> =
@@ -143,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn residuals_are_those_computed_by_hand() -> PolarsResult<()> {
+    fn residuals_match_values_computed_by_hand() -> PolarsResult<()> {
         let frame = aligned_frame(&aligned(), ORIGIN)?;
         assert_close(&numbers(&frame, "before_m")?, &[5.0, 3.0]);
         assert_close(&numbers(&frame, "before_rad")?, &[0.2, 0.4]);
@@ -154,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_keep_every_nanosecond_and_poses_come_back() -> PolarsResult<()> {
+    fn stamps_are_exact_and_poses_round_trip() -> PolarsResult<()> {
         let frame = aligned_frame(&aligned(), ORIGIN)?;
         let origin_ns = ORIGIN.nanos();
         let stamps: Vec<i64> = frame.column(STAMP_NS)?.i64()?.into_no_null_iter().collect();
@@ -167,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_of_unlike_length_are_an_error() {
+    fn columns_of_different_lengths_are_an_error() {
         let mut aligned = aligned();
         aligned.corrected.pop();
         assert!(aligned_frame(&aligned, ORIGIN).is_err());

@@ -21,8 +21,8 @@ pub fn findings_frame(findings: &[Finding]) -> PolarsResult<DataFrame> {
         text("title", &|finding| finding.title.to_owned()),
         text("message", &|finding| finding.message.clone()),
     ];
-    columns.extend(subjects(findings.iter().map(|finding| &finding.subject)));
-    columns.extend(estimates(findings.iter().map(|finding| finding.estimate.as_ref())));
+    columns.extend(subject_columns(findings.iter().map(|finding| &finding.subject)));
+    columns.extend(estimate_columns(findings.iter().map(|finding| finding.estimate.as_ref())));
     columns.push(text("fix", &|finding| finding.fix.clone()));
     columns.push(text("evidence_json", &|finding| as_json(&finding.evidence)));
     let stamp = |name: &str, of: &dyn Fn(&Finding) -> Option<Stamp>| {
@@ -48,8 +48,8 @@ pub fn checks_frame(checks: &[CheckRow]) -> PolarsResult<DataFrame> {
         text("status", &|row| Some(row.status.name().to_owned())),
         text("reason", &|row| row.reason.clone()),
     ];
-    columns.extend(subjects(checks.iter().map(|row| &row.subject)));
-    columns.extend(estimates(checks.iter().map(|row| row.estimate.as_ref())));
+    columns.extend(subject_columns(checks.iter().map(|row| &row.subject)));
+    columns.extend(estimate_columns(checks.iter().map(|row| row.estimate.as_ref())));
     columns.push(text("evidence_json", &|row| Some(as_json(&row.evidence))));
     DataFrame::new(checks.len(), columns)
 }
@@ -82,7 +82,7 @@ pub fn joints_frame(arms: &[WorkspaceRow]) -> PolarsResult<DataFrame> {
     )
 }
 
-fn subjects<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
+fn subject_columns<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
     let subjects: Vec<&Subject> = subjects.collect();
     let part = |name: &str, of: fn(&Subject) -> &Option<String>| {
         let parts: Vec<Option<&str>> = subjects.iter().map(|one| of(one).as_deref()).collect();
@@ -97,7 +97,7 @@ fn subjects<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
 }
 
 /// Value, interval and JSON of each estimate.
-fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
+fn estimate_columns<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
     let (mut values, mut units, mut lows, mut highs, mut whole) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for estimate in estimates {

@@ -8,7 +8,7 @@ use crate::report::ArmWorkspace;
 use crate::robot::{Chain, JointKind};
 use crate::time::Stamp;
 
-use super::split;
+use super::split_components;
 
 /// One row per cell of the base frame that a tip reached.
 pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
@@ -24,7 +24,7 @@ pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFra
     };
     let dwell_s: Vec<f64> = rows.iter().map(|(.., place)| place.dwell_s).collect();
     let mut columns = vec![Column::new("robot".into(), robots)];
-    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &centres));
+    columns.extend(split_components(["x_m", "y_m", "z_m"].map(str::to_owned), &centres));
     columns.extend([
         count("samples", &|row| rows[row].2.samples),
         Column::new("dwell_s".into(), dwell_s),
@@ -55,8 +55,8 @@ pub(super) fn reached_poses_frame(
         Column::new(super::STAMP_NS.into(), stamps),
         Column::new(super::T_S.into(), t_s),
     ];
-    columns.extend(split(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
-    columns.extend(split(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
+    columns.extend(split_components(["x_m", "y_m", "z_m"].map(str::to_owned), &xyz));
+    columns.extend(split_components(["qx", "qy", "qz", "qw"].map(str::to_owned), &xyzw));
     columns.push(Column::new("samples".into(), samples));
     let mut known = BTreeSet::new();
     for name in arms.iter().flat_map(|arm| joint_columns(arm.chain)) {

@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use super::dataset::{SharedMapping, learnt};
-use super::settle::{is_of_memory, settle};
+use super::audit_log::{audit_log, is_allocation_failure};
+use super::dataset::{SharedMapping, infer_shared};
 use super::sources::path_of;
 use super::store::Store;
-use super::task::{Answer, Task};
+use super::task::{AuditAnswer, Task};
 use crate::Options;
 use crate::boundary::delete_staged_files;
 
@@ -32,14 +32,14 @@ pub struct Limits {
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-pub enum Order {
-    Audit(Vec<Job>),
+pub enum WorkerOrder {
+    Audit(Vec<AuditJob>),
     /// Infer dataset-wide properties from the log at this path, in the system's byte encoding.
     Learn(Vec<u8>),
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Job {
+pub struct AuditJob {
     /// Path in the system's byte encoding.
     pub path: Vec<u8>,
     pub task: Task,
@@ -49,27 +49,27 @@ pub struct Job {
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Told {
+enum WorkerMessage {
     /// Index of the log that starts.
-    Begun(usize),
+    Started(usize),
     /// Results of the first logs of the order; their rows are stored.
-    Answers(Vec<Ended>),
-    Learnt(Option<SharedMapping>),
+    Answers(Vec<AuditResult>),
+    Learned(Option<SharedMapping>),
     /// Why the rows could not be written.
     Fault(String),
 }
 
 /// Result, and why the log could not be audited, if so.
-pub type Ended = (Answer, Option<String>);
+pub type AuditResult = (AuditAnswer, Option<String>);
 
 /// How a process ended without an answer.
 #[derive(Debug)]
-pub enum Death {
+pub enum WorkerFailure {
     TimedOut,
     OutOfMemory,
     Crashed(String),
     /// Could not write its rows or be started; not the fault of the log.
-    Unable(String),
+    Unavailable(String),
 }
 
 pub struct Worker {
@@ -83,12 +83,14 @@ pub struct Worker {
 
 impl Worker {
     /// Starts `command`, which must call [`serve`].
-    pub fn start(mut command: Command, limits: &Limits) -> Result<Self, Death> {
-        let unable = |error: io::Error| Death::Unable(format!("cannot start a process: {error}"));
+    pub fn start(mut command: Command, limits: &Limits) -> Result<Self, WorkerFailure> {
+        let unable = |error: io::Error| {
+            WorkerFailure::Unavailable(format!("cannot start a process: {error}"))
+        };
         let errors = tempfile::tempfile().map_err(|error| {
             let folder = std::env::temp_dir();
             let what = format!("cannot create a file in {}: {error}", folder.display());
-            Death::Unable(what + "; set TMPDIR to another folder")
+            WorkerFailure::Unavailable(what + "; set TMPDIR to another folder")
         })?;
         command
             .env("RAYON_NUM_THREADS", "1")
@@ -115,23 +117,26 @@ impl Worker {
     ///
     /// # Errors
     /// If the process ends without an answer: its exit and the current log. No rows are stored.
-    pub fn audited(&mut self, jobs: Vec<Job>) -> Result<Vec<Ended>, (usize, Death)> {
-        match self.told(&Order::Audit(jobs))? {
-            Told::Answers(answers) => Ok(answers),
-            _ => Err((0, self.gone())),
+    pub fn audit(
+        &mut self,
+        jobs: Vec<AuditJob>,
+    ) -> Result<Vec<AuditResult>, (usize, WorkerFailure)> {
+        match self.send(&WorkerOrder::Audit(jobs))? {
+            WorkerMessage::Answers(answers) => Ok(answers),
+            _ => Err((0, self.unexpected_answer())),
         }
     }
 
-    pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<SharedMapping>, Death> {
-        match self.told(&Order::Learn(path)).map_err(|(_, death)| death)? {
-            Told::Learnt(shared) => Ok(shared),
-            _ => Err(self.gone()),
+    pub fn learn(&mut self, path: Vec<u8>) -> Result<Option<SharedMapping>, WorkerFailure> {
+        match self.send(&WorkerOrder::Learn(path)).map_err(|(_, failure)| failure)? {
+            WorkerMessage::Learned(shared) => Ok(shared),
+            _ => Err(self.unexpected_answer()),
         }
     }
 
     /// Returns the final message, or the log that ended the process.
-    fn told(&mut self, order: &Order) -> Result<Told, (usize, Death)> {
-        let said_before = self.errors.metadata().map_or(0, |metadata| metadata.len());
+    fn send(&mut self, order: &WorkerOrder) -> Result<WorkerMessage, (usize, WorkerFailure)> {
+        let stderr_length = self.errors.metadata().map_or(0, |metadata| metadata.len());
         let mut at = 0;
         // If the process has ended, its exit status shows why.
         let _ = writeln!(self.stdin, "{}", serde_json::to_string(order).unwrap_or_default());
@@ -141,37 +146,40 @@ impl Worker {
                 None => self.lines.recv().map_err(|_| RecvTimeoutError::Disconnected),
             };
             match line.map(|line| serde_json::from_str(&line)) {
-                Ok(Ok(Told::Begun(log))) => at = log,
-                Ok(Ok(Told::Fault(why))) => return Err((at, Death::Unable(why))),
-                Ok(Ok(told)) => return Ok(told),
+                Ok(Ok(WorkerMessage::Started(log))) => at = log,
+                Ok(Ok(WorkerMessage::Fault(why))) => {
+                    return Err((at, WorkerFailure::Unavailable(why)));
+                }
+                Ok(Ok(message)) => return Ok(message),
                 // Incomplete messages.
                 Ok(Err(_)) => {}
                 Err(RecvTimeoutError::Timeout) => {
                     let _ = self.child.kill();
                     let _ = self.child.wait();
-                    return Err((at, Death::TimedOut));
+                    return Err((at, WorkerFailure::TimedOut));
                 }
                 Err(RecvTimeoutError::Disconnected) => {
                     let status = self.child.wait();
-                    let status = status.map_err(|error| (at, Death::Unable(error.to_string())))?;
-                    return Err((at, death(status, &self.words(said_before))));
+                    let status = status
+                        .map_err(|error| (at, WorkerFailure::Unavailable(error.to_string())))?;
+                    return Err((at, failure_of_exit(status, &self.read_stderr(stderr_length))));
                 }
             }
         }
     }
 
-    fn gone(&mut self) -> Death {
+    fn unexpected_answer(&mut self) -> WorkerFailure {
         let _ = self.child.kill();
         let _ = self.child.wait();
-        Death::Crashed("unexpected answer to an order".to_owned())
+        WorkerFailure::Crashed("unexpected answer to an order".to_owned())
     }
 
-    /// Stderr without the first `said_before` bytes.
-    fn words(&mut self, said_before: u64) -> String {
+    /// Stderr without the first `stderr_length` bytes.
+    fn read_stderr(&mut self, stderr_length: u64) -> String {
         let mut bytes = Vec::new();
         let _ = self
             .errors
-            .seek(SeekFrom::Start(said_before))
+            .seek(SeekFrom::Start(stderr_length))
             .and_then(|_| (&mut self.errors).take(1 << 16).read_to_end(&mut bytes));
         String::from_utf8_lossy(&bytes).into_owned()
     }
@@ -185,18 +193,18 @@ impl Drop for Worker {
     }
 }
 
-fn death(status: ExitStatus, words: &str) -> Death {
-    if is_of_memory(words) {
-        return Death::OutOfMemory;
+fn failure_of_exit(status: ExitStatus, stderr: &str) -> WorkerFailure {
+    if is_allocation_failure(stderr) {
+        return WorkerFailure::OutOfMemory;
     }
     // The first line contains the error; the rest are hints.
-    let words = words.lines().find(|line| !line.trim().is_empty()).unwrap_or_default().trim();
+    let stderr = stderr.lines().find(|line| !line.trim().is_empty()).unwrap_or_default().trim();
     let how = match signal(status) {
         Some(9) => "killed, possibly because the machine ran out of memory".to_owned(),
         Some(signal) => format!("killed by signal {signal}"),
         None => format!("exited with {status} without an answer"),
     };
-    Death::Crashed(if words.is_empty() { how } else { format!("{how}: {words}") })
+    WorkerFailure::Crashed(if stderr.is_empty() { how } else { format!("{how}: {stderr}") })
 }
 
 #[cfg(unix)]
@@ -210,14 +218,14 @@ fn signal(_: ExitStatus) -> Option<i32> {
 }
 
 /// Maximum duration of an order: an interrupted call loses little.
-const ORDER: Duration = Duration::from_secs(2);
+const MAX_ORDER_DURATION: Duration = Duration::from_secs(2);
 
-/// Main loop of a worker: audits logs with `options`, writes their rows to `store` (and pages, if `paged`),
+/// Main loop of a worker: audits logs with `options`, writes their rows to `store` (and pages, if `with_page`),
 /// and reports the results on stdout.
 ///
 /// # Errors
 /// If stdout cannot be written.
-pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
+pub fn serve(options: &Options, store: &Store, with_page: bool) -> io::Result<()> {
     let mut lines = BufReader::new(io::stdin()).lines();
     let memory_bytes = lines.next().transpose()?.and_then(|line| line.parse().ok());
     if let Some(bytes) = memory_bytes.filter(|bytes| *bytes > 0) {
@@ -231,10 +239,12 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     });
     for order in orders {
         match serde_json::from_str(&order)? {
-            Order::Learn(path) => tell(&Told::Learnt(learnt(&path_of(&path), options)))?,
-            Order::Audit(jobs) => match audited(&jobs, options, store, paged)? {
-                Ok(answers) => tell(&Told::Answers(answers))?,
-                Err(why) => tell(&Told::Fault(why))?,
+            WorkerOrder::Learn(path) => {
+                send_message(&WorkerMessage::Learned(infer_shared(&path_of(&path), options)))?
+            }
+            WorkerOrder::Audit(jobs) => match audit_jobs(&jobs, options, store, with_page)? {
+                Ok(answers) => send_message(&WorkerMessage::Answers(answers))?,
+                Err(why) => send_message(&WorkerMessage::Fault(why))?,
             },
         }
     }
@@ -242,22 +252,22 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
 }
 
 /// Audits logs until the time is up. Returns why rows cannot be stored, if so.
-fn audited(
-    jobs: &[Job],
+fn audit_jobs(
+    jobs: &[AuditJob],
     options: &Options,
     store: &Store,
-    paged: bool,
-) -> io::Result<Result<Vec<Ended>, String>> {
+    with_page: bool,
+) -> io::Result<Result<Vec<AuditResult>, String>> {
     let begun = Instant::now();
     let (mut rows, mut answers) = (Vec::new(), Vec::new());
-    for (at, Job { path, task, shared }) in jobs.iter().enumerate() {
-        if at > 0 && begun.elapsed() > ORDER {
+    for (at, AuditJob { path, task, shared }) in jobs.iter().enumerate() {
+        if at > 0 && begun.elapsed() > MAX_ORDER_DURATION {
             break;
         }
-        tell(&Told::Begun(at))?;
+        send_message(&WorkerMessage::Started(at))?;
         let mut options = Options { logs: vec![path_of(path)], ..options.clone() };
         options.run.shared = shared.clone();
-        match settle(task, &options, store, paged) {
+        match audit_log(task, &options, store, with_page) {
             Ok((row, what)) => {
                 answers.push((row.answer, what));
                 rows.push(row);
@@ -271,9 +281,9 @@ fn audited(
     Ok(store.commit(rows).map(|()| answers).map_err(|error| error.to_string()))
 }
 
-fn tell(told: &Told) -> io::Result<()> {
+fn send_message(message: &WorkerMessage) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
-    writeln!(stdout, "{}", serde_json::to_string(told)?)?;
+    writeln!(stdout, "{}", serde_json::to_string(message)?)?;
     stdout.flush()
 }
 
@@ -301,12 +311,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refused_allocation_is_told_whatever_is_said_after_it() {
+    fn a_refused_allocation_is_recognised_before_other_messages() {
         let aborted = ExitStatus::from_raw(6);
-        let words = "memory allocation of 8589934592 bytes failed\nnote: run with `RUST_BACKTRACE=1` \
+        let stderr = "memory allocation of 8589934592 bytes failed\nnote: run with `RUST_BACKTRACE=1` \
                      environment variable to display a backtrace\n";
-        assert!(matches!(death(aborted, words), Death::OutOfMemory));
-        let Death::Crashed(how) = death(aborted, "\nfree(): invalid pointer\nnote: more\n") else {
+        assert!(matches!(failure_of_exit(aborted, stderr), WorkerFailure::OutOfMemory));
+        let WorkerFailure::Crashed(how) =
+            failure_of_exit(aborted, "\nfree(): invalid pointer\nnote: more\n")
+        else {
             panic!("no crash");
         };
         assert_eq!(how, "killed by signal 6: free(): invalid pointer");

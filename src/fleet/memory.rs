@@ -1,7 +1,7 @@
 use std::fs;
 
 /// Memory available to this process in bytes, limited by its cgroup, if the system reports it.
-pub fn memory_bytes() -> Option<u64> {
+pub fn available_memory_bytes() -> Option<u64> {
     let whole = fs::read_to_string("/proc/meminfo").ok()?;
     let line = whole.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kibibytes: u64 = line.split_whitespace().next()?.parse().ok()?;

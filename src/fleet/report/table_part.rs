@@ -1,9 +1,9 @@
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
-pub(super) struct Part<'a>(pub(super) &'a DataFrame);
+pub(super) struct TablePart<'a>(pub(super) &'a DataFrame);
 
-impl Part<'_> {
+impl TablePart<'_> {
     pub(super) fn text(&self, name: &str, row: usize) -> PolarsResult<Option<String>> {
         Ok(self.0.column(name)?.str()?.get(row).map(str::to_owned))
     }
@@ -16,7 +16,7 @@ impl Part<'_> {
         Ok(self.0.column(name)?.i64()?.get(row))
     }
 
-    pub(super) fn name_of_estimate(&self, row: usize) -> PolarsResult<String> {
+    pub(super) fn estimate_name(&self, row: usize) -> PolarsResult<String> {
         let text = self.text("estimate_json", row)?;
         let estimate: Option<Value> = text.and_then(|text| serde_json::from_str(&text).ok());
         let name = estimate.as_ref().and_then(|estimate| estimate.get("name")?.as_str());

@@ -2,20 +2,20 @@ use crate::time::Stamp;
 
 /// Receive times of stamps.
 #[derive(Clone, Debug, Default)]
-pub struct Receipts {
+pub struct ReceiveTimes {
     /// Stamp and log time, by distinct stamps.
     rows: Vec<(Stamp, Stamp)>,
 }
 
-impl Receipts {
+impl ReceiveTimes {
     /// Times in between are interpolated.
-    const MOST_ROWS: usize = 100_000;
+    const MAX_ROWS: usize = 100_000;
 
     /// From stamps and log times in any order. The first received of equal stamps counts.
-    pub fn of(mut rows: Vec<(Stamp, Stamp)>) -> Self {
+    pub fn new(mut rows: Vec<(Stamp, Stamp)>) -> Self {
         rows.sort_unstable();
         rows.dedup_by_key(|(stamp, _)| *stamp);
-        let kept = crate::stats::thin::even_rows(rows.len(), Self::MOST_ROWS);
+        let kept = crate::stats::thin::even_rows(rows.len(), Self::MAX_ROWS);
         Self { rows: kept.into_iter().map(|row| rows[row]).collect() }
     }
 
@@ -41,7 +41,7 @@ impl Receipts {
 
 /// One entry per row in each column.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Moments {
+pub(super) struct RowTimes {
     pub stamps_ns: Vec<i64>,
     pub logs_ns: Vec<i64>,
     /// Last joint state at that stamp.
@@ -57,9 +57,9 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_received_when_the_log_says_and_others_in_between() {
+    fn receive_times_are_interpolated_between_rows() {
         let pairs = [(2_000, 2_900), (1_000, 1_100), (1_000, 1_500), (4_000, 4_100)];
-        let receipts = Receipts::of(pairs.map(|(stamp, log)| (at(stamp), at(log))).to_vec());
+        let receipts = ReceiveTimes::new(pairs.map(|(stamp, log)| (at(stamp), at(log))).to_vec());
         for (stamp, log) in [
             (1_000, 1_100),
             (2_000, 2_900),
@@ -73,15 +73,15 @@ mod tests {
     }
 
     #[test]
-    fn without_receipts_things_are_when_they_are_stamped() {
-        assert_eq!(Receipts::default().log_time(at(7)), at(7));
+    fn without_receive_times_the_stamps_are_used() {
+        assert_eq!(ReceiveTimes::default().log_time(at(7)), at(7));
     }
 
     #[test]
-    fn of_very_many_rows_the_ends_are_kept() {
+    fn decimation_keeps_the_first_and_last_row() {
         let rows: Vec<_> = (0..250_000).map(|row| (at(10 * row), at(10 * row + 3))).collect();
-        let receipts = Receipts::of(rows);
-        assert!(receipts.rows.len() <= Receipts::MOST_ROWS + 1);
+        let receipts = ReceiveTimes::new(rows);
+        assert!(receipts.rows.len() <= ReceiveTimes::MAX_ROWS + 1);
         assert_eq!(receipts.log_time(at(2_499_990)), at(2_499_993));
         assert_eq!(receipts.log_time(at(1_234_560)), at(1_234_563));
     }

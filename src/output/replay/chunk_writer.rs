@@ -17,10 +17,10 @@ use crate::report::json;
 
 /// Hash of the report, which contains the log's name and the findings.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seed([u8; 32]);
+pub(super) struct IdSeed([u8; 32]);
 
-impl Seed {
-    pub fn of(replay: &Replay<'_>) -> Self {
+impl IdSeed {
+    pub fn from_replay(replay: &Replay<'_>) -> Self {
         let mut text = Vec::new();
         // Writing to memory cannot fail.
         let _ = json::write(replay.report, &mut text);
@@ -34,46 +34,50 @@ impl Seed {
     }
 }
 
-pub(super) struct Reel {
-    pub seed: Seed,
+pub(super) struct ChunkWriter {
+    pub seed: IdSeed,
     recording: StoreId,
     layout: StoreId,
-    rows: RefCell<Rows>,
+    rows: RefCell<RowIds>,
 }
 
-struct Rows {
+struct RowIds {
     /// Start of the run, ns since 1970.
     nanos: u64,
     next: u64,
     chunks: Vec<(StoreId, Chunk)>,
 }
 
-impl Reel {
+impl ChunkWriter {
     /// Without `id`, the recording's id is derived from the content.
     pub fn new(replay: &Replay<'_>, application: &ApplicationId, id: Option<String>) -> Self {
         /// Leaves room for ids above and below.
-        const MIDDLE: u64 = 0x3fff_ffff_0000_0000;
-        let seed = Seed::of(replay);
+        const FIRST_ROW_ID: u64 = 0x3fff_ffff_0000_0000;
+        let seed = IdSeed::from_replay(replay);
         let own = |what: &str| format!("{:032x}", seed.id(what));
         let store = |kind, id: String| StoreId::new(kind, application.clone(), id);
         let nanos = u64::try_from(replay.span.0.nanos()).unwrap_or_default();
-        let next = seed.id("rows") as u64 & MIDDLE;
+        let next = seed.id("rows") as u64 & FIRST_ROW_ID;
         Self {
             seed,
             recording: store(StoreKind::Recording, id.unwrap_or_else(|| own("recording"))),
             layout: store(StoreKind::Blueprint, own("blueprint")),
-            rows: RefCell::new(Rows { nanos, next, chunks: Vec::new() }),
+            rows: RefCell::new(RowIds { nanos, next, chunks: Vec::new() }),
         }
     }
 
     /// Adds a row without times.
-    pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
+    pub fn log_static(
+        &self,
+        path: &EntityPath,
+        what: &impl AsComponents,
+    ) -> Result<(), ReplayCause> {
         self.add(&self.recording, Self::row(path.clone(), TimePoint::default(), what)?);
         Ok(())
     }
 
     /// One row per entry of `times`.
-    pub fn columns(
+    pub fn log_columns(
         &self,
         path: &EntityPath,
         times: impl IntoIterator<Item = TimeColumn>,
@@ -86,7 +90,7 @@ impl Reel {
         Ok(())
     }
 
-    pub fn lay_out(
+    pub fn log_layout(
         &self,
         path: String,
         at: TimePoint,
@@ -107,7 +111,7 @@ impl Reel {
 
     fn add(&self, store: &StoreId, chunk: Chunk) {
         let mut rows = self.rows.borrow_mut();
-        let (id, row) = (rows.take(1), rows.take(chunk.num_rows()));
+        let (id, row) = (rows.reserve(1), rows.reserve(chunk.num_rows()));
         let chunk = chunk.clone_as(ChunkId::from_tuid(id), RowId::from_tuid(row));
         rows.chunks.push((store.clone(), chunk));
     }
@@ -121,7 +125,7 @@ impl Reel {
         let mut info = |store: &StoreId| {
             let source = StoreSource::Other("poseaudit".to_owned());
             let info = StoreInfo::new(store.clone(), source);
-            LogMsg::SetStoreInfo(SetStoreInfo { row_id: rows.take(1), info })
+            LogMsg::SetStoreInfo(SetStoreInfo { row_id: rows.reserve(1), info })
         };
         let mut messages = vec![info(&self.recording), info(&self.layout)];
         for (store, chunk) in rows.chunks {
@@ -132,9 +136,9 @@ impl Reel {
     }
 }
 
-impl Rows {
+impl RowIds {
     /// Reserves `count` ids and returns the first. Ids ascend like a clock's.
-    fn take(&mut self, count: usize) -> Tuid {
+    fn reserve(&mut self, count: usize) -> Tuid {
         let first = self.next;
         self.next += count as u64;
         Tuid::from_nanos_and_inc(self.nanos, first)
@@ -143,7 +147,7 @@ impl Rows {
 
 /// # Errors
 /// If a message cannot be encoded.
-pub(super) fn bytes(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
+pub(super) fn encode(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
     let mut encoder = Encoder::local()?;
     // Its index is in the varying order of a hash map.
     encoder.do_not_emit_footer();
