@@ -31,27 +31,29 @@ def main(folder: Path, rounds: int) -> None:
     try:
         walls: dict[str, list[float]] = {name: [] for name in engines}
         # Warm up: Ray starts its processes with the first tasks.
-        timed(logs[:20], engines["ray"])
+        fleet_time_s(logs[:20], engines["ray"])
         for _ in range(rounds):
-            for name, how in engines.items():
-                walls[name].append(timed(logs, how))
+            for name, options in engines.items():
+                walls[name].append(fleet_time_s(logs, options))
     finally:
         cluster.close()
     print(f"{len(logs)} logs on {cores} cores, medians of {rounds} alternating rounds")
     for name, seconds in walls.items():
         wall = statistics.median(seconds)
-        over = statistics.median(one / other - 1 for one, other in zip(seconds, walls["local"], strict=True))
-        print(f"{name:24} {wall:7.2f} s {len(logs) / wall:6.1f} logs/s {100 * over:+6.1f} %")
+        overhead = statistics.median(
+            one / other - 1 for one, other in zip(seconds, walls["local"], strict=True)
+        )
+        print(f"{name:24} {wall:7.2f} s {len(logs) / wall:6.1f} logs/s {100 * overhead:+6.1f} %")
     print(f"local: {min(walls['local']):.2f} to {max(walls['local']):.2f} s")
 
 
-def timed(logs: list[Path], how: dict[str, object]) -> float:
+def fleet_time_s(logs: list[Path], options: dict[str, object]) -> float:
     """Wall time of a fleet into a new folder, s."""
     with tempfile.TemporaryDirectory() as out:
-        began = time.monotonic()
-        done = poseaudit.fleet(logs, Path(out) / "out", **how)  # type: ignore[arg-type]
+        started = time.monotonic()
+        done = poseaudit.fleet(logs, Path(out) / "out", **options)  # type: ignore[arg-type]
         assert done.done_now == len(logs), done
-        return time.monotonic() - began
+        return time.monotonic() - started
 
 
 if __name__ == "__main__":

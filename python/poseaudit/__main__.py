@@ -2,11 +2,11 @@
 
 import sys
 
-from ._binary import become
+from ._binary import exec_binary
 from ._errors import ProgramError
 
 if __name__ == "__main__":
     try:
-        sys.exit(become(sys.argv[1:]))
+        sys.exit(exec_binary(sys.argv[1:]))
     except ProgramError as error:
         sys.exit(f"error: {error}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FINDINGS, _MISUSE, _UNUSABLE = 1, 2, 3
 #: Options that write files or determine the exit status; omitted when a run is read again.
-_ONCE = ("fix", "rrd", "mesh_root", "parquet", "write_baseline", "require")
+_OPTIONS_WITH_SIDE_EFFECTS = ("fix", "rrd", "mesh_root", "parquet", "write_baseline", "require")
 
 
 def audit(
@@ -41,24 +41,30 @@ def audit(
     if not paths:
         raise TypeError("audit(): no log: name one file, or the files of one run")
     logs = tuple(os.path.abspath(one) if os.path.lexists(one) else os.fspath(one) for one in paths)
-    asked = arguments("audit", options, Options)
-    again = arguments("audit", {name: one for name, one in options.items() if name not in _ONCE}, Options)
+    call_options = arguments("audit", options, Options)
+    repeat_options = arguments(
+        "audit",
+        {name: one for name, one in options.items() if name not in _OPTIONS_WITH_SIDE_EFFECTS},
+        Options,
+    )
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
-        status, said = _called([*asked, "--format=json", "--format=text", f"--output={folder}"], paths)
+        status, stderr = _run_audit(
+            [*call_options, "--format=json", "--format=text", f"--output={folder}"], paths
+        )
         text = Path(folder, "report.txt").read_text(encoding="utf-8")
         report = Report.from_json(Path(folder, "report.json").read_bytes())
-    report = report.of_run(text=text, run=_Run(tuple(again), logs))
+    report = report.of_run(text=text, run=_Run(tuple(repeat_options), logs))
     if status == _FINDINGS and report.ok:
-        return report.left_open(_binary.trouble_in(said))
+        return report.left_open(_binary.error_line(stderr))
     return report
 
 
-def _called(options: Sequence[str], paths: Sequence[str | os.PathLike[str]]) -> tuple[int, str]:
+def _run_audit(options: Sequence[str], paths: Sequence[str | os.PathLike[str]]) -> tuple[int, str]:
     """Runs an audit and returns exit status and stderr. Raises if there is no report."""
     done = _binary.run(["audit", "--quiet", *options, "--", *(os.fspath(one) for one in paths)])
     if done.returncode not in (0, _FINDINGS):
         error = {_MISUSE: CallError, _UNUSABLE: LogError}.get(done.returncode, ProgramError)
-        raise error(_binary.trouble_in(done.stderr))
+        raise error(_binary.error_line(done.stderr))
     return done.returncode, done.stderr
 
 
@@ -73,17 +79,17 @@ class _Run:
         """The report as one HTML page with its plots."""
         with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
             page = Path(folder, "report.html")
-            _called([*self.options, "--format=html", f"--output={page}"], self.logs)
+            _run_audit([*self.options, "--format=html", f"--output={page}"], self.logs)
             return page.read_text(encoding="utf-8")
 
     def samples(self, library: Literal["polars", "pandas"]) -> Any:
         """The samples of the pose streams with forward kinematics, as a data frame."""
         with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
-            _called([*self.options, f"--parquet={folder}"], self.logs)
+            _run_audit([*self.options, f"--parquet={folder}"], self.logs)
             return read_parquet(Path(folder, "aligned.parquet"), library)
 
 
-def in_frame(page: str, height_px: int = 720) -> str:
+def embed_page(page: str, height_px: int = 720) -> str:
     """Embeds an HTML page in another."""
     return (
         f'<iframe srcdoc="{html.escape(page)}" style="width:100%;height:{height_px}px;border:0"'

@@ -31,8 +31,8 @@ def find_binary() -> Path:
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
-    looked = ", ".join(map(str, folders))
-    raise ProgramError(f"{name}: not in {looked}; install the wheel again, or name it in {OVERRIDE}")
+    searched = ", ".join(map(str, folders))
+    raise ProgramError(f"{name}: not in {searched}; install the wheel again, or name it in {OVERRIDE}")
 
 
 def _script_folders() -> list[Path]:
@@ -74,13 +74,13 @@ def run(
     return done
 
 
-def answer(arguments: Sequence[str], *, may_find: bool = False) -> str:
+def output_of(arguments: Sequence[str], *, may_find: bool = False) -> str:
     """Returns the output of the binary. Status 1 is accepted if it `may_find` something; others raise."""
     done = run(arguments)
     if done.returncode == 0 or (may_find and done.returncode == 1):
         return done.stdout
     error = CallError if done.returncode == 2 else ProgramError
-    raise error(trouble_in(done.stderr))
+    raise error(error_line(done.stderr))
 
 
 def _signal_name(number: int) -> str:
@@ -90,7 +90,7 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def sources(named: Sequence[str]) -> tuple[list[str], str | None]:
+def split_sources(named: Sequence[str]) -> tuple[list[str], str | None]:
     """Splits the sources of a fleet into arguments and a list for stdin.
 
     Paths are listed, because they may exceed the length of a command line; patterns and URLs are arguments.
@@ -100,7 +100,7 @@ def sources(named: Sequence[str]) -> tuple[list[str], str | None]:
     return (["-", *others], "\0".join([*listed, ""])) if listed else (others, None)
 
 
-def trouble_in(stderr: str | None) -> str:
+def error_line(stderr: str | None) -> str:
     """Extracts the error line from the stderr of the binary."""
     if stderr is None:
         return "poseaudit failed; see stderr for the reason"
@@ -108,7 +108,7 @@ def trouble_in(stderr: str | None) -> str:
     return lines[0].removeprefix("error: ") if lines else stderr.strip().partition("\n")[0]
 
 
-def become(arguments: Sequence[str]) -> int:
+def exec_binary(arguments: Sequence[str]) -> int:
     """Replaces this process by the binary; on Windows, runs it as a child."""
     binary = str(find_binary())
     if sys.platform == "win32":

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _binary
-from ._options import How, arguments
+from ._options import CommonOptions, arguments
 from ._report import Report
 
 if TYPE_CHECKING:
@@ -41,18 +41,18 @@ class Comparison:
 def compare(
     old: Report | str | os.PathLike[str],
     new: Report | str | os.PathLike[str],
-    **options: Unpack[How],
+    **options: Unpack[CommonOptions],
 ) -> Comparison:
     """Compares two runs: reports, kept reports (JSON) or logs, which are audited with the options of `audit`.
 
     Raises `CallError` if the call is invalid, `ProgramError` if the binary is missing or was terminated.
     A new log that cannot be audited is a regression.
     """
-    said = arguments("compare", options, How)
+    flags = arguments("compare", options, CommonOptions)
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
-        sides = [_kept(side, Path(folder, name)) for side, name in ((old, "old.json"), (new, "new.json"))]
+        paths = [_path_of(side, Path(folder, name)) for side, name in ((old, "old.json"), (new, "new.json"))]
         text, value = (
-            _binary.answer(["compare", "--quiet", f"--format={form}", *said, "--", *sides], may_find=True)
+            _binary.output_of(["compare", "--quiet", f"--format={form}", *flags, "--", *paths], may_find=True)
             for form in ("text", "json")
         )
     found = json.loads(value)
@@ -65,7 +65,7 @@ def compare(
     )
 
 
-def _kept(side: Report | str | os.PathLike[str], place: Path) -> str:
+def _path_of(side: Report | str | os.PathLike[str], place: Path) -> str:
     """Path of a log or report. A report in memory is written to `place`."""
     if not isinstance(side, Report):
         return os.fspath(side)

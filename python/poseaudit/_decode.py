@@ -24,7 +24,7 @@ def decode(kind: type[T], value: object, place: str) -> T:
 def _decode(kind: Any, value: object, place: str) -> object:
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return None if value is None else _decode(_present(inner), value, place)
+        return None if value is None else _decode(_non_none(inner), value, place)
     if origin is Rows:
         return Rows(inner[0], _list(inner[0], value, place), typing.cast(Any, value))
     if origin is tuple:
@@ -61,14 +61,14 @@ def _object(kind: Any, value: object, place: str) -> object:
     if not isinstance(value, Mapping):
         raise _unexpected(place, "an object", value)
     types_of = _types(kind)
-    given: dict[str, object] = {}
+    values: dict[str, object] = {}
     for field in dataclasses.fields(kind):
         key = field.name.removesuffix("_")  # `is` is a Python keyword
         if key in value:
-            given[field.name] = _decode(types_of[field.name], value[key], f"{place}.{key}")
+            values[field.name] = _decode(types_of[field.name], value[key], f"{place}.{key}")
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise ReportError(f"{place}: it has no {key!r}; write the report again with this version")
-    return kind(**given)
+    return kind(**values)
 
 
 @functools.cache
@@ -76,7 +76,7 @@ def _types(kind: Any) -> dict[str, Any]:
     return typing.get_type_hints(kind)
 
 
-def _present(inner: tuple[Any, ...]) -> Any:
+def _non_none(inner: tuple[Any, ...]) -> Any:
     (kind,) = (kind for kind in inner if kind is not types.NoneType)
     return kind
 

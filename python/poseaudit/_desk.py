@@ -37,13 +37,13 @@ def pose(
         call += [f"--is-as={a_as}"] if a_as else []
         call += [f"--but-as={b_as}"] if b_as else []
         call += [f"--robot={os.fspath(robot)}"] if robot else []
-    said = _binary.answer(call + ([] if b is not None else ["--", _text(a)]), may_find=True)
-    answer: Mapping[str, Any] = json.loads(said)
+    output = _binary.output_of(call + ([] if b is not None else ["--", _text(a)]), may_find=True)
+    answer: Mapping[str, Any] = json.loads(output)
     return answer
 
 
-def _text(given: Pose) -> str:
-    return given if isinstance(given, str) else " ".join(repr(float(number)) for number in given)
+def _text(value: Pose) -> str:
+    return value if isinstance(value, str) else " ".join(repr(float(number)) for number in value)
 
 
 @overload
@@ -72,12 +72,12 @@ def fk(
     """
     links = [f"--base={base}"] if base else []
     links += [f"--tip={tip}"] if tip else []
-    given = list(q)
-    rows = [list(row) for row in given if isinstance(row, Iterable)]
-    if len(rows) < len(given):
-        numbers = [repr(float(cast(float, number))) for number in given]
-        said = _binary.answer(["fk", "--format=json", *links, os.fspath(robot), "--", *numbers])
-        one: Mapping[str, Any] = json.loads(said)
+    configurations = list(q)
+    rows = [list(row) for row in configurations if isinstance(row, Iterable)]
+    if len(rows) < len(configurations):
+        numbers = [repr(float(cast(float, number))) for number in configurations]
+        output = _binary.output_of(["fk", "--format=json", *links, os.fspath(robot), "--", *numbers])
+        one: Mapping[str, Any] = json.loads(output)
         return one
     if not rows:
         return []
@@ -87,7 +87,7 @@ def fk(
         with table.open("w", newline="") as file:
             csv.writer(file).writerows([first["joints"], *rows])
         call = ["fk", "--quiet", *links, os.fspath(robot), f"--file={table}", f"--output={poses}"]
-        _binary.answer(call)
+        _binary.output_of(call)
         with poses.open(newline="") as file:
             return [
                 {

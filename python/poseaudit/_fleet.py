@@ -122,28 +122,28 @@ def fleet(
         raise ValueError(f"fleet(): engine={engine!r}: there are 'local' and 'ray'")
     if (batch is not None and batch < 1) or retries < 0:
         raise ValueError(f"fleet(): batch={batch}, retries={retries}: expected 1 or more, and 0 or more")
-    said = arguments("fleet", options, FleetOptions)
-    call = _Call(Path(out), said, [os.fspath(source) for source in named], jobs, progress)
+    flags = arguments("fleet", options, FleetOptions)
+    call = _Call(Path(out), flags, [os.fspath(source) for source in named], jobs, progress)
     if engine == "local":
         return call.audit()
     from . import _ray
 
-    done = _ray.spread(
+    done = _ray.run_tasks(
         call.pending(),
         call.out,
-        said,
+        flags,
         retries=retries,
         batch=batch,
         address=address,
         progress=progress,
     )
     # Audits logs that still have no row, and merges the parts. The tasks have already retried failed logs.
-    once = [option for option in said if option != "--retry"]
-    whole = replace(call, options=once).audit()
+    flags_without_retry = [option for option in flags if option != "--retry"]
+    final = replace(call, options=flags_without_retry).audit()
     return replace(
-        whole,
-        done_before=whole.done_before - len(done.keys),
-        done_now=whole.done_now + len(done.keys),
+        final,
+        done_before=final.done_before - len(done.keys),
+        done_now=final.done_now + len(done.keys),
         retried=done.retried,
     )
 
@@ -173,14 +173,14 @@ class _Call:
             raise ReportError(f"the summary: schema {summary.get('schema')!r}, not {SCHEMA!r}")
         return decode(Fleet, _summary(summary, self.out), "the summary")
 
-    def _run(self, *how: str) -> str:
-        named, listed = _binary.sources(self.sources)
-        call = ["fleet", f"--out={self.out}", *how, *self.options, "--", *named]
+    def _run(self, *extra_flags: str) -> str:
+        named, listed = _binary.split_sources(self.sources)
+        call = ["fleet", f"--out={self.out}", *extra_flags, *self.options, "--", *named]
         done = _binary.run(call, stdin=listed, shows_progress=self.progress)
         if done.returncode == _MISUSE:
-            raise CallError(_binary.trouble_in(done.stderr))
+            raise CallError(_binary.error_line(done.stderr))
         if done.returncode not in (0, 1, _NONE_AUDITED):
-            raise ProgramError(_binary.trouble_in(done.stderr))
+            raise ProgramError(_binary.error_line(done.stderr))
         return done.stdout
 
 

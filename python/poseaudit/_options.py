@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 Path: TypeAlias = "str | os.PathLike[str]"
 Texts: TypeAlias = "str | Sequence[str]"
 #: One value, several, or a mapping from a joint name prefix or a topic.
-Of: TypeAlias = "Path | Sequence[Path] | Mapping[str, Path]"
+PathsByKey: TypeAlias = "Path | Sequence[Path] | Mapping[str, Path]"
 
 
-class How(TypedDict, total=False):
+class CommonOptions(TypedDict, total=False):
     """Audit options with the names of the program's flags. None and False are ignored."""
 
-    robot: Of | None
+    robot: PathsByKey | None
     """URDF, table or catalogue name; `{prefix: file}` with several arms."""
-    calibration: Of | None
+    calibration: PathsByKey | None
     """A UR's calibration; `{prefix: file}` with several arms."""
     joint_map: Texts | Mapping[str, str] | None
     """Joint names that differ between log and model: `{log: model}`."""
@@ -49,7 +49,7 @@ class How(TypedDict, total=False):
     """Encoding of streams: `{topic: convention}`, or `topic=convention`."""
 
 
-class Options(How, total=False):
+class Options(CommonOptions, total=False):
     """Options of `poseaudit audit`."""
 
     require: Texts | None
@@ -70,7 +70,7 @@ class Options(How, total=False):
     """File for the JSON report, as a baseline for later logs."""
 
 
-class FleetOptions(How, total=False):
+class FleetOptions(CommonOptions, total=False):
     """Options of `poseaudit fleet`."""
 
     label: Texts | Mapping[str, str] | None
@@ -93,12 +93,12 @@ class FleetOptions(How, total=False):
 _SWITCHES = ("pages", "retry", "verify")
 
 
-def names(kind: type[How]) -> list[str]:
+def names(kind: type[CommonOptions]) -> list[str]:
     """Names of the options in a TypedDict."""
     return list(kind.__annotations__)
 
 
-def arguments(function: str, options: Mapping[str, object], kind: type[How]) -> list[str]:
+def arguments(function: str, options: Mapping[str, object], kind: type[CommonOptions]) -> list[str]:
     """Converts options to arguments of the binary. Unknown options raise a `TypeError` of `function`."""
     known = names(kind)
     for name in options:

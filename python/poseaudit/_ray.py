@@ -27,20 +27,20 @@ _log = logging.getLogger("poseaudit")
 
 #: Maximum number of tasks submitted to Ray at a time: enough for its autoscaler, and few enough for the
 #: driver's memory with any number of logs.
-IN_FLIGHT = 1000
+MAX_TASKS_IN_FLIGHT = 1000
 
 #: Target duration of a task, unless the caller sets the number of logs. Starting a task costs some tens of
 #: milliseconds, and the logs of a terminated worker are restarted.
 TASK_S = 5.0
 
 #: Minimum number of remaining tasks per core, which limits the size of a task.
-TASKS_A_CORE = 4
+TASKS_PER_CORE = 4
 
 #: Interval of progress messages.
-SHOWN_EVERY_S = 10.0
+PROGRESS_INTERVAL_S = 10.0
 
 #: A log is done when its row is in this table, which is therefore written last.
-LAST = "runs"
+LAST_TABLE = "runs"
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Answer:
+class TaskResult:
     """The result of a task."""
 
     version: str
@@ -63,14 +63,14 @@ class Answer:
 
 
 @dataclass
-class Course:
+class Progress:
     """Statistics of a run on the cluster."""
 
     total: int
-    began: float = field(default_factory=time.monotonic)
+    started: float = field(default_factory=time.monotonic)
     done: int = 0
     """Logs with returned rows."""
-    spent_s: float = 0.0
+    task_time_s: float = 0.0
     """Total duration of their tasks."""
     keys: set[str] = field(default_factory=set)
     """Keys of these rows; logs with the same content share a key."""
@@ -81,13 +81,13 @@ class Course:
 
     def show(self) -> None:
         """Prints a progress line to stderr."""
-        rate = self.done / max(time.monotonic() - self.began, 1e-9)
-        left = f", {(self.total - self.done) / rate:.0f} s left" if rate else ""
-        again = f", {self.retried} restarted" if self.retried else ""
-        print(f"{self.done} of {self.total} logs, {rate:.2f}/s{left}{again}", file=sys.stderr)
+        rate = self.done / max(time.monotonic() - self.started, 1e-9)
+        remaining = f", {(self.total - self.done) / rate:.0f} s left" if rate else ""
+        restarts = f", {self.retried} restarted" if self.retried else ""
+        print(f"{self.done} of {self.total} logs, {rate:.2f}/s{remaining}{restarts}", file=sys.stderr)
 
 
-def spread(
+def run_tasks(
     logs: Sequence[str],
     out: Path,
     arguments: Sequence[str],
@@ -96,44 +96,48 @@ def spread(
     batch: int | None,
     address: str | None,
     progress: bool,
-) -> Course:
+) -> Progress:
     """Audits the logs on the cluster, and stores the results of the tasks in `out`."""
-    course = Course(len(logs))
+    state = Progress(len(logs))
     if not logs:
-        return course
+        return state
     ray = _ray()
     if not ray.is_initialized():
         ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
     # The driver retries, not Ray, so that retries are counted and limited.
-    task = ray.remote(num_cpus=1, max_retries=0)(_audited)
-    left = deque(logs)
-    again: deque[Batch] = deque()
+    task = ray.remote(num_cpus=1, max_retries=0)(_audit_on_worker)
+    remaining = deque(logs)
+    restarts: deque[Batch] = deque()
     running: dict[Any, Batch] = {}
-    shown = course.began
-    while left or again or running:
+    last_shown = state.started
+    while remaining or restarts or running:
         cores = max(1, int(ray.cluster_resources().get("CPU", 0)))
         # The duration of a log is unknown until one is done.
-        most = IN_FLIGHT if batch or course.done else 2 * cores
-        while (left or again) and len(running) < most:
-            next_one = again.popleft() if again else _taken(left, batch or _size(course, len(left), cores))
-            running[task.remote(next_one.logs, tuple(arguments))] = next_one
-        ended, _ = ray.wait(list(running), num_returns=len(running), timeout=0.1)
-        if not ended:
-            ended, _ = ray.wait(list(running), num_returns=1)
-        for reference in ended:
+        max_tasks = MAX_TASKS_IN_FLIGHT if batch or state.done else 2 * cores
+        while (remaining or restarts) and len(running) < max_tasks:
+            next_batch = (
+                restarts.popleft()
+                if restarts
+                else _next_batch(remaining, batch or _next_task_size(state, len(remaining), cores))
+            )
+            running[task.remote(next_batch.logs, tuple(arguments))] = next_batch
+        finished, _ = ray.wait(list(running), num_returns=len(running), timeout=0.1)
+        if not finished:
+            finished, _ = ray.wait(list(running), num_returns=1)
+        for reference in finished:
             done = running.pop(reference)
             try:
-                answer = ray.get(reference)
+                result = ray.get(reference)
             except ray.exceptions.RayError as error:
-                again.extend(_again(done, retries, error, course))
+                restarts.extend(_restart(done, retries, error, state))
                 continue
-            course.keys |= _keep(answer, out)
-            course.done += len(done.logs)
-            course.spent_s += answer.seconds
-        if progress and time.monotonic() - shown > SHOWN_EVERY_S:
-            shown = time.monotonic()
-            course.show()
-    return course
+            state.keys |= _store_files(result, out)
+            state.done += len(done.logs)
+            state.task_time_s += result.seconds
+        if progress and time.monotonic() - last_shown > PROGRESS_INTERVAL_S:
+            last_shown = time.monotonic()
+            state.show()
+    return state
 
 
 def _ray() -> Any:
@@ -144,42 +148,42 @@ def _ray() -> Any:
     return ray
 
 
-def _taken(left: deque[str], size: int) -> Batch:
-    return Batch(tuple(left.popleft() for _ in range(min(size, len(left)))))
+def _next_batch(remaining: deque[str], size: int) -> Batch:
+    return Batch(tuple(remaining.popleft() for _ in range(min(size, len(remaining)))))
 
 
-def _size(course: Course, left: int, cores: int) -> int:
+def _next_task_size(state: Progress, remaining: int, cores: int) -> int:
     """Number of logs of the next task."""
-    if not course.done:
+    if not state.done:
         return 1
-    in_time = TASK_S * course.done / max(course.spent_s, 1e-9)
-    return max(1, int(min(in_time, left / (TASKS_A_CORE * cores))))
+    in_time = TASK_S * state.done / max(state.task_time_s, 1e-9)
+    return max(1, int(min(in_time, remaining / (TASKS_PER_CORE * cores))))
 
 
-def _again(batch: Batch, retries: int, error: Exception, course: Course) -> Iterator[Batch]:
+def _restart(batch: Batch, retries: int, error: Exception, state: Progress) -> Iterator[Batch]:
     """Restarts the logs of a terminated task one by one, because one of them may be the cause."""
     first = str(error).strip().partition("\n")[0]
     if batch.attempt > retries:
         _log.warning("%s: given up after %d attempts: %s", batch.logs[0], batch.attempt, first)
-        course.given_up += len(batch.logs)
+        state.given_up += len(batch.logs)
         return
     _log.info("%s and %d more: restarted: %s", batch.logs[0], len(batch.logs) - 1, first)
-    course.retried += len(batch.logs)
+    state.retried += len(batch.logs)
     for log in batch.logs:
         yield Batch((log,), batch.attempt + 1)
 
 
-def _audited(logs: tuple[str, ...], arguments: tuple[str, ...]) -> Answer:
+def _audit_on_worker(logs: tuple[str, ...], arguments: tuple[str, ...]) -> TaskResult:
     """Runs on a worker: audits the logs into a temporary folder, one at a time."""
-    began = time.monotonic()
+    started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
-        named, listed = _binary.sources(logs)
+        named, listed = _binary.split_sources(logs)
         call = ["fleet", f"--out={folder}", "--jobs=1", *arguments, "--", *named]
         done = _binary.run(call, stdin=listed)
         if done.returncode not in (0, 1, 3):
-            raise ProgramError(_binary.trouble_in(done.stderr))
+            raise ProgramError(_binary.error_line(done.stderr))
         files = tuple(_files(Path(folder)))
-        return Answer(version("poseaudit"), files, time.monotonic() - began)
+        return TaskResult(version("poseaudit"), files, time.monotonic() - started)
 
 
 def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
@@ -189,15 +193,15 @@ def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
             yield path.relative_to(folder).as_posix(), path.read_bytes()
 
 
-def _keep(answer: Answer, out: Path) -> set[str]:
+def _store_files(result: TaskResult, out: Path) -> set[str]:
     """Stores the files of a task, and returns the keys of its logs. File names contain the key, so they
     replace files of an earlier attempt."""
-    ours = version("poseaudit")
-    if answer.version != ours:
+    own_version = version("poseaudit")
+    if result.version != own_version:
         raise ProgramError(
-            f"a worker has poseaudit {answer.version}, the driver {ours}: install the same on both"
+            f"a worker has poseaudit {result.version}, the driver {own_version}: install the same on both"
         )
-    for name, content in sorted(answer.files, key=lambda file: file[0].startswith(f"{LAST}/")):
+    for name, content in sorted(result.files, key=lambda file: file[0].startswith(f"{LAST_TABLE}/")):
         place = out / name
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=place.parent, prefix=".", delete=False) as staged:
@@ -205,4 +209,4 @@ def _keep(answer: Answer, out: Path) -> set[str]:
             staged.flush()
             os.fsync(staged.fileno())
         os.replace(staged.name, place)
-    return {Path(name).stem for name, _ in answer.files if name.startswith(f"{LAST}/")}
+    return {Path(name).stem for name, _ in result.files if name.startswith(f"{LAST_TABLE}/")}

@@ -264,13 +264,13 @@ class Report:
 
         Reads the log again. Raises `ReportError` if the report was read from JSON.
         """
-        return str(self._again("html").html())
+        return str(self._require_run("html").html())
 
     def _repr_html_(self) -> str | None:
         """The page, in a notebook; None if the report was read from JSON."""
-        from ._audit import in_frame
+        from ._audit import embed_page
 
-        return None if self.run is None else in_frame(self.html())
+        return None if self.run is None else embed_page(self.html())
 
     @overload
     def samples(self, library: Literal["polars"] = "polars") -> polars.DataFrame: ...
@@ -282,9 +282,9 @@ class Report:
 
         Raises `ReportError` if the report was read from JSON.
         """
-        return self._again("samples").samples(library)
+        return self._require_run("samples").samples(library)
 
-    def _again(self, what: str) -> Any:
+    def _require_run(self, what: str) -> Any:
         if self.run is None:
             raise ReportError(f"{what}: the report was read from JSON; audit the log for it")
         return self.run
@@ -299,9 +299,9 @@ class Report:
         rule of `require`."""
         return self.error is None and self.verdict != "fail" and self.open is None
 
-    def left_open(self, said: str) -> Report:
+    def left_open(self, message: str) -> Report:
         """This report, with rules of `require` that are inconclusive."""
-        return replace(self, open=said)
+        return replace(self, open=message)
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Report:

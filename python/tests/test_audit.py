@@ -12,7 +12,7 @@ from poseaudit._binary import find_binary
 from poseaudit._options import Options, arguments, names
 
 
-def test_the_planted_faults_are_found_with_their_amounts(faulty: Path) -> None:
+def test_planted_faults_are_found_with_their_values(faulty: Path) -> None:
     report = poseaudit.audit(faulty)
     assert (report.verdict, report.ok, report.error) == ("fail", False, None)
     amounts = {finding.code: finding.estimate for finding in report.findings}
@@ -27,13 +27,13 @@ def test_the_planted_faults_are_found_with_their_amounts(faulty: Path) -> None:
     assert [robot.tip for robot in report.robots] == ["tool0"]
 
 
-def test_a_sound_log_passes_and_only_the_rules_asked_are_answered(clean: Path) -> None:
+def test_a_fault_free_log_passes_with_only_the_selected_rules(clean: Path) -> None:
     report = poseaudit.audit(clean, select=["LAT", "ZER001"], verify=True)
     assert report.ok and not report.findings
     assert {check.code[:3] for check in report.checks} == {"LAT", "ZER"}
 
 
-def test_a_rule_that_must_conclude_and_cannot_is_not_ok(clean: Path) -> None:
+def test_a_required_rule_that_is_inconclusive_is_not_ok(clean: Path) -> None:
     report = poseaudit.audit(clean, require="MOT004")
     assert report.open is not None and "MOT004" in report.open and not report.ok
     assert poseaudit.audit(clean, require=["LAT001"]).ok
@@ -44,7 +44,7 @@ def test_severities_that_do_not_fail_are_still_findings(faulty: Path) -> None:
     assert report.ok and len(report.findings) == 2
 
 
-def test_a_log_that_cannot_be_audited_raises_the_line_of_the_program(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_audited_raises_the_error_line_of_the_program(tmp_path: Path) -> None:
     text = tmp_path / "notes.txt"
     text.write_text("not a log\n")
     with pytest.raises(poseaudit.LogError, match=r"^.*notes\.txt: not a robot log: .*; name an MCAP.*$"):
@@ -53,7 +53,7 @@ def test_a_log_that_cannot_be_audited_raises_the_line_of_the_program(tmp_path: P
         poseaudit.audit(tmp_path / "nowhere.mcap")
 
 
-def test_a_wrong_option_is_the_callers_error(clean: Path) -> None:
+def test_a_wrong_option_raises(clean: Path) -> None:
     with pytest.raises(TypeError, match=r"audit\(\) got an unexpected .* 'robt'; did you mean 'robot'\?"):
         poseaudit.audit(clean, robt="ur5e")  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="takes a value"):
@@ -68,12 +68,12 @@ def test_every_option_of_the_program_is_an_option_here() -> None:
     usage = subprocess.run([find_binary(), "audit", "--help"], stdout=subprocess.PIPE, text=True, check=True)
     flags = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", usage.stdout, re.MULTILINE))
     # Output options and options that open a window are not parameters of the function.
-    theirs = flags - {"help", "format", "output", "view", "statistics", "quiet", "verbose", "color"}
-    assert theirs == {name.replace("_", "-") for name in names(Options)}
+    program_options = flags - {"help", "format", "output", "view", "statistics", "quiet", "verbose", "color"}
+    assert program_options == {name.replace("_", "-") for name in names(Options)}
 
 
-def test_values_become_arguments_as_the_program_takes_them() -> None:
-    said = arguments(
+def test_option_values_become_arguments() -> None:
+    converted = arguments(
         "audit",
         {
             "robot": {"left_": Path("a.urdf"), "right_": "ur5e"},
@@ -86,14 +86,14 @@ def test_values_become_arguments_as_the_program_takes_them() -> None:
         },
         Options,
     )
-    assert said == [
+    assert converted == [
         *("--robot=left_=a.urdf", "--robot=right_=ur5e"),
         *("--declare=/tcp=rotvec", "--declare=/flange=euler:ZYX,deg"),
         *("--select=LAT", "--select=ZER001", "--max-latency=0.5", "--verify", "--config=-odd.toml"),
     ]
 
 
-def test_a_report_is_read_back_and_what_later_versions_add_is_kept(faulty: Path) -> None:
+def test_a_report_is_read_back_with_keys_of_later_versions(faulty: Path) -> None:
     call = [str(find_binary()), "audit", "--format=json", str(faulty)]
     text = subprocess.run(call, stdout=subprocess.PIPE, text=True).stdout
     report = poseaudit.Report.from_json(text)
@@ -107,7 +107,7 @@ def test_a_report_is_read_back_and_what_later_versions_add_is_kept(faulty: Path)
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected"),
     [
         ("", "invalid JSON"),
         ("[]", "schema None"),
@@ -116,6 +116,6 @@ def test_a_report_is_read_back_and_what_later_versions_add_is_kept(faulty: Path)
         ('{"schema": "poseaudit.report/1", "tool": 3}', r"the report\.tool: expected an object, found 3"),
     ],
 )
-def test_what_is_no_report_is_refused_with_the_place(text: str, says: str) -> None:
-    with pytest.raises(poseaudit.ReportError, match=says):
+def test_an_invalid_report_is_refused_with_its_place(text: str, expected: str) -> None:
+    with pytest.raises(poseaudit.ReportError, match=expected):
         poseaudit.Report.from_json(text)

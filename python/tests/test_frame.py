@@ -13,18 +13,18 @@ JSON = ("estimate_json", "evidence_json")
 
 
 @pytest.mark.parametrize("table", ["findings", "checks"])
-def test_frames_are_the_tables_that_the_program_writes(faulty: Path, tmp_path: Path, table: str) -> None:
+def test_frames_equal_the_tables_of_the_program(faulty: Path, tmp_path: Path, table: str) -> None:
     report = poseaudit.audit(faulty, parquet=tmp_path)
-    ours = getattr(report, table).to_polars()
-    theirs = polars.read_parquet(tmp_path / f"{table}.parquet")
-    assert ours.height > 0 and ours.columns == theirs.columns
-    assert ours.drop(JSON).equals(theirs.drop(JSON)) and ours.schema == theirs.schema
+    own = getattr(report, table).to_polars()
+    written = polars.read_parquet(tmp_path / f"{table}.parquet")
+    assert own.height > 0 and own.columns == written.columns
+    assert own.drop(JSON).equals(written.drop(JSON)) and own.schema == written.schema
     for name in JSON:
-        left, right = ([json.loads(text or "null") for text in frame[name]] for frame in (ours, theirs))
+        left, right = ([json.loads(text or "null") for text in frame[name]] for frame in (own, written))
         assert left == right
 
 
-def test_pandas_and_polars_say_the_same(faulty: Path) -> None:
+def test_pandas_and_polars_frames_are_equal(faulty: Path) -> None:
     findings = poseaudit.audit(faulty).findings
     rows = findings.frame("pandas").astype(object)
     assert rows.where(rows.notna(), None).to_dict("records") == findings.frame("polars").to_dicts()

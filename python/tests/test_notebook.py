@@ -12,7 +12,7 @@ import poseaudit
 NOTEBOOK = Path(__file__).parents[2] / "docs" / "notebook.ipynb"
 
 
-def shown(cell: str, names: dict[str, Any]) -> Any:
+def value_of_cell(cell: str, names: dict[str, Any]) -> Any:
     """Runs a cell, and returns the value of its last line."""
     body = ast.parse(cell).body
     last = body[-1] if isinstance(body[-1], ast.Expr) else None
@@ -28,7 +28,7 @@ def test_every_cell_runs(
     monkeypatch.chdir(tmp_path)
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     names: dict[str, Any] = {}
-    values = [shown("".join(cell["source"]), names) for cell in cells if cell["cell_type"] == "code"]
+    values = [value_of_cell("".join(cell["source"]), names) for cell in cells if cell["cell_type"] == "code"]
     report, printed = values[0], capsys.readouterr().out
     assert isinstance(report, poseaudit.Report) and report.verdict == "fail"
     assert "FAIL" in printed and "NO REGRESSION" in printed

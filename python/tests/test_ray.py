@@ -14,7 +14,7 @@ import pytest
 
 import poseaudit
 from cluster import Cluster
-from logs import distinct
+from logs import copy_with_other_bytes
 from poseaudit import _ray
 
 ray = pytest.importorskip("ray")
@@ -38,7 +38,7 @@ def logs(faulty: Path, tmp_path: Path) -> list[Path]:
     """Logs with equal content but different bytes, an invalid one, and a copy of the first."""
     folder = tmp_path / "logs"
     folder.mkdir()
-    logs = [distinct(faulty, number, folder / f"{number:03}.mcap") for number in range(LOGS)]
+    logs = [copy_with_other_bytes(faulty, number, folder / f"{number:03}.mcap") for number in range(LOGS)]
     none = folder / "none.mcap"
     none.write_text("not a log\n")
     copy = folder / "copy.mcap"
@@ -51,7 +51,7 @@ def rows(out: Path, table: str) -> Any:
     return polars.concat(polars.read_parquet(part) for part in sorted((out / table).glob("*.parquet")))
 
 
-def test_a_worker_that_is_killed_costs_no_row_and_doubles_none(
+def test_a_killed_worker_causes_no_lost_and_no_repeated_row(
     cluster: Cluster, logs: list[Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     out = tmp_path / "out"
@@ -82,48 +82,48 @@ def test_a_worker_that_is_killed_costs_no_row_and_doubles_none(
     assert findings.height == findings.unique(["key", "row"]).height == LOGS
     assert done.to_polars("findings").height == done.to_pandas("findings").shape[0] == LOGS
 
-    again = poseaudit.fleet(logs, out, engine="ray", address="127.0.0.1:1", select=["LAT", "ING"])
-    assert (again.done_before, again.done_now, again.retried) == (LOGS + 1, 0, 0)
+    repeated = poseaudit.fleet(logs, out, engine="ray", address="127.0.0.1:1", select=["LAT", "ING"])
+    assert (repeated.done_before, repeated.done_now, repeated.retried) == (LOGS + 1, 0, 0)
 
 
 def test_the_engines_write_the_same_rows(cluster: Cluster, logs: list[Path], tmp_path: Path) -> None:
-    few = [*logs[:3], logs[-2]]
-    local = poseaudit.fleet(few, tmp_path / "local", jobs=2, label={"site": "here"})
-    spread = poseaudit.fleet(
-        few, tmp_path / "ray", engine="ray", address=cluster.address, batch=3, label={"site": "here"}
+    some_logs = [*logs[:3], logs[-2]]
+    local_fleet = poseaudit.fleet(some_logs, tmp_path / "local", jobs=2, label={"site": "here"})
+    ray_fleet = poseaudit.fleet(
+        some_logs, tmp_path / "ray", engine="ray", address=cluster.address, batch=3, label={"site": "here"}
     )
-    assert (spread.statuses, spread.verdicts, spread.failing) == (
-        local.statuses,
-        local.verdicts,
-        local.failing,
+    assert (ray_fleet.statuses, ray_fleet.verdicts, ray_fleet.failing) == (
+        local_fleet.statuses,
+        local_fleet.verdicts,
+        local_fleet.failing,
     )
     for table in ("runs", "streams", "checks", "findings", "errors"):
         names = ["key", "row"] if table != "runs" else ["key"]
-        ours, theirs = (rows(fleet.out, table).sort(names) for fleet in (spread, local))
+        ours, theirs = (rows(fleet.out, table).sort(names) for fleet in (ray_fleet, local_fleet))
         assert ours.equals(theirs), table
-    assert [path.name for path in sorted((spread.out / "settings").iterdir())] == [
-        path.name for path in sorted((local.out / "settings").iterdir())
+    assert [path.name for path in sorted((ray_fleet.out / "settings").iterdir())] == [
+        path.name for path in sorted((local_fleet.out / "settings").iterdir())
     ]
 
 
-def test_a_task_has_as_many_logs_as_take_some_seconds() -> None:
-    course = _ray.Course(total=1000)
-    assert _ray._size(course, 1000, 2) == 1, "nothing is known yet"
-    course.done, course.spent_s = 10, 2.0
-    assert _ray._size(course, 1000, 2) == _ray.TASK_S / 0.2
+def test_the_size_of_a_task_follows_the_duration_of_logs() -> None:
+    progress = _ray.Progress(total=1000)
+    assert _ray._next_task_size(progress, 1000, 2) == 1, "nothing is known yet"
+    progress.done, progress.task_time_s = 10, 2.0
+    assert _ray._next_task_size(progress, 1000, 2) == _ray.TASK_S / 0.2
     # At the end, all cores are busy.
-    assert _ray._size(course, 40, 2) == 5 and _ray._size(course, 1, 2) == 1
-    course.spent_s = 600.0
-    assert _ray._size(course, 1000, 2) == 1
+    assert _ray._next_task_size(progress, 40, 2) == 5 and _ray._next_task_size(progress, 1, 2) == 1
+    progress.task_time_s = 600.0
+    assert _ray._next_task_size(progress, 1000, 2) == 1
 
 
-def test_what_no_worker_can_do_the_driver_does(
+def test_the_driver_audits_logs_that_kill_workers(
     cluster: Cluster, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def dies(*_: object) -> None:
+    def die_at_once(*_: object) -> None:
         os.abort()
 
-    monkeypatch.setattr(_ray, "_audited", dies)
+    monkeypatch.setattr(_ray, "_audit_on_worker", die_at_once)
     done = poseaudit.fleet(logs[:2], tmp_path / "out", engine="ray", address=cluster.address, retries=1)
     assert (done.done_now, done.retried) == (2, 2)
     assert rows(tmp_path / "out", "runs").height == 2

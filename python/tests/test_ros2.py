@@ -22,7 +22,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
     return found.load()()
 
 
-def ran(command: Any, *words: str | Path) -> int:
+def run(command: Any, *words: str | Path) -> int:
     """Parses the arguments of `ros2 poseaudit` like ros2cli."""
     root = argparse.ArgumentParser(prog="ros2")
     parser = root.add_subparsers().add_parser("poseaudit")
@@ -32,16 +32,16 @@ def ran(command: Any, *words: str | Path) -> int:
     return status
 
 
-def test_options_reach_the_program_and_its_status_comes_back(
+def test_options_are_passed_and_the_status_is_returned(
     command: Any, faulty: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert ran(command, "audit", faulty, "--select", "LAT", "--format", "github") == 1
+    assert run(command, "audit", faulty, "--select", "LAT", "--format", "github") == 1
     assert "LAT001" in capfd.readouterr().out
-    assert ran(command, "audit", faulty, "--select", "YAW", "-q") == 0
-    assert ran(command, "audit", faulty, "--robt") == 2
-    assert ran(command, "help") == 0
+    assert run(command, "audit", faulty, "--select", "YAW", "-q") == 0
+    assert run(command, "audit", faulty, "--robt") == 2
+    assert run(command, "help") == 0
     assert "record-list" in capfd.readouterr().out
 
 
-def test_it_says_what_it_is_for(command: Any) -> None:
+def test_the_command_has_a_description(command: Any) -> None:
     assert type(command).__doc__ == "Audit robot-arm pose logs."

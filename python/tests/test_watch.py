@@ -15,15 +15,15 @@ def record(log: Path, out: Path, stop: str = "inf") -> int:
     return subprocess.run([sys.executable, str(RECORDER), str(log), str(out), "3", stop]).returncode
 
 
-def test_a_recorder_that_is_killed_and_begins_again(tmp_path: Path, clean: Path, faulty: Path) -> None:
+def test_a_recorder_that_is_killed_and_restarted(tmp_path: Path, clean: Path, faulty: Path) -> None:
     out = tmp_path / "run.mcap"
     out.touch()
     call = [str(find_binary()), "watch", str(out), "--every", "0.2", "--idle", "20", "--format", "json"]
     watching = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
     assert record(clean, out, stop="6") == 9
     assert record(faulty, out) == 0
-    said, _ = watching.communicate(timeout=60)
-    lines: list[dict[str, Any]] = [json.loads(line) for line in said.splitlines()]
+    output, _ = watching.communicate(timeout=60)
+    lines: list[dict[str, Any]] = [json.loads(line) for line in output.splitlines()]
     events = [line["event"] for line in lines]
     again = events.index("begun-again")
     assert all(line["verdict"] != "fail" for line in lines[:again])

@@ -34,7 +34,7 @@ def report(program: str, arguments: list[str], folder: Path) -> str:
     return page.as_uri()
 
 
-def opened(browser, address: str, viewport: dict, scheme: str = "light") -> Page:
+def open_page(browser, address: str, viewport: dict, scheme: str = "light") -> Page:
     """Opens the page. Console messages, errors and requests fail the check."""
     context = browser.new_context(viewport=viewport, color_scheme=scheme, device_scale_factor=1.5)
     page = context.new_page()
@@ -42,15 +42,15 @@ def opened(browser, address: str, viewport: dict, scheme: str = "light") -> Page
     def refuse(what: str):
         raise AssertionError(f"{address}: {what}")
 
-    page.on("console", lambda said: refuse(said.text) if said.type in ("error", "warning") else None)
+    page.on("console", lambda message: refuse(message.text) if message.type in ("error", "warning") else None)
     page.on("pageerror", lambda error: refuse(str(error)))
-    page.on("request", lambda asked: refuse(asked.url) if asked.url != address else None)
+    page.on("request", lambda request: refuse(request.url) if request.url != address else None)
     page.goto(address)
     return page
 
 
 def check(browser, address: str) -> None:
-    page = opened(browser, address, WIDE)
+    page = open_page(browser, address, WIDE)
     plots = page.locator(".plot")
     assert plots.count() == page.locator(".plot canvas").count(), "a plot is not drawn"
     for plot in plots.all():
@@ -85,14 +85,14 @@ def check(browser, address: str) -> None:
     assert len(page.pdf(format="A4")) > 10_000
     page.context.close()
 
-    phone = opened(browser, address, PHONE)
+    phone = open_page(browser, address, PHONE)
     over = phone.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     assert over <= 0, f"{over} pixels too wide for a phone"
     phone.context.close()
-    opened(browser, address, WIDE, "dark").context.close()
+    open_page(browser, address, WIDE, "dark").context.close()
 
 
-def shoot(browser, address: str, to: Path) -> None:
+def write_screenshots(browser, address: str, to: Path) -> None:
     """Writes screenshots from the top of the page to the end of an element."""
     from PIL import Image
 
@@ -102,7 +102,7 @@ def shoot(browser, address: str, to: Path) -> None:
         "phone": (PHONE, "light", "#finding-1 .picture"),
     }
     for name, (viewport, scheme, last) in looks.items():
-        page = opened(browser, address, viewport, scheme)
+        page = open_page(browser, address, viewport, scheme)
         box = page.locator(last).first.bounding_box()
         clip = {"x": 0, "y": 0, "width": viewport["width"], "height": box["y"] + box["height"] + 12}
         picture = Image.open(io.BytesIO(page.screenshot(full_page=True, clip=clip))).convert("RGB")
@@ -113,7 +113,7 @@ def shoot(browser, address: str, to: Path) -> None:
         print(f"{path}: {picture.size[0]} x {picture.size[1]}, {path.stat().st_size} bytes")
 
 
-def launched(playwright):
+def launch_browser(playwright):
     """Starts the browser named by CHROMIUM, else the one on the path, else Playwright's."""
     found = os.environ.get("CHROMIUM", shutil.which("chromium") or shutil.which("google-chrome"))
     return playwright.chromium.launch(executable_path=found or None, args=["--no-sandbox"])
@@ -122,14 +122,14 @@ def launched(playwright):
 def probe() -> None:
     """Fails if no browser opens a page."""
     with sync_playwright() as playwright:
-        browser = launched(playwright)
+        browser = launch_browser(playwright)
         page = browser.new_page()
         page.goto("data:text/html,<title>there</title>")
         assert page.title() == "there", "the browser opens no page"
         browser.close()
 
 
-def fleet(program: str, folder: Path) -> str:
+def fleet_report(program: str, folder: Path) -> str:
     """Reports on a fleet: on the example's logs if the example is built, else on the fixtures."""
     example, logs = Path(program).parent / "examples" / "fleet_logs", FIXTURES
     if example.exists():
@@ -141,11 +141,11 @@ def fleet(program: str, folder: Path) -> str:
     return report(program, ["fleet", "report", results], folder)
 
 
-def shoot_fleet(browser, address: str, to: Path) -> None:
+def write_fleet_screenshot(browser, address: str, to: Path) -> None:
     """Writes a screenshot of the fleet page, down to the end of the trends."""
     from PIL import Image
 
-    page = opened(browser, address, WIDE)
+    page = open_page(browser, address, WIDE)
     box = page.locator("#findings-title").bounding_box()
     clip = {"x": 0, "y": 0, "width": WIDE["width"], "height": box["y"]}
     picture = Image.open(io.BytesIO(page.screenshot(full_page=True, clip=clip))).convert("RGB")
@@ -158,19 +158,19 @@ def shoot_fleet(browser, address: str, to: Path) -> None:
 def main() -> None:
     program = str(Path(sys.argv[1]).resolve())
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        browser = launched(playwright)
+        browser = launch_browser(playwright)
         folder = Path(folder)
         demo = report(program, ["demo", "demo"], folder)
         # With plots of every kind.
         logs = ["clean.mcap", "faulty.mcap", "shake.mcap", "line.mcap", "goal.mcap", "slipped_target.mcap", "stop.mcap"]
         others = [report(program, ["audit", str(FIXTURES / log)], folder) for log in logs]
-        many = fleet(program, folder)
-        for address in [demo, *others, many]:
+        fleet_page = fleet_report(program, folder)
+        for address in [demo, *others, fleet_page]:
             check(browser, address)
         print(f"html: {2 + len(logs)} reports checked in Chromium {browser.version}")
         if len(sys.argv) > 2:
-            shoot(browser, demo, Path(sys.argv[2]))
-            shoot_fleet(browser, many, Path(sys.argv[2]))
+            write_screenshots(browser, demo, Path(sys.argv[2]))
+            write_fleet_screenshot(browser, fleet_page, Path(sys.argv[2]))
         browser.close()
 
 

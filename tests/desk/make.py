@@ -22,11 +22,11 @@ def transform(xyz, rotation):
     return matrix
 
 
-def turned(roll, pitch, yaw, xyz=(0, 0, 0)):
+def pose_from_rpy(roll, pitch, yaw, xyz=(0, 0, 0)):
     return transform(xyz, Rotation.from_euler("xyz", [roll, pitch, yaw], degrees=True))
 
 
-POSES = [turned(149.49, -12.78, 72.64, [0.2437, -0.2490, 0.6183])]
+POSES = [pose_from_rpy(149.49, -12.78, 72.64, [0.2437, -0.2490, 0.6183])]
 for _ in range(5):
     xyz = rng.uniform([-0.6, -0.6, 0.1], [0.6, 0.6, 0.9])
     POSES.append(transform(xyz, Rotation.random(random_state=int(rng.integers(1e9)))))
@@ -67,8 +67,8 @@ UNREAL = np.diag([1, -1, 1])
 Y_UP = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
 MOTIVE = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
 NED = transform([0, 0, 0], Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]]))
-BODY_FROM_OPTICAL = turned(-90, 0, -90)
-OPENCV_FROM_OPENGL = turned(180, 0, 0)
+BODY_FROM_OPTICAL = pose_from_rpy(-90, 0, -90)
+OPENCV_FROM_OPENGL = pose_from_rpy(180, 0, 0)
 
 
 def unity_euler(m):
@@ -86,11 +86,11 @@ def riddle(name, first, second, how="", claim="", pairs=1):
 
 
 riddle("UR rotvec", ros, lambda m: (p(m), rotvec(m)), "rotvec, rad, m")
-riddle("UR pendant, mm, against base_link", lambda m: ros(turned(0, 0, 180) @ m),
+riddle("UR pendant, mm, against base_link", lambda m: ros(pose_from_rpy(0, 0, 180) @ m),
        lambda m: (1000 * p(m), rotvec(m)), "rotvec, rad, mm", "base_link")
 riddle("KUKA", ros, lambda m: (1000 * p(m), euler(m, "ZYX")), "euler:ZYX, deg, mm")
 riddle("ABB", ros, lambda m: (1000 * p(m), np.roll(q(m), 1)), "quat:wxyz, mm")
-riddle("FANUC, tool0 against flange", lambda m: ros(m @ turned(180, -90, 0)),
+riddle("FANUC, tool0 against flange", lambda m: ros(m @ pose_from_rpy(180, -90, 0)),
        lambda m: (1000 * p(m), euler(m, "xyz")), "euler:xyz, deg, mm", "ROS-Industrial, as FANUC")
 riddle("Doosan", ros, lambda m: (1000 * p(m), euler(m, "ZYZ")), "euler:ZYZ, deg, mm")
 riddle("Staubli", ros, lambda m: (1000 * p(m), euler(m, "XYZ")), "euler:XYZ, deg, mm")
@@ -100,7 +100,7 @@ riddle("Kinova, degrees and metres", ros, lambda m: (p(m), euler(m, "xyz")), "eu
 riddle("Yaskawa's integers", ros,
        lambda m: (np.round(1e6 * p(m)), np.round(1e4 * euler(m, "xyz"))), "euler:xyz, 0.0001 deg, µm")
 riddle("Franka O_T_EE", ros, lambda m: m.T, "matrix:columns, m")
-riddle("Franka O_T_EE of the hand", ros, lambda m: (m @ turned(0, 0, -45, (0, 0, 0.1034))).T,
+riddle("Franka O_T_EE of the hand", ros, lambda m: (m @ pose_from_rpy(0, 0, -45, (0, 0, 0.1034))).T,
        "matrix:columns, m", "fr3_hand_tcp")
 riddle("Unity, quaternion", ros, lambda m: ros(basis(m, UNITY)), "quat:xyzw, m", "B: Unity")
 riddle("Unity, eulerAngles", ros, lambda m: (p(basis(m, UNITY)), unity_euler(m)),
@@ -114,7 +114,7 @@ riddle("glTF, three.js", ros, lambda m: ros(basis(m, Y_UP)), "quat:xyzw, m", "th
 riddle("a world with y up", ros, lambda m: ros(transform([0, 0, 0], Rotation.from_matrix(Y_UP)) @ m),
        "quat:xyzw, m", "y up")
 riddle("OptiTrack Motive", ros, lambda m: ros(basis(m, MOTIVE)), "quat:xyzw, m", "OptiTrack")
-riddle("NED and FRD", ros, lambda m: ros(NED @ m @ turned(180, 0, 0)), "quat:xyzw, m", "NED")
+riddle("NED and FRD", ros, lambda m: ros(NED @ m @ pose_from_rpy(180, 0, 0)), "quat:xyzw, m", "NED")
 riddle("optical against body frame", ros, lambda m: ros(m @ BODY_FROM_OPTICAL), "quat:xyzw, m", "optical")
 riddle("solvePnP against the camera's pose", ros,
        lambda m: (p(np.linalg.inv(m)), rotvec(np.linalg.inv(m))), "rotvec, rad, m", "inverse")
@@ -143,18 +143,18 @@ riddle("rotation vector in degrees", ros, lambda m: (1000 * p(m), np.degrees(rot
        "rotvec, deg, mm")
 riddle("RoboDK", ros, lambda m: (1000 * p(m), euler(m, "xyz")), "euler:xyz, deg, mm")
 riddle("KUKA with a tool of 150 mm", ros,
-       lambda m: (1000 * p(m @ turned(0, 0, 0, (0, 0, 0.15))), euler(m, "ZYX")), "euler:ZYX, deg, mm",
+       lambda m: (1000 * p(m @ pose_from_rpy(0, 0, 0, (0, 0, 0.15))), euler(m, "ZYX")), "euler:ZYX, deg, mm",
        "a constant tool", 2)
-riddle("a table of unknown place", ros, lambda m: ros(turned(0, 0, 30, (0.5, 0.2, 0)) @ m),
+riddle("a table of unknown place", ros, lambda m: ros(pose_from_rpy(0, 0, 30, (0.5, 0.2, 0)) @ m),
        "quat:xyzw, m", "a constant base offset", 2)
 riddle("yaw, pitch, roll", ros, lambda m: (p(m), euler(m, "xyz", False)[::-1]), "euler:ZYX, rad, m")
 # Cases without a source on the web.
 riddle("a tracker's world and marker", ros,
-       lambda m: ros(turned(20, -35, 100, (1.2, -0.4, 0.3)) @ m @ turned(10, 80, -30, (0.02, -0.05, 0.09))),
+       lambda m: ros(pose_from_rpy(20, -35, 100, (1.2, -0.4, 0.3)) @ m @ pose_from_rpy(10, 80, -30, (0.02, -0.05, 0.09))),
        "quat:xyzw, m", "a constant base offset", 6)
-riddle("Unity with a tool", ros, lambda m: ros(basis(m @ turned(0, 90, 0, (0, 0, 0.12)), UNITY)),
+riddle("Unity with a tool", ros, lambda m: ros(basis(m @ pose_from_rpy(0, 90, 0, (0, 0, 0.12)), UNITY)),
        "quat:xyzw, m", "Unity", 6)
-riddle("base and base_link 400 mm apart", ros, lambda m: ros(turned(0, 0, 0, (0, 0, 0.4)) @ m),
+riddle("base and base_link 400 mm apart", ros, lambda m: ros(pose_from_rpy(0, 0, 0, (0, 0, 0.4)) @ m),
        "quat:xyzw, m", "a constant base offset", 2)
 
 

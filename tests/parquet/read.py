@@ -23,7 +23,7 @@ LOG = ROOT / "fixtures" / "faulty.mcap"
 TABLES = {"aligned", "reach_map", "reached_poses", "joints", "findings", "checks"}
 
 
-def audited(program: str, folder: str) -> dict:
+def audit_log(program: str, folder: str) -> dict:
     command = [program, "audit", str(LOG), "--format", "json", "--parquet", folder]
     run = subprocess.run(command, stdout=subprocess.PIPE, check=False)
     assert run.returncode == 1, f"exit status {run.returncode}"
@@ -83,7 +83,7 @@ def check_aligned(folder: Path) -> None:
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
-        report = audited(sys.argv[1], scratch)
+        report = audit_log(sys.argv[1], scratch)
         folder = Path(scratch)
         assert {file.stem for file in folder.iterdir()} == TABLES
         check_schema(folder)

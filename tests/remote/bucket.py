@@ -36,7 +36,7 @@ def run(program: str, endpoint: str, *arguments: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def told(program: str, endpoint: str, log: str) -> tuple[int, dict, int | None]:
+def audit_log(program: str, endpoint: str, log: str) -> tuple[int, dict, int | None]:
     """Exit status, report without the log's name, and number of fetched bytes."""
     status, out, err = run(program, endpoint, "audit", log, "--format", "json")
     assert status in (0, 1), f"{log}: {err}"
@@ -63,8 +63,8 @@ def main(program: str) -> None:
     for log in logs:
         client.upload_file(str(log), BUCKET, f"cell 7/{log.name}")
         here, there = (
-            told(program, endpoint, str(log)),
-            told(program, endpoint, f"s3://{BUCKET}/cell 7/{log.name}"),
+            audit_log(program, endpoint, str(log)),
+            audit_log(program, endpoint, f"s3://{BUCKET}/cell 7/{log.name}"),
         )
         assert here[2] is None and here[:2] == there[:2], f"{log}: the reports on object and file differ"
         size = log.stat().st_size

@@ -24,9 +24,9 @@ from PIL import Image
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 VIEWER = Path(sys.executable).with_name("rerun")
 SIZE = (1400, 900)
-PATIENCE_S = 150
+TIMEOUT_S = 150
 # Messages about the machine, not about the opened file.
-OF_THE_MACHINE = re.compile(
+MACHINE_MESSAGES = re.compile(
     "software rasterizer|docker|xsettings|xrandr|xdg_runtime_dir|parse locale|analytics", re.IGNORECASE
 )
 
@@ -43,7 +43,7 @@ class Viewer:
     """A headless viewer with an open file."""
 
     def __init__(self, file: Path | None, folder: Path, programs: Path | None = None, log: str = "warn"):
-        self.port, self.folder, self.said = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
+        self.port, self.folder, self.log_file = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
         path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
         # Separate settings, to ignore those of the user.
         homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
@@ -52,10 +52,10 @@ class Viewer:
         command += ["--port", str(self.port), "--window-size", "x".join(map(str, SIZE))]
         # No telemetry.
         subprocess.run([VIEWER, "analytics", "disable"], env=environment, capture_output=True, check=True)
-        with self.said.open("wb") as said:
+        with self.log_file.open("wb") as log_output:
             # A separate process group: the command is a script that starts the viewer.
             self.process = subprocess.Popen(
-                command, env=environment, stdout=said, stderr=said, start_new_session=True
+                command, env=environment, stdout=log_output, stderr=log_output, start_new_session=True
             )
 
     def __enter__(self) -> "Viewer":
@@ -70,19 +70,19 @@ class Viewer:
             pass
         self.process.wait()
 
-    def complaints(self) -> list[str]:
-        lines = self.said.read_text(errors="replace").splitlines()
+    def warnings(self) -> list[str]:
+        lines = self.log_file.read_text(errors="replace").splitlines()
         lines = [re.sub(r"\x1b\[[\d;]*m", "", line) for line in lines]
-        grave = [line for line in lines if re.search(r"WARN|ERROR|error|panicked", line)]
-        return [line for line in grave if not OF_THE_MACHINE.search(line)]
+        severe = [line for line in lines if re.search(r"WARN|ERROR|error|panicked", line)]
+        return [line for line in severe if not MACHINE_MESSAGES.search(line)]
 
-    def picture(self, is_there) -> Image.Image:
-        """Returns a screenshot when `is_there` accepts it (returns an empty string)."""
+    def picture(self, missing_part) -> Image.Image:
+        """Returns a screenshot for which `missing_part` returns an empty string."""
         from rerun.experimental import ViewerClient
 
-        deadline, why = time.monotonic() + PATIENCE_S, "it shows nothing"
+        deadline, why = time.monotonic() + TIMEOUT_S, "it shows nothing"
         while time.monotonic() < deadline:
-            assert self.process.poll() is None, f"the viewer ended: {self.complaints()[-1:]}"
+            assert self.process.poll() is None, f"the viewer ended: {self.warnings()[-1:]}"
             time.sleep(1)
             at = self.folder / f"{time.monotonic_ns()}.png"
             try:
@@ -90,14 +90,14 @@ class Viewer:
             except (OSError, RuntimeError) as error:
                 why = f"no picture of it: {error}"
                 continue
-            image = whole(at, deadline)
-            why = is_there(image) if image else "no picture of it"
+            image = open_when_written(at, deadline)
+            why = missing_part(image) if image else "no picture of it"
             if not why:
                 return image
-        raise AssertionError(f"{why}, after {PATIENCE_S} s")
+        raise AssertionError(f"{why}, after {TIMEOUT_S} s")
 
 
-def whole(picture: Path, deadline: float) -> Image.Image | None:
+def open_when_written(picture: Path, deadline: float) -> Image.Image | None:
     """Returns a picture when it is completely written, which the viewer does asynchronously."""
     while time.monotonic() < deadline:
         try:
@@ -107,7 +107,7 @@ def whole(picture: Path, deadline: float) -> Image.Image | None:
     return None
 
 
-def lacking(image: Image.Image, parts: dict[str, tuple[float, float, float, float]]) -> str:
+def blank_part(image: Image.Image, parts: dict[str, tuple[float, float, float, float]]) -> str:
     """Names a blank part of the picture, each given by relative bounds. Empty if there is none."""
     width, height = image.size
     for name, (left, top, right, bottom) in parts.items():
@@ -122,7 +122,7 @@ def lacking(image: Image.Image, parts: dict[str, tuple[float, float, float, floa
 LOGGED, EXPLAINED = (240, 80, 60), (60, 200, 110)
 
 
-def pixels(image: Image.Image, rgb: tuple[int, int, int], near: int = 40) -> int:
+def count_pixels(image: Image.Image, rgb: tuple[int, int, int], near: int = 40) -> int:
     """Counts pixels near a colour, in the image at half resolution."""
     small = image.resize((image.width // 2, image.height // 2), Image.Resampling.NEAREST)
     return sum(
@@ -139,26 +139,26 @@ PARTS = {
 }
 
 
-def audited(image: Image.Image) -> str:
-    if min(pixels(image, LOGGED), pixels(image, EXPLAINED)) < 30:
+def missing_in_audit(image: Image.Image) -> str:
+    if min(count_pixels(image, LOGGED), count_pixels(image, EXPLAINED)) < 30:
         return "the tool as logged and as explained is not there"
-    return lacking(image, PARTS)
+    return blank_part(image, PARTS)
 
 
-def shrunk(image: Image.Image, path: Path) -> None:
+def write_small(image: Image.Image, path: Path) -> None:
     image.resize(SIZE, Image.Resampling.LANCZOS).quantize(200, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path}: {SIZE[0]} x {SIZE[1]}, {path.stat().st_size} bytes")
 
 
 def check(file: Path, folder: Path, programs: Path | None = None) -> Image.Image:
     with Viewer(file, folder, programs) as viewer:
-        image = viewer.picture(audited)
-        complaints = viewer.complaints()
-    assert not complaints, f"{file.name}: the viewer complains: {complaints}"
+        image = viewer.picture(missing_in_audit)
+        warnings = viewer.warnings()
+    assert not warnings, f"{file.name}: the viewer complains: {warnings}"
     return image
 
 
-def recorded(program: Path, folder: Path) -> Path:
+def record_demo(program: Path, folder: Path) -> Path:
     """The recording of the demo."""
     run = subprocess.run([program, "demo", "demo"], cwd=folder, stdout=subprocess.DEVNULL)
     assert run.returncode == 0, f"demo: exit status {run.returncode}"
@@ -173,13 +173,13 @@ def main() -> None:
     program = Path(sys.argv[1]).resolve()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        check(recorded(program, folder), folder)
+        check(record_demo(program, folder), folder)
         # A finding without a scene: bars and a trace.
         shake = folder / "shake.rrd"
         subprocess.run([program, "audit", FIXTURES / "shake.mcap", "--rrd", shake], stdout=subprocess.DEVNULL)
         with Viewer(shake, folder) as viewer:
-            viewer.picture(lambda image: lacking(image, PARTS))
-            assert not viewer.complaints(), f"{shake.name}: the viewer complains: {viewer.complaints()}"
+            viewer.picture(lambda image: blank_part(image, PARTS))
+            assert not viewer.warnings(), f"{shake.name}: the viewer complains: {viewer.warnings()}"
         importers = folder / "importers"
         importers.mkdir()
         importer = shutil.which("rerun-importer-poseaudit", path=program.parent)
@@ -194,9 +194,9 @@ def main() -> None:
             # Log messages would cover the picture.
             with Viewer(folder / "demo.rrd", folder, log="off") as viewer:
                 # The recording plays, so take several pictures and keep the one that shows both tools best.
-                images = [viewer.picture(audited) for _ in range(6)]
-            image = max(images, key=lambda it: min(pixels(it, LOGGED), pixels(it, EXPLAINED)))
-            shrunk(image, Path(sys.argv[2]) / "recording.png")
+                images = [viewer.picture(missing_in_audit) for _ in range(6)]
+            image = max(images, key=lambda it: min(count_pixels(it, LOGGED), count_pixels(it, EXPLAINED)))
+            write_small(image, Path(sys.argv[2]) / "recording.png")
 
 
 def probe() -> None:
@@ -204,7 +204,7 @@ def probe() -> None:
     with tempfile.TemporaryDirectory() as folder, Viewer(None, Path(folder)) as viewer:
         everywhere = {"the window": (0.0, 0.0, 1.0, 1.0)}
         try:
-            viewer.picture(lambda image: lacking(image, everywhere))
+            viewer.picture(lambda image: blank_part(image, everywhere))
         except AssertionError as error:
             raise SystemExit(f"the viewer draws nothing: {error}") from None
 

@@ -8,31 +8,31 @@ import pytest
 import poseaudit
 
 
-def test_a_report_is_a_line_a_text_and_a_page(faulty: Path) -> None:
+def test_a_report_has_a_line_a_text_and_a_page(faulty: Path) -> None:
     report = poseaudit.audit(faulty)
     line = repr(report)
     assert line.startswith("<poseaudit.Report fail: 2 findings (") and "LAT001" in line and len(line) < 200
     assert "FAIL" in str(report) and "\x1b" not in str(report)
     page = report.html()
     assert page.startswith("<!DOCTYPE html>") and "elbow_joint" in page
-    shown = report._repr_html_()
-    assert shown is not None and shown.startswith("<iframe srcdoc=") and "&lt;html" in shown
+    embedded = report._repr_html_()
+    assert embedded is not None and embedded.startswith("<iframe srcdoc=") and "&lt;html" in embedded
 
 
-def test_a_kept_report_has_no_run_to_ask(faulty: Path) -> None:
+def test_a_report_read_from_json_has_no_page(faulty: Path) -> None:
     import json
 
-    kept = poseaudit.Report.from_json(json.dumps(poseaudit.audit(faulty).json))
-    assert kept._repr_html_() is None and str(kept).startswith("fail\n")
+    stored = poseaudit.Report.from_json(json.dumps(poseaudit.audit(faulty).json))
+    assert stored._repr_html_() is None and str(stored).startswith("fail\n")
     with pytest.raises(poseaudit.ReportError, match="html: the report was read from JSON"):
-        kept.html()
+        stored.html()
 
 
-def test_the_samples_are_those_of_the_tables(faulty: Path, tmp_path: Path) -> None:
+def test_samples_equal_the_table_of_the_program(faulty: Path, tmp_path: Path) -> None:
     polars = pytest.importorskip("polars")
     report = poseaudit.audit(faulty, parquet=tmp_path)
-    kept = polars.read_parquet(tmp_path / "aligned.parquet")
-    assert report.samples().equals(kept) and kept.height > 500
+    stored = polars.read_parquet(tmp_path / "aligned.parquet")
+    assert report.samples().equals(stored) and stored.height > 500
 
 
 def test_forward_kinematics_of_one_and_of_many() -> None:
@@ -48,7 +48,7 @@ def test_forward_kinematics_of_one_and_of_many() -> None:
         poseaudit.fk("ur5f", upright)
 
 
-def test_a_pose_and_what_makes_two_agree() -> None:
+def test_one_pose_is_converted_and_two_are_reconciled() -> None:
     quarter = poseaudit.pose([0, 0, math.pi / 2], a_as="rotvec")
     turns = {row["convention"]: row["numbers"] for row in quarter["conventions"]}
     assert turns["euler:ZYX"] == pytest.approx([math.pi / 2, 0, 0])
