@@ -27,25 +27,29 @@ pub struct UnmovedJoint {
 pub(crate) fn unmoved_joints(
     robot: &Robot,
     joints: &[String],
-    found: &ArmCalibration,
+    calibration: &ArmCalibration,
 ) -> Vec<UnmovedJoint> {
     let of = |(at, joint): (usize, &String)| {
-        let moved = found
+        let moved = calibration
             .streams
             .iter()
             .filter_map(|stream| stream.spans.get(at))
             .fold(0.0, |a: f64, b| a.max(*b));
         let slides = robot.joint(joint).is_some_and(|joint| joint.kind == JointKind::Prismatic);
-        let is_little = moved < if slides { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
-        is_little.then(|| UnmovedJoint { joint: joint.clone(), moved, slides })
+        let is_unmoved = moved < if slides { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
+        is_unmoved.then(|| UnmovedJoint { joint: joint.clone(), moved, slides })
     };
     joints.iter().enumerate().filter_map(of).collect()
 }
 
 /// Reason for rejecting the calibration.
-pub(crate) fn rejection_reason(found: &ArmCalibration, unmoved: &[UnmovedJoint]) -> Option<String> {
-    let (known, drawing) = (found.calibrated_uncertainty.m, found.nominal_uncertainty.m);
-    if known.is_nan() || drawing == 0.0 || known * MIN_IMPROVEMENT_RATIO > drawing {
+pub(crate) fn rejection_reason(
+    calibration: &ArmCalibration,
+    unmoved: &[UnmovedJoint],
+) -> Option<String> {
+    let (known, nominal) =
+        (calibration.calibrated_uncertainty.m, calibration.nominal_uncertainty.m);
+    if known.is_nan() || nominal == 0.0 || known * MIN_IMPROVEMENT_RATIO > nominal {
         let moved = match unmoved {
             [] => String::new(),
             unmoved => {
@@ -56,10 +60,10 @@ pub(crate) fn rejection_reason(found: &ArmCalibration, unmoved: &[UnmovedJoint])
         return Some(format!(
             "expected FK error over the workspace: {:.3} mm rms calibrated, {:.3} mm nominal{moved}",
             1e3 * known,
-            1e3 * drawing
+            1e3 * nominal
         ));
     }
-    found.streams.iter().find_map(stream_rejection_reason)
+    calibration.streams.iter().find_map(stream_rejection_reason)
 }
 
 /// Reason why a stream contradicts the calibration.

@@ -14,9 +14,13 @@ pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize) -> Alternative {
     Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
 }
 
-pub fn confounder_alternative(arm: &ArmEvidence, twin: &Confounder, unit: Unit) -> Alternative {
+pub fn confounder_alternative(
+    arm: &ArmEvidence,
+    confounder: &Confounder,
+    unit: Unit,
+) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
-    let (code, subject, name, value, unit) = match *twin {
+    let (code, subject, name, value, unit) = match *confounder {
         Confounder::JointZero(joint, value) => {
             ("ZER001", arm.joint(joint), "joint zero offset", value, arm.joint_unit(joint))
         }

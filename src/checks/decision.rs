@@ -68,10 +68,10 @@ pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> De
 pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: usize) -> Decision {
     let norm = &length.norm;
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
-    let is_sure =
+    let is_significant =
         length.p_value <= chance && norm.value > threshold.unit.half_width(norm, PASS_CONFIDENCE);
     match threshold.severity(norm.value) {
-        Some(severity) if is_sure => Decision::Fail(severity),
+        Some(severity) if is_significant => Decision::Fail(severity),
         Some(_) => Decision::Undecided(undecided_reason(norm, threshold)),
         None => decide(norm, threshold, subjects),
     }

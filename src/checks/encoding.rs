@@ -33,8 +33,8 @@ pub enum EncodingFaultKind {
     Direction,
 }
 
-fn fault_kind(reading: &PoseEncoding) -> Option<EncodingFaultKind> {
-    match reading {
+fn fault_kind(encoding: &PoseEncoding) -> Option<EncodingFaultKind> {
+    match encoding {
         PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => None,
         PoseEncoding::Misinterpreted(_) => Some(EncodingFaultKind::Convention),
         PoseEncoding::QuaternionOrder(_) => Some(EncodingFaultKind::QuaternionOrder),
@@ -47,42 +47,49 @@ pub struct EncodingReport {
     /// Followed in the message by ", 64° off as logged".
     pub what: String,
     /// Preceded in the message by "0.01° once".
-    pub once: String,
+    pub corrected_reading: String,
     pub fix: String,
-    pub slip: RotationError,
+    pub error: RotationError,
     pub estimate: Estimate,
 }
 
-/// Judges every stream for faults of kind `asked`; `word` writes the report.
+/// Judges every stream for faults of kind `kind`; `report` writes the report.
 pub fn judge(
     case: &Case,
-    asked: EncodingFaultKind,
-    word: fn(&EncodingEstimate) -> Option<EncodingReport>,
+    kind: EncodingFaultKind,
+    report: fn(&EncodingEstimate) -> Option<EncodingReport>,
 ) -> Vec<SubjectResult> {
     let mut judged = Vec::new();
     for arm in &case.evidence.robots {
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
             let doubt = found.is_far_from_fk().then_some("its positions do not match FK");
-            let bare = stream.is_undeclared.then_some(found);
-            let unread = stream.unidentified_columns.as_slice();
-            stream.with_value((&found.encoding, doubt, bare, unread, arm.is_derived(stream)))
+            let undeclared = stream.is_undeclared.then_some(found);
+            let unidentified = stream.unidentified_columns.as_slice();
+            stream.with_value((
+                &found.encoding,
+                doubt,
+                undeclared,
+                unidentified,
+                arm.is_derived(stream),
+            ))
         });
-        let unread = arm.diagnosis.encoding.is_err() && !arm.poses.is_empty();
-        let doubt = unread.then_some("the encoding of the joint states is itself undetermined");
+        let unidentified = arm.diagnosis.encoding.is_err() && !arm.poses.is_empty();
+        let doubt =
+            unidentified.then_some("the encoding of the joint states is itself undetermined");
         let imus = arm.imus.iter();
         let imus =
             imus.map(|imu| imu.with_value((&imu.diagnosis.encoding, doubt, None, &[][..], false)));
         judged.extend(streams.chain(imus).map(|stream| {
-            let (reading, doubt, bare, unread, is_derived) = stream.value;
-            let judged = judge_stream(arm, reading, asked, word);
-            let judged = match bare {
-                Some(found) => judge_undeclared(arm, stream.topic(), asked, found, judged),
+            let (encoding, doubt, undeclared, unidentified, is_derived) = stream.value;
+            let judged = judge_stream(arm, encoding, kind, report);
+            let judged = match undeclared {
+                Some(found) => judge_undeclared(arm, stream.topic(), kind, found, judged),
                 None => judged,
             };
-            let judged = match unread {
-                [_, ..] if asked == EncodingFaultKind::Convention => {
-                    (rotation_not_checked(unread), None)
+            let judged = match unidentified {
+                [_, ..] if kind == EncodingFaultKind::Convention => {
+                    (rotation_not_checked(unidentified), None)
                 }
                 _ => judged,
             };
@@ -101,33 +108,34 @@ pub fn judge(
 
 fn judge_stream(
     arm: &ArmEvidence,
-    reading: &EstimateResult<EncodingEstimate>,
-    asked: EncodingFaultKind,
-    word: fn(&EncodingEstimate) -> Option<EncodingReport>,
+    encoding: &EstimateResult<EncodingEstimate>,
+    kind: EncodingFaultKind,
+    report: fn(&EncodingEstimate) -> Option<EncodingReport>,
 ) -> (Outcome, Option<Estimate>) {
-    let reading = match reading {
-        Ok(reading) => reading,
+    let encoding = match encoding {
+        Ok(encoding) => encoding,
         Err(why) => return (not_observable(why, SETTLE), None),
     };
-    if reading.best_rad > MAX_RESIDUAL_RAD {
-        let left = Unit::Radian.show(reading.best_rad);
-        let why = format!("no encoding matches FK (best residual {left}): check --base and --tip");
+    if encoding.best_rad > MAX_RESIDUAL_RAD {
+        let residual = Unit::Radian.show(encoding.best_rad);
+        let why =
+            format!("no encoding matches FK (best residual {residual}): check --base and --tip");
         return (Outcome::Inconclusive(why), None);
     }
-    let runner_up = reading.runner_up.as_ref().map(|(runner_up, _)| runner_up);
-    if !is_clear(reading) {
+    let runner_up = encoding.runner_up.as_ref().map(|(runner_up, _)| runner_up);
+    if !is_clear(encoding) {
         let concerned =
-            [Some(&reading.best), runner_up].into_iter().flatten().filter_map(fault_kind);
-        if concerned.into_iter().any(|concerned| concerned == asked) {
-            return (Outcome::Inconclusive(ambiguity_reason(reading)), None);
+            [Some(&encoding.best), runner_up].into_iter().flatten().filter_map(fault_kind);
+        if concerned.into_iter().any(|concerned| concerned == kind) {
+            return (Outcome::Inconclusive(ambiguity_reason(encoding)), None);
         }
     }
-    if is_undetermined(reading) {
+    if is_undetermined(encoding) {
         return (Outcome::Inconclusive(format!("most encodings fit this motion; {SETTLE}")), None);
     }
-    let is_inverted = asked == EncodingFaultKind::Direction && reading.is_inverted;
-    if fault_kind(&reading.best) != Some(asked) && !is_inverted {
-        let remark = match reading.best {
+    let is_inverted = kind == EncodingFaultKind::Direction && encoding.is_inverted;
+    if fault_kind(&encoding.best) != Some(kind) && !is_inverted {
+        let remark = match encoding.best {
             PoseEncoding::Numbers(convention) => {
                 Outcome::pass_because(format!("read as {convention}"))
             }
@@ -135,17 +143,18 @@ fn judge_stream(
         };
         return (remark, None);
     }
-    match word(reading) {
-        Some(wording) => fault(arm, reading, wording),
+    match report(encoding) {
+        Some(wording) => fault(arm, encoding, wording),
         None => (Outcome::pass(), None),
     }
 }
 
 /// For positions whose rotation may be in unidentified columns.
-pub(super) fn rotation_not_checked(unread: &[String]) -> Outcome {
+pub(super) fn rotation_not_checked(unidentified: &[String]) -> Outcome {
     const MAX_LISTED_COLUMNS: usize = 6;
-    let shown = unread.iter().take(MAX_LISTED_COLUMNS).cloned().collect::<Vec<_>>().join(", ");
-    let more = if unread.len() > MAX_LISTED_COLUMNS { ", …" } else { "" };
+    let shown =
+        unidentified.iter().take(MAX_LISTED_COLUMNS).cloned().collect::<Vec<_>>().join(", ");
+    let more = if unidentified.len() > MAX_LISTED_COLUMNS { ", …" } else { "" };
     Outcome::Inconclusive(format!(
         "rotation not checked: columns {shown}{more} are not identified; list the rotation's columns in \
          `columns.pose` of the config, after the position's"
@@ -156,21 +165,21 @@ pub(super) fn rotation_not_checked(unread: &[String]) -> Outcome {
 fn judge_undeclared(
     arm: &ArmEvidence,
     topic: &str,
-    asked: EncodingFaultKind,
+    kind: EncodingFaultKind,
     found: &PoseDiagnosis,
     (outcome, estimate): (Outcome, Option<Estimate>),
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
-    let form = found.encoding.as_ref().ok().and_then(|reading| match reading.best {
+    let form = found.encoding.as_ref().ok().and_then(|encoding| match encoding.best {
         PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(convention)),
         PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
             Some(RotationEncoding::Wxyz)
         }
         _ => None,
     });
-    match (asked, form) {
+    match (kind, form) {
         (EncodingFaultKind::Convention, Some(form)) if is_read => {
-            let said = describe_inferred(arm, topic, form, found);
+            let description = describe_inferred(arm, topic, form, found);
             let mut evidence = Evidence::default();
             let (length, angle) = inferred_units(found);
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
@@ -179,7 +188,7 @@ fn judge_undeclared(
                 severity: Severity::Info,
                 cause: Cause::InferredEncoding { coding: form, length, angle },
                 title: "encoding of undeclared numbers was inferred",
-                message: format!("assumed {said}: this encoding matches the arm's motion"),
+                message: format!("assumed {description}: this encoding matches the arm's motion"),
                 evidence,
                 fix: format!(
                     "declare it to make this a check: --declare {topic}={}",
@@ -191,12 +200,12 @@ fn judge_undeclared(
         }
         // A quaternion in the default order, or no rotation.
         (EncodingFaultKind::Convention, None) => match &found.length_unit {
-            Ok(Some(slip))
+            Ok(Some(error))
                 if is_read || matches!(found.encoding, Err(NotObservable::NoOrientation)) =>
             {
-                let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
+                let (is, read_as) = (error.is.to_string(), error.read_as.to_string());
                 (
-                    report_inferred_length(topic, slip),
+                    report_inferred_length(topic, error),
                     Some(Estimate::slip("length unit", is, read_as)),
                 )
             }
@@ -211,20 +220,20 @@ fn judge_undeclared(
 }
 
 /// For bare positions that match FK in another unit than metres.
-fn report_inferred_length(topic: &str, slip: &LengthUnitError) -> Outcome {
-    let is = slip.is.words();
+fn report_inferred_length(topic: &str, error: &LengthUnitError) -> Outcome {
+    let is = error.is.words();
     Outcome::fail(Fault {
         severity: Severity::Info,
-        cause: Cause::LengthUnit(Misread { is: slip.is, read_as: slip.read_as }),
+        cause: Cause::LengthUnit(Misread { is: error.is, read_as: error.read_as }),
         title: "encoding of undeclared numbers was inferred",
         message: format!("assumed {is}: positions match the arm's motion in this unit"),
         evidence: Evidence::default(),
-        fix: format!("multiply the positions of {topic} by {} to get metres", slip.is.in_m()),
+        fix: format!("multiply the positions of {topic} by {} to get metres", error.is.in_m()),
     })
 }
 
 fn inferred_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
-    let length = found.length_unit.as_ref().ok().copied().flatten().map(|slip| slip.is);
+    let length = found.length_unit.as_ref().ok().copied().flatten().map(|error| error.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)
 }
@@ -281,70 +290,70 @@ fn declare_value(form: RotationEncoding, found: &PoseDiagnosis) -> String {
 
 fn fault(
     arm: &ArmEvidence,
-    reading: &EncodingEstimate,
+    encoding: &EncodingEstimate,
     wording: EncodingReport,
 ) -> (Outcome, Option<Estimate>) {
-    let EncodingReport { title, what, once, fix, slip, estimate } = wording;
-    let left = Unit::Radian.show(reading.best_rad);
-    let next = match reading.runner_up {
+    let EncodingReport { title, what, corrected_reading, fix, error, estimate } = wording;
+    let residual = Unit::Radian.show(encoding.best_rad);
+    let next = match encoding.runner_up {
         Some((_, rad)) => format!(" (next best encoding: {})", Unit::Radian.show(rad)),
         None => String::new(),
     };
-    let message = match reading.as_logged_rad {
+    let message = match encoding.as_logged_rad {
         Some(rad) => format!("{what}, {} off as logged", Unit::Radian.show(rad)),
-        None => format!("{what}, residual {left} once {once}"),
+        None => format!("{what}, residual {residual} once {corrected_reading}"),
     };
     let mut evidence = Evidence {
-        effect: Some(format!("{left} once {once}{next}")),
-        effect_m: reading.as_logged_rad.map(|rad| rad * arm.reach_m),
+        effect: Some(format!("{residual} once {corrected_reading}{next}")),
+        effect_m: encoding.as_logged_rad.map(|rad| rad * arm.reach_m),
         ..Evidence::default()
     };
-    evidence.more.insert("as_logged_rad".to_owned(), reading.as_logged_rad.into());
-    evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
-    let cause = Cause::Rotation(slip);
+    evidence.more.insert("as_logged_rad".to_owned(), encoding.as_logged_rad.into());
+    evidence.more.insert("corrected_rad".to_owned(), encoding.best_rad.into());
+    let cause = Cause::Rotation(error);
     let fault = Fault { severity: Severity::Error, cause, title, message, evidence, fix };
     (Outcome::fail(fault), Some(estimate))
 }
 
 /// Whether every encoding fits equally well because the orientation barely changes.
-fn is_undetermined(reading: &EncodingEstimate) -> bool {
-    fault_kind(&reading.best).is_none() && !reading.is_inverted && !reading.is_determined
+fn is_undetermined(encoding: &EncodingEstimate) -> bool {
+    fault_kind(&encoding.best).is_none() && !encoding.is_inverted && !encoding.is_determined
 }
 
 /// Whether the best encoding clearly beats the stream as logged and the next best.
-fn is_clear(reading: &EncodingEstimate) -> bool {
-    let best = reading.best_rad.max(Unit::Radian.noise_floor());
+fn is_clear(encoding: &EncodingEstimate) -> bool {
+    let best = encoding.best_rad.max(Unit::Radian.noise_floor());
     let clear_of = |rad: f64| rad >= MIN_CLEAR_RATIO * best;
-    fault_kind(&reading.best).is_none()
-        || reading.as_logged_rad.is_none_or(clear_of)
-            && reading.runner_up.as_ref().is_none_or(|&(_, rad)| clear_of(rad))
+    fault_kind(&encoding.best).is_none()
+        || encoding.as_logged_rad.is_none_or(clear_of)
+            && encoding.runner_up.as_ref().is_none_or(|&(_, rad)| clear_of(rad))
 }
 
-fn ambiguity_reason(reading: &EncodingEstimate) -> String {
-    let best = describe(&reading.best);
-    let left = Unit::Radian.show(reading.best_rad);
-    match &reading.runner_up {
+fn ambiguity_reason(encoding: &EncodingEstimate) -> String {
+    let best = describe(&encoding.best);
+    let residual = Unit::Radian.show(encoding.best_rad);
+    match &encoding.runner_up {
         Some((runner_up, rad)) => {
             let (runner_up, rad) = (describe(runner_up), Unit::Radian.show(*rad));
-            format!("residual with {best}: {left}, with {runner_up}: {rad}; {SETTLE}")
+            format!("residual with {best}: {residual}, with {runner_up}: {rad}; {SETTLE}")
         }
-        None => format!("residual with {best}: {left}, little better than as logged; {SETTLE}"),
+        None => format!("residual with {best}: {residual}, little better than as logged; {SETTLE}"),
     }
 }
 
-fn describe(reading: &PoseEncoding) -> String {
-    match reading {
+fn describe(encoding: &PoseEncoding) -> String {
+    match encoding {
         PoseEncoding::AsLogged => "the stream as logged".to_owned(),
-        reading => {
-            let Interpretation { is, read_as } = encoding_names(reading);
+        encoding => {
+            let Interpretation { is, read_as } = encoding_names(encoding);
             format!("{is} read as {read_as}")
         }
     }
 }
 
 /// Names in the report's contract.
-pub fn encoding_names(reading: &PoseEncoding) -> Interpretation {
-    let (is, read_as) = match reading {
+pub fn encoding_names(encoding: &PoseEncoding) -> Interpretation {
+    let (is, read_as) = match encoding {
         PoseEncoding::AsLogged => ("pose".to_owned(), "pose"),
         PoseEncoding::Numbers(convention) => {
             return Interpretation { is: convention.to_string(), read_as: convention.to_string() };
@@ -353,8 +362,8 @@ pub fn encoding_names(reading: &PoseEncoding) -> Interpretation {
             Some(misreading) => return convention_names(misreading),
             None => ("pose".to_owned(), "pose"),
         },
-        PoseEncoding::QuaternionOrder(slip) => {
-            let (is, read_as) = quaternion_orders(*slip);
+        PoseEncoding::QuaternionOrder(error) => {
+            let (is, read_as) = quaternion_orders(*error);
             (is.to_owned(), read_as)
         }
         PoseEncoding::Transposed => ("transpose".to_owned(), "pose"),
@@ -369,8 +378,8 @@ pub fn convention_names(misreading: &Misinterpretation) -> Interpretation {
 }
 
 /// Actual and assumed order.
-pub fn quaternion_orders(slip: QuaternionOrderError) -> (&'static str, &'static str) {
-    match slip {
+pub fn quaternion_orders(error: QuaternionOrderError) -> (&'static str, &'static str) {
+    match error {
         QuaternionOrderError::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
         QuaternionOrderError::XyzwReadAsWxyz => ("quat:xyzw", "quat:wxyz"),
     }
@@ -399,11 +408,11 @@ mod tests {
     use crate::checks::poses::ord001_rotation_convention::ORD001;
     use crate::checks::poses::ord002_quaternion_order::ORD002;
     use crate::checks::poses::ord003_inverted_pose::ORD003;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn read(
+    fn rotation_of(
         best: PoseEncoding,
         best_rad: f64,
         runner_up: Option<(PoseEncoding, f64)>,
@@ -425,14 +434,14 @@ mod tests {
 
     #[test]
     fn each_fault_is_reported_by_its_own_rule_only() {
-        for (reading, code) in [
+        for (encoding, code) in [
             (PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw), "ORD002"),
             (PoseEncoding::Inverted, "ORD003"),
             (PoseEncoding::Transposed, "ORD003"),
         ] {
-            let run = read(reading, 1e-4, Some((PoseEncoding::AsLogged, 1.1)));
+            let run = rotation_of(encoding, 1e-4, Some((PoseEncoding::AsLogged, 1.1)));
             for rule in [&ORD001, &ORD002, &ORD003] {
-                let (rows, findings) = ask(rule, &run);
+                let (rows, findings) = evaluate_rule(rule, &run);
                 assert_eq!(
                     findings.len(),
                     usize::from(rule.code == code),
@@ -445,15 +454,17 @@ mod tests {
 
     #[test]
     fn two_encodings_that_fit_equally_are_inconclusive() {
-        let run = read(PoseEncoding::Inverted, 1e-3, Some((PoseEncoding::Transposed, 1.2e-3)));
-        let (rows, findings) = ask(&ORD003, &run);
+        let run =
+            rotation_of(PoseEncoding::Inverted, 1e-3, Some((PoseEncoding::Transposed, 1.2e-3)));
+        let (rows, findings) = evaluate_rule(&ORD003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        assert_eq!(ask(&ORD002, &run).0[0].status, Status::Pass);
+        assert_eq!(evaluate_rule(&ORD002, &run).0[0].status, Status::Pass);
     }
 
     #[test]
     fn an_encoding_that_does_not_follow_the_arm_is_rejected() {
-        let (rows, findings) = ask(&ORD003, &read(PoseEncoding::Inverted, 0.5, None));
+        let (rows, findings) =
+            evaluate_rule(&ORD003, &rotation_of(PoseEncoding::Inverted, 0.5, None));
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 

@@ -137,10 +137,10 @@ fn confounders<'a>(
     index: usize,
 ) -> Vec<(&'a JointOffset, Alternative)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    let same = offsets.filter(|(_, offset)| {
-        offset.confounders.iter().any(|twin| (end.is_confounder)(twin, index))
+    let mutual = offsets.filter(|(_, offset)| {
+        offset.confounders.iter().any(|confounder| (end.is_confounder)(confounder, index))
     });
-    same.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
+    mutual.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
 }
 
 pub fn show(frame: &FrameEstimate) -> String {

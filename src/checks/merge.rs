@@ -109,13 +109,13 @@ fn drop_skipped_if_evaluated(rows: &mut Vec<CheckRow>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{clean_run, sure};
+    use crate::checks::testing::{clean_run, precise};
     use crate::checks::{Settings, evaluate};
     use crate::diagnosis::NotObservable;
 
     fn part(latency: Result<f64, NotObservable>, is_short: bool) -> SegmentEvaluation {
         let mut run = clean_run();
-        run.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
+        run.robots[0].poses[0].diagnosis.latency_s = latency.map(precise);
         SegmentEvaluation { evaluation: evaluate(&run, &Settings::default()), is_short }
     }
 

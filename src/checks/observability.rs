@@ -151,12 +151,14 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
     for arm in &case.evidence.robots {
         let is_model_doubtful = residual_attribution::model_doubt(arm, 0.0).is_some();
         for stream in &arm.poses {
-            let Some(seen) = &stream.diagnosis.observability else { continue };
+            let Some(observability) = &stream.diagnosis.observability else { continue };
             let is_noise = residuals.get(&stream.subject).copied().unwrap_or(true);
-            let found = seen
+            let found = observability
                 .weak_directions(|parameter| threshold(case, arm, parameter), MIN_EFFECT_SIGMAS);
-            let directions: Vec<UnobservableDirection> =
-                found.iter().map(|one| unobservable_direction(arm, seen, one, is_noise)).collect();
+            let directions: Vec<UnobservableDirection> = found
+                .iter()
+                .map(|one| unobservable_direction(arm, observability, one, is_noise))
+                .collect();
             let mut leaves_open = vec![false; directions.len()];
             let of_topic = rows_of.get(&stream.subject.topic).into_iter().flatten();
             for &row in rows_without_topic.iter().chain(of_topic) {
@@ -183,7 +185,7 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
                 // A single cause is reported by its own check.
                 combined: groups
                     .iter()
-                    .map(|group| unobservable_direction(arm, seen, group, is_noise))
+                    .map(|group| unobservable_direction(arm, observability, group, is_noise))
                     .filter(|group| group.components_by_cause().len() > 1)
                     .collect(),
                 directions,
@@ -269,7 +271,7 @@ fn threshold(case: &Case, arm: &ArmEvidence, parameter: StreamParameter) -> f64 
 
 fn unobservable_direction(
     arm: &ArmEvidence,
-    seen: &Observability,
+    observability: &Observability,
     direction: &WeakDirection,
     is_noise: bool,
 ) -> UnobservableDirection {
@@ -279,7 +281,7 @@ fn unobservable_direction(
             .map(|&(parameter, weight)| direction_component(arm, parameter, weight))
             .collect(),
         singular_value: direction.singular_value,
-        motion: motion(arm, seen, direction, is_noise),
+        motion: motion(arm, observability, direction, is_noise),
     }
 }
 
@@ -323,19 +325,19 @@ fn direction_component(
 /// `is_noise`: the residual of the poses is noise.
 fn motion(
     arm: &ArmEvidence,
-    seen: &Observability,
+    observability: &Observability,
     direction: &WeakDirection,
     is_noise: bool,
 ) -> String {
     let is_timing = |one: &(StreamParameter, f64)| {
         matches!(one.0, StreamParameter::Latency | StreamParameter::Skew)
     };
-    let stays = |joint: usize| {
+    let is_at_rest = |joint: usize| {
         let far = if arm.joint_unit(joint) == Unit::Metre { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
-        seen.travel.get(joint).is_some_and(|&travel| travel < far)
+        observability.travel.get(joint).is_some_and(|&travel| travel < far)
     };
-    let still: Vec<usize> = seen.joints().filter(|&joint| stays(joint)).collect();
-    if still.len() == seen.joints().count() {
+    let still: Vec<usize> = observability.joints().filter(|&joint| is_at_rest(joint)).collect();
+    if still.len() == observability.joints().count() {
         return "move every joint by more than 30°, faster than 0.2 rad/s".to_owned();
     }
     if direction.parameters.iter().all(is_timing) {
@@ -380,8 +382,8 @@ mod tests {
 
     fn sentence(travel: [f64; 3], parameters: &[StreamParameter]) -> String {
         let run = clean_run();
-        let seen = Observability::from_travel(travel.to_vec());
-        unobservable_direction(&run.robots[0], &seen, &direction(parameters), true)
+        let observability = Observability::from_travel(travel.to_vec());
+        unobservable_direction(&run.robots[0], &observability, &direction(parameters), true)
             .sentence("/pose")
     }
 

@@ -45,9 +45,9 @@ impl CauseOutcomes {
             let judged = (rule.check)(case).into_iter();
             judged.map(|judged| (rule.code, judged))
         });
-        let doubled = case.evidence.tf.problems.iter().filter_map(|flaw| match &flaw.kind {
+        let doubled = case.evidence.tf.problems.iter().filter_map(|problem| match &problem.kind {
             TfProblemKind::Publishers { by: Some(by), edges, .. } => {
-                Some((flaw.topics.first()?.clone(), *by, *edges))
+                Some((problem.topics.first()?.clone(), *by, *edges))
             }
             _ => None,
         });
@@ -140,19 +140,20 @@ pub(super) fn attribute_residual(
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Option<Attribution> {
-    let found = &stream.diagnosis;
+    let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
     // A stream computed from the joint states has no noise.
     let noise_multiple = if is_tf(arm, stream) { 0.0 } else { MAX_NOISE_RATIO };
-    let in_degrees = arm.diagnosis.encoding.as_ref().is_ok_and(|read| read.degrees.is_some());
+    let in_degrees =
+        arm.diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.degrees.is_some());
     if is_tf(arm, stream)
         && in_degrees
         && is_degrees_artifact(explained, outcomes, stream, thresholds)
     {
         return Some(Attribution::WithinNoise);
     }
-    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.is_nominal)
+    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| diagnosis.is_nominal)
         && explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
     {
@@ -174,7 +175,7 @@ pub(super) fn attribute_residual(
         }
         Some(residual)
             if residual.is_significant_over_run(thresholds)
-                || repeats_with_configuration(found, thresholds, subjects) =>
+                || repeats_with_configuration(diagnosis, thresholds, subjects) =>
         {
             return Some(Attribution::Unexplained(residual));
         }
@@ -236,8 +237,9 @@ fn is_degrees_artifact(
 ) -> bool {
     /// Unit: thresholds.
     const MAX_RESIDUAL_RATIO: f64 = 5.0;
-    let apart = outcomes.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
-    let (by_m, by_rad) = apart
+    let distance_of_publishers =
+        outcomes.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
+    let (by_m, by_rad) = distance_of_publishers
         .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
         .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
     with_thresholds(error, thresholds).zip([by_m, by_rad]).all(|((size, threshold), by)| {
@@ -247,11 +249,11 @@ fn is_degrees_artifact(
 
 /// Whether the residual repeats with the configuration, unlike noise.
 fn repeats_with_configuration(
-    found: &PoseDiagnosis,
+    diagnosis: &PoseDiagnosis,
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> bool {
-    found.residual.as_ref().is_ok_and(|residual| {
+    diagnosis.residual.as_ref().is_ok_and(|residual| {
         let StreamResidual { excess_m, excess_rad, .. } = residual;
         matches!(decide_both(excess_m, excess_rad, thresholds, subjects), Decision::Fail(_))
     })
@@ -287,13 +289,14 @@ impl ExceedingResidual {
 
     /// Whether errors of every joint, each below its threshold, can sum to it.
     fn is_sum_of_small_errors(&self, thresholds: &FrameThresholds) -> bool {
-        let small = |amount: &ErrorMagnitude, warning: f64| {
+        let is_small = |amount: &ErrorMagnitude, warning: f64| {
             amount.rms < MAX_SUMMED_RMS_RATIO * warning
                 && amount.quantile_95 < MAX_SUMMED_PEAK_RATIO * warning
         };
         with_thresholds(&self.error, thresholds).all(|(size, threshold)| {
-            let in_parts = size.parts.iter().all(|part| small(&part.magnitude, threshold.warning));
-            size.whole.rms < threshold.warning && in_parts
+            let are_parts_small =
+                size.parts.iter().all(|part| is_small(&part.magnitude, threshold.warning));
+            size.whole.rms < threshold.warning && are_parts_small
         })
     }
 
@@ -305,12 +308,12 @@ impl ExceedingResidual {
 
     /// Whether the rms over the run reaches its threshold and a part is significant.
     fn is_significant_over_run(&self, thresholds: &FrameThresholds) -> bool {
-        let sure = |part: &PartError| {
+        let is_significant_part = |part: &PartError| {
             let ErrorMagnitude { rms, noise, .. } = part.magnitude;
             noise.is_some_and(|noise| rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
         };
         with_thresholds(&self.error, thresholds).any(|(size, threshold)| {
-            size.whole.rms >= threshold.warning && size.parts.iter().any(sure)
+            size.whole.rms >= threshold.warning && size.parts.iter().any(is_significant_part)
         })
     }
 
@@ -342,40 +345,43 @@ impl InconclusiveCauses {
         arm: &ArmEvidence,
         stream: &StreamEvidence<PoseEvidence>,
     ) -> Self {
-        let found = &stream.diagnosis;
-        let chosen = |is: bool, code: &'static str| is.then_some(code);
-        let unsteady = found.latency_profile.as_ref().is_ok_and(|course| course.is_unsteady);
-        let times: Vec<&str> =
-            [Some("LAT001"), chosen(found.is_skew_chosen, "LAT002"), chosen(unsteady, "LAT003")]
-                .into_iter()
-                .flatten()
-                .collect();
+        let diagnosis = &stream.diagnosis;
+        let if_selected = |is: bool, code: &'static str| is.then_some(code);
+        let unsteady = diagnosis.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady);
+        let times: Vec<&str> = [
+            Some("LAT001"),
+            if_selected(diagnosis.is_skew_chosen, "LAT002"),
+            if_selected(unsteady, "LAT003"),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
         let frame = |frame: &EstimateResult<FrameEstimate>| {
             frame.as_ref().is_ok_and(|frame| frame.is_chosen)
         };
         // An orientation whose encoding is undetermined is not accounted for.
         let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
-        let reading = match &found.encoding {
-            Ok(reading) => reading.is_inverted || !reading.best.is_as_logged(),
+        let encoding = match &diagnosis.encoding {
+            Ok(encoding) => encoding.is_inverted || !encoding.best.is_as_logged(),
             Err(_) => has_angle,
         };
         let poses: Vec<&str> = [
-            chosen(frame(&found.reference) || frame(&found.tool), "FRM001"),
-            chosen(frame(&found.reference) && stream.reference_known, "FRM002"),
-            chosen(!found.reference_changes.is_empty(), "FRM002"),
-            chosen(frame(&found.tool) || !found.tool_changes.is_empty(), "FRM003"),
-            chosen(reading, "ORD001"),
-            chosen(reading, "ORD002"),
-            chosen(reading, "ORD003"),
-            chosen(found.degrees.is_some(), "ORD004"),
-            chosen(
-                matches!(found.length_unit, Ok(Some(_))),
+            if_selected(frame(&diagnosis.reference) || frame(&diagnosis.tool), "FRM001"),
+            if_selected(frame(&diagnosis.reference) && stream.reference_known, "FRM002"),
+            if_selected(!diagnosis.reference_changes.is_empty(), "FRM002"),
+            if_selected(frame(&diagnosis.tool) || !diagnosis.tool_changes.is_empty(), "FRM003"),
+            if_selected(encoding, "ORD001"),
+            if_selected(encoding, "ORD002"),
+            if_selected(encoding, "ORD003"),
+            if_selected(diagnosis.degrees.is_some(), "ORD004"),
+            if_selected(
+                matches!(diagnosis.length_unit, Ok(Some(_))),
                 if stream.is_undeclared { "ORD001" } else { "ORD008" },
             ),
-            chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
-            chosen(!found.constant_coordinates.is_empty(), "ORD011"),
-            chosen(
-                found.is_radial_scale_chosen || !found.radial_scale_changes.is_empty(),
+            if_selected(matches!(diagnosis.axes, Ok(Some(_))), "ORD010"),
+            if_selected(!diagnosis.constant_coordinates.is_empty(), "ORD011"),
+            if_selected(
+                diagnosis.is_radial_scale_chosen || !diagnosis.radial_scale_changes.is_empty(),
                 "ZER002",
             ),
         ]
@@ -390,10 +396,12 @@ impl InconclusiveCauses {
             .iter()
             .filter_map(|change| Some(&arm.joints.get(change.column)?.name))
             .collect();
-        let bends = arm.diagnosis.compliance.iter();
-        let bent = bends.filter_map(|bend| Some(&arm.joints.get(bend.column)?.name));
-        let slips = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.unit_errors);
-        let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
+        let compliances = arm.diagnosis.compliance.iter();
+        let compliant_joints =
+            compliances.filter_map(|compliance| Some(&arm.joints.get(compliance.column)?.name));
+        let unit_errors = arm.diagnosis.encoding.iter().flat_map(|encoding| &encoding.unit_errors);
+        let rescaled_joints =
+            unit_errors.filter_map(|unit_error| Some(&arm.joints.get(unit_error.column)?.name));
         let of_joints = outcomes
             .on(arm, stream.topic(), &times)
             .chain(outcomes.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
@@ -403,8 +411,13 @@ impl InconclusiveCauses {
                     .into_iter()
                     .flat_map(|joint| outcomes.on(arm, joint, &["ORD009", "ZER001"])),
             )
-            .chain(bent.flat_map(|joint| outcomes.on(arm, joint, &["MOT006", "ZER003"])))
-            .chain(read.flat_map(|joint| outcomes.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
+            .chain(
+                compliant_joints.flat_map(|joint| outcomes.on(arm, joint, &["MOT006", "ZER003"])),
+            )
+            .chain(
+                rescaled_joints
+                    .flat_map(|joint| outcomes.on(arm, joint, &["ORD004", "ORD008", "ORD009"])),
+            );
         let of_joints: Vec<_> = of_joints.collect();
         let of_poses: Vec<_> = outcomes.on(arm, stream.topic(), &poses).collect();
         let is_reported = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);

@@ -69,19 +69,20 @@ pub struct Exemption {
 
 impl Exemption {
     fn covers(&self, row: &CheckRow) -> bool {
-        let is = |wanted: &Option<String>, found: &Option<String>| match (wanted, found) {
-            (None, _) => true,
-            (Some(wanted), Some(found)) => {
-                wanted.trim_start_matches('/') == found.trim_start_matches('/')
-            }
-            (Some(_), None) => false,
-        };
-        let (wanted, found) = (&self.subject, &row.subject);
+        let matches_value =
+            |required: &Option<String>, found: &Option<String>| match (required, found) {
+                (None, _) => true,
+                (Some(required), Some(found)) => {
+                    required.trim_start_matches('/') == found.trim_start_matches('/')
+                }
+                (Some(_), None) => false,
+            };
+        let (required, found) = (&self.subject, &row.subject);
         self.rules.matches(row.code)
-            && is(&wanted.robot, &found.robot)
-            && is(&wanted.topic, &found.topic)
-            && is(&wanted.joint, &found.joint)
-            && is(&wanted.frame, &found.frame)
+            && matches_value(&required.robot, &found.robot)
+            && matches_value(&required.topic, &found.topic)
+            && matches_value(&required.joint, &found.joint)
+            && matches_value(&required.frame, &found.frame)
     }
 
     pub(super) fn reason_text(&self) -> String {
@@ -149,9 +150,9 @@ impl UnknownRule {
         const MAX_SUGGESTIONS: usize = 3;
         const MIN_COMMON_LETTERS: usize = 3;
         let code = code.trim();
-        let wanted = code.to_ascii_uppercase();
+        let code_upper = code.to_ascii_uppercase();
         let common_letters =
-            |known: &str| known.bytes().zip(wanted.bytes()).filter(|(a, b)| a == b).count();
+            |known: &str| known.bytes().zip(code_upper.bytes()).filter(|(a, b)| a == b).count();
         let mut nearest: Vec<_> = REGISTRY.iter().map(|rule| rule.code).collect();
         nearest.retain(|known| common_letters(known) >= MIN_COMMON_LETTERS);
         nearest.sort_by_key(|known| Reverse(common_letters(known)));

@@ -31,13 +31,13 @@ pub const COMMANDS: &str = "/commanded_pose";
 
 const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
 
-pub fn sure(value: f64) -> Measured {
+pub fn precise(value: f64) -> Measured {
     Measured { value, std_error: 1e-6, dof: 1e3 }
 }
 
 /// Significant, unless zero.
 pub fn length(value: f64) -> MeasuredLength {
-    MeasuredLength { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
+    MeasuredLength { norm: precise(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
 pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
@@ -45,7 +45,7 @@ pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
     Case { evidence, thresholds: &OWN, required: &[] }
 }
 
-pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
+pub fn evaluate_rule(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
     let evaluation = evaluate(run, &Default::default());
     let (mut rows, mut findings) = (evaluation.checks, evaluation.findings);
     rows.retain(|row| row.code == rule.code);
@@ -54,15 +54,16 @@ pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
 }
 
 /// Error over the whole run, before and after correction, far above the noise.
-pub fn left(most_m: f64, most_rad: f64) -> ResidualCheck {
-    let size = |most: f64| {
+pub fn residual_check_of(quantile_m: f64, quantile_rad: f64) -> ResidualCheck {
+    let size = |quantile: f64| {
         let noise = Some(SampleNoise { rms: 1e-8, quantile_95: 2e-8, lag_samples: 1 });
-        let whole = ErrorMagnitude { samples: 1000, rms: 0.8 * most, quantile_95: most, noise };
+        let whole =
+            ErrorMagnitude { samples: 1000, rms: 0.8 * quantile, quantile_95: quantile, noise };
         let part =
             PartError { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), magnitude: whole };
         ErrorSize { whole, parts: vec![part] }
     };
-    let error = FkError { length: size(most_m), angle: Some(size(most_rad)) };
+    let error = FkError { length: size(quantile_m), angle: Some(size(quantile_rad)) };
     ResidualCheck {
         is_at_rest: false,
         corrected: Some(error.clone()),
@@ -89,7 +90,7 @@ pub fn clean_run() -> RunEvidence {
         limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
         motion: JointMotion { abruptness: Some(still), ..JointMotion::default() },
         velocity: Some(Ok(VelocityDiagnosis {
-            error: sure(0.0),
+            error: precise(0.0),
             noise: 1e-3,
             rate: 0.5,
             window_s: 0.1,
@@ -98,7 +99,7 @@ pub fn clean_run() -> RunEvidence {
         actual: None,
     };
     let offset = || JointOffset {
-        offset: Ok(sure(0.0)),
+        offset: Ok(precise(0.0)),
         is_chosen: false,
         effect_m: 0.0,
         lever_m: 1.0,
@@ -106,10 +107,10 @@ pub fn clean_run() -> RunEvidence {
     };
     let imu = ImuDiagnosis {
         encoding: Ok(as_logged()),
-        latency_s: Ok(sure(0.0)),
+        latency_s: Ok(precise(0.0)),
         latency_profile: Ok(steady()),
-        skew: Ok(sure(0.0)),
-        yaw_drift_rad_s: Ok(sure(0.0)),
+        skew: Ok(precise(0.0)),
+        yaw_drift_rad_s: Ok(precise(0.0)),
         yaw_profile: YawProfile::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
@@ -196,8 +197,8 @@ fn stream_evidence<T>(topic: &str, value: T) -> StreamEvidence<T> {
 
 /// The arm follows the commands, among them a straight line.
 fn commands() -> ReferenceEvidence {
-    let witness = |name: &str, kind| TipPoseSource { name: name.to_owned(), kind };
-    let kept = LineDeviation { distance_m: length(0.0), angle_rad: length(0.0) };
+    let tip_pose_source = |name: &str, kind| TipPoseSource { name: name.to_owned(), kind };
+    let deviation = LineDeviation { distance_m: length(0.0), angle_rad: length(0.0) };
     let line = CommandedLine {
         from_s: 1.0,
         to_s: 2.0,
@@ -206,15 +207,15 @@ fn commands() -> ReferenceEvidence {
         command_rad: 0.0,
         command_off_axis_rad: 0.0,
         interpolated: None,
-        deviations: vec![Some(kept); 2],
+        deviations: vec![Some(deviation); 2],
     };
     ReferenceEvidence {
         is_of_joints: false,
         is_tip_declared: true,
         is_frame_declared: true,
         tip_poses: vec![
-            witness("FK of the joint states", TipPoseKind::Kinematics),
-            witness(POSE, TipPoseKind::Corrected),
+            tip_pose_source("FK of the joint states", TipPoseKind::Kinematics),
+            tip_pose_source(POSE, TipPoseKind::Corrected),
         ],
         diagnosis: Ok(Ok(CommandDiagnosis {
             is_streamed: true,
@@ -222,14 +223,14 @@ fn commands() -> ReferenceEvidence {
             goals: 2,
             not_reached: 0,
             nearest_miss: None,
-            rest_errors: vec![vec![rest_gap(0.0, 0.0)]; 2],
+            rest_errors: vec![vec![rest_error_of(0.0, 0.0)]; 2],
             lines: vec![line],
         })),
         delays: vec![CommandDelay {
             joint: None,
             period_s: 0.02,
             response: Ok(Response {
-                delay_s: sure(0.02),
+                delay_s: precise(0.02),
                 low_pass_s: 0.0,
                 gain: 1.0,
                 explained: 0.999,
@@ -240,7 +241,7 @@ fn commands() -> ReferenceEvidence {
 }
 
 /// The command is off by `length_m` along the tool's x axis; the tool is turned by `turn_rad`.
-pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestError {
+pub fn rest_error_of(length_m: f64, turn_rad: f64) -> RestError {
     let measured = pose([0.4, 0.1, 0.3], rotation_from_rotvec(Vec3::z() * turn_rad));
     RestError {
         from_s: 1.0,
@@ -257,8 +258,8 @@ pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestError {
 pub fn frame(length_m: f64) -> FrameEstimate {
     FrameEstimate {
         pose: Pose::translation(length_m, 0.0, 0.0),
-        translation_m: sure(length_m),
-        rotation_rad: sure(0.0),
+        translation_m: precise(length_m),
+        rotation_rad: precise(0.0),
         p_value: if length_m > 0.0 { 0.0 } else { 0.5 },
         is_chosen: false,
     }
@@ -285,17 +286,17 @@ fn clean_stream() -> PoseDiagnosis {
         is_inverted: false,
         constant_coordinates: Vec::new(),
         degrees: None,
-        latency_s: Ok(sure(0.0)),
-        skew: Ok(sure(0.0)),
+        latency_s: Ok(precise(0.0)),
+        skew: Ok(precise(0.0)),
         is_skew_chosen: false,
         latency_profile: Ok(steady()),
-        radial_scale: Ok(sure(0.0)),
+        radial_scale: Ok(precise(0.0)),
         is_radial_scale_chosen: false,
         reference: Ok(frame(0.0)),
         tool: Ok(frame(0.0)),
         residual: Ok(StreamResidual {
-            excess_m: sure(0.0),
-            excess_rad: sure(0.0),
+            excess_m: precise(0.0),
+            excess_rad: precise(0.0),
             rms_m: 1e-5,
             rms_rad: 1e-5,
             before_m: 1e-5,
@@ -323,7 +324,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         tip: "tool0".to_owned(),
         is_tip_declared: true,
         source_kind: PoseSourceKind::Unknown,
-        proof: Ok(left(1e-5, 1e-5)),
+        proof: Ok(residual_check_of(1e-5, 1e-5)),
         has_independent_stamps,
         has_bare_numbers: false,
         alternation: None,
@@ -341,7 +342,7 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
 
 pub fn steady() -> LatencyProfile {
     LatencyProfile {
-        swing_s: sure(0.0),
+        swing_s: precise(0.0),
         is_unsteady: false,
         shape: crate::diagnosis::LatencyShape::Steady,
         steps: Vec::new(),

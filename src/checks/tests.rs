@@ -73,7 +73,7 @@ fn every_configured_threshold_reaches_its_rule() {
 #[test]
 fn a_configured_severity_applies_to_all_but_info_findings() {
     let mut run = testing::clean_run();
-    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::precise(0.05));
     let mut settings = Settings::default();
     settings.severities.push(("LAT001", Severity::Warning));
     let found = evaluate(&run, &settings).findings;
@@ -85,7 +85,7 @@ fn a_configured_severity_applies_to_all_but_info_findings() {
 #[test]
 fn exempt_findings_are_reported_and_not_counted() {
     let mut run = testing::clean_run();
-    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.05));
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::precise(0.05));
     let exemption = |topic: &str| Exemption {
         rules: "LAT".parse().expect("a family"),
         subject: Subject { topic: Some(topic.to_owned()), ..Subject::default() },
@@ -112,11 +112,11 @@ fn exempt_findings_are_reported_and_not_counted() {
 #[test]
 fn findings_are_sorted_by_severity_then_effect() {
     let mut run = testing::clean_run();
-    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.003));
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::precise(0.003));
     for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
         let radians = f64::to_radians(degrees);
         let offset = &mut run.robots[0].diagnosis.offsets[joint];
-        (offset.offset, offset.is_chosen) = (Ok(testing::sure(radians)), true);
+        (offset.offset, offset.is_chosen) = (Ok(testing::precise(radians)), true);
         offset.effect_m = radians;
     }
     let findings = evaluate(&run, &Settings::default()).findings;
@@ -127,7 +127,7 @@ fn findings_are_sorted_by_severity_then_effect() {
 #[test]
 fn a_wrong_model_is_listed_before_its_consequences() {
     let mut run = testing::clean_run();
-    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::sure(0.5));
+    run.robots[0].poses[0].diagnosis.latency_s = Ok(testing::precise(0.5));
     let mut findings = evaluate(&run, &Settings::default()).findings;
     let mut model = findings[0].clone();
     (model.code, model.severity) = ("MDL001", Severity::Warning);

@@ -36,22 +36,28 @@ impl Thresholds {
         self.limits.push((rule.code, limit.key, value));
     }
 
-    /// Threshold in the unit of `own`, the default.
-    pub fn threshold(&self, rule: &Rule, own: Threshold) -> Threshold {
-        let is_it = |(code, set): &&(&str, Threshold)| (*code, set.unit) == (rule.code, own.unit);
-        self.thresholds.iter().find(is_it).map_or(own, |(_, set)| *set)
+    /// Threshold in the unit of `default`, the default.
+    pub fn threshold(&self, rule: &Rule, default: Threshold) -> Threshold {
+        let is_override =
+            |(code, set): &&(&str, Threshold)| (*code, set.unit) == (rule.code, default.unit);
+        self.thresholds.iter().find(is_override).map_or(default, |(_, set)| *set)
     }
 
-    pub(super) fn frame_thresholds(&self, rule: &Rule, own: FrameThresholds) -> FrameThresholds {
+    pub(super) fn frame_thresholds(
+        &self,
+        rule: &Rule,
+        default: FrameThresholds,
+    ) -> FrameThresholds {
         FrameThresholds {
-            length: self.threshold(rule, own.length),
-            angle: self.threshold(rule, own.angle),
+            length: self.threshold(rule, default.length),
+            angle: self.threshold(rule, default.angle),
         }
     }
 
     /// Value of a limit.
     pub fn limit(&self, rule: &Rule, limit: &Limit) -> f64 {
-        let is_it = |(code, key, _): &&(&str, &str, f64)| (*code, *key) == (rule.code, limit.key);
-        self.limits.iter().find(is_it).map_or(limit.value, |(_, _, value)| *value)
+        let is_override =
+            |(code, key, _): &&(&str, &str, f64)| (*code, *key) == (rule.code, limit.key);
+        self.limits.iter().find(is_override).map_or(limit.value, |(_, _, value)| *value)
     }
 }

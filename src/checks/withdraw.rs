@@ -43,7 +43,7 @@ impl UnexplainedResidual {
     /// Whether the residual could produce this finding on its stream or a joint.
     fn could_cause(&self, finding: &Finding) -> bool {
         let Subject { robot, topic, .. } = &finding.subject;
-        let is_it =
+        let is_same_subject =
             self.subject.robot == *robot && (topic.is_none() || self.subject.topic == *topic);
         let (Some(times), Some(effect_m)) =
             (min_effect_ratio(&finding.cause), finding.evidence.effect_m)
@@ -54,7 +54,7 @@ impl UnexplainedResidual {
             Cause::JointZero { offset, slides: false } => offset.value.abs(),
             _ => f64::INFINITY,
         };
-        is_it
+        is_same_subject
             && (effect_m < times * self.length_m
                 || turn_rad < MIN_ZERO_ANGLE_RATIO * self.angle_rad)
     }
@@ -77,9 +77,9 @@ pub(super) fn withdraw_findings_within_residual(evaluation: &mut Evaluation) {
             "{}, but a residual of {length} and {angle} is unexplained (MDL001)",
             finding.message
         );
-        let is_it =
+        let is_explained =
             |row: &&mut CheckRow| row.code == finding.code && row.subject == finding.subject;
-        for row in checks.iter_mut().filter(is_it) {
+        for row in checks.iter_mut().filter(is_explained) {
             (row.status, row.reason) = (Status::Inconclusive, Some(why.clone()));
         }
         false
@@ -104,17 +104,19 @@ pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Ev
     let disagreeing: Vec<(Subject, String)> = disagreeing.collect();
     for arm in &case.evidence.robots {
         let of_arm = |subject: &Subject| subject.robot.as_ref() == Some(&arm.name);
-        let own: Vec<&(Subject, String)> =
+        let disagreements: Vec<&(Subject, String)> =
             disagreeing.iter().filter(|(subject, _)| of_arm(subject)).collect();
-        let Some((_, first)) = own.first() else { continue };
-        let on = |topic: &str| own.iter().find(|(said, _)| said.topic.as_deref() == Some(topic));
+        let Some((_, first)) = disagreements.first() else { continue };
+        let on = |topic: &str| {
+            disagreements.iter().find(|(said, _)| said.topic.as_deref() == Some(topic))
+        };
         let is_all = arm.poses.iter().all(|stream| on(stream.topic()).is_some());
         let why = |subject: &Subject| {
-            let own = subject.topic.as_deref().and_then(&on).map(|(_, why)| why);
-            own.or(is_all.then_some(first))
+            let disagreements = subject.topic.as_deref().and_then(&on).map(|(_, why)| why);
+            disagreements.or(is_all.then_some(first))
         };
         let compares_poses_and_joints =
-            |code: &str| RULES_ON_POSES_AND_JOINTS.iter().any(|held| code.starts_with(held));
+            |code: &str| RULES_ON_POSES_AND_JOINTS.iter().any(|prefix| code.starts_with(prefix));
         for row in checks
             .iter_mut()
             .filter(|row| compares_poses_and_joints(row.code) && of_arm(&row.subject))

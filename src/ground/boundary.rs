@@ -17,19 +17,24 @@ use tempfile::TempPath;
 /// # Errors
 /// If it panics: first line of the message, and source location.
 pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    let said = Arc::new(Mutex::new(None));
+    let message_of_panic = Arc::new(Mutex::new(None));
     let before = panic::take_hook();
-    let hears = Arc::clone(&said);
+    let hook_message = Arc::clone(&message_of_panic);
     panic::set_hook(Box::new(move |info| {
-        let mut said = hears.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut message_of_panic = hook_message.lock().unwrap_or_else(PoisonError::into_inner);
         let place = info.location().map(|at| format!(" ({}:{})", at.file(), at.line()));
-        said.get_or_insert(format!("{}{}", message(info.payload()), place.unwrap_or_default()));
+        message_of_panic.get_or_insert(format!(
+            "{}{}",
+            message(info.payload()),
+            place.unwrap_or_default()
+        ));
     }));
-    let done = panic::catch_unwind(AssertUnwindSafe(work));
+    let outcome = panic::catch_unwind(AssertUnwindSafe(work));
     panic::set_hook(before);
-    done.map_err(|payload| {
-        let said = said.lock().unwrap_or_else(PoisonError::into_inner).take();
-        said.unwrap_or_else(|| message(payload.as_ref()))
+    outcome.map_err(|payload| {
+        let message_of_panic =
+            message_of_panic.lock().unwrap_or_else(PoisonError::into_inner).take();
+        message_of_panic.unwrap_or_else(|| message(payload.as_ref()))
     })
 }
 
@@ -90,17 +95,17 @@ pub struct ReportingAllocator;
 unsafe impl GlobalAlloc for ReportingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller upholds the contract of `alloc`.
-        given(unsafe { System.alloc(layout) }, layout.size())
+        check_allocation(unsafe { System.alloc(layout) }, layout.size())
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller upholds the contract of `alloc_zeroed`.
-        given(unsafe { System.alloc_zeroed(layout) }, layout.size())
+        check_allocation(unsafe { System.alloc_zeroed(layout) }, layout.size())
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         // SAFETY: the caller upholds the contract of `realloc`.
-        given(unsafe { System.realloc(memory, layout, size) }, size)
+        check_allocation(unsafe { System.realloc(memory, layout, size) }, size)
     }
 
     unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
@@ -110,16 +115,16 @@ unsafe impl GlobalAlloc for ReportingAllocator {
 }
 
 #[inline]
-fn given(memory: *mut u8, bytes: usize) -> *mut u8 {
+fn check_allocation(memory: *mut u8, bytes: usize) -> *mut u8 {
     if memory.is_null() {
-        refused(bytes);
+        abort_without_memory(bytes);
     }
     memory
 }
 
 /// `fleet` recognises the printed line. Does not allocate.
 #[cold]
-fn refused(bytes: usize) -> ! {
+fn abort_without_memory(bytes: usize) -> ! {
     let _ = writeln!(
         io::stderr(),
         "error: out of memory: a memory allocation of {bytes} bytes was refused; allow more memory, or \
@@ -144,10 +149,10 @@ mod tests {
     #[test]
     fn a_panic_is_reported_in_one_line_with_its_place() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
-        let told = catch_panic(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
-        let told = told.expect_err("a panic");
-        assert!(told.starts_with("index 7 is out of bounds ("), "{told}");
-        assert!(told.contains("boundary.rs:") && !told.contains('\n'), "{told}");
+        let error = catch_panic(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
+        let error = error.expect_err("a panic");
+        assert!(error.starts_with("index 7 is out of bounds ("), "{error}");
+        assert!(error.contains("boundary.rs:") && !error.contains('\n'), "{error}");
         assert_eq!(catch_panic(|| 3), Ok(3));
     }
 
@@ -155,7 +160,7 @@ mod tests {
     fn a_panic_of_a_worker_thread_keeps_its_first_message() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let work = || rayon::join(|| panic!("of a worker"), || 1);
-        let told = catch_panic(work).expect_err("a panic");
-        assert!(told.starts_with("of a worker (") && told.contains("boundary.rs:"), "{told}");
+        let error = catch_panic(work).expect_err("a panic");
+        assert!(error.starts_with("of a worker (") && error.contains("boundary.rs:"), "{error}");
     }
 }

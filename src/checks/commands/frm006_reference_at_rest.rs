@@ -25,7 +25,7 @@ rule! {
     ///
     /// ## Evidence
     /// The distance at the worst rest for streamed commands, and at the median rest for single goals.
-    /// `rests` is the number of rests, `beyond` the number above the thresholds, `at_ns` the time. `pose`
+    /// `rests` is the number of rests, `exceeding` the number above the thresholds, `at_ns` the time. `pose`
     /// is `tip_from_commanded`. `joints` lists the error of each commanded joint (`q_measured −
     /// q_commanded`).
     ///
@@ -73,45 +73,50 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 /// Rests according to one source of poses.
 struct RestErrors<'a> {
     /// Source.
-    witness: usize,
+    source: usize,
     /// Judged rest.
-    gap: &'a RestError,
+    rest: &'a RestError,
     estimate: FrameEstimate,
     decision: Decision,
     /// Rests above the thresholds.
-    beyond: usize,
+    exceeding: usize,
 }
 
 impl<'a> RestErrors<'a> {
-    fn from_source(case: &Case, found: &'a CommandDiagnosis, witness: usize) -> Option<Self> {
+    fn from_source(case: &Case, diagnosis: &'a CommandDiagnosis, source: usize) -> Option<Self> {
         let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
-        let size = |gap: &RestError| relative_error(gap, &thresholds);
-        let mut gaps: Vec<&RestError> = found.rest_errors.get(witness)?.iter().collect();
-        gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
-        let leads = found.tracking.is_some();
+        let relative = |rest: &RestError| relative_error(rest, &thresholds);
+        let mut rests_of_source: Vec<&RestError> =
+            diagnosis.rest_errors.get(source)?.iter().collect();
+        rests_of_source.sort_by(|a, b| relative(a).total_cmp(&relative(b)));
+        let is_tracked = diagnosis.tracking.is_some();
         // The median, because the arm may have been stopped close to a single goal.
-        let at = if leads { gaps.len().checked_sub(1)? } else { gaps.len().checked_sub(1)? / 2 };
-        let gap = *gaps.get(at)?;
-        let beyond = gaps.iter().filter(|gap| size(gap) >= 1.0).count();
+        let at = if is_tracked {
+            rests_of_source.len().checked_sub(1)?
+        } else {
+            rests_of_source.len().checked_sub(1)? / 2
+        };
+        let rest = *rests_of_source.get(at)?;
+        let exceeding = rests_of_source.iter().filter(|rest| relative(rest) >= 1.0).count();
         // Bonferroni correction for the worst of several rests.
-        let tests = if leads { 2 * gaps.len() } else { 2 };
-        let p_value = gap.distance_m.p_value.min(gap.angle_rad.p_value);
+        let tests = if is_tracked { 2 * rests_of_source.len() } else { 2 };
+        let p_value = rest.distance_m.p_value.min(rest.angle_rad.p_value);
         let estimate = FrameEstimate {
-            pose: gap.tip_from_commanded(),
-            translation_m: gap.distance_m.norm,
-            rotation_rad: gap.angle_rad.norm,
+            pose: rest.tip_from_commanded(),
+            translation_m: rest.distance_m.norm,
+            rotation_rad: rest.angle_rad.norm,
             p_value: (p_value * tests as f64).min(1.0),
             is_chosen: true,
         };
         let decision = decide_frame(&estimate, &thresholds, case.evidence.subjects());
-        Some(Self { witness, gap, estimate, decision, beyond })
+        Some(Self { source, rest, estimate, decision, exceeding })
     }
 }
 
 /// Error in units of the warning thresholds.
-fn relative_error(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
-    let length = gap.distance_m.norm.value / thresholds.length.warning;
-    length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
+fn relative_error(rest: &RestError, thresholds: &FrameThresholds) -> f64 {
+    let length = rest.distance_m.norm.value / thresholds.length.warning;
+    length.max(rest.angle_rad.norm.value / thresholds.angle.warning)
 }
 
 fn judge(
@@ -120,7 +125,7 @@ fn judge(
     reference: &StreamEvidence<ReferenceEvidence>,
 ) -> SubjectResult {
     let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
-    let size = |gap: &RestError| relative_error(gap, &thresholds);
+    let size = |rest: &RestError| relative_error(rest, &thresholds);
     let judged =
         |outcome| SubjectResult::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
@@ -134,19 +139,19 @@ fn judge(
             .with_evidence("following", following_json(found.tracking.as_ref()))
     };
     let all: Vec<RestErrors<'_>> = (0..reference.tip_poses.len())
-        .filter_map(|witness| RestErrors::from_source(case, found, witness))
+        .filter_map(|source| RestErrors::from_source(case, found, source))
         .collect();
-    let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
+    let Some(nearest) = all.iter().min_by(|a, b| size(a.rest).total_cmp(&size(b.rest))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
     };
     if arm.is_unit_undetermined() {
         return with_commands(judged(Outcome::Inconclusive(format!(
             "{}{UNIT_UNDETERMINED}",
-            joint_error_as_logged(arm, nearest.gap)
+            joint_error_as_logged(arm, nearest.rest)
         ))));
     }
-    let gaps = &found.rest_errors[nearest.witness];
-    let name = source_name(reference, nearest.witness);
+    let rests_of_source = &found.rest_errors[nearest.source];
+    let name = source_name(reference, nearest.source);
     let outcome = match &nearest.decision {
         Decision::Fail(severity) => fault(case, arm, reference, found, nearest, *severity),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
@@ -154,16 +159,16 @@ fn judge(
     };
     let others: Vec<Value> = all
         .iter()
-        .filter(|one| one.witness != nearest.witness)
+        .filter(|one| one.source != nearest.source)
         .map(|one| {
             json!({
-                "measured_by": source_name(reference, one.witness),
+                "measured_by": source_name(reference, one.source),
                 "m": one.estimate.translation_m.value,
                 "rad": one.estimate.rotation_rad.value,
             })
         })
         .collect();
-    let moment = case.evidence.origin.shifted(nearest.gap.from_s).to_string();
+    let time = case.evidence.origin.shifted(nearest.rest.from_s).to_string();
     let estimate = Estimate::frame(
         "difference",
         &nearest.estimate.translation_m,
@@ -173,11 +178,11 @@ fn judge(
         .estimated(estimate)
         .with_evidence("measured_by", name)
         .with_evidence("others", others)
-        .with_evidence("rests", gaps.len())
-        .with_evidence("beyond", nearest.beyond)
-        .with_evidence("at_ns", moment)
+        .with_evidence("rests", rests_of_source.len())
+        .with_evidence("beyond", nearest.exceeding)
+        .with_evidence("at_ns", time)
         .with_evidence("pose", pose_json(&nearest.estimate.pose));
-    match nearest.gap.joints.as_slice() {
+    match nearest.rest.joints.as_slice() {
         [] => judged,
         joints => judged.with_evidence("joints", joints_json(arm, joints)),
     }
@@ -190,7 +195,7 @@ fn sound(
     all: &[RestErrors<'_>],
     name: &str,
 ) -> Outcome {
-    let kind_of = |one: &RestErrors<'_>| reference.tip_poses[one.witness].kind;
+    let kind_of = |one: &RestErrors<'_>| reference.tip_poses[one.source].kind;
     let is_disputed = |one: &&RestErrors<'_>| {
         kind_of(one) == TipPoseKind::Corrected && matches!(one.decision, Decision::Fail(_))
     };
@@ -198,9 +203,9 @@ fn sound(
     if let (TipPoseKind::Kinematics, Some(other), false) =
         (kind_of(nearest), disputed, is_fk_different(arm))
     {
-        let (topic, off) = (&reference.tip_poses[other.witness].name, show(&other.estimate));
+        let (topic, error_shown) = (&reference.tip_poses[other.source].name, show(&other.estimate));
         return Outcome::Inconclusive(format!(
-            "it agrees with {name} but differs from {topic} by {off}; record a motion that makes FRM002 and \
+            "it agrees with {name} but differs from {topic} by {error_shown}; record a motion that makes FRM002 and \
              FRM003 observable to show which of the two is right"
         ));
     }
@@ -212,8 +217,8 @@ fn sound(
 }
 
 /// Reason why no rest can be compared.
-fn not_reached(found: &CommandDiagnosis) -> String {
-    let why = match (found.goals, found.nearest_miss) {
+fn not_reached(diagnosis: &CommandDiagnosis) -> String {
+    let why = match (diagnosis.goals, diagnosis.nearest_miss) {
         (0, _) => "the command is never constant".to_owned(),
         (goals, Some((m, rad))) => {
             let (m, rad) = (Unit::Metre.show(m), Unit::Radian.show(rad));
@@ -231,18 +236,18 @@ fn fault(
     case: &Case,
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
-    found: &CommandDiagnosis,
+    diagnosis: &CommandDiagnosis,
     nearest: &RestErrors<'_>,
     severity: Severity,
 ) -> Outcome {
-    let gaps = &found.rest_errors[nearest.witness];
-    let off = show(&nearest.estimate);
+    let rests_of_source = &diagnosis.rest_errors[nearest.source];
+    let error_shown = show(&nearest.estimate);
     let thresholds = &case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
-    let (in_tool, in_base) = match RestErrorSpread::from_rests(gaps) {
+    let (in_tool, in_base) = match RestErrorSpread::from_rests(rests_of_source) {
         Some(constancy) => (
-            is_constant(nearest.gap, constancy.in_tool, thresholds),
-            is_constant(nearest.gap, constancy.in_base, thresholds),
+            is_constant(nearest.rest, constancy.in_tool, thresholds),
+            is_constant(nearest.rest, constancy.in_base, thresholds),
         ),
         None => (true, true),
     };
@@ -263,7 +268,7 @@ fn fault(
         _ => "",
     };
     if !open.is_empty() {
-        return Outcome::Inconclusive(format!("off by {off}, which {open}"));
+        return Outcome::Inconclusive(format!("off by {error_shown}, which {open}"));
     }
     let has_only_fk = reference.tip_poses.len() == 1;
     let is_within_nominal_residual = may_be_a_frame
@@ -289,20 +294,21 @@ fn fault(
     if is_within_nominal_residual {
         add("MDL001", "residual");
     }
-    let (severity, guess) = match severity {
+    let (severity, likely_cause) = match severity {
         _ if is_a_tool => (Severity::Info, ", constant in the tool frame: probably another TCP"),
         Severity::Error if is_within_nominal_residual => (Severity::Warning, ""),
         severity => (severity, ""),
     };
-    let stays = worst_joint(arm, nearest.gap).map_or(String::new(), |words| format!(": {words}"));
-    let (beyond, rests) = (nearest.beyond, gaps.len());
-    let moment = case.evidence.moment(case.evidence.origin.shifted(nearest.gap.from_s));
-    let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
+    let by_joint = worst_joint(arm, nearest.rest)
+        .map_or(String::new(), |description| format!(": {description}"));
+    let (exceeding, rests) = (nearest.exceeding, rests_of_source.len());
+    let time = case.evidence.moment(case.evidence.origin.shifted(nearest.rest.from_s));
+    let of = if rests == 1 { String::new() } else { format!(", at {exceeding} of {rests} rests") };
     Outcome::fail(Fault {
         cause: Cause::Pictured(Picture::RestError),
         severity,
         title: "command and pose at rest differ",
-        message: format!("steady-state error {off}, at {moment}{of}{stays}{guess}"),
+        message: format!("steady-state error {error_shown}, at {time}{of}{by_joint}{likely_cause}"),
         evidence: Evidence {
             indistinguishable,
             effect_m: Some(nearest.estimate.translation_m.value),
@@ -321,7 +327,7 @@ fn fault(
 
 /// Whether the error is similar at all rests, relative to its size.
 fn is_constant(
-    gap: &RestError,
+    rest: &RestError,
     (spread_m, spread_rad): (f64, f64),
     thresholds: &FrameThresholds,
 ) -> bool {
@@ -331,37 +337,37 @@ fn is_constant(
     let allowed = |size: f64, threshold: f64| {
         (MAX_RELATIVE_SPREAD * size).max(MIN_SPREAD_THRESHOLDS * threshold)
     };
-    spread_m <= allowed(gap.distance_m.norm.value, thresholds.length.warning)
-        && spread_rad <= allowed(gap.angle_rad.norm.value, thresholds.angle.warning)
+    spread_m <= allowed(rest.distance_m.norm.value, thresholds.length.warning)
+        && spread_rad <= allowed(rest.angle_rad.norm.value, thresholds.angle.warning)
 }
 
 /// Commanded joint with the largest error.
-fn worst_joint(arm: &ArmEvidence, gap: &RestError) -> Option<String> {
-    let (joint, off) =
-        gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
+fn worst_joint(arm: &ArmEvidence, rest: &RestError) -> Option<String> {
+    let (joint, error) =
+        rest.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
     let name = &arm.joints.get(*joint)?.name;
-    Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(off)))
+    Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(error)))
 }
 
 /// Largest joint error in logged units, which were read as degrees.
-fn joint_error_as_logged(arm: &ArmEvidence, gap: &RestError) -> String {
-    let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
+fn joint_error_as_logged(arm: &ArmEvidence, rest: &RestError) -> String {
+    let worst = rest.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
     let joint =
-        worst.and_then(|(joint, off)| Some((arm.joints.get(*joint)?, off.value.to_degrees())));
-    joint.map_or(String::new(), |(joint, off)| {
-        format!("{} stays off its command by {off:.2} in logged units at rest; ", joint.name)
+        worst.and_then(|(joint, error)| Some((arm.joints.get(*joint)?, error.value.to_degrees())));
+    joint.map_or(String::new(), |(joint, error)| {
+        format!("{} stays off its command by {error:.2} in logged units at rest; ", joint.name)
     })
 }
 
 fn joints_json(arm: &ArmEvidence, joints: &[(usize, Measured)]) -> Value {
-    let joint = |(index, off): &(usize, Measured)| {
+    let joint = |(index, error): &(usize, Measured)| {
         let unit = arm.joint_unit(*index);
         let name = arm.joints.get(*index).map(|joint| joint.name.as_str());
         json!({
             "joint": name,
-            "off": off.value,
+            "off": error.value,
             "unit": unit.symbol(),
-            "ci95": unit.interval95(off),
+            "ci95": unit.interval95(error),
         })
     };
     joints.iter().map(joint).collect()
@@ -370,23 +376,25 @@ fn joints_json(arm: &ArmEvidence, joints: &[(usize, Measured)]) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{COMMANDS, ask, clean_run, rest_gap};
+    use crate::checks::testing::{COMMANDS, clean_run, evaluate_rule, rest_error_of};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
     fn planted(change: impl Fn(&mut ReferenceEvidence, &mut CommandDiagnosis)) -> RunEvidence {
         let mut run = clean_run();
         let reference = &mut run.robots[0].references[0];
-        let Ok(Ok(mut found)) = reference.diagnosis.clone() else { panic!("a clean reference") };
-        change(reference, &mut found);
-        reference.diagnosis = Ok(Ok(found));
+        let Ok(Ok(mut diagnosis)) = reference.diagnosis.clone() else {
+            panic!("a clean reference")
+        };
+        change(reference, &mut diagnosis);
+        reference.diagnosis = Ok(Ok(diagnosis));
         run
     }
 
     #[test]
     fn an_error_at_one_rest_is_a_finding_that_lists_frames() {
-        let run = planted(|_, found| found.rest_errors = vec![vec![rest_gap(0.003, 0.0)]; 2]);
-        let (_, findings) = ask(&FRM006, &run);
+        let run = planted(|_, found| found.rest_errors = vec![vec![rest_error_of(0.003, 0.0)]; 2]);
+        let (_, findings) = evaluate_rule(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Warning);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
         let others = findings[0].evidence.indistinguishable.iter().map(|other| other.code);
@@ -395,19 +403,22 @@ mod tests {
 
     #[test]
     fn one_abandoned_goal_among_several_is_no_fault() {
-        let gaps = [0.0, 0.008, 0.0].map(|m| rest_gap(m, 0.0)).to_vec();
-        let run = planted(|_, found| found.rest_errors = vec![gaps.clone(), gaps.clone()]);
-        assert_eq!(ask(&FRM006, &run).0[0].status, Status::Pass);
+        let rests_of_source = [0.0, 0.008, 0.0].map(|m| rest_error_of(m, 0.0)).to_vec();
+        let run = planted(|_, found| {
+            found.rest_errors = vec![rests_of_source.clone(), rests_of_source.clone()]
+        });
+        assert_eq!(evaluate_rule(&FRM006, &run).0[0].status, Status::Pass);
     }
 
     #[test]
     fn an_offset_constant_in_the_tool_is_probably_another_tcp() {
-        let gaps: Vec<RestError> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
+        let rests_of_source: Vec<RestError> =
+            [0.0, 1.0, 2.0].map(|turn| rest_error_of(0.14, turn)).to_vec();
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
-            found.rest_errors = vec![gaps.clone(), gaps.clone()];
+            found.rest_errors = vec![rests_of_source.clone(), rests_of_source.clone()];
         });
-        let (_, findings) = ask(&FRM006, &run);
+        let (_, findings) = evaluate_rule(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Info);
         assert!(findings[0].message.ends_with("probably another TCP"), "{}", findings[0].message);
     }
@@ -416,25 +427,25 @@ mod tests {
     fn a_large_offset_at_one_rest_is_inconclusive() {
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
-            found.rest_errors = vec![vec![rest_gap(0.14, 0.0)]; 2];
+            found.rest_errors = vec![vec![rest_error_of(0.14, 0.0)]; 2];
         });
-        let (rows, findings) = ask(&FRM006, &run);
+        let (rows, findings) = evaluate_rule(&FRM006, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
     #[test]
     fn a_base_offset_is_a_fault_if_the_frame_is_named() {
         for (frame_named, status) in [(true, Status::Fail), (false, Status::Inconclusive)] {
-            let gaps = [0.0, 1.0, 2.0].map(|turn| {
-                let gap = rest_gap(0.3, turn);
-                let commanded = crate::geometry::Pose::translation(0.3, 0.0, 0.0) * gap.measured;
-                RestError { commanded, ..gap }
+            let rests_of_source = [0.0, 1.0, 2.0].map(|turn| {
+                let rest = rest_error_of(0.3, turn);
+                let commanded = crate::geometry::Pose::translation(0.3, 0.0, 0.0) * rest.measured;
+                RestError { commanded, ..rest }
             });
             let run = planted(|reference, found| {
                 reference.is_frame_declared = frame_named;
-                found.rest_errors = vec![gaps.to_vec(), gaps.to_vec()];
+                found.rest_errors = vec![rests_of_source.to_vec(), rests_of_source.to_vec()];
             });
-            let row = &ask(&FRM006, &run).0[0];
+            let row = &evaluate_rule(&FRM006, &run).0[0];
             assert_eq!(row.status, status, "{row:?}");
         }
     }
@@ -445,7 +456,7 @@ mod tests {
             found.rest_errors = vec![Vec::new(); 2];
             (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));
         });
-        let row = &ask(&FRM006, &run).0[0];
+        let row = &evaluate_rule(&FRM006, &run).0[0];
         assert!(
             row.reason.as_deref().is_some_and(|why| why.contains("none of 2 goals")),
             "{row:?}"

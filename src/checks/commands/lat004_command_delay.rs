@@ -99,15 +99,15 @@ fn judge_stream(
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
 ) -> Vec<SubjectResult> {
-    let whole = |outcome| vec![reference.judged(outcome)];
+    let for_stream = |outcome| vec![reference.judged(outcome)];
     if let Err(why) = &reference.diagnosis {
-        return whole(Outcome::Skipped(why.clone()));
+        return for_stream(Outcome::Skipped(why.clone()));
     }
     if let Some(why) = mot003_limits_exceeded::doubt(arm).filter(|_| reference.is_of_joints) {
-        return whole(Outcome::Inconclusive(why));
+        return for_stream(Outcome::Inconclusive(why));
     }
     if let Some(why) = goals_reason(&reference.delays) {
-        return whole(Outcome::Inconclusive(why));
+        return for_stream(Outcome::Inconclusive(why));
     }
     let joints = arm.joints.iter().map(|joint| joint.name.as_str()).collect();
     let commands = Commands { subject: &reference.subject, span: reference.span, joints };
@@ -148,8 +148,8 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
 /// Reason why commands do not show a delay: they are goals.
 fn goals_reason(delays: &[CommandDelay]) -> Option<String> {
     let are = |why: &DelayFailure| {
-        let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
-        !delays.is_empty() && delays.iter().all(is)
+        let failed_with = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
+        !delays.is_empty() && delays.iter().all(failed_with)
     };
     let what = match () {
         () if are(&DelayFailure::Goals) => "its commands are goals, not streamed",
@@ -172,9 +172,9 @@ fn is_same(a: &Response, b: &Response) -> bool {
     /// Closer delays are the same, s or relative.
     const MAX_DELAY_DIFFERENCE_S: f64 = 5e-3;
     const MAX_RELATIVE_DIFFERENCE: f64 = 0.1;
-    let apart_s = (a.delay_s.value - b.delay_s.value).abs();
+    let difference_s = (a.delay_s.value - b.delay_s.value).abs();
     let known_s = 4.0 * a.delay_s.std_error.hypot(b.delay_s.std_error);
-    apart_s
+    difference_s
         < MAX_DELAY_DIFFERENCE_S
             .max(MAX_RELATIVE_DIFFERENCE * a.delay_s.value.abs())
             .max(known_s.min(0.05))
@@ -230,11 +230,11 @@ fn describe_delay(of: &CommandDelay, response: &Response) -> String {
     let how = match response.corner_hz() {
         Some(hz) => {
             let pure_s = response.pure_delay_s();
-            let beside = match pure_s > 0.3 * response.low_pass_s {
+            let low_pass = match pure_s > 0.3 * response.low_pass_s {
                 true => format!(" after {}", Unit::Second.show(pure_s)),
                 false => String::new(),
             };
-            format!(": low-pass of {hz:.1} Hz{beside}")
+            format!(": low-pass of {hz:.1} Hz{low_pass}")
         }
         None if is_one_step(of, delay) => {
             format!(": one-step shift of commands every {}", Unit::Second.show(of.period_s))
@@ -262,7 +262,7 @@ fn with_numbers(judged: SubjectResult, of: &CommandDelay, response: &Response) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{COMMANDS, ask, clean_run, sure};
+    use crate::checks::testing::{COMMANDS, clean_run, evaluate_rule, precise};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
@@ -273,7 +273,7 @@ mod tests {
         let of = |&(joint, delay_s, low_pass_s): &(Option<usize>, f64, f64)| CommandDelay {
             joint,
             period_s: 0.1,
-            response: Ok(Response { delay_s: sure(delay_s), low_pass_s, ..response }),
+            response: Ok(Response { delay_s: precise(delay_s), low_pass_s, ..response }),
         };
         run.robots[0].references[0].delays = delays.iter().map(of).collect();
         run
@@ -281,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_pose_delay_is_reported_on_the_pose_topic() {
-        let (_, findings) = ask(&LAT004, &planted(&[(None, 0.14, 0.0)]));
+        let (_, findings) = evaluate_rule(&LAT004, &planted(&[(None, 0.14, 0.0)]));
         assert_eq!(findings[0].severity, Severity::Warning);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
         assert!(findings[0].message.starts_with("state follows by 140.000 ± "), "{findings:?}");
@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn joints_with_equal_delays_are_one_finding() {
         let run = planted(&[(Some(0), 0.1, 0.0), (Some(1), 0.101, 0.0), (Some(2), 0.3, 0.25)]);
-        let (rows, findings) = ask(&LAT004, &run);
+        let (rows, findings) = evaluate_rule(&LAT004, &run);
         assert_eq!((rows.len(), findings.len()), (2, 2), "{findings:?}");
         let all = findings.iter().find(|found| found.subject.joint.is_none()).unwrap();
         assert!(all.message.starts_with("2 joints: state follows by 101"), "{}", all.message);
@@ -304,9 +304,9 @@ mod tests {
     fn goals_are_inconclusive_and_a_leading_state_is_reported() {
         let mut run = planted(&[(Some(0), 0.1, 0.0)]);
         run.robots[0].references[0].delays[0].response = Err(DelayFailure::Goals);
-        let (rows, findings) = ask(&LAT004, &run);
+        let (rows, findings) = evaluate_rule(&LAT004, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        let (_, findings) = ask(&LAT004, &planted(&[(None, -0.1, 0.0)]));
+        let (_, findings) = evaluate_rule(&LAT004, &planted(&[(None, -0.1, 0.0)]));
         assert_eq!(findings[0].title, "state leads its command");
     }
 }

@@ -65,13 +65,13 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 /// In units of the warning thresholds, without the angle if the command itself deviates.
 fn relative_deviation(
     line: &CommandedLine,
-    witness: &LineDeviation,
+    deviation: &LineDeviation,
     thresholds: &FrameThresholds,
 ) -> f64 {
-    let length = witness.distance_m.norm.value / thresholds.length.warning;
+    let length = deviation.distance_m.norm.value / thresholds.length.warning;
     match is_command_deviating(line, thresholds) {
         true => length,
-        false => length.max(witness.angle_rad.norm.value / thresholds.angle.warning),
+        false => length.max(deviation.angle_rad.norm.value / thresholds.angle.warning),
     }
 }
 
@@ -82,12 +82,12 @@ fn is_command_deviating(line: &CommandedLine, thresholds: &FrameThresholds) -> b
 /// According to one source of poses.
 fn worst_line<'a>(
     lines: &'a [CommandedLine],
-    witness: usize,
+    source: usize,
     thresholds: &FrameThresholds,
 ) -> Option<(&'a CommandedLine, &'a LineDeviation)> {
-    let kept =
-        lines.iter().filter_map(|line| Some((line, line.deviations.get(witness)?.as_ref()?)));
-    kept.max_by(|a, b| {
+    let followed =
+        lines.iter().filter_map(|line| Some((line, line.deviations.get(source)?.as_ref()?)));
+    followed.max_by(|a, b| {
         relative_deviation(a.0, a.1, thresholds)
             .total_cmp(&relative_deviation(b.0, b.1, thresholds))
     })
@@ -114,15 +114,15 @@ fn judge(
         };
         return judged(Outcome::Skipped(why.to_owned()));
     };
-    let of_witnesses = (0..reference.tip_poses.len())
-        .filter_map(|witness| Some((witness, worst_line(lines, witness, thresholds)?)));
-    let kept = of_witnesses.min_by(|(_, a), (_, b)| {
+    let worst_lines = (0..reference.tip_poses.len())
+        .filter_map(|source| Some((source, worst_line(lines, source, thresholds)?)));
+    let worst = worst_lines.min_by(|(_, a), (_, b)| {
         relative_deviation(a.0, a.1, thresholds)
             .total_cmp(&relative_deviation(b.0, b.1, thresholds))
     });
-    let (line, measured) = match kept {
+    let (line, measured) = match worst {
         _ if is_command_deviating(commanded, thresholds) => {
-            (commanded, kept.map(|(_, (_, measured))| *measured))
+            (commanded, worst.map(|(_, (_, measured))| *measured))
         }
         Some((_, (line, measured))) => (line, Some(*measured)),
         None => (commanded, None),
@@ -135,7 +135,7 @@ fn judge(
         }
     };
     // A fault of the command must not hide that the tip leaves the line.
-    let outcome = match (outcome, kept) {
+    let outcome = match (outcome, worst) {
         (Outcome::Evaluated(_), Some((_, (line, measured))))
             if is_command_deviating(commanded, thresholds) =>
         {
@@ -152,7 +152,7 @@ fn judge(
         Some(measured) => measured.angle_rad.norm,
         None => unknown,
     };
-    let measured_by: Value = kept.map(|(witness, _)| source_name(reference, witness)).into();
+    let measured_by: Value = worst.map(|(source, _)| source_name(reference, source)).into();
     judged(outcome)
         .estimated(Estimate::frame("line deviation", &distance, &angle))
         .with_evidence("lines", lines.len())
@@ -217,7 +217,8 @@ fn tip_outcome(
 
 /// If the command is not a slerp.
 fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
-    let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
+    let (deviation, rotation) =
+        (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
     let is_pace = thresholds.angle.severity(line.command_off_axis_rad).is_none();
     let (severity, as_if) = match &line.interpolated {
@@ -235,7 +236,7 @@ fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcom
         severity: severity.unwrap_or(Severity::Info),
         title: "orientation along the line is not a slerp",
         message: format!(
-            "the commanded orientation deviates {off} from the slerp over {turn}{as_if}"
+            "the commanded orientation deviates {deviation} from the slerp over {rotation}{as_if}"
         ),
         evidence: Evidence::default(),
         fix: "interpolate rotations by slerp, in step with the positions".to_owned(),
@@ -271,7 +272,7 @@ fn with_distance(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, length};
+    use crate::checks::testing::{clean_run, evaluate_rule, length};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
@@ -287,9 +288,9 @@ mod tests {
     fn a_line_deviation_must_show_in_all_pose_streams() {
         let bowed = LineDeviation { distance_m: length(0.003), angle_rad: length(0.0) };
         let by_one = planted(|line| line.deviations[0] = Some(bowed));
-        assert_eq!(ask(&MOT004, &by_one).0[0].status, Status::Pass);
+        assert_eq!(evaluate_rule(&MOT004, &by_one).0[0].status, Status::Pass);
         let by_all = planted(|line| line.deviations = vec![Some(bowed); 2]);
-        let (_, findings) = ask(&MOT004, &by_all);
+        let (_, findings) = evaluate_rule(&MOT004, &by_all);
         assert_eq!(findings[0].severity, Severity::Warning);
         assert!(findings[0].message.starts_with("the tip is 3.0"), "{}", findings[0].message);
     }
@@ -307,7 +308,7 @@ mod tests {
                 (line.command_rad, line.command_off_axis_rad) = (off, across);
                 line.interpolated.clone_from(&interpolated);
             });
-            let (_, findings) = ask(&MOT004, &run);
+            let (_, findings) = evaluate_rule(&MOT004, &run);
             assert_eq!(findings[0].severity, severity, "{}", findings[0].message);
         }
     }
@@ -315,6 +316,6 @@ mod tests {
     #[test]
     fn without_a_pose_stream_the_line_is_inconclusive() {
         let run = planted(|line| line.deviations = vec![None; 2]);
-        assert_eq!(ask(&MOT004, &run).0[0].status, Status::Inconclusive);
+        assert_eq!(evaluate_rule(&MOT004, &run).0[0].status, Status::Inconclusive);
     }
 }

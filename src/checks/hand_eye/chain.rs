@@ -85,7 +85,7 @@ pub fn not_observable(why: &NotObservable) -> Outcome {
 
 pub fn with_solution(
     judged: SubjectResult,
-    facts: &HandEyeEvidence,
+    evidence: &HandEyeEvidence,
     solution: &HandEyeSolution,
 ) -> SubjectResult {
     let mut all = Map::new();
@@ -109,10 +109,10 @@ pub fn with_solution(
     };
     let ratio = Some(solution.ratio).filter(|ratio| ratio.is_finite());
     let offset = &solution.offset_s;
-    all.insert("hand".to_owned(), facts.hand.clone().into());
+    all.insert("hand".to_owned(), evidence.hand.clone().into());
     all.insert("mount".to_owned(), mount.into());
     all.insert("mount_ratio".to_owned(), json!(ratio));
-    if facts.logged.is_none() {
+    if evidence.logged.is_none() {
         all.insert("equivalent".to_owned(), equivalent.into());
     }
     all.insert(
@@ -120,8 +120,8 @@ pub fn with_solution(
         json!({ "value": offset.value, "ci95": Unit::Second.interval95(offset) }),
     );
     let pose_in = match solution.mount {
-        CameraMount::InHand => &facts.hand,
-        CameraMount::InBase => &facts.base,
+        CameraMount::InHand => &evidence.hand,
+        CameraMount::InBase => &evidence.base,
     };
     all.insert("pose_in".to_owned(), pose_in.clone().into());
     all.insert("pose".to_owned(), pose_json(&camera.pose));
@@ -134,20 +134,20 @@ pub fn with_solution(
     all.insert("rms_rad".to_owned(), closure.rms_rad.into());
     all.insert("median_m".to_owned(), closure.median_m.into());
     all.insert("median_rad".to_owned(), closure.median_rad.into());
-    all.insert("each".to_owned(), each(solution));
+    all.insert("each".to_owned(), closure_samples(solution));
     all.into_iter().fold(judged, |judged, (key, value)| judged.with_evidence(&key, value))
 }
 
 /// Residuals at evenly spaced poses.
-fn each(solution: &HandEyeSolution) -> Value {
+fn closure_samples(solution: &HandEyeSolution) -> Value {
     const MAX_LISTED_SAMPLES: usize = 200;
     let all = &solution.closure.each;
     let step = all.len().div_ceil(MAX_LISTED_SAMPLES).max(1);
-    let kept = || all.iter().step_by(step);
+    let sampled = || all.iter().step_by(step);
     let micro = |value: f64| (value * 1e6).round() / 1e6;
     json!({
-        "t_s": kept().map(|one| micro(one.0)).collect::<Vec<f64>>(),
-        "m": kept().map(|one| micro(one.1)).collect::<Vec<f64>>(),
-        "rad": kept().map(|one| micro(one.2)).collect::<Vec<f64>>(),
+        "t_s": sampled().map(|one| micro(one.0)).collect::<Vec<f64>>(),
+        "m": sampled().map(|one| micro(one.1)).collect::<Vec<f64>>(),
+        "rad": sampled().map(|one| micro(one.2)).collect::<Vec<f64>>(),
     })
 }

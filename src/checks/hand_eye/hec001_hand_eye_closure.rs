@@ -30,7 +30,7 @@ rule! {
     /// - `time_offset_s`: compensated latency of the target's stamps relative to the hand's.
     /// - The estimate is the distance from the camera pose in the log's frames (`mount error`), or else the
     ///   rms residual beyond pose-to-pose noise (`closure`).
-    /// - `rms_m`, `rms_rad`, `median_m`, `median_rad`: residual including noise; `each`: pose by pose.
+    /// - `rms_m`, `rms_rad`, `median_m`, `median_rad`: residual including noise; `closure_samples`: pose by pose.
     /// - `scale`: factor by which target positions are too long (wrong tag size or unit). `depth_scale`:
     ///   the same for depth alone (wrong focal length). Only one is given if it closes the chain as well as
     ///   both.
@@ -66,30 +66,30 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged.collect()
 }
 
-fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> SubjectResult {
+fn judge(case: &Case, arm: Option<&ArmEvidence>, evidence: &HandEyeEvidence) -> SubjectResult {
     let (thresholds, subjects) =
         (case.thresholds.frame_thresholds(&HEC001, THRESHOLDS), case.evidence.subjects());
-    let found = &facts.diagnosis;
-    let as_logged = match &found.solution {
+    let diagnosis = &evidence.diagnosis;
+    let as_logged = match &diagnosis.solution {
         Ok(solution) => solution,
-        Err(why) => return SubjectResult::new(facts.subject(), not_observable(why)),
+        Err(why) => return SubjectResult::new(evidence.subject(), not_observable(why)),
     };
-    let best = found.best().unwrap_or(as_logged);
-    let by_mount = match hec003_camera_axes::detect_swap(facts) {
-        None => found.mount_error.as_ref(),
+    let best = diagnosis.best().unwrap_or(as_logged);
+    let by_mount = match hec003_camera_axes::detect_swap(evidence) {
+        None => diagnosis.mount_error.as_ref(),
         Some(_) => None,
     };
     let closure = |solution: &HandEyeSolution| {
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
-    let scaled = match &found.alternative {
+    let scaled = match &diagnosis.alternative {
         Some((TargetEncoding::Scaled(_), _)) => as_logged,
         _ => best,
     };
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
-    let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
-    let (outcome, estimate) = match (&found.alternative, open) {
+    let span_rad = diagnosis.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
+    let (outcome, estimate) = match (&diagnosis.alternative, open) {
         _ if span_rad
             < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &MIN_ROTATION_SPAN) =>
         {
@@ -102,16 +102,16 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Sub
         }
         (_, Decision::Fail(severity)) => {
             let doubt = || model_doubt(arm?, best.closure.excess_m.value);
-            let outcome = match mismatch_reason(found).or_else(doubt) {
+            let outcome = match mismatch_reason(diagnosis).or_else(doubt) {
                 Some(why) => Outcome::Inconclusive(why),
-                None => Outcome::fail(open_chain(facts, best, severity)),
+                None => Outcome::fail(open_chain(evidence, best, severity)),
             };
             (outcome, closure(best))
         }
         (_, Decision::Undecided(why)) => {
             (Outcome::Inconclusive(format!("{why}; {SETTLE}")), closure(best))
         }
-        (_, Decision::Pass) => match (facts.logged, by_mount) {
+        (_, Decision::Pass) => match (evidence.logged, by_mount) {
             (Some(logged), _) if logged != best.mount && is_mount_decided(best) => {
                 (Outcome::fail(other_mount(logged)), closure(best))
             }
@@ -124,7 +124,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Sub
                 let estimate =
                     Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
                 let outcome = match decide_frame(error, &thresholds, subjects) {
-                    Decision::Pass => closed_chain(facts, best),
+                    Decision::Pass => closed_chain(evidence, best),
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("camera mount: {why}; {SETTLE}"))
                     }
@@ -133,7 +133,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Sub
                         cause: Cause::CameraMount {
                             in_hand: is_mount_decided(best)
                                 .then_some(best.mount == CameraMount::InHand),
-                            parent: facts.parent_of(best.mount),
+                            parent: evidence.parent_of(best.mount),
                             pose: best.camera.pose,
                         },
                         title: "camera mount error",
@@ -150,16 +150,16 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Sub
                 };
                 (outcome, estimate)
             }
-            _ => (closed_chain(facts, best), closure(best)),
+            _ => (closed_chain(evidence, best), closure(best)),
         },
     };
-    let judged = SubjectResult::new(facts.subject(), outcome).estimated(estimate);
-    let judged = with_solution(judged, facts, best);
-    let judged = match &found.alternative {
-        Some((reading, _)) => judged.with_evidence("reading", describe_reading(reading)),
+    let judged = SubjectResult::new(evidence.subject(), outcome).estimated(estimate);
+    let judged = with_solution(judged, evidence, best);
+    let judged = match &diagnosis.alternative {
+        Some((reading, _)) => judged.with_evidence("reading", describe_encoding(reading)),
         None => judged,
     };
-    let Some((TargetEncoding::Scaled(stretch), _)) = &found.alternative else { return judged };
+    let Some((TargetEncoding::Scaled(stretch), _)) = &diagnosis.alternative else { return judged };
     let factors = [("scale", &stretch.size), ("depth_scale", &stretch.depth)];
     factors.into_iter().fold(judged, |judged, (key, factor)| match factor {
         Some(one) => {
@@ -188,10 +188,10 @@ fn model_doubt(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     residual_attribution::model_doubt(arm, open_m)
 }
 
-fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
+fn closed_chain(evidence: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
-    let camera = describe_camera(facts, solution);
+    let camera = describe_camera(evidence, solution);
     Outcome::pass_because(format!(
         "closes to {m} and {rad} rms ({}); {camera}",
         describe_setup(solution)
@@ -199,9 +199,9 @@ fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome 
 }
 
 /// Camera pose with its 95 % interval.
-fn describe_camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
+fn describe_camera(evidence: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
     let camera = &solution.camera;
-    let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
+    let parent = evidence.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
         CameraMount::InHand => "hand".to_owned(),
         CameraMount::InBase => "base".to_owned(),
     });
@@ -226,14 +226,14 @@ fn describe_setup(solution: &HandEyeSolution) -> String {
         false => "eye-in-hand or eye-to-hand, not observable in this motion".to_owned(),
     };
     let offset = &solution.offset_s;
-    let [least, most] = offset.interval(0.95);
-    if least > 0.0 || most < 0.0 {
+    let [low_s, high_s] = offset.interval(0.95);
+    if low_s > 0.0 || high_s < 0.0 {
         return format!("{mount}, target {} late", Unit::Second.show_signed(offset));
     }
-    format!("{mount}, time offset < {}", Unit::Second.show(most.max(-least)))
+    format!("{mount}, time offset < {}", Unit::Second.show(high_s.max(-low_s)))
 }
 
-fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Severity) -> Fault {
+fn open_chain(evidence: &HandEyeEvidence, solution: &HandEyeSolution, severity: Severity) -> Fault {
     let closure = &solution.closure;
     let m = Unit::Metre.show_measured(&closure.excess_m);
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
@@ -244,7 +244,7 @@ fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Sev
         message: format!(
             "hand-eye residual {m} and {rad} rms beyond noise after the best fit ({}); {}",
             describe_setup(solution),
-            describe_camera(facts, solution),
+            describe_camera(evidence, solution),
         ),
         evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
         fix:
@@ -255,13 +255,13 @@ fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Sev
 }
 
 fn misinterpreted(
-    reading: &TargetEncoding,
+    encoding: &TargetEncoding,
     as_logged: &HandEyeSolution,
     thresholds: &FrameThresholds,
 ) -> Fault {
     let closure = &as_logged.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
-    let words = describe_reading(reading);
+    let description = describe_encoding(encoding);
     let severity = thresholds
         .length
         .severity(closure.excess_m.value)
@@ -270,9 +270,11 @@ fn misinterpreted(
         severity: severity.unwrap_or(Severity::Warning),
         cause: Cause::Pictured(Picture::HandEye),
         title: "target poses misread",
-        message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
+        message: format!(
+            "hand-eye residual {m} and {rad} rms as logged; it closes if {description}"
+        ),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
-        fix: match reading {
+        fix: match encoding {
             TargetEncoding::Scaled(stretch) => stretch_fix(stretch),
             _ => "correct the rotation encoding of the detector".to_owned(),
         },
@@ -301,8 +303,8 @@ fn other_mount(logged: CameraMount) -> Fault {
     }
 }
 
-fn describe_reading(reading: &TargetEncoding) -> String {
-    match reading {
+fn describe_encoding(encoding: &TargetEncoding) -> String {
+    match encoding {
         TargetEncoding::AsLogged => "read as logged".to_owned(),
         TargetEncoding::Axes(axes) => {
             format!("target positions are {}", hec003_camera_axes::describe_axes(axes))
@@ -323,11 +325,11 @@ fn describe_reading(reading: &TargetEncoding) -> String {
 
 /// HEC003 reports wrong axes. A wrong scale counts from the thresholds on.
 fn is_fault(
-    reading: &TargetEncoding,
+    encoding: &TargetEncoding,
     as_logged: &HandEyeSolution,
     thresholds: &FrameThresholds,
 ) -> bool {
-    match reading {
+    match encoding {
         TargetEncoding::Axes(_) => false,
         TargetEncoding::Scaled(_) => {
             thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
@@ -353,13 +355,13 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
         along: scale.along,
         is_either: size.min(depth) > MIN_SIGNIFICANCE_RATIO * size.max(depth),
     };
-    let off = Unit::Metre.show(scale.effect_m().value.abs());
+    let effect = Unit::Metre.show(scale.effect_m().value.abs());
     Fault {
         severity,
         cause: Cause::Pictured(Picture::HandEye),
         title: "target positions have a wrong scale",
         message: format!(
-            "best fit if {}; otherwise the camera is off by {off} along its view axis ({})",
+            "best fit if {}; otherwise the camera is off by {effect} along its view axis ({})",
             describe_stretch(&stretch),
             describe_setup(solution)
         ),

@@ -51,25 +51,26 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.hand_eyes.iter().map(|one| judge(case, one).within(one.span)).collect()
 }
 
-fn judge(case: &Case, facts: &HandEyeEvidence) -> SubjectResult {
+fn judge(case: &Case, evidence: &HandEyeEvidence) -> SubjectResult {
     let needed =
         [&MIN_ROTATION_SPAN, &MIN_AXIS_SPREAD].map(|limit| case.thresholds.limit(&HEC002, limit));
-    let found = &facts.diagnosis;
-    let diversity = match &found.diversity {
+    let diagnosis = &evidence.diagnosis;
+    let diversity = match &diagnosis.diversity {
         Ok(diversity) => diversity,
-        Err(why) => return SubjectResult::new(facts.subject(), not_observable(why)),
+        Err(why) => return SubjectResult::new(evidence.subject(), not_observable(why)),
     };
-    let undetermined =
-        found.best().map_or_else(Vec::new, |solution| undetermined_axes(case, &solution.camera));
-    let seen_s = facts.span.map_or(f64::INFINITY, |span| span.seconds());
+    let undetermined = diagnosis
+        .best()
+        .map_or_else(Vec::new, |solution| undetermined_axes(case, &solution.camera));
+    let observed_s = evidence.span.map_or(f64::INFINITY, |span| span.seconds());
     let has_enough_rotation = diversity.span_rad >= needed[0];
     let is_poor = !has_enough_rotation || diversity.spread_rad < needed[1];
-    let outcome = match mismatch_reason(found) {
-        Some(why) if has_enough_rotation && found.alternative.is_none() => {
+    let outcome = match mismatch_reason(diagnosis) {
+        Some(why) if has_enough_rotation && diagnosis.alternative.is_none() => {
             Outcome::Inconclusive(why)
         }
-        _ if is_poor && seen_s < MIN_DURATION_S => Outcome::Inconclusive(format!(
-            "the target is visible for only {seen_s:.1} s; record 10 s or more"
+        _ if is_poor && observed_s < MIN_DURATION_S => Outcome::Inconclusive(format!(
+            "the target is visible for only {observed_s:.1} s; record 10 s or more"
         )),
         _ if is_poor => Outcome::fail(fault(diversity, needed, &undetermined, severity(case))),
         _ => Outcome::pass_because(format!(
@@ -89,7 +90,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> SubjectResult {
         false => ("rotation span", diversity.span_rad),
         true => ("spread of axes", diversity.spread_rad),
     };
-    SubjectResult::new(facts.subject(), outcome)
+    SubjectResult::new(evidence.subject(), outcome)
         .estimated(Estimate::exact(name, Unit::Radian.symbol(), value))
         .with_evidence("span_rad", diversity.span_rad)
         .with_evidence("spread_rad", diversity.spread_rad)
@@ -136,16 +137,18 @@ fn fault(
 fn describe_motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -> String {
     /// For a good calibration, rad, even if the limits are lower.
     const MIN_RECOMMENDED_RAD: f64 = 30.0 * DEGREE;
-    let turn = Unit::Radian.show(least_span.max(least_spread).max(MIN_RECOMMENDED_RAD));
+    let rotation = Unit::Radian.show(least_span.max(least_spread).max(MIN_RECOMMENDED_RAD));
     if diversity.span_rad < 2.0 * DEGREE {
         return format!(
-            "rotate the hand by {turn} or more about two axes, with the target in view"
+            "rotate the hand by {rotation} or more about two axes, with the target in view"
         );
     }
     let [across, other] = perpendicular_axes(diversity.axis_in_hand);
     match diversity.spread_rad < least_spread {
-        true => format!("add poses tilted by {turn} or more about {across} or {other} of the hand"),
-        false => format!("add poses tilted by {turn} or more, with the target in view"),
+        true => {
+            format!("add poses tilted by {rotation} or more about {across} or {other} of the hand")
+        }
+        false => format!("add poses tilted by {rotation} or more, with the target in view"),
     }
 }
 
@@ -160,7 +163,7 @@ fn perpendicular_axes(axis: [f64; 3]) -> [&'static str; 2] {
 fn undetermined_axes(case: &Case, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);
-    let said = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {
+    let listed = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {
         let wide = axes.into_iter().zip(errors.map(half)).filter(|(_, half)| *half > needed);
         wide.map(|(axis, half)| match half.is_finite() {
             true => format!("{how} {axis} (±{})", unit.show(half)),
@@ -170,7 +173,7 @@ fn undetermined_axes(case: &Case, camera: &CameraPose) -> Vec<String> {
     };
     let FrameThresholds { length, angle } =
         case.thresholds.frame_thresholds(&hec001_hand_eye_closure::HEC001, THRESHOLDS);
-    let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
-    all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
+    let mut all = listed("along", Unit::Metre, camera.translation_error_m, length.warning);
+    all.extend(listed("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all
 }

@@ -54,8 +54,8 @@ pub(super) enum AxisSwap {
     Whole(CameraAxes),
 }
 
-pub(super) fn detect_swap(facts: &HandEyeEvidence) -> Option<AxisSwap> {
-    let found = &facts.diagnosis;
+pub(super) fn detect_swap(evidence: &HandEyeEvidence) -> Option<AxisSwap> {
+    let found = &evidence.diagnosis;
     if let Some((TargetEncoding::Axes(axes), _)) = found.alternative {
         return Some(AxisSwap::Within(axes));
     }
@@ -64,25 +64,25 @@ pub(super) fn detect_swap(facts: &HandEyeEvidence) -> Option<AxisSwap> {
         error.rotation_rad.half_width(0.95) < MAX_SWAP_DEVIATION_RAD
     });
     let by_mount = known.and_then(|error| {
-        let near =
+        let is_close =
             |turn: &Rotation| angle_between(turn, &error.pose.rotation) < MAX_SWAP_DEVIATION_RAD;
         let body_from_optical = body_from_optical();
         // `logged_from_solved`: the poses are expressed in the solved frame.
         match () {
-            () if near(&body_from_optical) => Some(CameraAxes::Optical),
-            () if near(&body_from_optical.inverse()) => Some(CameraAxes::Body),
+            () if is_close(&body_from_optical) => Some(CameraAxes::Optical),
+            () if is_close(&body_from_optical.inverse()) => Some(CameraAxes::Body),
             () => None,
         }
     });
-    let by_view = || match (facts.axes, axes_of_view(found.view)) {
+    let by_view = || match (evidence.axes, axes_of_view(found.view)) {
         (Some(named), Some(seen)) if named != seen => Some(seen),
         _ => None,
     };
-    let whole = match known {
+    let rotation_error = match known {
         Some(_) => by_mount,
         None => by_view(),
     };
-    whole.map(AxisSwap::Whole)
+    rotation_error.map(AxisSwap::Whole)
 }
 
 fn body_from_optical() -> Rotation {
@@ -114,34 +114,34 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
 }
 
-fn judge(facts: &HandEyeEvidence) -> SubjectResult {
-    let found = &facts.diagnosis;
-    if let Err(why) = &found.solution {
-        return SubjectResult::new(facts.subject(), not_observable(why));
+fn judge(evidence: &HandEyeEvidence) -> SubjectResult {
+    let diagnosis = &evidence.diagnosis;
+    if let Err(why) = &diagnosis.solution {
+        return SubjectResult::new(evidence.subject(), not_observable(why));
     }
-    let Some(swap) = detect_swap(facts) else {
-        return SubjectResult::new(facts.subject(), no_swap_outcome(facts))
-            .with_evidence("view", found.view.to_vec());
+    let Some(swap) = detect_swap(evidence) else {
+        return SubjectResult::new(evidence.subject(), no_swap_outcome(evidence))
+            .with_evidence("view", diagnosis.view.to_vec());
     };
-    if let (AxisSwap::Whole(_), Some(why)) = (&swap, mismatch_reason(found)) {
-        return SubjectResult::new(facts.subject(), Outcome::Inconclusive(why));
+    if let (AxisSwap::Whole(_), Some(why)) = (&swap, mismatch_reason(diagnosis)) {
+        return SubjectResult::new(evidence.subject(), Outcome::Inconclusive(why));
     }
     let (is, read_as) = axes_names(&swap);
-    let judged = SubjectResult::new(facts.subject(), Outcome::fail(fault(facts, &swap)))
+    let judged = SubjectResult::new(evidence.subject(), Outcome::fail(fault(evidence, &swap)))
         .estimated(Estimate::slip("camera axes", is, read_as))
-        .with_evidence("view", found.view.to_vec());
+        .with_evidence("view", diagnosis.view.to_vec());
     match swap {
         AxisSwap::Within(axes) => judged.with_evidence("reading", describe_axes(&axes)),
         AxisSwap::Whole(_) => judged,
     }
 }
 
-fn no_swap_outcome(facts: &HandEyeEvidence) -> Outcome {
-    let found = &facts.diagnosis;
+fn no_swap_outcome(evidence: &HandEyeEvidence) -> Outcome {
+    let found = &evidence.diagnosis;
     if let Some(why) = mismatch_reason(found) {
         return Outcome::Inconclusive(why);
     }
-    match (&found.mount_error, facts.axes, axes_of_view(found.view)) {
+    match (&found.mount_error, evidence.axes, axes_of_view(found.view)) {
         (Some(_), _, _) => Outcome::pass_because("the camera axes agree with the log's frames"),
         (None, Some(named), Some(_)) => {
             Outcome::pass_because(format!("the target is ahead of the camera ({})", named.describe()))
@@ -179,9 +179,9 @@ fn axes_names(swap: &AxisSwap) -> (&'static str, &'static str) {
     }
 }
 
-fn fault(facts: &HandEyeEvidence, swap: &AxisSwap) -> Fault {
+fn fault(evidence: &HandEyeEvidence, swap: &AxisSwap) -> Fault {
     let (is, read_as) = axes_names(swap);
-    let camera = &facts.camera;
+    let camera = &evidence.camera;
     let (message, fix) = match swap {
         AxisSwap::Within(axes) => (
             format!(

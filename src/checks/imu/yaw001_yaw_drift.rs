@@ -76,23 +76,23 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
         Ok(drift) => drift,
         Err(why) => return vec![imu.judged(not_observable(why, SETTLE))],
     };
-    let course = &imu.diagnosis.yaw_profile;
+    let profile = &imu.diagnosis.yaw_profile;
     let outcome = decide(drift, &drift_threshold, subjects)
-        .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
+        .into_outcome(&describe_profile(profile), |severity| drifts(imu, drift, severity));
     let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, drift);
-    let kind = if course.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
-    let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
+    let kind = if profile.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
+    let mut judged = vec![with_profile(imu.judged(outcome).estimated(estimate), profile, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
-    let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+    let largest = profile.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
     // Smaller jumps are only removed from the drift.
     if let Some(jump) = largest.filter(|jump| size(jump) >= jump_threshold.warning) {
         let outcome = decide(&jump.size_rad, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
         let estimate = Estimate::scalar("yaw jump", JUMP.unit, &jump.size_rad);
         let of_jump = imu.judged(outcome).estimated(estimate);
-        judged.push(with_course(of_jump, course, "jump"));
+        judged.push(with_profile(of_jump, profile, "jump"));
     }
-    if let Some(heading) = &course.heading
+    if let Some(heading) = &profile.heading
         && heading.amplitude_rad.value >= jump_threshold.warning
     {
         let amplitude = &heading.amplitude_rad;
@@ -102,7 +102,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
         let of_heading = imu.judged(outcome).estimated(estimate).with_evidence("kind", "heading");
         judged.push(of_heading.with_evidence("axis", AXES[heading.axis]));
     }
-    if let Some(warm_up) = &course.warm_up
+    if let Some(warm_up) = &profile.warm_up
         && warm_up.at_first_rad_s.value.abs() >= drift_threshold.warning
     {
         let at_first = &warm_up.at_first_rad_s;
@@ -135,7 +135,7 @@ fn depends(heading: &HeadingError, severity: Severity) -> Fault {
 }
 
 fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
-    let [rate, turned] = [
+    let [rate, total] = [
         THRESHOLD.unit.show_signed(&warm_up.at_first_rad_s),
         JUMP.unit.show_signed(&warm_up.turned_rad),
     ];
@@ -148,15 +148,15 @@ fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
             "yaw drifts {rate} at first and settles with a time constant of {tau_s:.1} s: warm-up"
         ),
         evidence: Evidence {
-            effect: Some(format!("{turned} in total, then no drift")),
+            effect: Some(format!("{total} in total, then no drift")),
             ..Evidence::default()
         },
         fix: format!("power on the IMU {:.0} s before use", (5.0 * tau_s).ceil()),
     }
 }
 
-fn settle(course: &YawProfile) -> String {
-    match course.walk_rad_per_sqrt_s {
+fn describe_profile(profile: &YawProfile) -> String {
+    match profile.walk_rad_per_sqrt_s {
         Some(density) => {
             format!("the yaw wanders by {}/√s; {SETTLE}", Unit::Radian.show(density))
         }
@@ -164,13 +164,13 @@ fn settle(course: &YawProfile) -> String {
     }
 }
 
-fn with_course(judged: SubjectResult, course: &YawProfile, kind: &str) -> SubjectResult {
+fn with_profile(judged: SubjectResult, profile: &YawProfile, kind: &str) -> SubjectResult {
     let mut judged = judged.with_evidence("kind", kind);
-    if let Some(density) = course.walk_rad_per_sqrt_s {
+    if let Some(density) = profile.walk_rad_per_sqrt_s {
         judged = judged.with_evidence("walk_rad_rt_s", density);
     }
-    if !course.jumps.is_empty() {
-        judged = judged.with_evidence("jumps", course.jumps.iter().map(shown).collect::<Vec<_>>());
+    if !profile.jumps.is_empty() {
+        judged = judged.with_evidence("jumps", profile.jumps.iter().map(shown).collect::<Vec<_>>());
     }
     judged
 }
@@ -185,14 +185,14 @@ fn shown(jump: &YawJump) -> Value {
 
 fn drifts(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.seconds();
-    let turned = Unit::Radian.show(drift.value.abs() * seconds);
+    let drifted = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {
         severity,
         cause: Cause::YawDrift(*drift),
         title: "IMU yaw drifts",
         message: format!("yaw drifts {} against the arm", THRESHOLD.unit.show_signed(drift)),
         evidence: Evidence {
-            effect: Some(format!("{turned} over this run of {seconds:.1} s")),
+            effect: Some(format!("{drifted} over this run of {seconds:.1} s")),
             ..Evidence::default()
         },
         fix:
@@ -216,15 +216,15 @@ fn jumps(jump: &YawJump, severity: Severity) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
     use crate::finding::Status;
 
     #[test]
     fn a_jump_is_a_finding_although_the_drift_passes() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
-            vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
-        let (rows, findings) = ask(&YAW001, &run);
+            vec![YawJump { at_s: 4.5, size_rad: precise(-DEGREE) }];
+        let (rows, findings) = evaluate_rule(&YAW001, &run);
         assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
         assert_eq!(findings[0].message, "yaw jumps by -1.000 ± 0.001° against the arm at +4.50 s");
         assert_eq!(findings[0].evidence.more["kind"], "jump");
@@ -235,8 +235,8 @@ mod tests {
     fn a_small_jump_is_corrected_and_not_reported() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
-            vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
-        let (rows, findings) = ask(&YAW001, &run);
+            vec![YawJump { at_s: 4.5, size_rad: precise(0.3 * DEGREE) }];
+        let (rows, findings) = evaluate_rule(&YAW001, &run);
         assert!(rows.len() == 1 && findings.is_empty(), "{rows:?}");
     }
 
@@ -244,9 +244,9 @@ mod tests {
     fn a_drift_within_a_random_walk_is_described() {
         let mut run = clean_run();
         let imu = &mut run.robots[0].imus[0].diagnosis;
-        imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });
+        imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..precise(1e-3) });
         imu.yaw_profile.walk_rad_per_sqrt_s = Some(0.5 * DEGREE);
-        let (rows, _) = ask(&YAW001, &run);
+        let (rows, _) = evaluate_rule(&YAW001, &run);
         assert_eq!(rows[0].status, Status::Inconclusive);
         let reason = rows[0].reason.as_deref().unwrap_or_default();
         assert!(reason.contains("the yaw wanders by 0.5°/√s"), "{reason}");

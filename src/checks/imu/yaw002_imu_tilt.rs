@@ -135,7 +135,7 @@ fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{IMU, ask, clean_run, length};
+    use crate::checks::testing::{IMU, clean_run, evaluate_rule, length};
 
     #[test]
     fn a_world_frame_without_z_up_is_named() {
@@ -147,7 +147,7 @@ mod tests {
                 in_world: in_world.into(),
                 in_base: [0.0, 0.0, base_z].into(),
             });
-            let (_, findings) = ask(&YAW002, &run);
+            let (_, findings) = evaluate_rule(&YAW002, &run);
             findings[0].title.to_owned()
         };
         assert_eq!(said([0.0, 0.0, -1.0], 1.0), "IMU world is NED");
@@ -160,7 +160,7 @@ mod tests {
     fn a_tilt_above_the_threshold_is_reported_on_its_topic() {
         let mut run = clean_run();
         run.robots[0].imus[0].diagnosis.tilt_rad = Ok(length(1.0 * DEGREE));
-        let (_, findings) = ask(&YAW002, &run);
+        let (_, findings) = evaluate_rule(&YAW002, &run);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].message, "roll and pitch are 1.000 ± 0.001° off gravity");
     }

@@ -76,26 +76,26 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectR
         let half = Estimate::exact("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
         return Some(imu.judged(outcome).estimated(half).within(imu.span));
     }
-    let turn = imu.diagnosis.axes_rotation.as_ref()?;
+    let rotation = imu.diagnosis.axes_rotation.as_ref()?;
     // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
     let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
     // Rotation about one axis leaves one direction unobservable.
-    if turn.size_rad.norm.half_width(0.95) > threshold.error {
+    if rotation.size_rad.norm.half_width(0.95) > threshold.error {
         return None;
     }
     let coarse = Threshold { warning: threshold.error, ..threshold };
-    let decision = decide_length(&turn.size_rad, &coarse, case.evidence.subjects());
+    let decision = decide_length(&rotation.size_rad, &coarse, case.evidence.subjects());
     let Decision::Fail(severity) = decision else { return None };
-    let size = THRESHOLD.unit.show_measured(&turn.size_rad.norm);
-    let what = match turn.with_accel {
+    let size = THRESHOLD.unit.show_measured(&rotation.size_rad.norm);
+    let what = match rotation.with_accel {
         true => "gyro and accelerometer axes",
         false => "gyro axes",
     };
-    let order = permuted(&turn.imu_from_gyro)
+    let order = permuted(&rotation.imu_from_gyro)
         .map_or(String::new(), |order| format!(": its x, y, z are the orientation's {order}"));
     let message = format!("{what} are {size} off the orientation's axes{order}");
     let fix = "publish gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
-    let estimate = Estimate::length("mount error", THRESHOLD.unit, &turn.size_rad);
+    let estimate = Estimate::length("mount error", THRESHOLD.unit, &rotation.size_rad);
     let judged = imu.judged(Outcome::fail(fault(severity, message, fix))).within(imu.span);
     Some(judged.estimated(estimate))
 }
@@ -109,8 +109,8 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     let judged = match (&imu.diagnosis.mount_rad, slips) {
         (_, Some((decision, change))) => {
             let when = Change {
-                from: mount_off(imu, imu.diagnosis.link_from_imu),
-                to: mount_off(imu, Some(change.link_from_imu)),
+                from: mount_error_message(imu, imu.diagnosis.link_from_imu),
+                to: mount_error_message(imu, Some(change.link_from_imu)),
                 change_ns: case.evidence.origin.shifted(change.at_s),
                 change_ci95_ns: Some(
                     change.interval_s.map(|end_s| case.evidence.origin.shifted(end_s)),
@@ -184,20 +184,20 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
     nearest.sort_by(|&a, &b| cosines[b].abs().total_cmp(&cosines[a].abs()));
-    let [first, second, _] = nearest.map(|own| {
-        let sign = if cosines[own] < 0.0 { "-" } else { "" };
-        format!("{link} {sign}{}", AXES[own])
+    let [first, second, _] = nearest.map(|nearest_axis| {
+        let sign = if cosines[nearest_axis] < 0.0 { "-" } else { "" };
+        format!("{link} {sign}{}", AXES[nearest_axis])
     });
-    let off_rad = cosines[nearest[0]].abs().min(1.0).acos();
-    if off_rad <= MAX_AXIS_ANGLE_RAD {
+    let deviation_rad = cosines[nearest[0]].abs().min(1.0).acos();
+    if deviation_rad <= MAX_AXIS_ANGLE_RAD {
         return format!("along {first}");
     }
-    let off = off_rad.to_degrees();
-    format!("between {first} and {second}, {off:.0}° off the first")
+    let deviation_deg = deviation_rad.to_degrees();
+    format!("between {first} and {second}, {deviation_deg:.0}° off the first")
 }
 
 /// In rad; to the mount at the start if the log has none.
-fn mount_off(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
+fn mount_error_message(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
@@ -241,7 +241,7 @@ fn slipped(
     let at = case.evidence.moment(when.change_ns);
     let against = match imu.link_from_imu {
         Some(_) => {
-            let [from, to] = [when.from, when.to].map(|off| Unit::Radian.show(off));
+            let [from, to] = [when.from, when.to].map(|shown_angle| Unit::Radian.show(shown_angle));
             format!(": {from} off the log's frames before, {to} after")
         }
         None => String::new(),
@@ -259,23 +259,23 @@ fn slipped(
 fn fault(
     mount: &MeasuredLength,
     imu: &StreamEvidence<ImuEvidence>,
-    found: Option<Rotation>,
+    link_from_imu: Option<Rotation>,
     severity: Severity,
 ) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&mount.norm);
-    let axes = found.map_or(String::new(), |found| {
-        let [x, y, z] = [0, 1, 2].map(|axis| direction(&found, axis, &imu.link));
+    let axes = link_from_imu.map_or(String::new(), |link_from_imu| {
+        let [x, y, z] = [0, 1, 2].map(|axis| direction(&link_from_imu, axis, &imu.link));
         format!(": imu x points {x}; y {y}; z {z}")
     });
     let permuted = imu
         .link_from_imu
-        .zip(found)
-        .and_then(|(logged, found)| permuted(&(logged.inverse() * found)));
+        .zip(link_from_imu)
+        .and_then(|(logged, link_from_imu)| permuted(&(logged.inverse() * link_from_imu)));
     let permuted = permuted
         .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
-        cause: found.map_or(Cause::Pictured(Picture::ImuAxes), Cause::ImuMount),
+        cause: link_from_imu.map_or(Cause::Pictured(Picture::ImuAxes), Cause::ImuMount),
         title: "IMU mount differs",
         message: format!("mount differs from the log's frames by {shown}{permuted}{axes}"),
         evidence: Evidence::default(),
@@ -286,7 +286,7 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, length};
+    use crate::checks::testing::{clean_run, evaluate_rule, length};
     use crate::diagnosis::NotObservable;
     use crate::finding::Status;
     use crate::geometry::rotation_from_rpy;
@@ -328,12 +328,12 @@ mod tests {
         let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.mount_rad = Ok(length(90.0 * DEGREE));
         imu.link_from_imu = Some(mount([0.0, 0.0, 90.0]));
-        let (_, findings) = ask(&YAW003, &run);
+        let (_, findings) = evaluate_rule(&YAW003, &run);
         assert_eq!(findings[0].severity, Severity::Error);
         let said = &findings[0].message;
         assert!(said.ends_with("imu x points along tool0 y; y along tool0 -x; z along tool0 z"));
         run.robots[0].imus[0].diagnosis.mount_rad = Err(NotObservable::NoFrame);
-        let (rows, _) = ask(&YAW003, &run);
+        let (rows, _) = evaluate_rule(&YAW003, &run);
         assert_eq!(rows[0].status, Status::Skipped);
     }
 }

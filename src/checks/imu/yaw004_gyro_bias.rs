@@ -90,8 +90,8 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
 
 /// The fault is then the bias, and the change is evidence.
 fn is_mostly_constant(change: &GyroBiasChange) -> bool {
-    let least = change.before_rad_s.norm().min(change.after_rad_s.norm());
-    least > change.size_rad_s.norm.value
+    let smaller = change.before_rad_s.norm().min(change.after_rad_s.norm());
+    smaller > change.size_rad_s.norm.value
 }
 
 /// For a step, with the values before and after, and the time.
@@ -195,7 +195,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, length};
+    use crate::checks::testing::{clean_run, evaluate_rule, length};
     use crate::geometry::Vec3;
 
     #[test]
@@ -203,12 +203,11 @@ mod tests {
         let mut run = clean_run();
         run.start = Some(run.origin);
         let bias = run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap();
-        let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let profile = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let (before_rad_s, after_rad_s) = (Vec3::zeros(), Vec3::new(0.0, 2.0 * DEGREE, 0.0));
         let size_rad_s = length(2.0 * DEGREE);
-        bias.change =
-            Some(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s });
-        let (_, findings) = ask(&YAW004, &run);
+        bias.change = Some(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s });
+        let (_, findings) = evaluate_rule(&YAW004, &run);
         assert_eq!(
             findings[0].message,
             "gyro bias steps by 2.000 ± 0.001 °/s at +15.00 s, from 0 °/s to 2 °/s"
@@ -217,7 +216,7 @@ mod tests {
         assert_eq!((change.from, change.change_ns.nanos()), (0.0, 15_000_000_000));
         bias_of(&mut run).change.as_mut().unwrap().profile =
             GyroBiasProfile::WarmUp { time_constant_s: 8.0 };
-        let (_, findings) = ask(&YAW004, &run);
+        let (_, findings) = evaluate_rule(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias settles");
         assert_eq!(findings[0].evidence.more["kind"], "warm-up");
     }
@@ -226,14 +225,13 @@ mod tests {
     fn a_small_step_of_a_large_bias_is_reported_as_bias() {
         let mut run = clean_run();
         let bias = bias_of(&mut run);
-        let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let profile = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let before_rad_s = Vec3::new(0.0, 2.4 * DEGREE, 0.0);
         let after_rad_s = Vec3::new(0.0, 2.65 * DEGREE, 0.0);
         let size_rad_s = length(0.25 * DEGREE);
-        bias.change =
-            Some(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s });
+        bias.change = Some(GyroBiasChange { profile, before_rad_s, after_rad_s, size_rad_s });
         (bias.vector_rad_s, bias.length_rad_s) = (after_rad_s, length(2.65 * DEGREE));
-        let (_, findings) = ask(&YAW004, &run);
+        let (_, findings) = evaluate_rule(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias");
         assert_eq!(
             findings[0].message,
@@ -255,7 +253,7 @@ mod tests {
             scale_error: None,
             change: None,
         });
-        let (_, findings) = ask(&YAW004, &run);
+        let (_, findings) = evaluate_rule(&YAW004, &run);
         assert_eq!(findings[0].severity, Severity::Error);
         assert_eq!(findings[0].fix, "subtract (+0.0000, +0.0300, -0.0400) rad/s");
     }

@@ -11,7 +11,7 @@ pub(super) struct ComplianceRule {
     pub name: &'static str,
     pub threshold: Threshold,
     pub settle: &'static str,
-    pub is_it: fn(&JointCompliance) -> bool,
+    pub applies: fn(&JointCompliance) -> bool,
     pub fault: fn(&ArmEvidence, &JointCompliance, Severity) -> Fault,
 }
 
@@ -23,11 +23,15 @@ impl ComplianceRule {
     }
 
     fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
-        let own: Vec<&JointCompliance> =
-            arm.diagnosis.compliance.iter().filter(|bend| (self.is_it)(bend)).collect();
+        let own: Vec<&JointCompliance> = arm
+            .diagnosis
+            .compliance
+            .iter()
+            .filter(|compliance| (self.applies)(compliance))
+            .collect();
         if own.is_empty() {
             let outcome = match residual_reason(arm) {
-                _ if !has_moving_proof(arm) => {
+                _ if !has_residual_check_in_motion(arm) => {
                     let why = "the arm barely moves, or no pose can be compared with it";
                     Outcome::Inconclusive(format!("{why}; {}", self.settle))
                 }
@@ -36,7 +40,7 @@ impl ComplianceRule {
             };
             return vec![SubjectResult::new(arm.subject(), outcome).within(arm.span)];
         }
-        own.into_iter().map(|bend| self.judge(rule, case, arm, bend)).collect()
+        own.into_iter().map(|compliance| self.judge(rule, case, arm, compliance)).collect()
     }
 
     fn judge(
@@ -44,12 +48,12 @@ impl ComplianceRule {
         rule: &Rule,
         case: &Case,
         arm: &ArmEvidence,
-        bend: &JointCompliance,
+        compliance: &JointCompliance,
     ) -> SubjectResult {
         let threshold = case.thresholds.threshold(rule, self.threshold);
-        let subject = arm.joint(bend.column);
-        if let Some(change) = &bend.change {
-            let (effect_m, _) = tip_effect(arm, bend.column, change.size.value);
+        let subject = arm.joint(compliance.column);
+        if let Some(change) = &compliance.change {
+            let (effect_m, _) = tip_effect(arm, compliance.column, change.size.value);
             let title = "joint compliance changes mid-run";
             let (outcome, estimate) =
                 changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
@@ -57,9 +61,9 @@ impl ComplianceRule {
                 return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
             }
         }
-        let size = Measured { value: bend.value.value.abs(), ..bend.value };
+        let size = Measured { value: compliance.value.value.abs(), ..compliance.value };
         let outcome = decide(&size, &threshold, case.evidence.subjects())
-            .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
+            .into_outcome(self.settle, |severity| (self.fault)(arm, compliance, severity));
         SubjectResult::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(
             self.name,
             Unit::Radian,
@@ -68,10 +72,10 @@ impl ComplianceRule {
     }
 }
 
-fn has_moving_proof(arm: &ArmEvidence) -> bool {
+fn has_residual_check_in_motion(arm: &ArmEvidence) -> bool {
     let moves = |stream: &StreamEvidence<PoseEvidence>| {
-        let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.is_at_rest);
-        is_told && stream.diagnosis.residual.is_ok()
+        let is_in_motion = stream.proof.as_ref().is_ok_and(|proof| !proof.is_at_rest);
+        is_in_motion && stream.diagnosis.residual.is_ok()
     };
     arm.poses.iter().any(moves)
 }
@@ -79,14 +83,14 @@ fn has_moving_proof(arm: &ArmEvidence) -> bool {
 /// `None` if below the thresholds.
 fn residual_reason(arm: &ArmEvidence) -> Option<String> {
     let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
-    let left =
+    let residuals =
         streams.filter(|found| !found.is_nominal).filter_map(|found| found.residual.as_ref().ok());
-    let most = left.fold((0.0_f64, 0.0_f64), |most, residual| {
-        (most.0.max(residual.excess_m.value), most.1.max(residual.excess_rad.value))
+    let largest = residuals.fold((0.0_f64, 0.0_f64), |largest, residual| {
+        (largest.0.max(residual.excess_m.value), largest.1.max(residual.excess_rad.value))
     });
-    let is_much = most.0 > THRESHOLDS.length.warning || most.1 > THRESHOLDS.angle.warning;
+    let is_much = largest.0 > THRESHOLDS.length.warning || largest.1 > THRESHOLDS.angle.warning;
     is_much.then(|| {
-        let [length, angle] = [Unit::Metre.show(most.0), Unit::Radian.show(most.1)];
+        let [length, angle] = [Unit::Metre.show(largest.0), Unit::Radian.show(largest.1)];
         format!("it does not explain the residual of {length} and {angle} (MDL001)")
     })
 }

@@ -13,8 +13,9 @@ pub(super) fn judge(arm: &ArmEvidence) -> Vec<SubjectResult> {
 fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<SubjectResult> {
     let (joint, driver) = (arm.joints.get(coupling.column)?, arm.joints.get(coupling.by)?);
     let (own, with, factor) = (&joint.name, &driver.name, coupling.factor.value);
-    let left = arm.diagnosis.encoding.as_ref().ok()?.residual?;
-    let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+    let residuals = arm.diagnosis.encoding.as_ref().ok()?.residual?;
+    let (before, after) =
+        (Unit::Metre.show(residuals.as_logged), Unit::Metre.show(residuals.corrected));
     let size = factor.abs();
     let term = if coupling.is_round() && size.round() == 1.0 {
         with.clone()
@@ -34,7 +35,7 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<SubjectResu
         message,
         evidence: Evidence {
             effect: Some(format!("{before} off as logged, {after} with the coupling")),
-            effect_m: Some(left.as_logged),
+            effect_m: Some(residuals.as_logged),
             ..Evidence::default()
         },
         fix: format!("{own}_true = {own} {sign} {term}"),
@@ -51,7 +52,7 @@ fn sign_word(factor: f64) -> &'static str {
 #[cfg(test)]
 mod tests {
     use crate::checks::joints::ord009_joint_scale::ORD009;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
     use crate::diagnosis::{JointCoupling, JointEncoding, UnitResiduals};
     use crate::finding::Estimate;
 
@@ -62,11 +63,11 @@ mod tests {
         {
             let mut run = clean_run();
             run.robots[0].diagnosis.encoding = Ok(JointEncoding {
-                couplings: vec![JointCoupling { column: 1, by: 0, factor: sure(factor) }],
+                couplings: vec![JointCoupling { column: 1, by: 0, factor: precise(factor) }],
                 residual: Some(UnitResiduals { as_logged: 0.6, corrected: 1e-5 }),
                 ..JointEncoding::default()
             });
-            let (_, findings) = ask(&ORD009, &run);
+            let (_, findings) = evaluate_rule(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
             assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
             assert_eq!(finding.fix, fix);

@@ -51,7 +51,7 @@ const BACKLASH: ComplianceRule = ComplianceRule {
     name: "play",
     threshold: THRESHOLD,
     settle: "move the joints back and forth, one at a time",
-    is_it: JointCompliance::is_backlash,
+    applies: JointCompliance::is_backlash,
     fault,
 };
 
@@ -59,10 +59,10 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     BACKLASH.check(&MOT006, case)
 }
 
-fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
-    let size = Measured { value: bend.value.value.abs(), ..bend.value };
-    let leads = bend.value.value < 0.0;
-    let (effect_m, moved) = tip_effect(arm, bend.column, size.value);
+fn fault(arm: &ArmEvidence, compliance: &JointCompliance, severity: Severity) -> Fault {
+    let size = Measured { value: compliance.value.value.abs(), ..compliance.value };
+    let leads = compliance.value.value < 0.0;
+    let (effect_m, moved) = tip_effect(arm, compliance.column, size.value);
     let how = match leads {
         true => "the poses lead the encoder",
         false => "the link follows the encoder only beyond it",
@@ -85,7 +85,7 @@ fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
     use crate::diagnosis::{BacklashCrossing, ComplianceShape};
     use crate::finding::Status;
 
@@ -95,14 +95,14 @@ mod tests {
             [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
         {
             let mut run = clean_run();
-            let play = JointCompliance {
+            let backlash = JointCompliance {
                 column: 1,
-                value: sure(amount),
+                value: precise(amount),
                 shape: ComplianceShape::Backlash(BacklashCrossing::Gradual),
                 change: None,
             };
-            run.robots[0].diagnosis.compliance.push(play);
-            let (rows, findings) = ask(&MOT006, &run);
+            run.robots[0].diagnosis.compliance.push(backlash);
+            let (rows, findings) = evaluate_rule(&MOT006, &run);
             assert_eq!(rows[0].status, status, "{rows:?}");
             for finding in findings {
                 assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
@@ -114,9 +114,9 @@ mod tests {
     #[test]
     fn a_small_residual_rules_out_backlash_and_a_large_one_does_not() {
         let mut run = clean_run();
-        assert_eq!(ask(&MOT006, &run).0[0].status, Status::Pass);
+        assert_eq!(evaluate_rule(&MOT006, &run).0[0].status, Status::Pass);
         let residual = run.robots[0].poses[0].diagnosis.residual.as_mut();
         residual.expect("clean").excess_m.value = 3e-3;
-        assert_eq!(ask(&MOT006, &run).0[0].status, Status::Inconclusive);
+        assert_eq!(evaluate_rule(&MOT006, &run).0[0].status, Status::Inconclusive);
     }
 }

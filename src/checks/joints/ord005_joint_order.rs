@@ -48,12 +48,12 @@ fn judge(arm: &ArmEvidence) -> SubjectResult {
     match &arm.diagnosis.encoding {
         Err(why) => SubjectResult::new(subject, not_observable(why, "also log a pose that does not come from /tf")),
         Ok(JointEncoding { permutation: None, .. }) => SubjectResult::new(subject, Outcome::pass()),
-        Ok(JointEncoding { permutation: Some((order, slip)), runner_up_m, .. }) => {
+        Ok(JointEncoding { permutation: Some((order, error)), runner_up_m, .. }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
             let is: Vec<String> =
                 order.iter().filter_map(|&joint| names.get(joint).cloned()).collect();
             let (before, after) =
-                (Unit::Metre.show(slip.as_logged), Unit::Metre.show(slip.corrected));
+                (Unit::Metre.show(error.as_logged), Unit::Metre.show(error.corrected));
             let next = runner_up_m.map(|m| format!(" (next best order: {})", Unit::Metre.show(m)));
             let swapped = names.iter().zip(&is).filter(|(name, is)| name != is).count();
             let fault = Fault {
@@ -68,7 +68,7 @@ fn judge(arm: &ArmEvidence) -> SubjectResult {
                         "{after} after correction{}",
                         next.unwrap_or_default()
                     )),
-                    effect_m: Some(slip.as_logged),
+                    effect_m: Some(error.as_logged),
                     ..Evidence::default()
                 },
                 fix: format!("name the numbers in the order they are in: {}", is.join(", ")),
@@ -80,8 +80,8 @@ fn judge(arm: &ArmEvidence) -> SubjectResult {
                     read_as: names,
                     permutation: is,
                 })
-                .with_evidence("as_logged_m", slip.as_logged)
-                .with_evidence("corrected_m", slip.corrected)
+                .with_evidence("as_logged_m", error.as_logged)
+                .with_evidence("corrected_m", error.corrected)
                 .with_evidence("runner_up_m", *runner_up_m)
         }
     }

@@ -55,8 +55,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
     let DhEvidence { declared: convention, estimate } = facts;
     let (is, read_as) = (convention.other().name(), convention.name());
-    let told = estimate.convention();
-    let outcome = match told {
+    let result = estimate.convention();
+    let outcome = match result {
         _ if arm.poses.is_empty() => {
             Outcome::Skipped("no pose stream to compare with the DH table".to_owned())
         }
@@ -72,8 +72,11 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
             "the table fits the streams under neither convention; {SETTLE}"
         )),
     };
-    let slip =
-        (told == DhConventionResult::Other).then_some(Estimate::slip("DH convention", is, read_as));
+    let error = (result == DhConventionResult::Other).then_some(Estimate::slip(
+        "DH convention",
+        is,
+        read_as,
+    ));
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({
@@ -87,7 +90,7 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
     });
     let judged = SubjectResult::new(arm.subject(), outcome)
         .within(arm.span)
-        .estimated(slip)
+        .estimated(error)
         .with_evidence("streams", streams.collect::<Vec<_>>())
         .with_evidence("declared_faults", estimate.declared_faults);
     match estimate.streams.iter().any(|stream| stream.other.is_some()) {
@@ -107,17 +110,17 @@ fn faults(count: usize) -> String {
 fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
     let (is, read_as) = (convention.name(), convention.other().name());
     let speaking = || estimate.streams.iter().filter(|stream| stream.supports_other());
-    let off = |stream: &DhStreamResiduals| match stream.declared.m.is_finite() {
+    let error = |stream: &DhStreamResiduals| match stream.declared.m.is_finite() {
         true => Some(stream.declared.m),
         false => stream.declared_positions_m,
     };
-    let off_m = speaking().filter_map(off).reduce(f64::max);
+    let error_m = speaking().filter_map(error).reduce(f64::max);
     let after_m = speaking().filter_map(|stream| Some(stream.other?.m)).fold(0.0, f64::max);
     let after = Unit::Metre.show(after_m);
-    let message = match off_m {
-        Some(off_m) => format!(
+    let message = match error_m {
+        Some(error_m) => format!(
             "the table is in the {is} convention, not {read_as}: {} off as declared",
-            Unit::Metre.show(off_m)
+            Unit::Metre.show(error_m)
         ),
         None => format!(
             "the table is in the {is} convention, not {read_as}: residual {after} once corrected"
@@ -130,7 +133,7 @@ fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
         message,
         evidence: Evidence {
             effect: Some(format!("{after} once read as {is}; all other rules use this")),
-            effect_m: off_m,
+            effect_m: error_m,
             ..Evidence::default()
         },
         fix: format!("set convention = \"{is}\" in the table's [dh]"),
@@ -140,7 +143,7 @@ fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::diagnosis::DhResidual;
     use crate::finding::Status;
 
@@ -154,7 +157,7 @@ mod tests {
             other: other_m.map(left),
         };
         dh.estimate.declared_faults = 2;
-        let (rows, findings) = ask(&ORD007, &run);
+        let (rows, findings) = evaluate_rule(&ORD007, &run);
         let said = findings.first().map(|finding| finding.message.clone());
         (rows[0].status, said.or(rows[0].reason.clone()).unwrap_or_default())
     }

@@ -138,9 +138,9 @@ fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
 }
 
 fn is_same(a: &JointScale, b: &JointScale) -> bool {
-    let apart = (a.factor.value - b.factor.value).abs();
+    let difference = (a.factor.value - b.factor.value).abs();
     let known = a.factor.std_error.hypot(b.factor.std_error);
-    apart < (MAX_FACTOR_DIFFERENCE * a.factor.value.abs()).max(4.0 * known)
+    difference < (MAX_FACTOR_DIFFERENCE * a.factor.value.abs()).max(4.0 * known)
 }
 
 fn fault(
@@ -230,7 +230,7 @@ fn show_factor(factor: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{JOINTS, ask, clean_run, sure};
+    use crate::checks::testing::{JOINTS, clean_run, evaluate_rule, precise};
     use crate::diagnosis::{JointEncoding, JointUnit, JointUnitError};
     use crate::evidence::RunEvidence;
 
@@ -239,7 +239,7 @@ mod tests {
         let arm = &mut run.robots[0];
         let scale = |&(column, factor): &(usize, f64)| JointScale {
             column,
-            factor: sure(factor),
+            factor: precise(factor),
             offset: 0.25,
         };
         arm.diagnosis.scales = scales.iter().map(scale).collect();
@@ -258,7 +258,7 @@ mod tests {
 
     #[test]
     fn a_joint_scale_is_reported_with_its_factor() {
-        let (_, findings) = ask(&ORD009, &scaled(&[(1, -1.0)]));
+        let (_, findings) = evaluate_rule(&ORD009, &scaled(&[(1, -1.0)]));
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
         assert_eq!(finding.subject.topic.as_deref(), Some(JOINTS));
@@ -270,21 +270,21 @@ mod tests {
     #[test]
     fn a_common_factor_is_one_finding_and_two_factors_are_two() {
         let tick = TAU / 4096.0;
-        let (_, findings) = ask(&ORD009, &scaled(&[(0, tick), (1, tick), (2, tick)]));
+        let (_, findings) = evaluate_rule(&ORD009, &scaled(&[(0, tick), (1, tick), (2, tick)]));
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert!(finding.subject.joint.is_none(), "{finding:?}");
         assert!(finding.message.contains("ticks, 4096 per turn"), "{}", finding.message);
         assert!(finding.fix.ends_with("+ 0.25000"), "{}", finding.fix);
-        let (_, findings) = ask(&ORD009, &scaled(&[(0, 2.0), (1, 0.5)]));
+        let (_, findings) = evaluate_rule(&ORD009, &scaled(&[(0, 2.0), (1, 0.5)]));
         assert_eq!(findings.len(), 2);
     }
 
     #[test]
     fn percentages_of_the_range_are_named() {
         // Limits of the clean run: ±3.
-        let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.03)]));
+        let (_, findings) = evaluate_rule(&ORD009, &scaled(&[(0, 0.03)]));
         assert!(findings[0].message.contains("from -100 to 100"), "{}", findings[0].message);
-        let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.06)]));
+        let (_, findings) = evaluate_rule(&ORD009, &scaled(&[(0, 0.06)]));
         assert!(findings[0].message.contains("a percentage"), "{}", findings[0].message);
     }
 }

@@ -53,8 +53,8 @@ pub(super) fn part_of_turn(
     let rest = Measured { value: measured.value - quarters * FRAC_PI_2, ..measured };
     let is_round =
         !matches!(decide(&rest, &threshold, case.evidence.subjects()), Decision::Fail(_));
-    let is_sure = residual_attribution::model_doubt(arm, 0.0).is_none();
-    (is_round && is_sure).then_some((quarters.abs() / 4.0, measured))
+    let is_model_credible = residual_attribution::model_doubt(arm, 0.0).is_none();
+    (is_round && is_model_credible).then_some((quarters.abs() / 4.0, measured))
 }
 
 fn turn_result(
@@ -62,7 +62,7 @@ fn turn_result(
     joint: usize,
     turns: f64,
     offset: &Measured,
-    seen: TurnEvidence,
+    evidence: TurnEvidence,
 ) -> SubjectResult {
     let (amount, name) = match turns {
         0.25 => ("a quarter turn", "its zero is set a quarter turn off"),
@@ -73,14 +73,14 @@ fn turn_result(
     let direction = if offset.value > 0.0 { "too few" } else { "too many" };
     let sign = if offset.value < 0.0 { "-" } else { "+" };
     let shown = Unit::Radian.show(offset.value.abs());
-    let message = match seen {
+    let message = match evidence {
         TurnEvidence::InLimits => format!(
             "{amount} {direction}: {name}. Its positions exceed the limits throughout the run, and are \
              within them if shifted by {shown}"
         ),
         TurnEvidence::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
     };
-    let effect_m = match seen {
+    let effect_m = match evidence {
         TurnEvidence::InPoses => arm.diagnosis.offsets.get(joint).map(|offset| offset.effect_m),
         TurnEvidence::InLimits => None,
     };
@@ -110,7 +110,7 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
     use crate::checks::joints::{ord009_joint_scale::ORD009, zer001_joint_zero::ZER001};
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
     use crate::finding::Estimate;
 
     #[test]
@@ -118,28 +118,28 @@ mod tests {
         for (offset, turns) in [(FRAC_PI_2, 0.25), (-PI, 0.5), (PI + 1e-4, 0.5)] {
             let mut run = clean_run();
             let lift = &mut run.robots[0].diagnosis.offsets[1];
-            (lift.offset, lift.is_chosen) = (Ok(sure(offset)), true);
-            let (_, findings) = ask(&ORD009, &run);
+            (lift.offset, lift.is_chosen) = (Ok(precise(offset)), true);
+            let (_, findings) = evaluate_rule(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
             let Some(Estimate::Scalar { joint, .. }) = &finding.estimate else {
                 panic!("{finding:?}")
             };
             assert_eq!(joint.turns, Some(turns));
-            assert!(ask(&ZER001, &run).1.is_empty());
+            assert!(evaluate_rule(&ZER001, &run).1.is_empty());
         }
         // Two degrees off a quarter turn is a zero offset.
         let mut run = clean_run();
         let lift = &mut run.robots[0].diagnosis.offsets[1];
-        (lift.offset, lift.is_chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);
-        assert!(ask(&ORD009, &run).1.is_empty());
-        assert_eq!(ask(&ZER001, &run).1.len(), 1);
+        (lift.offset, lift.is_chosen) = (Ok(precise(FRAC_PI_2 + 0.035)), true);
+        assert!(evaluate_rule(&ORD009, &run).1.is_empty());
+        assert_eq!(evaluate_rule(&ZER001, &run).1.len(), 1);
     }
 
     #[test]
     fn a_whole_turn_violates_the_joint_limits() {
         let mut run = clean_run();
         run.robots[0].joints[1].motion.turns_beyond = Some(1.0);
-        let (_, findings) = ask(&ORD009, &run);
+        let (_, findings) = evaluate_rule(&ORD009, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert!(finding.message.starts_with("one turn too many"), "{}", finding.message);
         assert_eq!(finding.fix, "q_true = q_reported - 6.28319 rad, or re-home the joint");

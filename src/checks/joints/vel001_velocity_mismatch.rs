@@ -143,8 +143,8 @@ fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
         | (VelocityShape::Unrelated, VelocityShape::Unrelated) => true,
         (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => is_same_factor(*a, *b),
         (VelocityShape::Filtered(a), VelocityShape::Filtered(b)) => {
-            let apart_s = (a.delay_s.value - b.delay_s.value).abs();
-            let is_same = apart_s
+            let difference_s = (a.delay_s.value - b.delay_s.value).abs();
+            let is_same = difference_s
                 < MAX_DELAY_DIFFERENCE_S.max(MAX_RELATIVE_DIFFERENCE * a.delay_s.value.abs());
             is_same && (a.gain - b.gain).abs() < 0.1 * a.gain.abs()
         }
@@ -153,11 +153,11 @@ fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
 }
 
 fn percent(share: f64) -> String {
-    let shown = match 100.0 * share {
+    let text = match 100.0 * share {
         much if much >= 9.95 => format!("{much:.0}"),
         little => format!("{little:.1}"),
     };
-    format!("{} %", shown.strip_suffix(".0").unwrap_or(&shown))
+    format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
 }
 
 fn report_group(
@@ -325,7 +325,7 @@ fn with_numbers(judged: SubjectResult, found: &VelocityDiagnosis) -> SubjectResu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
@@ -333,7 +333,7 @@ mod tests {
         let mut run = clean_run();
         for &(joint, shape) in shapes {
             let found = VelocityDiagnosis {
-                error: sure(2.0),
+                error: precise(2.0),
                 noise: 1e-3,
                 rate: 0.5,
                 window_s: 0.1,
@@ -347,8 +347,10 @@ mod tests {
     #[test]
     fn joints_with_equal_faults_are_one_finding() {
         let degrees = VelocityShape::Scaled(57.3);
-        let (rows, findings) =
-            ask(&VEL001, &planted(&[(0, degrees), (2, degrees), (1, VelocityShape::Zero)]));
+        let (rows, findings) = evaluate_rule(
+            &VEL001,
+            &planted(&[(0, degrees), (2, degrees), (1, VelocityShape::Zero)]),
+        );
         assert_eq!(rows.len(), 2);
         let messages: Vec<&str> = findings.iter().map(|found| found.message.as_str()).collect();
         assert_eq!(findings.len(), 2, "{messages:?}");
@@ -361,9 +363,11 @@ mod tests {
     #[test]
     fn velocities_confirm_a_position_scale_error() {
         let mut run = planted(&[(1, VelocityShape::Scaled(-1.0))]);
-        assert!(ask(&VEL001, &run).1[0].message.starts_with("velocities have the wrong sign"));
+        assert!(
+            evaluate_rule(&VEL001, &run).1[0].message.starts_with("velocities have the wrong sign")
+        );
         run.robots[0].joints[1].actual = Some((1, -1.0));
-        let (rows, findings) = ask(&VEL001, &run);
+        let (rows, findings) = evaluate_rule(&VEL001, &run);
         assert!(findings.is_empty() && rows.iter().all(|row| row.status == Status::Pass));
     }
 
@@ -371,9 +375,9 @@ mod tests {
     fn a_resting_joint_is_inconclusive_and_missing_velocities_are_skipped() {
         let mut run = clean_run();
         run.robots[0].joints[0].velocity = Some(Err(NotObservable::AtRest));
-        assert_eq!(ask(&VEL001, &run).0[0].status, Status::Inconclusive);
+        assert_eq!(evaluate_rule(&VEL001, &run).0[0].status, Status::Inconclusive);
         run.robots[0].joints.iter_mut().for_each(|joint| joint.velocity = None);
-        let (rows, _) = ask(&VEL001, &run);
+        let (rows, _) = evaluate_rule(&VEL001, &run);
         assert!(rows.len() == 1 && rows[0].status == Status::Skipped, "{rows:?}");
     }
 }

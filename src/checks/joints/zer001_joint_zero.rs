@@ -30,7 +30,7 @@ rule! {
     /// - `inherited_by`: streams computed from the faulty joint states.
     /// - `indistinguishable`: causes with the same effect on this log: first joint's zero and base yaw,
     ///   last joint's zero and tool rotation, a rail's zero and a shift of the base.
-    /// - `witness`: source of the poses (`controller`, `external`, `unknown`); `meaning`: what the offset
+    /// - `source_kind`: source of the poses (`controller`, `external`, `unknown`); `meaning`: what the offset
     ///   then implies.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
     ///   `change_ns`).
@@ -103,11 +103,11 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         let (mut outcome, estimate) =
             changes::judge_scalar_change(case, "joint offset", title, change, &threshold, effect_m);
         if let Outcome::Evaluated(Ruling::Fail(fault)) = &mut outcome {
-            let twins = offset
+            let confounders = offset
                 .confounders
                 .iter()
-                .map(|twin| confounder_alternative(arm, twin, threshold.unit));
-            fault.evidence.indistinguishable.extend(twins);
+                .map(|confounder| confounder_alternative(arm, confounder, threshold.unit));
+            fault.evidence.indistinguishable.extend(confounders);
         }
         return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
     }
@@ -119,7 +119,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         Ok(measured) => measured,
         Err(why) => {
             let outcome = match reported_confounder(arm, offset) {
-                Some(twin) => indistinguishable_outcome(arm, &twin),
+                Some(confounder) => indistinguishable_outcome(arm, &confounder),
                 None => not_observable(why, SETTLE),
             };
             return SubjectResult::new(subject, outcome).within(arm.span);
@@ -146,7 +146,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             }
         }
         (Decision::Pass, _) => Outcome::pass(),
-        (_, Some(twin)) if !offset.is_chosen => indistinguishable_outcome(arm, &twin),
+        (_, Some(confounder)) if !offset.is_chosen => indistinguishable_outcome(arm, &confounder),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
             not_observable(&NotObservable::NominalKinematics, SETTLE)
         }
@@ -198,13 +198,14 @@ fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> O
     /// Link deviations do not give a zero's effect a larger ratio to the residual.
     const MIN_EFFECT_RATIO: f64 = 30.0;
     let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
-    let least = |amount: &Measured| amount.value - amount.half_width(0.95);
+    let lower_bound = |amount: &Measured| amount.value - amount.half_width(0.95);
     let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.is_nominal);
     let residual = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let much = residual.filter(|residual| {
-        let is_long = least(&residual.excess_m) > limits.length.warning;
-        let is_turned = least(&residual.excess_rad) > limits.angle.warning;
-        (is_long || is_turned) && offset.effect_m < MIN_EFFECT_RATIO * residual.excess_m.value
+        let is_long = lower_bound(&residual.excess_m) > limits.length.warning;
+        let has_large_rotation = lower_bound(&residual.excess_rad) > limits.angle.warning;
+        (is_long || has_large_rotation)
+            && offset.effect_m < MIN_EFFECT_RATIO * residual.excess_m.value
     });
     let residual = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
     Some(format!(
@@ -214,11 +215,11 @@ fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> O
     ))
 }
 
-fn indistinguishable_outcome(arm: &ArmEvidence, twin: &str) -> Outcome {
+fn indistinguishable_outcome(arm: &ArmEvidence, confounder: &str) -> Outcome {
     match residual_attribution::model_doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
-            "indistinguishable from {twin}, which is reported instead"
+            "indistinguishable from {confounder}, which is reported instead"
         )),
     }
 }
@@ -247,7 +248,7 @@ fn fault(
         indistinguishable: offset
             .confounders
             .iter()
-            .map(|twin| confounder_alternative(arm, twin, unit))
+            .map(|confounder| confounder_alternative(arm, confounder, unit))
             .collect(),
         effect: Some(format!("{moved} at full reach{residual}")),
         effect_m: Some(offset.effect_m),
@@ -259,13 +260,13 @@ fn fault(
     if !inheriting_topics.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), inheriting_topics.into());
     }
-    let witness = arm.pose_source_kind();
-    evidence.more.insert("witness".to_owned(), witness.name().into());
-    evidence.more.insert("meaning".to_owned(), meaning(witness).into());
+    let source_kind = arm.pose_source_kind();
+    evidence.more.insert("witness".to_owned(), source_kind.name().into());
+    evidence.more.insert("meaning".to_owned(), meaning(source_kind).into());
     let sign = if measured.value < 0.0 { "-" } else { "+" };
     let (size, symbol, shown) = (measured.value.abs(), unit.symbol(), unit.show_signed(measured));
     let factor = arm.scale(joint).map_or(String::new(), |s| format!("{:.5} · ", s.factor.value));
-    let (message, fix) = match witness {
+    let (message, fix) = match source_kind {
         PoseSourceKind::Controller => (
             format!("zero offset {shown} (controller's poses against FK of the joint states)"),
             format!(
@@ -282,8 +283,8 @@ fn fault(
     Fault { severity, cause, title: "joint zero is off", message, evidence, fix }
 }
 
-fn meaning(witness: PoseSourceKind) -> &'static str {
-    match witness {
+fn meaning(source_kind: PoseSourceKind) -> &'static str {
+    match source_kind {
         PoseSourceKind::Controller => {
             "the controller's poses use the same encoders, so a mechanical zero error is invisible here: \
              check with a tracker, a camera or an IMU"
@@ -300,7 +301,7 @@ fn meaning(witness: PoseSourceKind) -> &'static str {
 fn reported_confounder(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen =
         |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.is_chosen);
-    let named = offset.confounders.iter().find(|twin| match **twin {
+    let named = offset.confounders.iter().find(|confounder| match **confounder {
         Confounder::JointZero(joint, _) => {
             arm.diagnosis.offsets.get(joint).is_some_and(|other| other.is_chosen)
         }
@@ -320,35 +321,36 @@ fn reported_confounder(arm: &ArmEvidence, offset: &JointOffset) -> Option<String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{TF, ask, clean_run, frame, sure};
+    use crate::checks::testing::{TF, clean_run, evaluate_rule, frame, precise};
     use crate::finding::Status;
 
     #[test]
     fn a_selected_offset_is_a_finding_that_lists_confounders() {
         let mut run = clean_run();
         let pan = &mut run.robots[0].diagnosis.offsets[0];
-        (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
+        (pan.offset, pan.is_chosen) = (Ok(precise(-0.01)), true);
         pan.confounders = vec![Confounder::Reference(0, -0.01)];
-        let (_, findings) = ask(&ZER001, &run);
+        let (_, findings) = evaluate_rule(&ZER001, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
         assert_eq!(finding.message, "zero offset -0.573 ± 0.001°");
         assert_eq!(finding.fix, "q_true = q_reported - 0.01000 rad, or re-home the joint");
-        let twins = finding.evidence.indistinguishable.iter().map(|twin| twin.code);
-        assert_eq!(twins.collect::<Vec<_>>(), ["FRM002"]);
+        let confounders =
+            finding.evidence.indistinguishable.iter().map(|confounder| confounder.code);
+        assert_eq!(confounders.collect::<Vec<_>>(), ["FRM002"]);
         assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!([TF]));
     }
 
     #[test]
     fn the_meaning_of_an_offset_depends_on_the_pose_source() {
-        let said = |witness: PoseSourceKind| {
+        let said = |source_kind: PoseSourceKind| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
-            (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
-            arm.poses[0].source_kind = witness;
-            let finding = ask(&ZER001, &run).1.remove(0);
-            assert_eq!(finding.evidence.more["witness"], witness.name());
+            (pan.offset, pan.is_chosen) = (Ok(precise(-0.01)), true);
+            arm.poses[0].source_kind = source_kind;
+            let finding = evaluate_rule(&ZER001, &run).1.remove(0);
+            assert_eq!(finding.evidence.more["witness"], source_kind.name());
             (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
         };
         let (message, meaning) = said(PoseSourceKind::Controller);
@@ -366,8 +368,8 @@ mod tests {
     #[test]
     fn an_offset_that_is_not_selected_never_fails() {
         let mut run = clean_run();
-        run.robots[0].diagnosis.offsets[0].offset = Ok(sure(-0.01));
-        let (rows, findings) = ask(&ZER001, &run);
+        run.robots[0].diagnosis.offsets[0].offset = Ok(precise(-0.01));
+        let (rows, findings) = evaluate_rule(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
@@ -377,14 +379,14 @@ mod tests {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
-            (pan.offset, pan.is_chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
+            (pan.offset, pan.is_chosen, pan.effect_m) = (Ok(precise(-0.01)), true, effect_m);
             arm.poses[0].source_kind = PoseSourceKind::External;
             let stream = &mut arm.poses[0].diagnosis;
             let mut tool = frame(0.0);
             tool.translation_m.std_error = tool_error_m;
             stream.tool = Ok(tool);
-            stream.residual.as_mut().expect("a residual").excess_m = sure(left_m);
-            ask(&ZER001, &run).0[0].status
+            stream.residual.as_mut().expect("a residual").excess_m = precise(left_m);
+            evaluate_rule(&ZER001, &run).0[0].status
         };
         assert_eq!(status(1e-4, 0.0, 0.01), Status::Fail);
         // Unknown tool.
@@ -399,13 +401,13 @@ mod tests {
     fn a_zero_with_a_reported_confounder_does_not_count() {
         let mut run = clean_run();
         let diagnosis = &mut run.robots[0].diagnosis;
-        diagnosis.offsets[0].offset = Ok(sure(-0.01));
+        diagnosis.offsets[0].offset = Ok(precise(-0.01));
         diagnosis.offsets[0].confounders = vec![Confounder::Reference(0, -0.01)];
         run.robots[0].poses[0].diagnosis.reference =
             Ok(FrameEstimate { is_chosen: true, ..frame(0.1) });
-        let (rows, findings) = ask(&ZER001, &run);
+        let (rows, findings) = evaluate_rule(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].is_indistinguishable, "{rows:?}");
-        let (_, named) = ask(&crate::checks::poses::frm002_reference_frame::FRM002, &run);
+        let (_, named) = evaluate_rule(&crate::checks::poses::frm002_reference_frame::FRM002, &run);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

@@ -50,7 +50,7 @@ const SAG: ComplianceRule = ComplianceRule {
     name: "sag",
     threshold: THRESHOLD,
     settle: "stretch the arm out and fold it, with every joint moving",
-    is_it: JointCompliance::is_sag,
+    applies: JointCompliance::is_sag,
     fault,
 };
 
@@ -58,13 +58,13 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     SAG.check(&ZER003, case)
 }
 
-fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
-    let (effect_m, moved) = tip_effect(arm, bend.column, bend.value.value);
+fn fault(arm: &ArmEvidence, compliance: &JointCompliance, severity: Severity) -> Fault {
+    let (effect_m, moved) = tip_effect(arm, compliance.column, compliance.value.value);
     Fault {
         severity,
         cause: Cause::Compliance,
         title: "joint sags under gravity",
-        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&bend.value)),
+        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&compliance.value)),
         evidence: Evidence {
             effect: Some(moved),
             effect_m: Some(effect_m),

@@ -86,9 +86,9 @@ fn report_once_per_topic(rows: &mut [SubjectResult], max_difference_s: f64) {
         let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
         let value = |row: &SubjectResult| row.estimate.as_ref().and_then(Estimate::value);
         let is_same = |other: &&mut SubjectResult| {
-            let near =
+            let is_similar =
                 value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < max_difference_s);
-            other.subject.topic == row.subject.topic && is_late(other) && near
+            other.subject.topic == row.subject.topic && is_late(other) && is_similar
         };
         let Some(first) = named.iter_mut().find(is_same) else { continue };
         let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
@@ -131,8 +131,8 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     match joint_state_latency(case, &streams) {
         Some(lateness) => {
             let joints = late_joint_states(case, arm, &streams, &lateness);
-            let witnesses = streams.iter().map(|stream| judge_with_late_joints(case, arm, stream));
-            std::iter::once(joints).chain(witnesses).collect()
+            let results = streams.iter().map(|stream| judge_with_late_joints(case, arm, stream));
+            std::iter::once(joints).chain(results).collect()
         }
         None => streams.iter().map(|stream| judge_stream(case, arm, stream, &streams)).collect(),
     }
@@ -164,12 +164,12 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Subject
 /// If two or more independent streams agree on it and none disagrees.
 fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
     let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
-    let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
+    let (mut latencies, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.has_independent_stamps) {
         let Some(latency) = estimate(stream) else { continue };
         match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
-                witnesses.push(*latency);
+                latencies.push(*latency);
                 // Transforms on one topic count once.
                 topics.insert(stream.topic());
             }
@@ -177,8 +177,8 @@ fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -
             Decision::Fail(_) | Decision::Pass => return None,
         }
     }
-    let early = (topics.len() >= 2).then(|| weighted_mean(&witnesses))??;
-    let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < threshold.warning);
+    let early = (topics.len() >= 2).then(|| weighted_mean(&latencies))??;
+    let agree = latencies.iter().all(|one| (one.value - early.value).abs() < threshold.warning);
     agree.then(|| early.scaled(-1.0))
 }
 
@@ -188,13 +188,15 @@ fn estimate<'a>(stream: &StreamEvidence<StreamLatency<'a>>) -> Option<&'a Measur
 
 /// Mean weighted by inverse variance. The standard error is inflated if the values scatter more than
 /// predicted (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
-fn weighted_mean(parts: &[Measured]) -> Option<Measured> {
-    let variance = |part: &Measured| part.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
-    let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
-    let value = parts.iter().map(|part| part.value / variance(part)).sum::<f64>() / weight;
-    let dof = parts.iter().map(|part| part.dof).fold(f64::INFINITY, f64::min);
-    let chi2: f64 = parts.iter().map(|part| (part.value - value).powi(2) / variance(part)).sum();
-    let birge = (chi2 / (parts.len() as f64 - 1.0)).sqrt().max(1.0);
+fn weighted_mean(latencies: &[Measured]) -> Option<Measured> {
+    let variance = |latency: &Measured| latency.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
+    let weight: f64 = latencies.iter().map(|latency| 1.0 / variance(latency)).sum();
+    let value =
+        latencies.iter().map(|latency| latency.value / variance(latency)).sum::<f64>() / weight;
+    let dof = latencies.iter().map(|latency| latency.dof).fold(f64::INFINITY, f64::min);
+    let chi2: f64 =
+        latencies.iter().map(|latency| (latency.value - value).powi(2) / variance(latency)).sum();
+    let birge = (chi2 / (latencies.len() as f64 - 1.0)).sqrt().max(1.0);
     let common = Measured { value, std_error: birge / weight.sqrt(), dof };
     common.value.is_finite().then_some(common)
 }
@@ -205,11 +207,11 @@ fn late_joint_states(
     streams: &[StreamEvidence<StreamLatency>],
     lateness: &Measured,
 ) -> SubjectResult {
-    let witnesses: Vec<&StreamEvidence<StreamLatency>> =
+    let independent_streams: Vec<&StreamEvidence<StreamLatency>> =
         streams.iter().filter(|stream| stream.has_independent_stamps).collect();
-    let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
+    let topics: Vec<&str> = independent_streams.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
-    let alternatives = witnesses
+    let alternatives = independent_streams
         .iter()
         .filter_map(|stream| Some(alternative(stream.subject.clone(), estimate(stream)?)));
     let (effect, effect_m) = effect(arm, lateness);
@@ -272,13 +274,13 @@ fn judge_stream(
         Decision::Pass => Outcome::pass(),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => {
-            let other_witness = streams.iter().any(|other| {
+            let has_other_stream = streams.iter().any(|other| {
                 other.has_independent_stamps
                     && other.topic() != stream.topic()
                     && other.latency.is_ok()
             });
             let mut indistinguishable = Vec::new();
-            if stream.has_independent_stamps && !other_witness {
+            if stream.has_independent_stamps && !has_other_stream {
                 let joints = arm.topic(&arm.joints_topic);
                 indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
             }
@@ -337,8 +339,8 @@ fn tick_suffix(
     /// In ticks.
     const MAX_TICK_DEVIATION: f64 = 0.1;
     let tick_s = |topic: &str| {
-        let own = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
-        own.into_iter().flat_map(|rhythm| &rhythm.parts).find_map(|part| part.tick_s)
+        let rhythm_of_topic = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
+        rhythm_of_topic.into_iter().flat_map(|rhythm| &rhythm.parts).find_map(|part| part.tick_s)
     };
     let is_half = |tick_s: f64, side: f64| {
         (latency.value - 0.5 * side * tick_s).abs()

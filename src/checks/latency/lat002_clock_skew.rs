@@ -68,10 +68,10 @@ const GROWS_S: f64 = 2e-3;
 fn judge(
     case: &Case,
     arm: &ArmEvidence,
-    is_own: bool,
+    is_of_joints: bool,
     skew: &StreamEvidence<StreamEstimate<'_>>,
 ) -> SubjectResult {
-    if is_own {
+    if is_of_joints {
         return SKEW.judge(&LAT002, case, arm, skew);
     }
     let why = "same stamps as the joint states: there is only one clock";
@@ -122,14 +122,14 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{IMU, ask, clean_run, sure};
+    use crate::checks::testing::{IMU, clean_run, evaluate_rule, precise};
     use crate::finding::Status;
 
     #[test]
     fn the_clock_of_an_imu_is_judged() {
         let mut run = clean_run();
-        run.robots[0].imus[0].diagnosis.skew = Ok(sure(2e-3));
-        let (_, findings) = ask(&LAT002, &run);
+        run.robots[0].imus[0].diagnosis.skew = Ok(precise(2e-3));
+        let (_, findings) = evaluate_rule(&LAT002, &run);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(IMU));
         assert_eq!(findings[0].severity, Severity::Error);
     }
@@ -138,11 +138,11 @@ mod tests {
     fn a_skew_is_a_finding_only_if_the_model_contains_it() {
         let mut run = clean_run();
         let stream = &mut run.robots[0].poses[0].diagnosis;
-        stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });
-        let (rows, findings) = ask(&LAT002, &run);
+        stream.skew = Ok(Measured { std_error: 1e-7, ..precise(2e-4) });
+        let (rows, findings) = evaluate_rule(&LAT002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         run.robots[0].poses[0].diagnosis.is_skew_chosen = true;
-        let (_, findings) = ask(&LAT002, &run);
+        let (_, findings) = evaluate_rule(&LAT002, &run);
         assert_eq!(findings[0].message, "latency grows by +200.0 ± 0.2 ppm against /joint_states");
     }
 }

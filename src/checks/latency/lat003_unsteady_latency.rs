@@ -60,7 +60,7 @@ const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 struct StreamProfile<'a> {
     /// Stamps independent of the joint states'.
     has_independent_stamps: bool,
-    course: &'a EstimateResult<LatencyProfile>,
+    profile: &'a EstimateResult<LatencyProfile>,
     /// Latency after removing the profile.
     latency: Option<&'a Measured>,
 }
@@ -71,35 +71,36 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let poses = arm.poses_and_tf().map(|stream| {
-        let course = &stream.diagnosis.latency_profile;
+        let profile = &stream.diagnosis.latency_profile;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
         stream.with_value(StreamProfile {
             has_independent_stamps: stream.has_independent_stamps,
-            course,
+            profile,
             latency,
         })
     });
     let imus = arm.imus.iter().map(|imu| {
-        let course = &imu.diagnosis.latency_profile;
+        let profile = &imu.diagnosis.latency_profile;
         let latency = imu.diagnosis.latency_s.as_ref().ok();
         imu.with_value(StreamProfile {
             has_independent_stamps: imu.has_independent_stamps,
-            course,
+            profile,
             latency,
         })
     });
     let streams: Vec<StreamEvidence<StreamProfile>> = poses.chain(imus).collect();
-    let Some(course) = joint_state_profile(case, &streams) else {
+    let Some(profile) = joint_state_profile(case, &streams) else {
         return streams.iter().map(|stream| judge(case, arm, stream)).collect();
     };
-    let judge_with_joint_profile = |stream: &StreamEvidence<StreamProfile>| match stream.course {
-        Ok(course) if stream.has_independent_stamps => {
+    let judge_with_joint_profile = |stream: &StreamEvidence<StreamProfile>| match stream.profile {
+        Ok(profile) if stream.has_independent_stamps => {
             let remark = format!("its latency steps are those of {}", arm.joints_topic);
-            stream.judged(Outcome::pass_because(remark)).estimated(estimate(case, course, None))
+            stream.judged(Outcome::pass_because(remark)).estimated(estimate(case, profile, None))
         }
         _ => judge(case, arm, stream),
     };
-    let value = StreamProfile { has_independent_stamps: true, course: &Ok(course), latency: None };
+    let value =
+        StreamProfile { has_independent_stamps: true, profile: &Ok(profile), latency: None };
     let joints =
         StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
     std::iter::once(judge(case, arm, &joints))
@@ -114,18 +115,18 @@ fn joint_state_profile(
 ) -> Option<LatencyProfile> {
     /// Between steps that count as one, s: each is dated to a window or to the next motion.
     const MAX_STEP_TIME_DIFFERENCE_S: f64 = 1.5;
-    let mut witnesses: Vec<&LatencyProfile> = Vec::new();
-    for course in streams
+    let mut profiles: Vec<&LatencyProfile> = Vec::new();
+    for profile in streams
         .iter()
         .filter(|one| one.has_independent_stamps)
-        .filter_map(|one| one.course.as_ref().ok())
+        .filter_map(|one| one.profile.as_ref().ok())
     {
         match decide(
-            &course.swing_s,
+            &profile.swing_s,
             &case.thresholds.threshold(&LAT003, THRESHOLD),
             case.evidence.subjects(),
         ) {
-            Decision::Fail(_) if !course.steps.is_empty() => witnesses.push(course),
+            Decision::Fail(_) if !profile.steps.is_empty() => profiles.push(profile),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
         }
@@ -133,7 +134,7 @@ fn joint_state_profile(
     let by_error = |a: &&&LatencyProfile, b: &&&LatencyProfile| {
         a.swing_s.std_error.total_cmp(&b.swing_s.std_error)
     };
-    let most_certain = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
+    let most_certain = *profiles.iter().min_by(by_error).filter(|_| profiles.len() >= 2)?;
     let is_shared = |jump: &LatencyStep| {
         let is_same = |other: &LatencyStep| {
             let by_s = case.thresholds.threshold(&LAT003, THRESHOLD).warning
@@ -141,11 +142,11 @@ fn joint_state_profile(
             (other.at_s - jump.at_s).abs() < MAX_STEP_TIME_DIFFERENCE_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };
-        witnesses.iter().all(|course| course.steps.iter().any(is_same))
+        profiles.iter().all(|profile| profile.steps.iter().any(is_same))
     };
-    let is_one = |course: &LatencyProfile| course.steps.len() == most_certain.steps.len();
+    let has_same_steps = |profile: &LatencyProfile| profile.steps.len() == most_certain.steps.len();
     let shared =
-        most_certain.steps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
+        most_certain.steps.iter().all(is_shared) && profiles.iter().all(|one| has_same_steps(one));
     let reversed = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
     shared.then(|| LatencyProfile {
         swing_s: most_certain.swing_s.scaled(-1.0),
@@ -157,15 +158,15 @@ fn joint_state_profile(
     })
 }
 
-fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) -> Estimate {
-    let name = match course.shape {
+fn estimate(case: &Case, profile: &LatencyProfile, latency: Option<&Measured>) -> Estimate {
+    let name = match profile.shape {
         LatencyShape::Steps => "latency jump",
         LatencyShape::Ramp { .. } => "latency ramp",
         LatencyShape::WithLoad => "latency with load",
         LatencyShape::Steady | LatencyShape::Wander => "latency swing",
     };
-    let estimate = Estimate::scalar(name, THRESHOLD.unit, &course.swing_s);
-    match levels_around_change(course, latency) {
+    let estimate = Estimate::scalar(name, THRESHOLD.unit, &profile.swing_s);
+    match levels_around_change(profile, latency) {
         Some((from, to, [begin_s, end_s])) => {
             let at = |at_s: f64| case.evidence.origin.shifted(at_s);
             let change_ci95_ns = (begin_s < end_s).then(|| [at(begin_s), at(end_s)]);
@@ -177,18 +178,18 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
 
 /// Latency before and after a single step or ramp, s, with its start and end, s from the run's origin.
 fn levels_around_change(
-    course: &LatencyProfile,
+    profile: &LatencyProfile,
     latency: Option<&Measured>,
 ) -> Option<(f64, f64, [f64; 2])> {
     let latency_s = latency?.value;
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
-    match (course.shape, course.steps.as_slice()) {
+    match (profile.shape, profile.steps.as_slice()) {
         (LatencyShape::Steps, [jump]) => {
-            let ends = (level(course.levels.first())?, level(course.levels.last())?);
+            let ends = (level(profile.levels.first())?, level(profile.levels.last())?);
             Some((ends.0, ends.1, [jump.at_s; 2]))
         }
         (LatencyShape::Ramp { from_s, to_s }, _) => {
-            let at = |t_s: f64| level(course.levels.iter().find(|(at_s, _)| *at_s == t_s));
+            let at = |t_s: f64| level(profile.levels.iter().find(|(at_s, _)| *at_s == t_s));
             Some((at(from_s)?, at(to_s)?, [from_s, to_s]))
         }
         _ => None,
@@ -196,42 +197,42 @@ fn levels_around_change(
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>) -> SubjectResult {
-    let course = match stream.course {
-        Ok(course) => course,
+    let profile = match stream.profile {
+        Ok(profile) => profile,
         Err(why) => return stream.judged(not_observable(why, SETTLE)),
     };
     let outcome = match decide(
-        &course.swing_s,
+        &profile.swing_s,
         &case.thresholds.threshold(&LAT003, THRESHOLD),
         case.evidence.subjects(),
     ) {
         Decision::Pass => Outcome::pass(),
-        Decision::Fail(severity) if course.is_unsteady => {
-            Outcome::fail(fault(case, arm, course, stream.latency, severity))
+        Decision::Fail(severity) if profile.is_unsteady => {
+            Outcome::fail(fault(case, arm, profile, stream.latency, severity))
         }
         Decision::Fail(_) => {
-            let shown = THRESHOLD.unit.show(course.swing_s.value);
+            let shown = THRESHOLD.unit.show(profile.swing_s.value);
             Outcome::Inconclusive(format!("{shown} scatter, within the noise; {SETTLE}"))
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    stream.judged(outcome).estimated(estimate(case, course, stream.latency))
+    stream.judged(outcome).estimated(estimate(case, profile, stream.latency))
 }
 
 fn fault(
     case: &Case,
     arm: &ArmEvidence,
-    course: &LatencyProfile,
+    profile: &LatencyProfile,
     latency: Option<&Measured>,
     severity: Severity,
 ) -> Fault {
-    let swing = &course.swing_s;
+    let swing = &profile.swing_s;
     let at = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
     let show = |value: f64| THRESHOLD.unit.show(value);
-    let from_to = levels_around_change(course, latency)
+    let from_to = levels_around_change(profile, latency)
         .map(|(from, to, _)| format!(", from {} to {}", show(from), show(to)))
         .unwrap_or_default();
-    let (kind, title, message) = match (course.shape, course.steps.as_slice()) {
+    let (kind, title, message) = match (profile.shape, profile.steps.as_slice()) {
         (_, [jump]) => (
             "step",
             "latency jumps",
@@ -274,7 +275,7 @@ fn fault(
             format!("latency wanders by {} within the run", THRESHOLD.unit.show_measured(swing)),
         ),
     };
-    let listed: Vec<Value> = course
+    let listed: Vec<Value> = profile
         .steps
         .iter()
         .map(|jump| {
@@ -290,7 +291,7 @@ fn fault(
     };
     evidence.more.insert("kind".to_owned(), kind.into());
     evidence.more.insert("jumps".to_owned(), listed.into());
-    if let LatencyShape::Ramp { from_s, to_s } = course.shape {
+    if let LatencyShape::Ramp { from_s, to_s } = profile.shape {
         let [from_ns, to_ns] = [from_s, to_s].map(|at_s| case.evidence.origin.shifted(at_s));
         let ramp = json!({ "from_ns": from_ns.to_string(), "to_ns": to_ns.to_string() });
         evidence.more.insert("ramp".to_owned(), ramp);
@@ -301,7 +302,7 @@ fn fault(
         title,
         message,
         evidence,
-        fix: match course.shape {
+        fix: match profile.shape {
             LatencyShape::WithLoad => {
                 "check for computation, queues or filters whose load grows with speed; stamp at acquisition"
             }
@@ -314,30 +315,31 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{IMU, JOINTS, POSE, ask, clean_run, steady, sure};
+    use crate::checks::testing::{IMU, JOINTS, POSE, clean_run, evaluate_rule, precise, steady};
     use crate::finding::Status;
 
     #[test]
     fn scatter_within_the_noise_is_no_finding() {
         let mut run = clean_run();
-        let course = |swing_s, is_unsteady, jumps| {
+        let profile = |swing_s, is_unsteady, jumps| {
             Ok(LatencyProfile { swing_s, is_unsteady, steps: jumps, ..steady() })
         };
-        run.robots[0].poses[0].diagnosis.latency_profile = course(sure(0.012), false, vec![]);
-        let (rows, findings) = ask(&LAT003, &run);
+        run.robots[0].poses[0].diagnosis.latency_profile = profile(precise(0.012), false, vec![]);
+        let (rows, findings) = evaluate_rule(&LAT003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        let jump = LatencyStep { at_s: 4.0, size_s: sure(0.012) };
-        run.robots[0].poses[0].diagnosis.latency_profile = course(sure(0.012), true, vec![jump]);
-        let (_, findings) = ask(&LAT003, &run);
+        let jump = LatencyStep { at_s: 4.0, size_s: precise(0.012) };
+        run.robots[0].poses[0].diagnosis.latency_profile =
+            profile(precise(0.012), true, vec![jump]);
+        let (_, findings) = evaluate_rule(&LAT003, &run);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
     }
 
     #[test]
     fn a_common_jump_of_streams_is_attributed_to_the_joint_states() {
         let jumps = |at_s: f64, size_s: f64| {
-            let jump = LatencyStep { at_s, size_s: sure(size_s) };
+            let jump = LatencyStep { at_s, size_s: precise(size_s) };
             Ok(LatencyProfile {
-                swing_s: sure(size_s),
+                swing_s: precise(size_s),
                 is_unsteady: true,
                 steps: vec![jump],
                 ..steady()
@@ -352,7 +354,7 @@ mod tests {
                 tf.has_independent_stamps = false;
                 tf.diagnosis.latency_profile = Err(crate::diagnosis::NotObservable::AtRest);
             }
-            let found = ask(&LAT003, &run).1.into_iter();
+            let found = evaluate_rule(&LAT003, &run).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()
         };
         assert_eq!(with(jumps(4.0, -0.02), jumps(4.4, -0.021)), [JOINTS]);

@@ -130,7 +130,7 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::finding::Status;
 
     #[test]
@@ -143,7 +143,7 @@ mod tests {
             let mut run = clean_run();
             let shake = Vibration { rms_m, resolved_m, frequency_hz: 12.0, ..Vibration::default() };
             run.robots[0].vibrations[0].vibration = Ok(shake);
-            let (rows, _) = ask(&MOT001, &run);
+            let (rows, _) = evaluate_rule(&MOT001, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);
         }
     }

@@ -164,7 +164,7 @@ fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::finding::Status;
 
     #[test]
@@ -186,7 +186,7 @@ mod tests {
                 resolved,
             };
             run.robots[0].joints[0].motion.abruptness = Some(stop);
-            let (rows, _) = ask(&MOT002, &run);
+            let (rows, _) = evaluate_rule(&MOT002, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);
         }
     }

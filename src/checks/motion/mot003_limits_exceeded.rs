@@ -213,7 +213,7 @@ fn evidence(case: &Case, excess: &LimitViolation) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
 
     #[test]
     fn limits_are_not_judged_for_a_joint_with_a_large_zero_offset() {
@@ -222,8 +222,8 @@ mod tests {
         arm.joints[1].motion.positions =
             Some(LimitViolation { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
         let lift = &mut arm.diagnosis.offsets[1];
-        (lift.offset, lift.is_chosen) = (Ok(crate::checks::testing::sure(-1.2)), true);
-        assert!(ask(&MOT003, &run).1.is_empty());
+        (lift.offset, lift.is_chosen) = (Ok(crate::checks::testing::precise(-1.2)), true);
+        assert!(evaluate_rule(&MOT003, &run).1.is_empty());
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
             let motion = &mut run.robots[0].joints[1].motion;
             motion.positions =
                 Some(LimitViolation { limit: 3.0, value: 3.0 + over, at_s: 1.0, seconds: 0.25 });
-            let (_, findings) = ask(&MOT003, &run);
+            let (_, findings) = evaluate_rule(&MOT003, &run);
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
     }

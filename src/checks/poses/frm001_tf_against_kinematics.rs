@@ -132,7 +132,7 @@ fn outcome(found: Disagreement) -> Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, frame, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, frame, precise};
     use crate::diagnosis::FrameEstimate;
 
     #[test]
@@ -140,7 +140,7 @@ mod tests {
         let mut run = clean_run();
         run.robots[0].tf.as_mut().unwrap().diagnosis.tool =
             Ok(FrameEstimate { is_chosen: true, ..frame(0.003) });
-        let constant = ask(&FRM001, &run).1;
+        let constant = evaluate_rule(&FRM001, &run).1;
         assert_eq!(
             constant[0].message,
             "differs from FK of the joint states by 3 mm and 0° everywhere"
@@ -148,8 +148,8 @@ mod tests {
 
         let mut run = clean_run();
         let residual = run.robots[0].tf.as_mut().unwrap().diagnosis.residual.as_mut();
-        residual.expect("a residual").excess_m = sure(0.02);
-        let varying = ask(&FRM001, &run).1;
+        residual.expect("a residual").excess_m = precise(0.02);
+        let varying = evaluate_rule(&FRM001, &run).1;
         assert_eq!(varying[0].message, "differs from FK of the joint states by 20 mm and 0° rms");
     }
 }

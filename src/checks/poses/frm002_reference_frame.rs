@@ -53,7 +53,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             (!stream.reference_known).then(why)
         },
         changes: |diagnosis| &diagnosis.reference_changes,
-        is_confounder: |twin, index| matches!(twin, Confounder::Reference(stream, _) if *stream == index),
+        is_confounder: |confounder, index| matches!(confounder, Confounder::Reference(stream, _) if *stream == index),
         fault,
     };
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()
@@ -64,7 +64,7 @@ fn since_label(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
     let arm = case.evidence.robots.iter().find(|arm| subject.robot.as_ref() == Some(&arm.name));
-    let parts = || {
+    let segments = || {
         let poses = arm.into_iter().flat_map(|arm| &arm.poses);
         poses.filter(|stream| subject.topic.as_deref() == Some(stream.topic()))
     };
@@ -72,18 +72,18 @@ fn since_label(case: &Case, mut judged: SubjectResult) -> SubjectResult {
         let reference = &stream.diagnosis.reference;
         stream.reference_known && reference.as_ref().is_ok_and(|frame| !frame.is_chosen)
     };
-    let other =
-        parts().find(|other| Some(&other.reference) != subject.frame.as_ref() && is_right(other));
+    let other = segments()
+        .find(|other| Some(&other.reference) != subject.frame.as_ref() && is_right(other));
     let spans = judged.span.zip(other.and_then(|other| other.span));
-    let (Some((own, its)), Some(other)) = (spans, other) else { return judged };
+    let (Some((span, next_span)), Some(other)) = (spans, other) else { return judged };
     let (value, at) = match &judged.estimate {
-        Some(estimate) if its.end <= own.start => (estimate.value(), own.start),
-        Some(estimate) if own.end <= its.start => (estimate.value(), its.start),
+        Some(estimate) if next_span.end <= span.start => (estimate.value(), span.start),
+        Some(estimate) if span.end <= next_span.start => (estimate.value(), next_span.start),
         _ => return judged,
     };
-    let is_after = at == own.start;
-    let moment = case.evidence.moment(at);
-    let when = if is_after { format!("from {moment} on") } else { format!("until {moment}") };
+    let is_after = at == span.start;
+    let time = case.evidence.moment(at);
+    let when = if is_after { format!("from {time} on") } else { format!("until {time}") };
     let named = subject.frame.as_deref().unwrap_or_default();
     fault.title = "reference frame is off for part of the run";
     fault.message =
@@ -128,14 +128,14 @@ fn fault(
 
 fn is_half_turn_about_z(pose: &Pose) -> bool {
     let [x, y, z]: [f64; 3] = rotvec_from_rotation(&pose.rotation).into();
-    let turned = (z.abs() - std::f64::consts::PI).abs() < DEGREE && x.hypot(y) < DEGREE;
-    turned && pose.translation.vector.norm() < THRESHOLDS.length.error
+    let is_half_turn = (z.abs() - std::f64::consts::PI).abs() < DEGREE && x.hypot(y) < DEGREE;
+    is_half_turn && pose.translation.vector.norm() < THRESHOLDS.length.error
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, frame};
+    use crate::checks::testing::{clean_run, evaluate_rule, frame};
     use crate::finding::Status;
 
     #[test]
@@ -144,7 +144,7 @@ mod tests {
         let arm = &mut run.robots[0];
         arm.poses[0].reference_known = false;
         arm.poses[0].diagnosis.reference = Ok(FrameEstimate { is_chosen: true, ..frame(1.2) });
-        let (rows, findings) = ask(&FRM002, &run);
+        let (rows, findings) = evaluate_rule(&FRM002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Pass, "{rows:?}");
         assert_eq!(rows[0].evidence["pose"]["xyz"][0], 1.2);
     }

@@ -52,7 +52,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         frame: |stream| &stream.tip,
         not_judged: |_| None,
         changes: |diagnosis| &diagnosis.tool_changes,
-        is_confounder: |twin, index| matches!(twin, Confounder::Tool(stream, _) if *stream == index),
+        is_confounder: |confounder, index| matches!(confounder, Confounder::Tool(stream, _) if *stream == index),
         fault,
     };
     let mut judged = frames::judge(case, &tool);
@@ -141,7 +141,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let tip = &stream.tip;
-    let (severity, guess) = match (stream.source_kind, stream.is_tip_declared) {
+    let (severity, likely_cause) = match (stream.source_kind, stream.is_tip_declared) {
         (PoseSourceKind::External, _) => (Severity::Info, ", the position of its marker"),
         (_, true) => (severity, ""),
         (_, false) => (Severity::Info, ", probably the active TCP"),
@@ -151,7 +151,7 @@ fn fault(
         severity,
         cause: Cause::ToolFrame(frame.pose),
         title: "tool frame offset",
-        message: format!("poses are {} from {tip}{guess}", show(frame)),
+        message: format!("poses are {} from {tip}{likely_cause}", show(frame)),
         evidence: Evidence {
             effect: Some(format!("{offset} at the tip, turning with the wrist")),
             effect_m: Some(frame.translation_m.value),
@@ -167,14 +167,14 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, frame};
+    use crate::checks::testing::{clean_run, evaluate_rule, frame};
 
     fn severity_of(tip_named: bool) -> Option<Severity> {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.poses[0].is_tip_declared = tip_named;
         arm.poses[0].diagnosis.tool = Ok(FrameEstimate { is_chosen: true, ..frame(0.14) });
-        ask(&FRM003, &run).1.first().map(|finding| finding.severity)
+        evaluate_rule(&FRM003, &run).1.first().map(|finding| finding.severity)
     }
 
     #[test]

@@ -155,10 +155,13 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
     let judged = streams.iter().map(|attributed| {
-        let better = arm.better_model.as_ref().filter(|it| it.topic == attributed.stream.topic());
-        match better.filter(|_| attributed.subject.frame.is_none()) {
-            Some(better) => {
-                SubjectResult::new(attributed.subject.clone(), wrong_model(case, arm, better))
+        let competitor = arm
+            .better_model
+            .as_ref()
+            .filter(|competing| competing.topic == attributed.stream.topic());
+        match competitor.filter(|_| attributed.subject.frame.is_none()) {
+            Some(competitor) => {
+                SubjectResult::new(attributed.subject.clone(), wrong_model(case, arm, competitor))
                     .within(attributed.stream.span)
             }
             None => judge(case, arm, attributed, &streams),
@@ -187,9 +190,9 @@ fn judge(
         }
         _ => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
     };
-    let angle = error.angle.as_ref().map(|angle| rms_beyond_noise(&angle.whole));
+    let angle = error.angle.as_ref().map(|angle| excess_rms(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
-    let length = rms_beyond_noise(&error.length.whole);
+    let length = excess_rms(&error.length.whole);
     let competing = &arm.indistinguishable_models;
     let outcome = match outcome(case, attributed, all) {
         Outcome::Evaluated(Ruling::Fail(_))
@@ -228,7 +231,7 @@ fn judge(
 
 /// The error repeats with the motion apart from the noise, so its interval follows from averaging
 /// independent noise.
-fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
+fn excess_rms(whole: &ErrorMagnitude) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.lag_samples.max(1) as f64).max(3.0);
     Measured {
@@ -239,12 +242,12 @@ fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
 }
 
 fn error_json(case: &Case, error: &FkError) -> Value {
-    let most = |size: &ErrorSize| size.worst().map(|part| part.magnitude.quantile_95);
+    let quantile = |size: &ErrorSize| size.worst().map(|part| part.magnitude.quantile_95);
     let worst = error.length.worst();
     let ns = |at_s: f64| case.evidence.origin.shifted(at_s).to_string();
     json!({
-        "most_m": most(&error.length),
-        "most_rad": error.angle.as_ref().and_then(most),
+        "most_m": quantile(&error.length),
+        "most_rad": error.angle.as_ref().and_then(quantile),
         "noise_m": error.length.whole.noise.map(|noise| noise.rms),
         "noise_rad": error.angle.as_ref().and_then(|angle| angle.whole.noise).map(|noise| noise.rms),
         "from_ns": worst.map(|part| ns(part.from_s)),
@@ -260,9 +263,9 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match attribution {
         Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) if at_rest => {
-            let off = sizes(&residual.error);
+            let error_text = sizes(&residual.error);
             Outcome::Inconclusive(format!(
-                "off by {off} at rest; one configuration cannot show why; {SETTLE}"
+                "off by {error_text} at rest; one configuration cannot show why; {SETTLE}"
             ))
         }
         _ if at_rest => Outcome::Inconclusive(format!(
@@ -307,25 +310,25 @@ fn sizes(error: &FkError) -> String {
 /// As `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up to 70 mm and 0.2°, largest near (…) m`.
 fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     let PartError { at, .. } = residual.worst;
-    let most = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.magnitude.quantile_95);
-    let length = Unit::Metre.show(most(&residual.error.length));
-    let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
-    let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
-    let moment = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
+    let quantile = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.magnitude.quantile_95);
+    let length = Unit::Metre.show(quantile(&residual.error.length));
+    let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(quantile(angle)));
+    let quantile = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
+    let time_of = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
     let (first, last) = (residual.parts.first(), residual.parts.last());
-    let from = moment(first.map_or(0.0, |part| part.from_s));
-    let to = moment(last.map_or(0.0, |part| part.to_s));
+    let from = time_of(first.map_or(0.0, |part| part.from_s));
+    let to = time_of(last.map_or(0.0, |part| part.to_s));
     let at = <[f64; 3]>::from(at).map(|part| rounded(part, 2)).join(", ");
     let (count, all) = (residual.parts.len(), residual.error.length.parts.len());
     let parts = match count {
         _ if count == all => "throughout".to_owned(),
         count => format!("in {count} of {all} parts of the run, from {from} to {to}"),
     };
-    format!("{parts}, up to {most}, largest near ({at}) m")
+    format!("{parts}, up to {quantile}, largest near ({at}) m")
 }
 
 fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str]) -> String {
-    let (off, most) = (sizes(&residual.error), describe_residual(case, residual));
+    let (error_text, largest_text) = (sizes(&residual.error), describe_residual(case, residual));
     let why = match (open, residual.error.length.whole.noise) {
         ([], Some(noise)) if !residual.is_significant() => format!(
             "no finding explains it, and it is not significantly above the noise of {}",
@@ -338,7 +341,7 @@ fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str])
         }
         (open, _) => format!("its possible causes are undetermined: {}", open.join(", ")),
     };
-    format!("residual {off}, {most}; {why}; {SETTLE}")
+    format!("residual {error_text}, {largest_text}; {why}; {SETTLE}")
 }
 
 fn small(case: &Case, residual: &ExceedingResidual) -> Fault {
@@ -473,19 +476,20 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     });
     let all =
         residual.map(|residual| format!("all findings together (residual {})", sizes(residual)));
-    let ranked = found.encoding.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
-    let readings =
-        ranked.iter().filter(|(reading, _)| !matches!(reading, PoseEncoding::AsLogged)).take(3);
-    let readings = readings.map(|(reading, left_rad)| {
-        let Interpretation { is, read_as: was } = encoding_names(reading);
-        format!("{is} read as {was} (residual {})", Unit::Radian.show(*left_rad))
+    let ranked = found.encoding.as_ref().map_or(&[] as &[_], |encoding| &encoding.ranked);
+    let encodings =
+        ranked.iter().filter(|(encoding, _)| !matches!(encoding, PoseEncoding::AsLogged)).take(3);
+    let encodings = encodings.map(|(encoding, residual_rad)| {
+        let Interpretation { is, read_as: was } = encoding_names(encoding);
+        format!("{is} read as {was} (residual {})", Unit::Radian.show(*residual_rad))
     });
-    all.into_iter().chain(readings).collect()
+    all.into_iter().chain(encodings).collect()
 }
 
-fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outcome {
-    let CompetingModel { name, named_residual_m: named_m, residual_m: left_m, tool_m, .. } = better;
-    let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
+fn wrong_model(case: &Case, arm: &ArmEvidence, competitor: &CompetingModel) -> Outcome {
+    let CompetingModel { name, named_residual_m: named_m, residual_m: left_m, tool_m, .. } =
+        competitor;
+    let [fits, misfit_text] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
     let with = match tool_m {
         Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(*tool_m)),
         None => "with no further correction".to_owned(),
@@ -507,7 +511,7 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outco
             .unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(
-            "wrong robot model: a {name} fits the poses to {fits} {with}, {named} only to {off}"
+            "wrong robot model: a {name} fits the poses to {fits} {with}, {named} only to {misfit_text}"
         ),
         evidence,
         fix: format!(

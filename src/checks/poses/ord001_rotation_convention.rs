@@ -49,10 +49,10 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    encoding::judge(case, EncodingFaultKind::Convention, word)
+    encoding::judge(case, EncodingFaultKind::Convention, report)
 }
 
-fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
+fn report(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     let PoseEncoding::Misinterpreted(class) = estimate.best else { return None };
     let (named, same) = class.members.split_first()?;
     let same = same.iter().map(convention_names);
@@ -69,9 +69,9 @@ fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
             describe_convention(named.is),
             describe_convention(named.read_as)
         ),
-        once: format!("read as {}", describe_convention(named.is)),
+        corrected_reading: format!("read as {}", describe_convention(named.is)),
         fix: fix(named),
-        slip: RotationError::Misread(*named),
+        error: RotationError::Misread(*named),
         estimate: Estimate::Convention {
             name: "convention",
             is: named.is.to_string(),

@@ -36,13 +36,13 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    encoding::judge(case, EncodingFaultKind::QuaternionOrder, word)
+    encoding::judge(case, EncodingFaultKind::QuaternionOrder, report)
 }
 
-fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
-    let PoseEncoding::QuaternionOrder(slip) = estimate.best else { return None };
-    let (is, read_as) = quaternion_orders(slip);
-    let (right, wrong, fix) = match slip {
+fn report(estimate: &EncodingEstimate) -> Option<EncodingReport> {
+    let PoseEncoding::QuaternionOrder(error) = estimate.best else { return None };
+    let (is, read_as) = quaternion_orders(error);
+    let (right, wrong, fix) = match error {
         QuaternionOrderError::WxyzReadAsXyzw => (
             "w, x, y, z",
             "x, y, z, w",
@@ -57,9 +57,9 @@ fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     Some(EncodingReport {
         title: "quaternion components in the wrong order",
         what: format!("quaternion {right} read as {wrong}"),
-        once: format!("read as {right}"),
+        corrected_reading: format!("read as {right}"),
         fix: fix.to_owned(),
-        slip: RotationError::Quaternion(slip),
+        error: RotationError::Quaternion(error),
         estimate: Estimate::slip("quaternion order", is, read_as),
     })
 }

@@ -39,7 +39,7 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    let mut judged = encoding::judge(case, EncodingFaultKind::Direction, word);
+    let mut judged = encoding::judge(case, EncodingFaultKind::Direction, report);
     // Positions reveal an inverted pose if the orientations do not.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
@@ -55,15 +55,18 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     judged
 }
 
-fn direction(slip: RotationError) -> Estimate {
-    let Misread { is, read_as } = slip.into();
+fn direction(error: RotationError) -> Estimate {
+    let Misread { is, read_as } = error.into();
     Estimate::slip("direction", is, read_as)
 }
 
 fn by_positions(found: &PoseDiagnosis) -> Fault {
     let residual = found.residual.as_ref().ok();
-    let [before, after] = [residual.map(|left| left.before_m), residual.map(|left| left.rms_m)]
-        .map(|left| left.unwrap_or_default());
+    let [before, after] = [
+        residual.map(|residual_of| residual_of.before_m),
+        residual.map(|residual_of| residual_of.rms_m),
+    ]
+    .map(|residual_of| residual_of.unwrap_or_default());
     Fault {
         severity: Severity::Error,
         cause: Cause::Rotation(RotationError::Inverted),
@@ -84,8 +87,8 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
 const EXCHANGE: &str =
     "swap parent and child: publish base_from_tip, as returned by lookup_transform(base, tip)";
 
-fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
-    let (title, what, fix, slip) = match estimate.best {
+fn report(estimate: &EncodingEstimate) -> Option<EncodingReport> {
+    let (title, what, fix, error) = match estimate.best {
         _ if estimate.is_inverted => (
             "pose is inverted",
             "the pose is inverted relative to its frame names",
@@ -103,9 +106,9 @@ fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     Some(EncodingReport {
         title,
         what: what.to_owned(),
-        once: "inverted".to_owned(),
+        corrected_reading: "inverted".to_owned(),
         fix: fix.to_owned(),
-        slip,
-        estimate: direction(slip),
+        error,
+        estimate: direction(error),
     })
 }

@@ -48,10 +48,11 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let joints = match &arm.diagnosis.encoding {
         Err(why) => vec![SubjectResult::new(topic, not_observable(why, "also log a pose or /tf"))],
         Ok(reading) => {
-            let alone = reading.unit_errors(JointUnit::Degrees).map(|(slip, left)| {
-                let subject = arm.joint_states(slip.column);
-                let mut judged = judge(arm, subject, Some(left), Unit::Metre, AssumedUnit::Logged);
-                judged.caused_by(Cause::JointUnit(slip.factor));
+            let alone = reading.unit_errors(JointUnit::Degrees).map(|(unit_error, residuals)| {
+                let subject = arm.joint_states(unit_error.column);
+                let mut judged =
+                    judge(arm, subject, Some(residuals), Unit::Metre, AssumedUnit::Logged);
+                judged.caused_by(Cause::JointUnit(unit_error.factor));
                 judged
             });
             let alone: Vec<SubjectResult> = alone.collect();
@@ -87,7 +88,7 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
         let turns = imu.proof.as_ref()?.gyro.is_some();
         return turns.then(|| imu.judged(Outcome::pass()).within(imu.span));
     };
-    let [before, after] = [as_logged, corrected].map(|left| Unit::GyroRate.show(left));
+    let [before, after] = [as_logged, corrected].map(|residual| Unit::GyroRate.show(residual));
     let topic = imu.topic();
     let fault = Fault {
         severity: Severity::Error,
@@ -129,12 +130,12 @@ impl AssumedUnit {
 fn judge(
     arm: &ArmEvidence,
     subject: Subject,
-    slip: Option<UnitResiduals>,
+    residuals: Option<UnitResiduals>,
     residual: Unit,
     assumed: AssumedUnit,
 ) -> SubjectResult {
     let topic = subject.joint.as_deref().or(subject.topic.as_deref()).unwrap_or_default();
-    let Some(slip) = slip else {
+    let Some(residuals) = residuals else {
         return SubjectResult::new(subject, Outcome::pass());
     };
     let unit = assumed.slip();
@@ -155,7 +156,7 @@ fn judge(
             format!("declare {topic} without `,deg`"),
         ),
     };
-    let (before, after) = (residual.show(slip.as_logged), residual.show(slip.corrected));
+    let (before, after) = (residual.show(residuals.as_logged), residual.show(residuals.corrected));
     let fault = Fault {
         severity: Severity::Error,
         cause: Cause::AngleUnit(unit),
@@ -164,8 +165,8 @@ fn judge(
         evidence: Evidence {
             effect: Some(format!("{after} once read as {}", unit.is.words())),
             effect_m: Some(match residual {
-                Unit::Metre => slip.as_logged,
-                _ => slip.as_logged * arm.reach_m,
+                Unit::Metre => residuals.as_logged,
+                _ => residuals.as_logged * arm.reach_m,
             }),
             ..Evidence::default()
         },
@@ -173,6 +174,6 @@ fn judge(
     };
     SubjectResult::new(subject, Outcome::fail(fault))
         .estimated(Estimate::slip("angle unit", unit.is.symbol(), unit.read_as.symbol()))
-        .with_evidence("as_logged", slip.as_logged)
-        .with_evidence("corrected", slip.corrected)
+        .with_evidence("as_logged", residuals.as_logged)
+        .with_evidence("corrected", residuals.corrected)
 }

@@ -54,13 +54,13 @@ const MAX_LISTED: usize = 10;
 fn check(case: &Case) -> Vec<SubjectResult> {
     let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         let numbers = arm.poses.iter().filter_map(|stream| {
-            let coded = stream.euler.as_ref()?;
+            let euler = stream.euler.as_ref()?;
             let judged = match stream.is_undeclared {
                 true => SubjectResult::new(
                     stream.subject.clone(),
                     Outcome::pass_because("its convention is not declared".to_owned()),
                 ),
-                false => judge(case, arm, stream.topic(), coded),
+                false => judge(case, arm, stream.topic(), euler),
             };
             Some(judged.within(stream.span))
         });
@@ -76,9 +76,9 @@ struct NearSingularity {
     nearest_rad: f64,
 }
 
-fn near_singularities(coded: &EulerEvidence, within_rad: f64) -> Vec<NearSingularity> {
+fn near_singularities(euler: &EulerEvidence, within_rad: f64) -> Vec<NearSingularity> {
     let mut found: Vec<NearSingularity> = Vec::new();
-    for &(at, margin_rad) in coded.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
+    for &(at, margin_rad) in euler.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
         match found.last_mut().filter(|last| at.seconds_since(last.span.end) < MIN_SEPARATION_S) {
             Some(last) => {
                 (last.span.end, last.samples) = (at, last.samples + 1);
@@ -94,22 +94,21 @@ fn near_singularities(coded: &EulerEvidence, within_rad: f64) -> Vec<NearSingula
     found
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> SubjectResult {
+fn judge(case: &Case, arm: &ArmEvidence, topic: &str, euler: &EulerEvidence) -> SubjectResult {
     let subject = arm.topic(topic);
-    let Some(convention) = coded.convention else {
+    let Some(convention) = euler.convention else {
         let why = "its convention is undetermined; declare it with --declare";
         return SubjectResult::new(subject, Outcome::Inconclusive(why.to_owned()));
     };
-    if coded.margins_rad.is_empty() {
+    if euler.margins_rad.is_empty() {
         let why = format!("{convention} has no gimbal lock");
         return SubjectResult::new(subject, Outcome::pass_because(why));
     }
     let within_rad = case.thresholds.limit(&ORD006, &MAX_GIMBAL_MARGIN);
-    let found = near_singularities(coded, within_rad);
-    let samples: usize = found.iter().map(|near| near.samples).sum();
-    let share = samples as f64 / coded.margins_rad.len() as f64;
-    let least_rad =
-        coded.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
+    let found = near_singularities(euler, within_rad);
+    let samples: usize = found.iter().map(|singularity| singularity.samples).sum();
+    let share = samples as f64 / euler.margins_rad.len() as f64;
+    let min_rad = euler.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
     let longest = found.iter().max_by(|a, b| a.span.seconds().total_cmp(&b.span.seconds()));
     let outcome = match longest {
         None => Outcome::pass(),
@@ -124,7 +123,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
                 100.0 * share,
                 Unit::Second.show(longest.span.seconds()),
                 case.evidence.moment(longest.span.start),
-                Unit::Radian.show(least_rad),
+                Unit::Radian.show(min_rad),
             ),
             evidence: Evidence::default(),
             fix: format!("log {topic} as quaternions"),
@@ -144,7 +143,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
     SubjectResult::new(subject, outcome)
         .estimated(Estimate::exact("share near gimbal lock", Unit::One.symbol(), share))
         .with_evidence("convention", convention.to_string())
-        .with_evidence("nearest_rad", least_rad)
+        .with_evidence("nearest_rad", min_rad)
         .with_evidence("count", found.len())
         .with_evidence("spans", spans)
 }
@@ -163,11 +162,11 @@ mod tests {
             40 => 0.01,
             _ => 0.3,
         };
-        let coded = EulerEvidence {
+        let euler = EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: (0..60).map(|tenth| (at(tenth), margin(tenth))).collect(),
         };
-        let found = near_singularities(&coded, MAX_GIMBAL_MARGIN.value);
+        let found = near_singularities(&euler, MAX_GIMBAL_MARGIN.value);
         let first = Span { start: at(10), end: at(15) };
         assert_eq!(found[0], NearSingularity { span: first, samples: 4, nearest_rad: 0.02 });
         assert_eq!((found.len(), found[1].nearest_rad), (2, 0.01));

@@ -50,19 +50,19 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let outcome = match &stream.diagnosis.length_unit {
             Err(why) => not_observable(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::pass(),
-            Ok(Some(slip)) if stream.is_undeclared => Outcome::pass_because(format!(
+            Ok(Some(error)) if stream.is_undeclared => Outcome::pass_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
-                slip.is.words()
+                error.is.words()
             )),
-            Ok(Some(slip)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(format!(
+            Ok(Some(error)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(format!(
                 "{} would still have a residual of {}, so it explains nothing (MDL001)",
-                slip.is.words(),
-                Unit::Metre.show(slip.residual.corrected)
+                error.is.words(),
+                Unit::Metre.show(error.residual.corrected)
             )),
-            Ok(Some(slip)) => {
-                let LengthUnitError { is, read_as, residual } = slip;
+            Ok(Some(error)) => {
+                let LengthUnitError { is, read_as, residual } = error;
                 return stream
-                    .judged(Outcome::fail(fault(stream, slip)))
+                    .judged(Outcome::fail(fault(stream, error)))
                     .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
                     .with_evidence("as_logged_m", residual.as_logged)
                     .with_evidence("corrected_m", residual.corrected);
@@ -105,21 +105,24 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
         (JointUnit::Millimetres, "mm", "millimetres", 1000),
         (JointUnit::Centimetres, "cm", "centimetres", 100),
     ];
-    let slips = units.into_iter().flat_map(|(unit, is, what, number)| {
-        reading.unit_errors(unit).map(move |(slip, left)| (slip, left, is, what, number))
+    let unit_errors = units.into_iter().flat_map(|(unit, is, what, number)| {
+        reading
+            .unit_errors(unit)
+            .map(move |(unit_error, residuals)| (unit_error, residuals, is, what, number))
     });
-    let judged = slips.map(|(slip, left, is, what, number)| {
-        let subject = arm.joint_states(slip.column);
+    let judged = unit_errors.map(|(unit_error, residuals, is, what, number)| {
+        let subject = arm.joint_states(unit_error.column);
         let joint = subject.joint.as_deref().unwrap_or_default();
-        let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+        let (before, after) =
+            (Unit::Metre.show(residuals.as_logged), Unit::Metre.show(residuals.corrected));
         let fault = Fault {
             severity: Severity::Error,
-            cause: Cause::JointUnit(slip.factor),
+            cause: Cause::JointUnit(unit_error.factor),
             title: "prismatic joint not in metres",
             message: format!("the positions of {joint} are {what}, {before} off as logged"),
             evidence: Evidence {
                 effect: Some(format!("{after} once read as {what}")),
-                effect_m: Some(left.as_logged),
+                effect_m: Some(residuals.as_logged),
                 ..Evidence::default()
             },
             fix: format!("divide the positions of {joint} by {number}"),
@@ -127,17 +130,17 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
         SubjectResult::new(subject, Outcome::fail(fault))
             .within(arm.span)
             .estimated(Estimate::slip("length unit", is, "m"))
-            .with_evidence("as_logged_m", left.as_logged)
-            .with_evidence("corrected_m", left.corrected)
+            .with_evidence("as_logged_m", residuals.as_logged)
+            .with_evidence("corrected_m", residuals.corrected)
     });
     judged.collect()
 }
 
-fn fault(stream: &StreamEvidence<PoseEvidence>, slip: &LengthUnitError) -> Fault {
+fn fault(stream: &StreamEvidence<PoseEvidence>, error: &LengthUnitError) -> Fault {
     let topic = stream.topic();
-    let (is, read_as) = (slip.is.words(), slip.read_as.words());
-    let is_metres = slip.is == LengthScale::METRE;
-    let is_millimetres = slip.is == LengthScale::MILLIMETRE;
+    let (is, read_as) = (error.is.words(), error.read_as.words());
+    let is_metres = error.is == LengthScale::METRE;
+    let is_millimetres = error.is == LengthScale::MILLIMETRE;
     let (title, what, fix) = match stream.declared {
         Some(_) => (
             if is_metres {
@@ -157,20 +160,20 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, slip: &LengthUnitError) -> Fault
             format!("positions are {is} instead of metres"),
             match is_millimetres {
                 true => format!("divide the positions of {topic} by 1000"),
-                false => format!("multiply the positions of {topic} by {}", slip.is.in_m()),
+                false => format!("multiply the positions of {topic} by {}", error.is.in_m()),
             },
         ),
     };
-    let [before, after] =
-        [slip.residual.as_logged, slip.residual.corrected].map(|left| Unit::Metre.show(left));
+    let [before, after] = [error.residual.as_logged, error.residual.corrected]
+        .map(|residual| Unit::Metre.show(residual));
     Fault {
         severity: Severity::Error,
-        cause: Cause::LengthUnit(Misread { is: slip.is, read_as: slip.read_as }),
+        cause: Cause::LengthUnit(Misread { is: error.is, read_as: error.read_as }),
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {
             effect: Some(format!("{after} once read as {is}")),
-            effect_m: Some(slip.residual.as_logged),
+            effect_m: Some(error.residual.as_logged),
             ..Evidence::default()
         },
         fix,

@@ -52,13 +52,13 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             Ok(Some(_)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(
                 "no axis convention explains its positions (MDL001); check the model and its joints".to_owned(),
             ),
-            Ok(Some(slip)) => {
-                let outcome = Outcome::fail(fault(stream, slip));
+            Ok(Some(error)) => {
+                let outcome = Outcome::fail(fault(stream, error));
                 return stream
                     .judged(outcome)
-                    .estimated(Estimate::slip("axes", named(slip), Axes::STANDARD.to_string()))
-                    .with_evidence("positions", slip.positions.to_string())
-                    .with_evidence("rotations", slip.rotations.to_string());
+                    .estimated(Estimate::slip("axes", describe_exchange(error), Axes::STANDARD.to_string()))
+                    .with_evidence("positions", error.positions.to_string())
+                    .with_evidence("rotations", error.rotations.to_string());
             }
         };
         stream.judged(outcome)
@@ -67,22 +67,22 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 }
 
 /// A left-handed frame and its opposite encode rotations identically.
-fn are_alike(slip: AxesError) -> bool {
-    slip.positions.conjugator() == slip.rotations.conjugator()
+fn is_same_exchange(error: AxesError) -> bool {
+    error.positions.conjugator() == error.rotations.conjugator()
 }
 
-fn named(slip: AxesError) -> String {
-    let AxesError { positions, rotations } = slip;
+fn describe_exchange(error: AxesError) -> String {
+    let AxesError { positions, rotations } = error;
     match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
-        _ if are_alike(slip) => positions.to_string(),
+        _ if is_same_exchange(error) => positions.to_string(),
         (false, true) => format!("positions {positions}"),
         (true, false) => format!("rotations {rotations}"),
         _ => format!("positions {positions}; rotations {rotations}"),
     }
 }
 
-fn fault(stream: &StreamEvidence<PoseEvidence>, slip: AxesError) -> Fault {
-    let AxesError { positions, rotations } = slip;
+fn fault(stream: &StreamEvidence<PoseEvidence>, error: AxesError) -> Fault {
+    let AxesError { positions, rotations } = error;
     let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         (true, _) => "axes of the rotations are exchanged",
         _ if positions.are_left_handed() => "axes are left-handed",
@@ -111,7 +111,7 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, slip: AxesError) -> Fault {
         lines.push(format!("position ({})", positions.standard_names(false).join(", ")));
     }
     if rotations != Axes::STANDARD {
-        let handed = if are_alike(slip) { positions } else { rotations };
+        let handed = if is_same_exchange(error) { positions } else { rotations };
         lines.push(format!("quaternion ({}, w)", handed.standard_names(true).join(", ")));
     }
     Fault {
@@ -120,7 +120,7 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, slip: AxesError) -> Fault {
         title,
         message: format!(
             "axes are {} instead of {}, {} off as logged",
-            named(slip),
+            describe_exchange(error),
             Axes::STANDARD,
             Unit::Metre.show(before)
         ),
@@ -132,15 +132,15 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, slip: AxesError) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::finding::Status;
 
     #[test]
     fn the_fix_names_each_component() {
         let mut run = clean_run();
-        let slip = AxesError { positions: Axes::UNITY, rotations: Axes::UNITY };
-        run.robots[0].poses[0].diagnosis.axes = Ok(Some(slip));
-        let (rows, findings) = ask(&ORD010, &run);
+        let error = AxesError { positions: Axes::UNITY, rotations: Axes::UNITY };
+        run.robots[0].poses[0].diagnosis.axes = Ok(Some(error));
+        let (rows, findings) = evaluate_rule(&ORD010, &run);
         assert_eq!(rows[0].status, Status::Fail);
         let fix = &findings[0].fix;
         assert!(fix.contains("position (z, -x, y) and quaternion (-z, x, -y, w)"), "{fix}");
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn exchanged_axes_of_rotations_only_are_described() {
         let rotations = "x left, y forward, z down".parse().unwrap();
-        let slip = AxesError { positions: Axes::STANDARD, rotations };
-        assert_eq!(named(slip), "rotations x left, y forward, z down");
+        let error = AxesError { positions: Axes::STANDARD, rotations };
+        assert_eq!(describe_exchange(error), "rotations x left, y forward, z down");
     }
 }

@@ -41,18 +41,18 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         match (&found.axes, found.constant_coordinates.as_slice()) {
             (Err(why), _) => stream.judged(not_observable(why, "move the tip by 10 cm or more")),
             (Ok(_), []) => stream.judged(Outcome::pass()),
-            (Ok(_), parts) => {
-                let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);
-                let values: serde_json::Map<String, serde_json::Value> = parts
+            (Ok(_), constants) => {
+                let range_m = constants.iter().map(|constant| constant.moved_m).fold(0.0, f64::max);
+                let values: serde_json::Map<String, serde_json::Value> = constants
                     .iter()
-                    .map(|part| (part.coordinate.to_string(), part.value.into()))
+                    .map(|constant| (constant.coordinate.to_string(), constant.value.into()))
                     .collect();
                 stream
-                    .judged(Outcome::fail(fault(stream, parts, most)))
+                    .judged(Outcome::fail(fault(stream, constants, range_m)))
                     .estimated(Estimate::exact(
                         "motion that is missing",
                         Unit::Metre.symbol(),
-                        most,
+                        range_m,
                     ))
                     .with_evidence("constant", values)
             }
@@ -63,23 +63,24 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn fault(
     stream: &StreamEvidence<PoseEvidence>,
-    parts: &[ConstantCoordinate],
-    most_m: f64,
+    constants: &[ConstantCoordinate],
+    range_m: f64,
 ) -> Fault {
-    let said: Vec<String> = parts
+    let descriptions: Vec<String> = constants
         .iter()
         .map(|ConstantCoordinate { coordinate, value, moved_m }| {
             let (value, moved) = (rounded(*value, 4), Unit::Metre.show(*moved_m));
             format!("{coordinate} is {value} throughout while FK moves it by {moved}")
         })
         .collect();
-    let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
+    let names: Vec<String> =
+        constants.iter().map(|constant| constant.coordinate.to_string()).collect();
     Fault {
         cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Error,
         title: "a coordinate never changes",
-        message: said.join("; "),
-        evidence: Evidence { effect_m: Some(most_m), ..Evidence::default() },
+        message: descriptions.join("; "),
+        evidence: Evidence { effect_m: Some(range_m), ..Evidence::default() },
         fix: format!("fill {} of {} where it is written", names.join(" and "), stream.topic()),
     }
 }
@@ -87,15 +88,15 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
 
     #[test]
     fn a_constant_coordinate_is_reported_with_its_value() {
         let mut run = clean_run();
-        assert!(ask(&ORD011, &run).1.is_empty());
+        assert!(evaluate_rule(&ORD011, &run).1.is_empty());
         run.robots[0].poses[0].diagnosis.constant_coordinates =
             vec![ConstantCoordinate { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
-        let findings = ask(&ORD011, &run).1;
+        let findings = evaluate_rule(&ORD011, &run).1;
         let expected = "z is 0.0000 throughout while FK moves it by 430 mm";
         assert_eq!(findings[0].message, expected);
     }

@@ -40,11 +40,11 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::MetrePerMetre, warning: 1e-3, error: 5e-3 };
 
-const GROWTH: ScalarRule = ScalarRule {
+const RADIAL_SCALE: ScalarRule = ScalarRule {
     name: "growth with reach",
     threshold: THRESHOLD,
     settle: "reach far out and close in, with every joint moving",
-    fault: |arm, _, growth, severity| fault(arm, growth, severity),
+    fault: |arm, _, radial_scale, severity| fault(arm, radial_scale, severity),
 };
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -55,7 +55,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             let effect_m = change.size.value.abs() * arm.reach_m;
             let (outcome, estimate) = changes::judge_scalar_change(
                 case,
-                GROWTH.name,
+                RADIAL_SCALE.name,
                 title,
                 change,
                 &threshold,
@@ -63,12 +63,12 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             );
             return stream.judged(outcome).estimated(estimate);
         }
-        let growth = stream.with_value(StreamEstimate {
+        let radial_scale = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.radial_scale,
             is_chosen: stream.diagnosis.is_radial_scale_chosen,
             doubt: doubt(arm, &stream.diagnosis),
         });
-        GROWTH.judge(&ZER002, case, arm, &growth)
+        RADIAL_SCALE.judge(&ZER002, case, arm, &radial_scale)
     });
     judged.collect()
 }
@@ -82,14 +82,17 @@ fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
     residual_attribution::model_doubt(arm, 0.0)
 }
 
-fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
-    let (reach, moved_m) = (arm.reach_m, growth.value.abs() * arm.reach_m);
+fn fault(arm: &ArmEvidence, radial_scale: &Measured, severity: Severity) -> Fault {
+    let (reach, moved_m) = (arm.reach_m, radial_scale.value.abs() * arm.reach_m);
     let moved = Unit::Metre.show(moved_m);
     Fault {
         cause: Cause::RadialScale,
         severity,
         title: "error grows with reach",
-        message: format!("positions are off by {} of reach", THRESHOLD.unit.show_signed(growth)),
+        message: format!(
+            "positions are off by {} of reach",
+            THRESHOLD.unit.show_signed(radial_scale)
+        ),
         evidence: Evidence {
             effect: Some(format!("{moved} at full reach ({reach:.2} m)")),
             effect_m: Some(moved_m),
@@ -97,7 +100,7 @@ fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
         },
         fix: format!(
             "look for a scale of {:.4} in the driver, or for a description of a different size",
-            1.0 + growth.value
+            1.0 + radial_scale.value
         ),
     }
 }
@@ -105,14 +108,14 @@ fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
 
     #[test]
     fn a_selected_radial_scale_is_a_finding_with_its_effect_at_reach() {
         let mut run = clean_run();
         let stream = &mut run.robots[0].poses[0].diagnosis;
-        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(sure(0.01)), true);
-        let (_, findings) = ask(&ZER002, &run);
+        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(precise(0.01)), true);
+        let (_, findings) = evaluate_rule(&ZER002, &run);
         assert_eq!(findings[0].evidence.effect.as_deref(), Some("8.5 mm at full reach (0.85 m)"));
         assert_eq!(findings[0].severity, Severity::Error);
     }

@@ -79,14 +79,14 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<NormDefects>>) -> SubjectResul
     SubjectResult::new(subject, outcome)
         .within(stream.span)
         .estimated(Estimate::exact("largest defect", Unit::One.symbol(), worst.largest))
-        .with_evidence("written", word(worst.storage))
+        .with_evidence("written", storage_name(worst.storage))
         .with_evidence("median", worst.median)
         .with_evidence("unset", unset)
         .with_evidence("at_ns", worst.at.map(|at| at.to_string()))
         .with_evidence("frames", frames)
 }
 
-fn word(written: RotationStorage) -> &'static str {
+fn storage_name(written: RotationStorage) -> &'static str {
     match written {
         RotationStorage::Quaternion => "quaternion",
         RotationStorage::Matrix => "matrix",

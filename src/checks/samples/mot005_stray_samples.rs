@@ -55,8 +55,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult {
     let judged = |subject, outcome| SubjectResult::new(subject, outcome).within(stream.span);
-    let are_untold = |part: &Outliers| part.count() == 0;
-    if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
+    let are_unreported = |part: &Outliers| part.count() == 0;
+    if !stream.parts.is_empty() && stream.parts.iter().all(are_unreported) {
         let why = "more than 5 % of the samples jump, so outliers cannot be identified; check the stream \
             itself";
         return judged(stream.subject.clone(), Outcome::Inconclusive(why.to_owned()));
@@ -65,12 +65,12 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
         let why = format!("fewer than {FEWEST_SAMPLES} samples: too few to identify outliers");
         return judged(stream.subject.clone(), Outcome::Inconclusive(why));
     }
-    let told = || stream.parts.iter().filter(|part| !are_untold(part));
-    let amounts = told().map(|part| (part, stream.amount(part)));
+    let reported = || stream.parts.iter().filter(|part| !are_unreported(part));
+    let amounts = reported().map(|part| (part, stream.amount(part)));
     let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
         return judged(stream.subject.clone(), Outcome::pass());
     };
-    let subject = match told().collect::<Vec<_>>().as_slice() {
+    let subject = match reported().collect::<Vec<_>>().as_slice() {
         [only] => Subject {
             joint: only.joint.clone(),
             frame: only.frame.clone().or_else(|| stream.subject.frame.clone()),
@@ -79,7 +79,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
         _ => stream.subject.clone(),
     };
     let count: usize = stream.parts.iter().map(Outliers::count).sum();
-    let parts = told().take(MAX_LISTED).map(|part| {
+    let parts = reported().take(MAX_LISTED).map(|part| {
         json!({
             "joint": part.joint,
             "frame": part.frame,
@@ -102,8 +102,8 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
 impl OutlierEvidence {
     /// Jump of a part.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
-        let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
-        match (turns, part.farthest.length_m) {
+        let is_angle = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
+        match (is_angle, part.farthest.length_m) {
             (true, by) => (Unit::Radian, by),
             (false, 0.0) => (Unit::Radian, part.farthest.angle_rad),
             (false, by) => (Unit::Metre, by),

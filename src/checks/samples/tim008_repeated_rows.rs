@@ -73,10 +73,10 @@ fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> Subject
 
 fn fault(
     stream: &StreamEvidence<RepeatedValueEvidence>,
-    held: &RepeatedValues,
+    repeated_values: &RepeatedValues,
     severity: Severity,
 ) -> Fault {
-    let frame = match (&held.frame, stream.parts.len()) {
+    let frame = match (&repeated_values.frame, stream.parts.len()) {
         (Some(frame), 2..) => format!(" (worst: '{frame}')"),
         _ => String::new(),
     };
@@ -87,10 +87,10 @@ fn fault(
         message: format!(
             "{:.0} % of the rows in motion repeat the previous row{frame}: new values at {:.1} Hz, sent at \
              {:.1} Hz, {} old on average",
-            100.0 * held.share(),
-            held.values_hz,
-            held.rows_hz,
-            Unit::Second.show(held.mean_age_s),
+            100.0 * repeated_values.share(),
+            repeated_values.values_hz,
+            repeated_values.rows_hz,
+            Unit::Second.show(repeated_values.mean_age_s),
         ),
         evidence: Evidence::default(),
         fix: format!(
@@ -103,21 +103,26 @@ fn fault(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{ask, clean_run};
+    use crate::checks::testing::{clean_run, evaluate_rule};
     use crate::evidence::RunEvidence;
     use crate::finding::{Finding, Subject};
 
     fn asked(value: RepeatedValueEvidence) -> Vec<Finding> {
         let subject = Subject { topic: Some("/pose".to_owned()), ..Subject::default() };
-        let held = vec![StreamEvidence { subject, span: None, value }];
-        ask(&TIM008, &RunEvidence { repeated_values: held, ..clean_run() }).1
+        let repeated_values = vec![StreamEvidence { subject, span: None, value }];
+        evaluate_rule(&TIM008, &RunEvidence { repeated_values, ..clean_run() }).1
     }
 
     fn stream(repeated: usize) -> RepeatedValueEvidence {
-        let mut held = RepeatedValues::default();
-        (held.rows, held.repeated) = (1000, repeated);
-        (held.rows_hz, held.values_hz, held.mean_age_s) = (125.0, 25.0, 0.016);
-        RepeatedValueEvidence { parts: vec![held], is_latched: false, is_of_joints: false }
+        let mut repeated_values = RepeatedValues::default();
+        (repeated_values.rows, repeated_values.repeated) = (1000, repeated);
+        (repeated_values.rows_hz, repeated_values.values_hz, repeated_values.mean_age_s) =
+            (125.0, 25.0, 0.016);
+        RepeatedValueEvidence {
+            parts: vec![repeated_values],
+            is_latched: false,
+            is_of_joints: false,
+        }
     }
 
     #[test]

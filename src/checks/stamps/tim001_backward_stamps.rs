@@ -48,8 +48,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 /// Stamp before the step, and its size, s.
 fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
-    let least_s = MIN_STEP_PERIODS * part.period_s.unwrap_or(0.0);
-    part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
+    let min_step_s = MIN_STEP_PERIODS * part.period_s.unwrap_or(0.0);
+    part.steps_back.iter().filter(move |(_, by_s)| *by_s > min_step_s)
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {

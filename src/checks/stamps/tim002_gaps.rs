@@ -122,8 +122,8 @@ fn has_same_gaps(
         let holes = of.required_parts().flat_map(|part| &part.holes);
         holes.map(|hole| (hole.stretch.start, hole.stretch.end)).collect()
     };
-    let own = holes(one);
-    !own.is_empty() && own == holes(other)
+    let holes_of_one = holes(one);
+    !holes_of_one.is_empty() && holes_of_one == holes(other)
 }
 
 /// Parts expected to be periodic; for a stream without a role, those that are.
@@ -191,10 +191,12 @@ fn compare_length(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
 /// Longer than any message delay.
 fn is_long(by: &GapLimits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
-    let own_s = part.period_s.unwrap_or(f64::INFINITY);
+    let stream_period_s = part.period_s.unwrap_or(f64::INFINITY);
     // The declared rate of a /tf topic applies to its fastest transform.
-    let said_s = by.declared_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
-    let period_s = said_s.unwrap_or(own_s);
+    let declared_s = by
+        .declared_period_s
+        .filter(|declared_s| stream_period_s < 2.0 * declared_s || stream_period_s.is_infinite());
+    let period_s = declared_s.unwrap_or(stream_period_s);
     length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 
@@ -360,7 +362,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    fn own() -> GapLimits {
+    fn default_limits() -> GapLimits {
         let run = RunEvidence::default();
         let [gap_periods, gap_s, lost] = [GAP_PERIODS, GAP, LOST].map(|limit| limit.value);
         GapLimits {
@@ -389,13 +391,13 @@ mod tests {
 
     #[test]
     fn a_gap_has_no_samples_for_more_than_ten_periods() {
-        assert!(has_gaps(&own(), &with_hole(11, true)));
-        assert!(!has_gaps(&own(), &with_hole(10, true)));
-        assert!(!has_gaps(&own(), &with_hole(70, false)));
+        assert!(has_gaps(&default_limits(), &with_hole(11, true)));
+        assert!(!has_gaps(&default_limits(), &with_hole(10, true)));
+        assert!(!has_gaps(&default_limits(), &with_hole(70, false)));
         // A hole too short for a gap may be a loss; a clock that is set forward loses nothing.
         let lost = [with_hole(9, true), with_hole(9, false), with_hole(70, false)];
         assert_eq!(
-            lost.map(|part| lost_samples_by_period(&own(), &part)),
+            lost.map(|part| lost_samples_by_period(&default_limits(), &part)),
             [Some(8), Some(8), Some(0)]
         );
     }
@@ -403,20 +405,23 @@ mod tests {
     #[test]
     fn late_samples_and_slow_stretches_are_not_lost() {
         let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
-        assert_eq!(lost_samples(&own(), &late), Some(2));
+        assert_eq!(lost_samples(&default_limits(), &late), Some(2));
         let mut slow = with_hole(9, true);
         let end = Stamp::from_nanos(3000 * MS);
         slow.lulls.push(Stretch { end, rate_hz: 20.0, ..slow.holes[0].stretch });
-        assert_eq!(lost_samples(&own(), &slow), Some(0));
+        assert_eq!(lost_samples(&default_limits(), &slow), Some(0));
     }
 
     #[test]
     fn sequence_numbers_reveal_losses_without_a_period() {
         let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
-        assert_eq!(lost_samples(&own(), &part), None);
+        assert_eq!(lost_samples(&default_limits(), &part), None);
         part.skipped = Some(0);
-        assert_eq!(lost_samples(&own(), &part), None);
+        assert_eq!(lost_samples(&default_limits(), &part), None);
         part.skipped = Some(30);
-        assert!(lost_samples(&own(), &part) == Some(30) && has_losses(&own(), &part));
+        assert!(
+            lost_samples(&default_limits(), &part) == Some(30)
+                && has_losses(&default_limits(), &part)
+        );
     }
 }

@@ -52,7 +52,7 @@ rule! {
 fn check(case: &Case) -> Vec<SubjectResult> {
     let frames = &case.evidence.tf;
     let is_sound =
-        |topic: &&String| !frames.problems.iter().any(|flaw| flaw.topics.contains(topic));
+        |topic: &&String| !frames.problems.iter().any(|problem| problem.topics.contains(topic));
     let sound = frames.topics.iter().filter(is_sound).map(|topic| {
         let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };
         SubjectResult::new(subject, Outcome::pass())
@@ -60,10 +60,10 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     sound.chain(frames.problems.iter().map(judge)).collect()
 }
 
-fn judge(flaw: &TfProblem) -> SubjectResult {
-    let report = TfProblemReport::from_problem(flaw);
+fn judge(problem: &TfProblem) -> SubjectResult {
+    let report = TfProblemReport::from_problem(problem);
     let subject = Subject {
-        topic: flaw.topics.first().cloned(),
+        topic: problem.topics.first().cloned(),
         frame: report.frames.first().cloned(),
         ..Subject::default()
     };
@@ -78,7 +78,7 @@ fn judge(flaw: &TfProblem) -> SubjectResult {
     let mut judged = SubjectResult::new(subject, Outcome::fail(fault))
         .with_evidence("what", report.what)
         .with_evidence("frames", report.frames)
-        .with_evidence("topics", flaw.topics.clone());
+        .with_evidence("topics", problem.topics.clone());
     for (key, value) in report.numbers {
         judged = judged.with_evidence(key, value);
     }
@@ -103,9 +103,9 @@ struct TfProblemReport {
 }
 
 impl TfProblemReport {
-    fn from_problem(flaw: &TfProblem) -> Self {
-        let on = flaw.topics.join(" and ");
-        match &flaw.kind {
+    fn from_problem(problem: &TfProblem) -> Self {
+        let on = problem.topics.join(" and ");
+        match &problem.kind {
             TfProblemKind::SeveralParents { child, parents } => Self {
                 severity: Severity::Error,
                 what: "several-parents",
@@ -195,8 +195,8 @@ impl TfProblemReport {
                 };
                 let frames = edge.iter().flat_map(|edge| [edge.child.clone(), edge.parent.clone()]);
                 let severity = if by.is_some() { Severity::Error } else { Severity::Info };
-                let mut told = by.as_ref().map_or(Vec::new(), |by| distance_json(by).to_vec());
-                told.extend([("rates_hz", json!(rates_hz)), ("samples", json!(rows))]);
+                let mut evidence = by.as_ref().map_or(Vec::new(), |by| distance_json(by).to_vec());
+                evidence.extend([("rates_hz", json!(rates_hz)), ("samples", json!(rows))]);
                 Self {
                     severity,
                     what: "publishers",
@@ -206,7 +206,7 @@ impl TfProblemReport {
                     },
                     frames: frames.collect(),
                     by: *by,
-                    numbers: told,
+                    numbers: evidence,
                     message,
                     fix: format!("find the two nodes that publish {on}, and stop one"),
                 }

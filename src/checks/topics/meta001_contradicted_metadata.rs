@@ -75,15 +75,16 @@ fn contradicted(message: String, fix: String) -> Outcome {
 /// `None` if column names or motion do not determine the rotation encoding.
 fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
     /// Residual of a credible encoding, rad, and ratio of the named encoding's residual to the best.
-    const FOLLOWS_RAD: f64 = 0.17;
-    const CLEAR_RATIO: f64 = 2.0;
+    const MAX_FOLLOWING_RESIDUAL_RAD: f64 = 0.17;
+    const MIN_CLEAR_RATIO: f64 = 2.0;
     let labels = pose.labels?;
-    let reading = pose.diagnosis.encoding.as_ref().ok().filter(|reading| reading.is_determined)?;
-    if reading.best_rad > FOLLOWS_RAD {
+    let encoding =
+        pose.diagnosis.encoding.as_ref().ok().filter(|encoding| encoding.is_determined)?;
+    if encoding.best_rad > MAX_FOLLOWING_RESIDUAL_RAD {
         return None;
     }
     let named = codings(labels, &arm.name);
-    let coding = |reading: &PoseEncoding| match reading {
+    let coding = |encoding: &PoseEncoding| match encoding {
         PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(*convention)),
         PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
             Some(RotationEncoding::Wxyz)
@@ -91,22 +92,24 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
         PoseEncoding::AsLogged => Some(RotationEncoding::Xyzw),
         _ => None,
     };
-    let best = coding(&reading.best)?;
-    let is_named = |reading: &PoseEncoding| coding(reading).is_some_and(|own| named.contains(&own));
-    let limit_rad = CLEAR_RATIO * reading.best_rad.max(Unit::Radian.noise_floor());
-    let is_near = |(reading, rad): &(PoseEncoding, f64)| is_named(reading) && *rad <= limit_rad;
+    let best = coding(&encoding.best)?;
+    let is_named = |encoding: &PoseEncoding| {
+        coding(encoding).is_some_and(|named_coding| named.contains(&named_coding))
+    };
+    let limit_rad = MIN_CLEAR_RATIO * encoding.best_rad.max(Unit::Radian.noise_floor());
+    let is_close = |(encoding, rad): &(PoseEncoding, f64)| is_named(encoding) && *rad <= limit_rad;
     let fits = named.contains(&best)
-        || reading.equivalent.iter().any(is_named)
-        || reading.ranked.iter().any(is_near);
+        || encoding.equivalent.iter().any(is_named)
+        || encoding.ranked.iter().any(is_close);
     let outcome = match fits {
         true => Outcome::pass(),
         false => {
-            let said = named.first().map_or_else(String::new, RotationEncoding::to_string);
+            let label = named.first().map_or_else(String::new, RotationEncoding::to_string);
             let message = format!(
-                "rotation columns are named {} ({said}), but they follow the arm only as {best}",
-                words(labels)
+                "rotation columns are named {} ({label}), but they follow the arm only as {best}",
+                label_text(labels)
             );
-            contradicted(message, format!("rename the columns, or write the rotation as {said}"))
+            contradicted(message, format!("rename the columns, or write the rotation as {label}"))
         }
     };
     Some(pose.judged(outcome))
@@ -130,7 +133,7 @@ fn codings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
     makers.iter().filter_map(|maker| Some(vendors::find(maker)?.coding)).collect()
 }
 
-fn words(labels: RotationLabels) -> &'static str {
+fn label_text(labels: RotationLabels) -> &'static str {
     match labels {
         RotationLabels::Quaternion => "x, y, z, w of a quaternion",
         RotationLabels::RollPitchYaw => "roll, pitch, yaw",

@@ -68,14 +68,14 @@ const MIN_DECLARED_RATE_RATIO: Limit = Limit {
 #[derive(Clone, Copy)]
 pub(in crate::checks) struct SlowRateLimits {
     slow: f64,
-    lasts_s: f64,
+    min_duration_s: f64,
 }
 
 impl SlowRateLimits {
     pub(in crate::checks) fn from_thresholds(case: &Case) -> Self {
-        let [slow, lasts_s] = [&MIN_SLOW_INTERVAL_RATIO, &MIN_SLOW_DURATION]
+        let [slow, min_duration_s] = [&MIN_SLOW_INTERVAL_RATIO, &MIN_SLOW_DURATION]
             .map(|limit| case.thresholds.limit(&TIM006, limit));
-        Self { slow, lasts_s }
+        Self { slow, min_duration_s }
     }
 }
 
@@ -143,23 +143,29 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         case.thresholds.limit(&TIM006, &MAX_EDGE_DIFFERENCE),
     );
     let slowest = |part| slowest_stretch(pace, rhythm, part);
-    let (late_s, early_s) = missed_at_ends(rhythm);
+    let (missing_at_start_s, missing_at_end_s) = missed_at_ends(rhythm);
     let slow: Vec<&Cadence> =
         rhythm.required_parts().filter(|part| slowest(part).is_some()).collect();
     let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
     let shown = |missed_s: f64| Unit::Second.show(missed_s);
-    let (title, message, estimate) = if late_s.max(early_s) > together_s {
-        let message = match (late_s > together_s, early_s > together_s) {
-            (true, false) => format!("begins {} after the other streams", shown(late_s)),
-            (false, _) => format!("ends {} before the other streams", shown(early_s)),
+    let (title, message, estimate) = if missing_at_start_s.max(missing_at_end_s) > together_s {
+        let message = match (missing_at_start_s > together_s, missing_at_end_s > together_s) {
+            (true, false) => {
+                format!("begins {} after the other streams", shown(missing_at_start_s))
+            }
+            (false, _) => format!("ends {} before the other streams", shown(missing_at_end_s)),
             (true, true) => format!(
                 "begins {} after the other streams and ends {} before them",
-                shown(late_s),
-                shown(early_s)
+                shown(missing_at_start_s),
+                shown(missing_at_end_s)
             ),
         };
-        let missed = Estimate::exact("time missed", Unit::Second.symbol(), late_s.max(early_s));
+        let missed = Estimate::exact(
+            "time missed",
+            Unit::Second.symbol(),
+            missing_at_start_s.max(missing_at_end_s),
+        );
         ("stream is incomplete", message, missed)
     } else if let Some((period_s, stretch)) = worst {
         let (usual_hz, rate_hz) = (1.0 / period_s, stretch.rate_hz);
@@ -189,8 +195,8 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     SubjectResult::new(rhythm.subject_of(&slow), Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(estimate)
-        .with_evidence("late_start_s", late_s)
-        .with_evidence("early_end_s", early_s)
+        .with_evidence("late_start_s", missing_at_start_s)
+        .with_evidence("early_end_s", missing_at_end_s)
 }
 
 /// At start and end, s. Zero if the stream may be silent because the arm rests.
@@ -212,7 +218,7 @@ pub(in crate::checks) fn slow_stretches(
 ) -> impl Iterator<Item = &Stretch> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
     let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
-    part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)
+    part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.min_duration_s)
 }
 
 /// Except at rest if the stream may be slow then.

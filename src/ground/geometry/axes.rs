@@ -15,7 +15,7 @@ pub struct Axes {
     reversed: [bool; 3],
 }
 
-const WORDS: [[&str; 2]; 3] = [["forward", "back"], ["left", "right"], ["up", "down"]];
+const DIRECTION_NAMES: [[&str; 2]; 3] = [["forward", "back"], ["left", "right"], ["up", "down"]];
 
 impl Axes {
     /// REP 103.
@@ -46,8 +46,8 @@ impl Axes {
     /// Whether they are left-handed.
     pub fn are_left_handed(self) -> bool {
         let [a, b, c] = self.along;
-        let is_odd = (a > b) ^ (a > c) ^ (b > c);
-        self.reversed.iter().fold(is_odd, |odd, reversed| odd ^ reversed)
+        let is_odd_permutation = (a > b) ^ (a > c) ^ (b > c);
+        self.reversed.iter().fold(is_odd_permutation, |is_odd, reversed| is_odd ^ reversed)
     }
 
     /// Whether they are permuted, not only reversed.
@@ -64,10 +64,11 @@ impl Axes {
     }
 
     /// Converts a vector from these axes.
-    pub fn to_standard(self, own: Vec3) -> Vec3 {
+    pub fn to_standard(self, in_own_axes: Vec3) -> Vec3 {
         let mut standard = Vec3::zeros();
         for axis in 0..3 {
-            standard[self.along[axis]] = if self.reversed[axis] { -own[axis] } else { own[axis] };
+            standard[self.along[axis]] =
+                if self.reversed[axis] { -in_own_axes[axis] } else { in_own_axes[axis] };
         }
         standard
     }
@@ -115,7 +116,8 @@ impl Axes {
 
 impl fmt::Display for Axes {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let words = [0, 1, 2].map(|axis| WORDS[self.along[axis]][usize::from(self.reversed[axis])]);
+        let words = [0, 1, 2]
+            .map(|axis| DIRECTION_NAMES[self.along[axis]][usize::from(self.reversed[axis])]);
         write!(out, "x {}, y {}, z {}", words[0], words[1], words[2])?;
         if self.are_left_handed() { write!(out, " (left-handed)") } else { Ok(()) }
     }
@@ -167,15 +169,16 @@ mod tests {
         let v = Vec3::new(0.3, 0.5, -0.7);
         for axes in Axes::all() {
             let conjugator = axes.conjugator();
-            let own = conjugator * rotation * conjugator.inverse();
+            let in_own_axes = conjugator * rotation * conjugator.inverse();
             assert!(
-                (own * axes.convert_from_standard(v) - axes.convert_from_standard(rotation * v))
-                    .norm()
+                (in_own_axes * axes.convert_from_standard(v)
+                    - axes.convert_from_standard(rotation * v))
+                .norm()
                     < 1e-12,
                 "{axes}"
             );
             let names = axes.standard_names(true);
-            let rotvec = rotvec_from_rotation(&own);
+            let rotvec = rotvec_from_rotation(&in_own_axes);
             let named = |name: &String| {
                 let part = rotvec[["x", "y", "z"].iter().position(|n| name.ends_with(n)).unwrap()];
                 if name.starts_with('-') { -part } else { part }

@@ -150,11 +150,11 @@ impl Convention {
 
 /// Rotation vectors with norm below 4π, rad, shortest first.
 pub(super) fn rotvec_branches(rotation: &Rotation) -> impl Iterator<Item = [f64; 3]> {
-    const TURNS: [f64; 4] = [0.0, -1.0, 1.0, -2.0];
+    const WHOLE_TURNS: [f64; 4] = [0.0, -1.0, 1.0, -2.0];
     let rotvec = rotvec_from_rotation(rotation);
     let angle = rotvec.norm();
-    let known = if angle > 1e-12 { TURNS.len() } else { 1 };
-    TURNS.into_iter().take(known).map(move |turns| match turns {
+    let known = if angle > 1e-12 { WHOLE_TURNS.len() } else { 1 };
+    WHOLE_TURNS.into_iter().take(known).map(move |turns| match turns {
         0.0 => rotvec.into(),
         turns => (rotvec * (1.0 + turns * TAU / angle)).into(),
     })
@@ -475,14 +475,14 @@ mod tests {
 
     #[test]
     fn errors_of_bad_names_describe_the_fault() {
-        let said = |name: &str| name.parse::<Convention>().unwrap_err().to_string();
+        let error_of = |name: &str| name.parse::<Convention>().unwrap_err().to_string();
         for name in ["", "euler:", "euler:xy", "euler:abc", "euler:é", "quat:xyzw", "rotvec@axes"]
         {
-            assert!(said(name).starts_with("unknown rotation convention"), "{name}");
+            assert!(error_of(name).starts_with("unknown rotation convention"), "{name}");
         }
-        assert!(said("euler:xYz").contains("mixes upper and lower case"));
-        assert!(said("euler:xxz").contains("twice in a row"));
-        assert!(said("euler:XZZ@axes").contains("twice in a row"));
-        assert!(said("euler:zyz@axes").contains("three different letters"));
+        assert!(error_of("euler:xYz").contains("mixes upper and lower case"));
+        assert!(error_of("euler:xxz").contains("twice in a row"));
+        assert!(error_of("euler:XZZ@axes").contains("twice in a row"));
+        assert!(error_of("euler:zyz@axes").contains("three different letters"));
     }
 }

@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
 
 /// Closer rotations are the same candidate, rad.
-const SAME_RAD: f64 = 1e-9;
+const MAX_EQUAL_ANGLE_RAD: f64 = 1e-9;
 
 /// Rotation vectors, rad, in general position: maps that agree here agree everywhere.
 const PROBES: [[f64; 3]; 3] = [[0.5, -0.9, 1.3], [-1.9, 0.4, 0.8], [0.3, 2.2, -1.1]];
@@ -41,15 +41,17 @@ impl Misinterpretation {
             }
             (Convention::RotVec, Convention::Euler(read_as)) => {
                 for numbers in read_as.solutions(logged) {
-                    for rotvec in with_whole_turns(numbers).filter(|v| v.norm() <= TAU + SAME_RAD) {
+                    for rotvec in
+                        with_whole_turns(numbers).filter(|v| v.norm() <= TAU + MAX_EQUAL_ANGLE_RAD)
+                    {
                         push_new(out, rotation_from_rotvec(rotvec));
                     }
                 }
             }
             (Convention::Euler(is), Convention::RotVec) => {
-                let shown = -PI - SAME_RAD..=TAU + SAME_RAD;
+                let displayed_range = -PI - MAX_EQUAL_ANGLE_RAD..=TAU + MAX_EQUAL_ANGLE_RAD;
                 for numbers in rotvec_branches(logged) {
-                    if numbers.iter().all(|angle| shown.contains(angle)) {
+                    if numbers.iter().all(|angle| displayed_range.contains(angle)) {
                         push_new(out, is.rotation(numbers));
                     }
                 }
@@ -73,11 +75,11 @@ fn push_new(out: &mut Vec<Rotation>, candidate: Rotation) {
     }
 }
 
-/// Up to [`SAME_RAD`]; q and −q are equal.
+/// Up to [`MAX_EQUAL_ANGLE_RAD`]; q and −q are equal.
 fn is_same(a: &Rotation, b: &Rotation) -> bool {
     // For small angles the distance of unit quaternions is half the angle.
     let sign = if a.coords.dot(&b.coords) < 0.0 { -1.0 } else { 1.0 };
-    (a.coords - b.coords * sign).norm_squared() < (0.5 * SAME_RAD).powi(2)
+    (a.coords - b.coords * sign).norm_squared() < (0.5 * MAX_EQUAL_ANGLE_RAD).powi(2)
 }
 
 /// Misinterpretations that are the same map; no log distinguishes them.
@@ -226,22 +228,22 @@ mod tests {
     }
 
     fn class_of(is: &str, read_as: &str) -> &'static MisinterpretationClass {
-        let wanted = misinterpretation(is, read_as);
-        misinterpretation_classes().iter().find(|class| class.members.contains(&wanted)).unwrap()
+        let pair = misinterpretation(is, read_as);
+        misinterpretation_classes().iter().find(|class| class.members.contains(&pair)).unwrap()
     }
 
     #[test]
     fn the_true_rotation_is_among_the_candidates() {
         let mut random = Lcg::new();
         let mut rotations = Vec::new();
-        let mut shown = Vec::new();
+        let mut displayed_range = Vec::new();
         for class in misinterpretation_classes() {
             for &Misinterpretation { is, read_as } in &class.members {
                 for _ in 0..20 {
                     let truth = rotation_from_rotvec(Vec3::from(random.triple(PI)));
-                    is.branches(&truth, &mut shown);
+                    is.branches(&truth, &mut displayed_range);
                     // Pendants show rotation vectors up to a whole turn, Euler angles on any branch.
-                    for numbers in &shown[..2] {
+                    for numbers in &displayed_range[..2] {
                         let logged = read_as.rotation(*numbers);
                         class.members[0].true_rotations(&logged, &mut rotations);
                         assert!(
@@ -274,7 +276,11 @@ mod tests {
                 assert!((1..=16).contains(&rotations.len()));
                 for (i, a) in rotations.iter().enumerate() {
                     assert!((a.norm() - 1.0).abs() < 1e-12);
-                    assert!(rotations[..i].iter().all(|b| angle_between(a, b) >= 0.9 * SAME_RAD));
+                    assert!(
+                        rotations[..i]
+                            .iter()
+                            .all(|b| angle_between(a, b) >= 0.9 * MAX_EQUAL_ANGLE_RAD)
+                    );
                 }
             }
         }

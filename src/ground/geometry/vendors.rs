@@ -99,8 +99,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 
 /// Finds a vendor or format by name, ignoring case.
 pub fn find(name: &str) -> Option<&'static VendorUse> {
-    let wanted = name.trim().to_lowercase();
-    uses().iter().find(|entry| entry.id.as_ref() == Some(&wanted))
+    let normalized_name = name.trim().to_lowercase();
+    uses().iter().find(|entry| entry.id.as_ref() == Some(&normalized_name))
 }
 
 /// Entries with this encoding.

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use serde_saphyr::{Location, Spanned};
 
 use super::error::{Problem, RobotError};
-use super::joint::MOST;
+use super::joint::MAX_MAGNITUDE;
 use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
@@ -32,8 +32,8 @@ const JOINTS: [&str; 6] = [
 const BLOCKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 
 /// Larger changes of an origin indicate another arm, m and rad.
-const MOST_M: f64 = 0.05;
-const MOST_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+const MAX_ORIGIN_CHANGE_M: f64 = 0.05;
+const MAX_ORIGIN_CHANGE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Measured origins of an arm's joints.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,7 +142,8 @@ impl Calibration {
         for joint in written.joints {
             let at = line(joint.referenced);
             let WrittenJoint { name, xyz, rpy } = joint.value;
-            if xyz.iter().chain(&rpy).any(|number| number.is_nan() || number.abs() > MOST) {
+            if xyz.iter().chain(&rpy).any(|number| number.is_nan() || number.abs() > MAX_MAGNITUDE)
+            {
                 let element = format!("joint '{name}'");
                 return refuse(Some(at), Problem::NotFinite { element });
             }
@@ -167,7 +168,7 @@ fn line(location: Location) -> usize {
 impl Block {
     fn is_finite(&self) -> bool {
         let Self { x, y, z, roll, pitch, yaw } = self;
-        [x, y, z, roll, pitch, yaw].into_iter().all(|number| number.abs() <= MOST)
+        [x, y, z, roll, pitch, yaw].into_iter().all(|number| number.abs() <= MAX_MAGNITUDE)
     }
 
     fn origin(&self) -> Pose {
@@ -223,7 +224,7 @@ impl Robot {
             let nominal = nominal.parent_from_joint;
             let moved_m = (origin.translation.vector - nominal.translation.vector).norm();
             let turned_rad = angle_between(&origin.rotation, &nominal.rotation);
-            if moved_m > MOST_M || turned_rad > MOST_RAD {
+            if moved_m > MAX_ORIGIN_CHANGE_M || turned_rad > MAX_ORIGIN_CHANGE_RAD {
                 let (millimetres, degrees) = (1e3 * moved_m, turned_rad.to_degrees());
                 let robot = self.name.clone();
                 return refuse(Problem::AnotherArm { robot, joint, millimetres, degrees });

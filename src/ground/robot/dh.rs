@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 
 use super::error::Problem;
-use super::joint::{JointDraft, JointKind, Limits, MOST};
+use super::joint::{JointDraft, JointKind, Limits, MAX_MAGNITUDE};
 
 /// Declared convention of a DH table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -135,7 +135,7 @@ impl DhTable {
     fn check_finite(&self) -> Result<(), Problem> {
         let ends = [self.pre_xyz, self.pre_rpy, self.post_xyz, self.post_rpy];
         let mut numbers = self.rows.iter().flatten().chain(ends.iter().flatten());
-        if numbers.all(|number| number.abs() <= MOST) {
+        if numbers.all(|number| number.abs() <= MAX_MAGNITUDE) {
             return Ok(());
         }
         Err(Problem::NotFinite { element: "[dh]".to_owned() })

@@ -8,7 +8,7 @@ use super::model::{LinkId, Robot};
 use crate::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rpy, xyz_of};
 
 /// Maximum FK difference, m and rad.
-const SAME: f64 = 1e-9;
+const MAX_EQUAL_DIFFERENCE: f64 = 1e-9;
 /// Below this angle, rad, axes have no unique common normal.
 const PARALLEL: f64 = 1e-12;
 
@@ -69,7 +69,8 @@ impl Robot {
             let q: Vec<f64> =
                 (0..n).map(|joint| (1.7 * (joint + 1) as f64 * f64::from(k)).sin()).collect();
             let off = own.forward(&q).inv_mul(&chain.forward(&q));
-            off.translation.vector.norm() < SAME && off.rotation.angle() < SAME
+            off.translation.vector.norm() < MAX_EQUAL_DIFFERENCE
+                && off.rotation.angle() < MAX_EQUAL_DIFFERENCE
         });
         is_same.then_some(text)
     }

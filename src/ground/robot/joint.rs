@@ -54,7 +54,7 @@ impl JointKind {
 
 /// Largest length, position or factor: 1000 km, or as many turns. Squares and sums stay finite and accurate
 /// to a micrometre.
-pub(super) const MOST: f64 = 1e6;
+pub(super) const MAX_MAGNITUDE: f64 = 1e6;
 
 /// Stated limits of a joint: rad and rad/s, or m and m/s if prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -70,7 +70,7 @@ pub struct Limits {
 impl Limits {
     /// Removes limits without effect, such as 1e308.
     pub(super) fn within_reason(self) -> Self {
-        let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MOST);
+        let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MAX_MAGNITUDE);
         Self { lower: kept(self.lower), upper: kept(self.upper), velocity: kept(self.velocity) }
     }
 }

@@ -102,7 +102,7 @@ fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
     /// Adding and subtracting it rounds to an integer, which is in the last bits of the sum.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
     /// Above this, rad, the reduction loses digits.
-    const MOST_RAD: f64 = 1e5;
+    const MAX_ANGLE_RAD: f64 = 1e5;
     const HALF_PI: [f64; 3] =
         [1.570_796_310_901_641_8, 1.589_325_471_229_585_7e-8, 6.123_233_995_736_766e-17];
     const SIN: [f64; 6] = [
@@ -121,7 +121,7 @@ fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
         -1.388_888_888_887_305_6e-3,
         4.166_666_666_666_659_5e-2,
     ];
-    if angle_rad.as_array().iter().any(|angle| angle.abs() > MOST_RAD) {
+    if angle_rad.as_array().iter().any(|angle| angle.abs() > MAX_ANGLE_RAD) {
         let both = angle_rad.as_array().map(f64::sin_cos);
         return (f64x4::new(both.map(|both| both.0)), f64x4::new(both.map(|both| both.1)));
     }
@@ -163,9 +163,9 @@ mod tests {
         for angle in edges.into_iter().chain(random) {
             let (sin, cos) = sin_cos(f64x4::new([angle, 0.3, -angle, -0.3]));
             for (lane, angle) in [(0, angle), (2, -angle)] {
-                let off = [sin, cos].map(|of| of.as_array()[lane]);
-                let off = [off[0] - angle.sin(), off[1] - angle.cos()].map(f64::abs);
-                assert!(off[0] < 3e-16 && off[1] < 3e-16, "{angle}: {off:?}");
+                let error = [sin, cos].map(|of| of.as_array()[lane]);
+                let error = [error[0] - angle.sin(), error[1] - angle.cos()].map(f64::abs);
+                assert!(error[0] < 3e-16 && error[1] < 3e-16, "{angle}: {error:?}");
             }
         }
         let (sin, cos) = sin_cos(f64x4::new([f64::NAN, f64::INFINITY, 0.0, 1.0]));
@@ -189,9 +189,13 @@ mod tests {
                 assert_eq!(poses.len(), rows);
                 for (q, pose) in q.chunks_exact(chain.dof()).zip(&poses) {
                     let one = chain.forward(q);
-                    let off_m = (one.translation.vector - pose.translation.vector).norm();
-                    let off_rad = angle_between(&one.rotation, &pose.rotation);
-                    assert!(off_m < 1e-13 && off_rad < 1e-7, "{}: {off_m} {off_rad}", robot.name);
+                    let error_m = (one.translation.vector - pose.translation.vector).norm();
+                    let error_rad = angle_between(&one.rotation, &pose.rotation);
+                    assert!(
+                        error_m < 1e-13 && error_rad < 1e-7,
+                        "{}: {error_m} {error_rad}",
+                        robot.name
+                    );
                 }
             }
         }

@@ -7,7 +7,7 @@ use crate::geometry::{Pose, Vec3};
 
 use super::dh::DhModel;
 use super::error::{ChainError, Located, Problem};
-use super::joint::{JointDraft, JointKind, Limits, LinkDraft, MOST, Mimic};
+use super::joint::{JointDraft, JointKind, Limits, LinkDraft, MAX_MAGNITUDE, Mimic};
 use super::nearest::nearest;
 
 /// Robot: one tree of links and joints.
@@ -358,10 +358,11 @@ fn connect(
         let mimic = draft.mimic.as_ref();
         let numbers = mimic.into_iter().flat_map(|mimic| [mimic.multiplier, mimic.offset]);
         let numbers = numbers.chain(draft.parent_from_joint.translation.vector.iter().copied());
-        if let Some(found) = numbers.map(f64::abs).find(|number| number.is_nan() || *number > MOST)
+        if let Some(found) =
+            numbers.map(f64::abs).find(|number| number.is_nan() || *number > MAX_MAGNITUDE)
         {
             let link = links[child.0].name.clone();
-            return Err((at, Problem::Beyond { joint: name, link, found, most: MOST }));
+            return Err((at, Problem::Beyond { joint: name, link, found, most: MAX_MAGNITUDE }));
         }
         if let Some(first) = links[child.0].parent.replace(joints.len()) {
             let link = links[child.0].name.clone();

@@ -39,7 +39,7 @@ impl Robot {
     /// A log may add a namespace or `tf_prefix`, or use one of `joint_prefixes`.
     pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
         let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
-        let own = self.own_joint_names();
+        let own = self.distinct_joint_names();
         let own_prefixes = self.own_prefixes(&own);
         let mut matches = Vec::new();
         for from in &own_prefixes {
@@ -72,7 +72,7 @@ impl Robot {
         self.renamed(|name| with_prefix_replaced(name, from, to))
     }
 
-    fn own_joint_names(&self) -> Vec<&str> {
+    fn distinct_joint_names(&self) -> Vec<&str> {
         let moving = |joint: &&super::Joint| joint.kind.has_position() && joint.mimic.is_none();
         self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
     }

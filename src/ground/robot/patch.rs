@@ -16,7 +16,7 @@ use crate::geometry::{
 };
 
 /// Resolution of the edited origins, m and rad.
-const WRITTEN: f64 = 1e-9;
+const RESOLUTION: f64 = 1e-9;
 
 /// Error of editing a model's text.
 #[derive(Debug, thiserror::Error)]
@@ -73,7 +73,7 @@ impl Robot {
         let joints = own.joints().iter().zip(read.joints()).enumerate();
         for (index, (joint, read)) in joints.filter(|_| own.dh.is_none()) {
             let motion = motion(joint.kind, &joint.axis, offset_of(index).unwrap_or(0.0));
-            if !is_same(&read.parent_from_joint, &(joint.parent_from_joint * motion)) {
+            if !is_within_resolution(&read.parent_from_joint, &(joint.parent_from_joint * motion)) {
                 return Err(PatchError::NotPatched(joint.name.clone()));
             }
         }
@@ -94,7 +94,7 @@ impl Robot {
         let patched = edited(text, urdf_edits(text, &own, after)?);
         let read = Robot::from_text(&patched, &self.source)?;
         for (joint, read) in to.joints().iter().zip(read.joints()) {
-            if !is_same(&read.parent_from_joint, &joint.parent_from_joint) {
+            if !is_within_resolution(&read.parent_from_joint, &joint.parent_from_joint) {
                 return Err(PatchError::NotPatched(joint.name.clone()));
             }
         }
@@ -110,9 +110,10 @@ impl Robot {
         };
         let own = Robot::from_text(&text, &self.source)?;
         let same = own.joints().iter().zip(self.joints());
-        let mut same =
-            same.map(|(own, joint)| is_same(&own.parent_from_joint, &joint.parent_from_joint));
-        match same.all(|is_same| is_same) {
+        let mut same = same.map(|(own, joint)| {
+            is_within_resolution(&own.parent_from_joint, &joint.parent_from_joint)
+        });
+        match same.all(|is_within_resolution| is_within_resolution) {
             true => Ok((text, own)),
             false => Err(PatchError::Overlaid),
         }
@@ -132,9 +133,10 @@ fn is_xml(text: &str) -> bool {
     super::without_bom(text).trim_start().starts_with('<')
 }
 
-fn is_same(a: &Pose, b: &Pose) -> bool {
-    let apart = a.inverse() * b;
-    apart.translation.vector.norm() < WRITTEN && angle_between(&a.rotation, &b.rotation) < WRITTEN
+fn is_within_resolution(a: &Pose, b: &Pose) -> bool {
+    let difference = a.inverse() * b;
+    difference.translation.vector.norm() < RESOLUTION
+        && angle_between(&a.rotation, &b.rotation) < RESOLUTION
 }
 
 /// In its own frame.
@@ -297,11 +299,12 @@ joint_types = ["revolute", "revolute", "prismatic"]
         let robot = Robot::from_urdf(URDF, "two.urdf").unwrap();
         let offsets = [("turn", 0.02), ("lift", -0.003), ("twist", 0.4), ("another", 1.0)];
         let patched = robot.text_with_offsets(&offsets).unwrap();
-        let mended = Robot::from_urdf(&patched, "patched.urdf").unwrap();
+        let patched_robot = Robot::from_urdf(&patched, "patched.urdf").unwrap();
         for q in [[0.0, 0.0, 0.0], [0.7, 0.1, -2.0]] {
             let truth = [q[0] + 0.02, q[1] - 0.003, q[2] + 0.4];
-            let (found, expected) = (forward(&mended, "tool", &q), forward(&robot, "tool", &truth));
-            assert!(is_same(&found, &expected), "{found} is not {expected}");
+            let (found, expected) =
+                (forward(&patched_robot, "tool", &q), forward(&robot, "tool", &truth));
+            assert!(is_within_resolution(&found, &expected), "{found} is not {expected}");
         }
         let changed = similar::TextDiff::from_lines(URDF, &patched);
         let changed = changed.iter_all_changes();
@@ -315,12 +318,12 @@ joint_types = ["revolute", "revolute", "prismatic"]
         let offsets = [("joint_2", 0.01), ("joint_3", 0.002)];
         let patched = robot.text_with_offsets(&offsets).unwrap();
         assert!(patched.contains("[0.3, 0.1, 1.5, -0.99]") && patched.contains("# the first"));
-        let mended = Robot::from_toml(&patched, "arm.toml").unwrap();
+        let patched_robot = Robot::from_toml(&patched, "arm.toml").unwrap();
         let (found, expected) = (
-            forward(&mended, "tip", &[0.3, -0.4, 0.1]),
+            forward(&patched_robot, "tip", &[0.3, -0.4, 0.1]),
             forward(&robot, "tip", &[0.3, -0.39, 0.102]),
         );
-        assert!(is_same(&found, &expected));
+        assert!(is_within_resolution(&found, &expected));
     }
 
     #[test]
@@ -332,10 +335,10 @@ joint_types = ["revolute", "revolute", "prismatic"]
         assert!(text.contains("convention = \"standard\"  # Craig"), "{text}");
         let read = Robot::from_toml(&text, "arm.toml").unwrap();
         let q = [0.3, -0.4, 0.1];
-        assert!(is_same(&forward(&rebuilt, "tip", &q), &forward(&read, "tip", &q)));
-        assert!(!is_same(&forward(&robot, "tip", &q), &forward(&read, "tip", &q)));
+        assert!(is_within_resolution(&forward(&rebuilt, "tip", &q), &forward(&read, "tip", &q)));
+        assert!(!is_within_resolution(&forward(&robot, "tip", &q), &forward(&read, "tip", &q)));
         let back = rebuilt.under_other_convention().unwrap();
-        assert!(is_same(&forward(&robot, "tip", &q), &forward(&back, "tip", &q)));
+        assert!(is_within_resolution(&forward(&robot, "tip", &q), &forward(&back, "tip", &q)));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use roxmltree::Node;
 
 use crate::geometry::{Pose, pose, rotation_from_rpy};
 
-use super::joint::MOST;
+use super::joint::MAX_MAGNITUDE;
 use super::xml::document;
 use super::{LinkId, Robot};
 
@@ -58,22 +58,22 @@ impl Robot {
         let document = self.text().map(document);
         let Some(Ok(document)) = document else { return Vec::new() };
         // Links may be renamed but keep their order.
-        let links = named(document.root_element(), "link").zip(self.links());
+        let links = child_named(document.root_element(), "link").zip(self.links());
         let visuals = links.flat_map(|(node, link)| {
-            named(node, element).filter_map(move |visual| visual_of(link, visual))
+            child_named(node, element).filter_map(move |visual| visual_of(link, visual))
         });
         visuals.collect()
     }
 }
 
 fn visual_of(link: LinkId, node: Node) -> Option<Visual> {
-    let origin = named(node, "origin").next();
+    let origin = child_named(node, "origin").next();
     let part = |attribute| match origin.and_then(|origin| origin.attribute(attribute)) {
         Some(text) => numbers::<3>(text),
         None => Some([0.0; 3]),
     };
     let link_from_visual = pose(part("xyz")?, rotation_from_rpy(part("rpy")?));
-    let geometry = named(node, "geometry").next()?;
+    let geometry = child_named(node, "geometry").next()?;
     let shape = shape_of(geometry.children().find(Node::is_element)?)?;
     Some(Visual { link, link_from_visual, shape })
 }
@@ -92,7 +92,7 @@ fn shape_of(node: Node) -> Option<Shape> {
     })
 }
 
-fn named<'a, 'input>(
+fn child_named<'a, 'input>(
     node: Node<'a, 'input>,
     name: &'static str,
 ) -> impl Iterator<Item = Node<'a, 'input>> {
@@ -100,8 +100,9 @@ fn named<'a, 'input>(
 }
 
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
-    let words =
-        text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.abs() <= MOST));
+    let words = text
+        .split_whitespace()
+        .map(|word| word.parse().ok().filter(|x: &f64| x.abs() <= MAX_MAGNITUDE));
     words.collect::<Option<Vec<f64>>>()?.try_into().ok()
 }
 

@@ -26,25 +26,26 @@ pub fn document(text: &str) -> Result<Document<'_>, (usize, Problem)> {
         nodes_limit: MAX_NODES,
         ..ParsingOptions::default()
     };
-    Document::parse_with_options(text, options).map_err(|error| (place(text, &error), why(&error)))
+    Document::parse_with_options(text, options)
+        .map_err(|error| (byte_of(text, &error), problem_of(&error)))
 }
 
-fn why(error: &Error) -> Problem {
+fn problem_of(error: &Error) -> Problem {
     match error {
         Error::UnknownNamespace(prefix, _) if prefix == "xacro" => {
             Problem::Xacro { found: "the prefix xacro:".to_owned() }
         }
         Error::DtdDetected => Problem::DocumentType,
-        Error::NodesLimitReached => more(MAX_NODES as usize, "elements and texts"),
+        Error::NodesLimitReached => too_much(MAX_NODES as usize, "elements and texts"),
         other => Problem::Xml(other.to_string()),
     }
 }
 
-fn more(limit: usize, what: &'static str) -> Problem {
+fn too_much(limit: usize, what: &'static str) -> Problem {
     Problem::TooMuch { what, limit }
 }
 
-fn place(text: &str, error: &Error) -> usize {
+fn byte_of(text: &str, error: &Error) -> usize {
     let row = error.pos().row.saturating_sub(1) as usize;
     text.split_inclusive('\n').take(row).map(str::len).sum()
 }
@@ -52,7 +53,7 @@ fn place(text: &str, error: &Error) -> usize {
 /// Rejects documents that would take the parser too much time or memory.
 fn bounded(text: &str) -> Result<(), (usize, Problem)> {
     if text.len() > MAX_TEXT_BYTES {
-        return Err((0, more(MAX_TEXT_BYTES, "bytes")));
+        return Err((0, too_much(MAX_TEXT_BYTES, "bytes")));
     }
     let (mut depth, mut namespaces, mut from) = (0_usize, 0, 0);
     while let Some(start) = text[from..].find('<').map(|at| from + at) {
@@ -77,9 +78,9 @@ fn bounded(text: &str) -> Result<(), (usize, Problem)> {
         namespaces += tag.matches("xmlns").count();
         let quotes = tag.bytes().filter(|byte| matches!(byte, b'"' | b'\'')).count();
         let refusal = [
-            (depth > MAX_DEPTH, more(MAX_DEPTH, "nested elements")),
-            (quotes > 2 * MAX_ATTRIBUTES, more(MAX_ATTRIBUTES, "attributes of an element")),
-            (namespaces > MAX_NAMESPACES, more(MAX_NAMESPACES, "namespaces")),
+            (depth > MAX_DEPTH, too_much(MAX_DEPTH, "nested elements")),
+            (quotes > 2 * MAX_ATTRIBUTES, too_much(MAX_ATTRIBUTES, "attributes of an element")),
+            (namespaces > MAX_NAMESPACES, too_much(MAX_NAMESPACES, "namespaces")),
         ];
         if let Some((_, problem)) = refusal.into_iter().find(|(refused, _)| *refused) {
             return Err((start, problem));

@@ -51,27 +51,27 @@ impl MeasuredLength {
     /// shortening by noise. The bounds are computed from the squared length.
     pub fn estimate(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
         /// Standard deviations in half of a 95 % interval, rounded down to keep a bound at zero.
-        const HALF: f64 = 1.9599;
+        const HALF_WIDTH_SIGMAS: f64 = 1.9599;
         /// p-value above which the interval includes zero.
-        const SURE: f64 = 1e-3;
+        const MAX_SIGNIFICANT_P_VALUE: f64 = 1e-3;
         /// Standard deviations by which noise may have shortened a vector.
-        const UNLUCKY: f64 = 1.4;
+        const SHORTENING_SIGMAS: f64 = 1.4;
         let v = DVector::from_column_slice(vector);
         let (spread, square_spread) = (covariance.trace(), covariance.norm_squared());
         let along = (v.transpose() * covariance * &v)[(0, 0)];
         let square = (v.norm_squared() - spread).max(0.0);
         let variance = (4.0 * along).max(2.0 * square_spread);
-        let reach = HALF * variance.sqrt();
+        let reach = HALF_WIDTH_SIGMAS * variance.sqrt();
         let value = square.sqrt();
         let p_value = joint_p_value(&v, covariance, dof);
         let (mut above, mut below) =
             ((square + reach).sqrt() - value, value - (square - reach).max(0.0).sqrt());
-        if square <= reach || p_value > SURE {
+        if square <= reach || p_value > MAX_SIGNIFICANT_P_VALUE {
             // Near zero, the distribution of the square is skewed and noise may have shortened the vector.
-            above = above.max(v.norm() + UNLUCKY * largest_std_error(covariance) - value);
+            above = above.max(v.norm() + SHORTENING_SIGMAS * largest_std_error(covariance) - value);
             below = value;
         }
-        let std_error = above.max(below) / HALF;
+        let std_error = above.max(below) / HALF_WIDTH_SIGMAS;
         Self { norm: Measured { value, std_error, dof }, p_value }
     }
 }
@@ -90,7 +90,7 @@ pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64)
     if !statistic.is_finite() {
         return 1.0;
     }
-    if dof >= MANY {
+    if dof >= MIN_NORMAL_DOF {
         return ChiSquared::new(count).map_or(1.0, |chi| chi.sf(statistic));
     }
     FisherSnedecor::new(count, dof.max(2.0)).map_or(1.0, |f| f.sf(statistic / count))
@@ -98,10 +98,10 @@ pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64)
 
 /// Degrees of freedom from which the normal quantile replaces Student's t. The difference is below 0.3 %
 /// even at p = 1 − 1e-6.
-const MANY: f64 = 2000.0;
+const MIN_NORMAL_DOF: f64 = 2000.0;
 
 fn quantile(p: f64, dof: f64) -> f64 {
-    if dof >= MANY {
+    if dof >= MIN_NORMAL_DOF {
         return Normal::standard().inverse_cdf(p);
     }
     StudentsT::new(0.0, 1.0, dof.max(2.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(p))
@@ -169,8 +169,12 @@ mod tests {
     #[test]
     fn a_vector_of_noise_is_rarely_significant() {
         let all = lengths([0.0; 3], [1.0, 0.3, 2.0]);
-        let taken = |bound: f64| all.iter().filter(|length| length.p_value < bound).count();
-        assert!((150..250).contains(&taken(0.05)) && taken(0.001) < 14, "{}", taken(0.05));
+        let significant = |bound: f64| all.iter().filter(|length| length.p_value < bound).count();
+        assert!(
+            (150..250).contains(&significant(0.05)) && significant(0.001) < 14,
+            "{}",
+            significant(0.05)
+        );
         assert!(all.iter().filter(|length| length.norm.interval(0.95)[0] > 0.0).count() < 40);
     }
 

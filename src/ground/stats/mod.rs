@@ -10,8 +10,8 @@ pub use measured::{Measured, MeasuredLength};
 pub const STD_DEV_PER_MEDIAN: f64 = 1.4826;
 
 /// Quantile at `part` (0 to 1); `None` without values. Reorders `values`.
-pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
-    let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
+pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let at = ((values.len() as f64 * share) as usize).min(values.len().checked_sub(1)?);
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 

@@ -1,53 +1,53 @@
 //! Rows of long streams for plots.
 
 /// Every k-th row and the last, with the smallest k for at most `most` rows.
-pub fn even_rows(rows: usize, most: usize) -> Vec<usize> {
-    let step = rows.div_ceil(most.max(1)).max(1);
+pub fn even_rows(rows: usize, max_rows: usize) -> Vec<usize> {
+    let step = rows.div_ceil(max_rows.max(1)).max(1);
     let last = rows.checked_sub(1).filter(|last| last % step != 0);
     (0..rows).step_by(step).chain(last).collect()
 }
 
 /// Minima and maxima of each series in equal intervals, in order: about `most` rows, or all if not more.
-pub fn extreme_rows(series: &[&[f64]], most: usize) -> Vec<usize> {
+pub fn extreme_rows(series: &[&[f64]], max_rows: usize) -> Vec<usize> {
     let rows = series.first().map_or(0, |values| values.len());
-    if rows <= most {
+    if rows <= max_rows {
         return (0..rows).collect();
     }
-    let stretch = rows.div_ceil((most / (2 * series.len())).max(1));
-    let mut kept = Vec::with_capacity(most);
+    let stretch = rows.div_ceil((max_rows / (2 * series.len())).max(1));
+    let mut selected = Vec::with_capacity(max_rows);
     for start in (0..rows).step_by(stretch) {
         let range = start..(start + stretch).min(rows);
-        let of_stretch = kept.len();
+        let of_stretch = selected.len();
         for values in series {
             let by_value = |a: &usize, b: &usize| values[*a].total_cmp(&values[*b]);
-            kept.extend(range.clone().min_by(by_value));
-            kept.extend(range.clone().max_by(by_value));
+            selected.extend(range.clone().min_by(by_value));
+            selected.extend(range.clone().max_by(by_value));
         }
-        kept[of_stretch..].sort_unstable();
+        selected[of_stretch..].sort_unstable();
     }
-    kept.dedup();
-    kept
+    selected.dedup();
+    selected
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const MOST: usize = 4_000;
+    const MAX_ROWS: usize = 4_000;
 
     #[test]
     fn short_streams_are_not_thinned() {
-        assert_eq!(even_rows(5, MOST), [0, 1, 2, 3, 4]);
-        assert_eq!(extreme_rows(&[&[3.0, 1.0, 2.0]], MOST), [0, 1, 2]);
-        assert!(even_rows(0, MOST).is_empty() && extreme_rows(&[&[]], MOST).is_empty());
-        assert!(extreme_rows(&[], MOST).is_empty());
+        assert_eq!(even_rows(5, MAX_ROWS), [0, 1, 2, 3, 4]);
+        assert_eq!(extreme_rows(&[&[3.0, 1.0, 2.0]], MAX_ROWS), [0, 1, 2]);
+        assert!(even_rows(0, MAX_ROWS).is_empty() && extreme_rows(&[&[]], MAX_ROWS).is_empty());
+        assert!(extreme_rows(&[], MAX_ROWS).is_empty());
     }
 
     #[test]
     fn a_thinned_stream_keeps_its_ends_and_the_row_limit() {
-        for rows in [MOST + 1, 10_001, 123_457] {
-            let kept = even_rows(rows, MOST);
-            assert!(kept.len() <= MOST + 1 && kept.is_sorted());
+        for rows in [MAX_ROWS + 1, 10_001, 123_457] {
+            let kept = even_rows(rows, MAX_ROWS);
+            assert!(kept.len() <= MAX_ROWS + 1 && kept.is_sorted());
             assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&(rows - 1))));
         }
     }
@@ -57,8 +57,8 @@ mod tests {
         let mut up: Vec<f64> = (0..100_000).map(|row| f64::from(row % 7)).collect();
         let mut down: Vec<f64> = (0..100_000).map(|row| f64::from(row % 11)).collect();
         (up[51_234], down[70_001]) = (99.0, -99.0);
-        let kept = extreme_rows(&[&up, &down], MOST);
-        assert!(kept.len() <= MOST && kept.is_sorted());
+        let kept = extreme_rows(&[&up, &down], MAX_ROWS);
+        assert!(kept.len() <= MAX_ROWS && kept.is_sorted());
         assert!(kept.contains(&51_234) && kept.contains(&70_001));
     }
 }

@@ -137,11 +137,11 @@ pub struct JointColumn {
 }
 
 /// Largest plausible magnitude, in any unit. Its square does not overflow.
-const MOST: f64 = 1e12;
+const MAX_MAGNITUDE: f64 = 1e12;
 
 /// Whether a value is finite and at most 1e12 in magnitude.
 pub fn is_usable(value: f64) -> bool {
-    value.abs() <= MOST
+    value.abs() <= MAX_MAGNITUDE
 }
 
 /// A JointState topic.

@@ -77,28 +77,29 @@ impl JointTrack {
     }
 
     /// Whether the interval after `left` is too long and a joint moved in it.
-    fn is_gap(&self, left: usize) -> bool {
-        const LONG_S: f64 = 0.1;
-        const PERIODS: f64 = 10.0;
+    fn is_gap(&self, row: usize) -> bool {
+        const MIN_GAP_S: f64 = 0.1;
+        const MIN_GAP_PERIODS: f64 = 10.0;
         /// A gap regardless of adjacent intervals, s.
-        const UNTOLD_S: f64 = 2.0;
+        const MAX_INTERVAL_S: f64 = 2.0;
         /// Change and speed of a joint at rest: rad or m, and rad/s or m/s.
-        const STILL: (f64, f64) = (1e-3, 1e-2);
-        let interval = |left: usize| Some(self.t_s.get(left + 1)? - self.t_s[left]);
-        let is_longer =
-            |h: f64, beside: Option<f64>| beside.is_some_and(|beside| h > PERIODS * beside);
-        let h = self.t_s[left + 1] - self.t_s[left];
-        if h <= LONG_S
-            || !(h > UNTOLD_S
-                || is_longer(h, left.checked_sub(1).and_then(interval))
-                || is_longer(h, interval(left + 1)))
+        const MAX_REST_CHANGE_AND_SPEED: (f64, f64) = (1e-3, 1e-2);
+        let interval = |row: usize| Some(self.t_s.get(row + 1)? - self.t_s[row]);
+        let is_longer = |h: f64, adjacent: Option<f64>| {
+            adjacent.is_some_and(|adjacent| h > MIN_GAP_PERIODS * adjacent)
+        };
+        let h = self.t_s[row + 1] - self.t_s[row];
+        if h <= MIN_GAP_S
+            || !(h > MAX_INTERVAL_S
+                || is_longer(h, row.checked_sub(1).and_then(interval))
+                || is_longer(h, interval(row + 1)))
         {
             return false;
         }
-        let (a, b) = (self.row(left), self.row(left + 1));
-        let speeds = &self.qd[left * self.dof..(left + 2) * self.dof];
-        a.iter().zip(b).any(|(a, b)| (a - b).abs() > STILL.0)
-            || speeds.iter().any(|speed| speed.abs() > STILL.1)
+        let (a, b) = (self.row(row), self.row(row + 1));
+        let speeds = &self.qd[row * self.dof..(row + 2) * self.dof];
+        a.iter().zip(b).any(|(a, b)| (a - b).abs() > MAX_REST_CHANGE_AND_SPEED.0)
+            || speeds.iter().any(|speed| speed.abs() > MAX_REST_CHANGE_AND_SPEED.1)
     }
 }
 
@@ -123,10 +124,10 @@ fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
 /// differences. Long series are subsampled; 0 for fewer than three samples.
 pub fn sample_noise(q: &[f64]) -> f64 {
     /// Determines the median within 1 %.
-    const ENOUGH: usize = 25_000;
-    let some = q.windows(3).step_by(q.len().div_ceil(ENOUGH).max(1));
-    let mut bends: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    STD_DEV_PER_MEDIAN * median(&mut bends).unwrap_or(0.0) / 6f64.sqrt()
+    const MAX_DIFFERENCES: usize = 25_000;
+    let some = q.windows(3).step_by(q.len().div_ceil(MAX_DIFFERENCES).max(1));
+    let mut second_differences: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
+    STD_DEV_PER_MEDIAN * median(&mut second_differences).unwrap_or(0.0) / 6f64.sqrt()
 }
 
 /// Orientations of a pose stream.

@@ -28,16 +28,18 @@ pub fn judge(
     let clipped = clipped.map(|clipped| saturates(imu, clipped, &threshold));
     let found: Vec<SubjectResult> =
         clipped.into_iter().chain(gain(case, imu, &threshold)).collect();
-    let odd = odd(thresholds, imu);
-    match (found.is_empty(), odd) {
+    let deviations = deviations(thresholds, imu);
+    match (found.is_empty(), deviations) {
         (false, Outcome::Evaluated(_)) => found,
-        (_, odd) => found.into_iter().chain([imu.judged(odd).within(imu.span)]).collect(),
+        (_, deviations) => {
+            found.into_iter().chain([imu.judged(deviations).within(imu.span)]).collect()
+        }
     }
 }
 
 /// Rest by orientation, gyro and measured gravity. The orientation is filtered, so only the error threshold
 /// applies.
-fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
+fn deviations(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
     /// Gyro residual over the arm's rate.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and the largest relative error of a healthy accelerometer's median on a
@@ -46,37 +48,41 @@ fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outco
     let Some(proof) = &imu.proof else {
         return Outcome::Skipped("it does not rotate with the arm".to_owned());
     };
-    let mut odd = Vec::new();
+    let mut deviations = Vec::new();
     let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
     let coarse = FrameThresholds { angle, ..*thresholds };
-    if let Some(left) = proof
+    if let Some(exceeding) = proof
         .orientation
         .as_ref()
         .and_then(|error| ExceedingResidual::from_error_above_noise(error, &coarse))
     {
-        let most = Unit::Radian.show(left.worst.magnitude.quantile_95);
-        odd.push(format!("its orientation is off by up to {most} after correction"));
+        let quantile = Unit::Radian.show(exceeding.worst.magnitude.quantile_95);
+        deviations.push(format!("its orientation is off by up to {quantile} after correction"));
     }
-    if let Some(GyroResidual { scale, residual: left, by_fk, noise }) = proof.gyro
-        && left > SHARE * by_fk
-        && left > 2.0 * noise
+    if let Some(GyroResidual { scale, residual: exceeding, by_fk, noise }) = proof.gyro
+        && exceeding > SHARE * by_fk
+        && exceeding > 2.0 * noise
     {
-        odd.push(format!(
+        deviations.push(format!(
             "its gyro rate is {scale:.2} times the arm's (residual {} of {})",
-            Unit::GyroRate.show(left),
+            Unit::GyroRate.show(exceeding),
             Unit::GyroRate.show(by_fk)
         ));
     }
     let (standard, share) = GRAVITY;
-    if let Some(felt) = proof.gravity_m_s2.filter(|felt| (felt / standard - 1.0).abs() > share) {
-        odd.push(format!("its accelerometer measures {felt:.2} m/s² instead of {standard} m/s²"));
+    if let Some(gravity) =
+        proof.gravity_m_s2.filter(|gravity| (gravity / standard - 1.0).abs() > share)
+    {
+        deviations.push(format!(
+            "its accelerometer measures {gravity:.2} m/s² instead of {standard} m/s²"
+        ));
     }
-    if odd.is_empty() {
+    if deviations.is_empty() {
         return Outcome::pass();
     }
     Outcome::Inconclusive(format!(
         "{}; no finding explains this: check its units and axes",
-        odd.join("; ")
+        deviations.join("; ")
     ))
 }
 

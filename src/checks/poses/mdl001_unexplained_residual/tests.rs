@@ -1,15 +1,17 @@
 use super::*;
 use crate::checks::evaluate;
-use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
+use crate::checks::testing::{POSE, clean_run, evaluate_rule, frame, precise, residual_check_of};
 use crate::diagnosis::{FrameEstimate, NotObservable, ResidualCheck, SampleNoise};
 use crate::finding::{CheckRow, Finding, Status};
 
 fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (CheckRow, Vec<Finding>) {
     let mut run = clean_run();
-    run.robots[0].poses[0].proof =
-        Ok(ResidualCheck { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
+    run.robots[0].poses[0].proof = Ok(ResidualCheck {
+        as_logged: residual_check_of(as_logged_m, 0.0).as_logged,
+        ..residual_check_of(left_m, 0.0)
+    });
     change(&mut run.robots[0]);
-    let (rows, findings) = ask(&MDL001, &run);
+    let (rows, findings) = evaluate_rule(&MDL001, &run);
     let row = rows.into_iter().find(|row| row.subject.label() == POSE);
     (row.expect("the stream was asked about"), findings)
 }
@@ -34,7 +36,7 @@ fn an_unexplained_residual_is_a_finding_above_noise_and_inconclusive_if_noise_is
 
 #[test]
 fn findings_explain_their_effect_and_inconclusive_causes_do_not() {
-    let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
+    let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(precise(0.02));
     assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
     let (row, _) = judged(0.03, 1e-4, |arm| {
         arm.poses[0].diagnosis.latency_s = Err(NotObservable::Periodic(vec![0.0, 0.3]));
@@ -72,7 +74,7 @@ fn joint_states_without_a_reference_are_inconclusive() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
     (arm.poses, arm.tf, arm.imus) = (Vec::new(), None, Vec::new());
-    let (rows, _) = ask(&MDL001, &run);
+    let (rows, _) = evaluate_rule(&MDL001, &run);
     let why = rows[0].reason.as_deref().unwrap_or_default();
     assert_eq!(rows[0].status, Status::Inconclusive);
     assert!(why.contains("nothing in this log can be compared with /joint_states"), "{why}");
@@ -82,10 +84,10 @@ fn joint_states_without_a_reference_are_inconclusive() {
 fn a_disagreement_of_poses_and_joints_withdraws_all_causes_with_the_reason() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
-    arm.poses[0].proof = Ok(left(0.7, 0.7));
+    arm.poses[0].proof = Ok(residual_check_of(0.7, 0.7));
     let stream = &mut arm.poses[0].diagnosis;
     stream.residual = Err(NotObservable::NotExcited);
-    stream.latency_s = Ok(sure(0.05));
+    stream.latency_s = Ok(precise(0.05));
     let evaluation = evaluate(&run, &Default::default());
     let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
     assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
@@ -111,7 +113,7 @@ fn a_competing_model_that_fits_is_the_finding() {
         residual_m: 2e-5,
         tool_m: None,
     });
-    let finding = ask(&MDL001, &run).1.remove(0);
+    let finding = evaluate_rule(&MDL001, &run).1.remove(0);
     assert!(finding.message.contains("to 20 µm with no further correction"), "{}", finding.message);
     assert!(finding.message.ends_with("only to 27.4 mm"), "{}", finding.message);
     assert_eq!(finding.severity, Severity::Error);
@@ -121,10 +123,10 @@ fn a_competing_model_that_fits_is_the_finding() {
 #[test]
 fn the_residual_of_a_guessed_arm_is_inconclusive_if_another_fits_equally() {
     let mut run = clean_run();
-    run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
-    assert_eq!(ask(&MDL001, &run).1.len(), 1);
+    run.robots[0].poses[0].proof = Ok(residual_check_of(0.03, 0.0));
+    assert_eq!(evaluate_rule(&MDL001, &run).1.len(), 1);
     run.robots[0].indistinguishable_models = vec!["ur5e".to_owned()];
-    let (rows, findings) = ask(&MDL001, &run);
+    let (rows, findings) = evaluate_rule(&MDL001, &run);
     assert!(findings.is_empty(), "{findings:?}");
     let row = rows.iter().find(|row| row.status == Status::Inconclusive).unwrap();
     assert!(
@@ -137,11 +139,11 @@ fn the_residual_of_a_guessed_arm_is_inconclusive_if_another_fits_equally() {
 fn an_unexplained_residual_withdraws_tool_and_radial_scale() {
     let found = |tool_m: f64| {
         let mut run = clean_run();
-        run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
+        run.robots[0].poses[0].proof = Ok(residual_check_of(0.03, 0.0));
         let stream = &mut run.robots[0].poses[0].diagnosis;
-        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(sure(0.01)), true);
+        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(precise(0.01)), true);
         stream.tool = Ok(FrameEstimate { is_chosen: true, p_value: 0.0, ..frame(tool_m) });
-        stream.residual.as_mut().unwrap().excess_m = sure(0.02);
+        stream.residual.as_mut().unwrap().excess_m = precise(0.02);
         let findings = evaluate(&run, &Default::default()).findings;
         let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();
         codes.sort_unstable();

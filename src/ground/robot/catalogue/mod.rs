@@ -67,14 +67,16 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// Finds an arm by name or alias, ignoring case; `-` and spaces are `_`. Vendor and suffix may be omitted
 /// if unique: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` is `abb_irb120_3_58`.
 pub fn find(name: &str) -> Option<&'static Robot> {
-    let wanted = normalised(name);
-    let is_called = |robot: &&Robot| robot.name == wanted || robot.aliases.contains(&wanted);
+    let normalized_name = normalised(name);
+    let is_called =
+        |robot: &&Robot| robot.name == normalized_name || robot.aliases.contains(&normalized_name);
     // A vendor has one or two words; a model starts with a letter and contains a digit.
-    let is_model = wanted.starts_with(|first: char| first.is_ascii_alphabetic())
-        && wanted.contains(|c: char| c.is_ascii_digit());
+    let is_model = normalized_name.starts_with(|first: char| first.is_ascii_alphabetic())
+        && normalized_name.contains(|c: char| c.is_ascii_digit());
     let is_short_for = |robot: &&Robot| {
         let makers = robot.name.match_indices('_').take(2);
-        let mut ends = makers.filter_map(|(at, _)| robot.name[at + 1..].strip_prefix(&wanted));
+        let mut ends =
+            makers.filter_map(|(at, _)| robot.name[at + 1..].strip_prefix(&normalized_name));
         is_model && ends.any(|rest| rest.is_empty() || rest.starts_with('_'))
     };
     entries().iter().find(is_called).or_else(|| {
@@ -86,25 +88,27 @@ pub fn find(name: &str) -> Option<&'static Robot> {
 /// Up to three names or aliases like a misspelt or shortened `name`, most similar first. Those that contain
 /// it precede similar ones, with or without vendor.
 pub fn nearest_names(name: &str) -> Vec<&'static str> {
-    let wanted = normalised(name);
+    let normalized_name = normalised(name);
     let aliases = || entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
     let known = || names().chain(aliases());
-    let is_part = |known: &&str| wanted.len() > 1 && known.contains(wanted.as_str());
-    let mut longer: Vec<&str> = known().filter(is_part).collect();
+    let contains_name =
+        |known: &&str| normalized_name.len() > 1 && known.contains(normalized_name.as_str());
+    let mut longer: Vec<&str> = known().filter(contains_name).collect();
     longer.sort_by_key(|known| known.len());
     longer.truncate(3);
     if !longer.is_empty() {
         return longer;
     }
-    let whole = nearest(&wanted, known());
-    if !whole.is_empty() {
-        return whole;
+    let similar_ids = nearest(&normalized_name, known());
+    if !similar_ids.is_empty() {
+        return similar_ids;
     }
     let model = |known: &'static str| known.rsplit('_').next().unwrap_or(known);
-    let near = nearest(&wanted, known().map(model));
-    let mut meant: Vec<&str> = known().filter(|known| near.contains(&model(known))).collect();
-    meant.truncate(3);
-    meant
+    let similar = nearest(&normalized_name, known().map(model));
+    let mut candidates: Vec<&str> =
+        known().filter(|known| similar.contains(&model(known))).collect();
+    candidates.truncate(3);
+    candidates
 }
 
 /// Finds arms with at least half of their joints among the `logged` names, best first.
@@ -123,8 +127,8 @@ pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
         .collect();
     candidates.sort_by(|a, b| {
         let (a, b) = (&a.names, &b.names);
-        let by_part = (b.matched * a.joints).cmp(&(a.matched * b.joints));
-        by_part
+        let by_matched_share = (b.matched * a.joints).cmp(&(a.matched * b.joints));
+        by_matched_share
             .then(b.matched.cmp(&a.matched))
             .then(a.unknown_prefix_chars.cmp(&b.unknown_prefix_chars))
     });
