@@ -94,21 +94,21 @@ mod tests {
 
     /// Residuals in m: \[nominal, calibrated\], on training data and on held-out segments. The nominal
     /// model has an expected error of 1 mm.
-    fn found(
+    fn calibration_with(
         expected_m: f64,
         [before, after]: [f64; 2],
-        [unseen, foretold]: [f64; 2],
+        [held_out_before, held_out_after]: [f64; 2],
     ) -> ArmCalibration {
-        let left = |m: f64| CalibrationResidual { m, rad: m };
+        let residual = |m: f64| CalibrationResidual { m, rad: m };
         let stream = StreamCalibration {
             samples: 1000,
             latency_s: None,
             reference: None,
             tool: None,
-            before: left(before),
-            after: left(after),
-            held_out_before: left(unseen),
-            held_out_after: left(foretold),
+            before: residual(before),
+            after: residual(after),
+            held_out_before: residual(held_out_before),
+            held_out_after: residual(held_out_after),
             noise: [1e-5, 1e-5],
             inflation: [1.0, 1.0],
             spans: vec![2.0, 2.0, 2.0, 0.1, 2.0, 2.0],
@@ -126,22 +126,25 @@ mod tests {
             dof: 1000.0,
             streams: vec![stream],
             undetermined: Vec::new(),
-            calibrated_uncertainty: left(expected_m),
-            nominal_uncertainty: left(1e-3),
+            calibrated_uncertainty: residual(expected_m),
+            nominal_uncertainty: residual(1e-3),
         }
     }
 
     #[test]
     fn a_calibration_no_better_than_the_nominal_model_is_refused() {
-        let good = found(1e-5, [1e-3, 2e-5], [1e-3, 2e-5]);
+        let good = calibration_with(1e-5, [1e-3, 2e-5], [1e-3, 2e-5]);
         assert_eq!(rejection_reason(&good, &[]), None);
         // The nominal model already fits to within the noise.
-        assert_eq!(rejection_reason(&found(1e-5, [1.8e-5, 1.7e-5], [1.8e-5, 1.9e-5]), &[]), None);
+        assert_eq!(
+            rejection_reason(&calibration_with(1e-5, [1.8e-5, 1.7e-5], [1.8e-5, 1.9e-5]), &[]),
+            None
+        );
         for (bad, why) in [
-            (found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]), "0.700 mm rms calibrated"),
-            (found(f64::NAN, [1e-3, 2e-5], [1e-3, 2e-5]), "rms calibrated"),
-            (found(1e-5, [1e-3, 2e-5], [1e-3, 9.5e-4]), "cross-validated residual"),
-            (found(1e-5, [1e-3, 2e-3], [1e-3, 2e-5]), "exceeds the nominal residual"),
+            (calibration_with(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]), "0.700 mm rms calibrated"),
+            (calibration_with(f64::NAN, [1e-3, 2e-5], [1e-3, 2e-5]), "rms calibrated"),
+            (calibration_with(1e-5, [1e-3, 2e-5], [1e-3, 9.5e-4]), "cross-validated residual"),
+            (calibration_with(1e-5, [1e-3, 2e-3], [1e-3, 2e-5]), "exceeds the nominal residual"),
         ] {
             let refused = rejection_reason(&bad, &[]).unwrap_or_default();
             assert!(refused.contains(why), "{refused}");
@@ -151,7 +154,7 @@ mod tests {
     #[test]
     fn a_stream_without_improvement_over_the_nominal_model_is_reported() {
         let gains = |left: [f64; 2], unseen: [f64; 2]| {
-            stream_rejection_reason(&found(1e-5, left, unseen).streams[0]).is_none()
+            stream_rejection_reason(&calibration_with(1e-5, left, unseen).streams[0]).is_none()
         };
         assert!(gains([1e-3, 2e-5], [1e-3, 2e-5]));
         assert!(!gains([1e-3, 2e-3], [1e-3, 2e-5]));
@@ -160,12 +163,12 @@ mod tests {
 
     #[test]
     fn joints_with_little_motion_are_listed() {
-        let found = found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]);
+        let calibration_with = calibration_with(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]);
         let joints = ["a", "b", "c", "d", "e", "f"].map(str::to_owned);
-        let unmoved = unmoved_joints(&found.robot, &joints, &found);
+        let unmoved = unmoved_joints(&calibration_with.robot, &joints, &calibration_with);
         assert_eq!(unmoved.iter().map(|one| one.joint.as_str()).collect::<Vec<_>>(), ["d"]);
         assert!(
-            rejection_reason(&found, &unmoved)
+            rejection_reason(&calibration_with, &unmoved)
                 .is_some_and(|why| why.contains("d moved too little"))
         );
     }

@@ -221,7 +221,7 @@ fn judge_undeclared(
 
 /// For bare positions that match FK in another unit than metres.
 fn report_inferred_length(topic: &str, error: &LengthUnitError) -> Outcome {
-    let is = error.is.words();
+    let is = error.is.plural_name();
     Outcome::fail(Fault {
         severity: Severity::Info,
         cause: Cause::LengthUnit(Misread { is: error.is, read_as: error.read_as }),
@@ -470,11 +470,11 @@ mod tests {
 
     #[test]
     fn conventions_have_descriptions() {
-        let words = |name: &str| name.parse().map(describe_convention);
-        assert_eq!(words("euler:xyz").as_deref(), Ok("roll-pitch-yaw"));
-        assert_eq!(words("rotvec").as_deref(), Ok("rotation vector"));
-        assert_eq!(words("euler:ZYX").as_deref(), Ok("moving-axes ZYX angles"));
+        let plural_name = |name: &str| name.parse().map(describe_convention);
+        assert_eq!(plural_name("euler:xyz").as_deref(), Ok("roll-pitch-yaw"));
+        assert_eq!(plural_name("rotvec").as_deref(), Ok("rotation vector"));
+        assert_eq!(plural_name("euler:ZYX").as_deref(), Ok("moving-axes ZYX angles"));
         let labelled = "fixed-axes xzy angles labelled by axis";
-        assert_eq!(words("euler:xzy@axes").as_deref(), Ok(labelled));
+        assert_eq!(plural_name("euler:xzy@axes").as_deref(), Ok(labelled));
     }
 }

@@ -141,7 +141,10 @@ fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
             LengthScale::MILLIMETRE => {
                 "millimetres assumed: a length exceeds 10; override with --m".to_owned()
             }
-            _ => format!("{} assumed: a length exceeds 10,000; override with --mm", length.words()),
+            _ => format!(
+                "{} assumed: a length exceeds 10,000; override with --mm",
+                length.plural_name()
+            ),
         });
     }
     if reading.form.has_angles() && known.units.angle.is_none() {
@@ -153,7 +156,10 @@ fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
                 "degrees assumed: an angle exceeds 6.9; override with --rad".to_owned()
             }
             parts => {
-                format!("{} assumed: an angle exceeds 1,000; override with --deg", parts.words())
+                format!(
+                    "{} assumed: an angle exceeds 1,000; override with --deg",
+                    parts.plural_name()
+                )
             }
         });
     }

@@ -78,7 +78,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     };
     let profile = &imu.diagnosis.yaw_profile;
     let outcome = decide(drift, &drift_threshold, subjects)
-        .into_outcome(&describe_profile(profile), |severity| drifts(imu, drift, severity));
+        .into_outcome(&describe_profile(profile), |severity| drift_fault(imu, drift, severity));
     let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, drift);
     let kind = if profile.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
     let mut judged = vec![with_profile(imu.judged(outcome).estimated(estimate), profile, kind)];
@@ -107,7 +107,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     {
         let at_first = &warm_up.at_first_rad_s;
         let outcome = decide(at_first, &drift_threshold, subjects)
-            .into_outcome(SETTLE, |severity| settles(warm_up, severity));
+            .into_outcome(SETTLE, |severity| warm_up_fault(warm_up, severity));
         let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, at_first);
         let settling = imu.judged(outcome).estimated(estimate).with_evidence("kind", "warm-up");
         judged.push(settling.with_evidence("time_constant_s", warm_up.time_constant_s));
@@ -134,7 +134,7 @@ fn depends(heading: &HeadingError, severity: Severity) -> Fault {
     }
 }
 
-fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
+fn warm_up_fault(warm_up: &YawWarmUp, severity: Severity) -> Fault {
     let [rate, total] = [
         THRESHOLD.unit.show_signed(&warm_up.at_first_rad_s),
         JUMP.unit.show_signed(&warm_up.turned_rad),
@@ -170,12 +170,13 @@ fn with_profile(judged: SubjectResult, profile: &YawProfile, kind: &str) -> Subj
         judged = judged.with_evidence("walk_rad_rt_s", density);
     }
     if !profile.jumps.is_empty() {
-        judged = judged.with_evidence("jumps", profile.jumps.iter().map(shown).collect::<Vec<_>>());
+        judged =
+            judged.with_evidence("jumps", profile.jumps.iter().map(jump_json).collect::<Vec<_>>());
     }
     judged
 }
 
-fn shown(jump: &YawJump) -> Value {
+fn jump_json(jump: &YawJump) -> Value {
     let mut shown = Map::new();
     shown.insert("at_s".to_owned(), json!(jump.at_s));
     shown.insert("rad".to_owned(), json!(jump.size_rad.value));
@@ -183,7 +184,7 @@ fn shown(jump: &YawJump) -> Value {
     Value::Object(shown)
 }
 
-fn drifts(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
+fn drift_fault(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.seconds();
     let drifted = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {

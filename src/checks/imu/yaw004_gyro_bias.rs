@@ -82,8 +82,8 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     };
     match &bias.scale_error {
         Some(GyroScaleError { scale, misalignment_rad }) => judged
-            .with_evidence("scale", scale.map(shown).to_vec())
-            .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
+            .with_evidence("scale", scale.map(measured_json).to_vec())
+            .with_evidence("misalignment_rad", misalignment_rad.map(measured_json).to_vec()),
         None => judged,
     }
 }
@@ -161,7 +161,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
 }
 
 /// Value with its 95 % interval.
-fn shown(measured: Measured) -> Value {
+fn measured_json(measured: Measured) -> Value {
     json!({"value": measured.value, "ci95": measured.interval(0.95)})
 }
 

@@ -433,7 +433,7 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
     // Meaningless as logged if the reference frame is not fixed to the robot.
     let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&residual.error);
     let candidates = candidates(stream);
-    let said = said(error);
+    let said = describe_disagreement(error);
     let nearest = match candidates.first() {
         Some(first) => format!("; closest explanation: {first}"),
         None => String::new(),
@@ -441,24 +441,25 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
     let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
     let said = format!("{said}, and no known cause explains it");
     let message = format!("{said}{nearest}");
-    let fix =
-        format!("check that the description and the joint states belong to this arm; {TELLS}");
+    let fix = format!(
+        "check that the description and the joint states belong to this arm; {SETTLE_DISAGREEMENT}"
+    );
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
         cause: Cause::Disagreement { said },
-        title: DISAGREE,
+        title: DISAGREEMENT_TITLE,
         message,
         evidence,
         fix,
     }
 }
 
-const DISAGREE: &str = "poses and joint states disagree";
+const DISAGREEMENT_TITLE: &str = "poses and joint states disagree";
 
-const TELLS: &str = "record 10 s in which the joints move by 30° one at a time";
+const SETTLE_DISAGREEMENT: &str = "record 10 s in which the joints move by 30° one at a time";
 
-fn said(error: &FkError) -> String {
+fn describe_disagreement(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     let angle = error.angle.as_ref().map(|angle| Unit::Radian.show(angle.whole.rms));
     let angle = angle.map_or(String::new(), |angle| format!(", {angle}"));

@@ -163,7 +163,7 @@ fn judge(
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {
-            effect: Some(format!("{after} once read as {}", unit.is.words())),
+            effect: Some(format!("{after} once read as {}", unit.is.plural_name())),
             effect_m: Some(match residual {
                 Unit::Metre => residuals.as_logged,
                 _ => residuals.as_logged * arm.reach_m,

@@ -52,11 +52,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             Ok(None) => Outcome::pass(),
             Ok(Some(error)) if stream.is_undeclared => Outcome::pass_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
-                error.is.words()
+                error.is.plural_name()
             )),
             Ok(Some(error)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(format!(
                 "{} would still have a residual of {}, so it explains nothing (MDL001)",
-                error.is.words(),
+                error.is.plural_name(),
                 Unit::Metre.show(error.residual.corrected)
             )),
             Ok(Some(error)) => {
@@ -138,7 +138,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
 
 fn fault(stream: &StreamEvidence<PoseEvidence>, error: &LengthUnitError) -> Fault {
     let topic = stream.topic();
-    let (is, read_as) = (error.is.words(), error.read_as.words());
+    let (is, read_as) = (error.is.plural_name(), error.read_as.plural_name());
     let is_metres = error.is == LengthScale::METRE;
     let is_millimetres = error.is == LengthScale::MILLIMETRE;
     let (title, what, fix) = match stream.declared {

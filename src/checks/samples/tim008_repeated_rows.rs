@@ -107,7 +107,7 @@ mod tests {
     use crate::evidence::RunEvidence;
     use crate::finding::{Finding, Subject};
 
-    fn asked(value: RepeatedValueEvidence) -> Vec<Finding> {
+    fn findings_for(value: RepeatedValueEvidence) -> Vec<Finding> {
         let subject = Subject { topic: Some("/pose".to_owned()), ..Subject::default() };
         let repeated_values = vec![StreamEvidence { subject, span: None, value }];
         evaluate_rule(&TIM008, &RunEvidence { repeated_values, ..clean_run() }).1
@@ -130,12 +130,12 @@ mod tests {
         for (repeated, severity) in
             [(800, Some(Severity::Error)), (80, Some(Severity::Warning)), (20, None)]
         {
-            let findings = asked(stream(repeated));
+            let findings = findings_for(stream(repeated));
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
         let latched = RepeatedValueEvidence { is_latched: true, ..stream(800) };
-        assert_eq!(asked(latched)[0].severity, Severity::Info);
+        assert_eq!(findings_for(latched)[0].severity, Severity::Info);
         let inherited = RepeatedValueEvidence { is_of_joints: true, ..stream(800) };
-        assert!(asked(inherited).is_empty());
+        assert!(findings_for(inherited).is_empty());
     }
 }

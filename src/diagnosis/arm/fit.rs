@@ -11,7 +11,7 @@ use crate::selection::link_deviations::{
     LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,
 };
 use crate::selection::model_selection::{
-    Approach, CandidateCauses, Cause, SelectedModel, best_model, select_model,
+    CandidateCauses, Cause, SelectedModel, SelectionStart, best_model, select_model,
 };
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
 use crate::selection::tool_preference::prefer_tool_frames;
@@ -34,9 +34,9 @@ pub(super) struct ArmFit {
 /// Whether links may deviate from the model.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum LinkModel {
-    Deviate,
+    MayDeviate,
     /// Already corrected by another segment's result.
-    AreKnown,
+    Fixed,
 }
 
 pub(super) fn fit(
@@ -60,7 +60,8 @@ pub(super) fn fit(
         offsets: single_stream[largest_stream].offsets.clone(),
         streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
     };
-    let model = select_model(&observations, start, &candidates, Approach::Careful, FIT_SAMPLES);
+    let model =
+        select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
     let model = prefer_tool_frames(&observations, model, &candidates, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..observations.len()).map(|s| without_small_causes(&model, s)).collect();
@@ -84,7 +85,7 @@ pub(super) fn fit(
         |s: usize| is_nominal(observations[s], s, &model.state, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
-        return Some(match with_offsets && links == LinkModel::Deviate {
+        return Some(match with_offsets && links == LinkModel::MayDeviate {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
         });
@@ -106,7 +107,8 @@ pub(super) fn fit(
         candidates.optional.into_iter().filter(is_retained).partition(is_named);
     let candidates = CandidateCauses { always: [candidates.always, named].concat(), optional };
     let start = State { offsets: large_offsets, streams: plain };
-    let model = select_model(&observations, start, &candidates, Approach::Careful, FIT_SAMPLES);
+    let model =
+        select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
     Some(ArmFit { model, candidates, deviations })
 }
 
@@ -157,7 +159,8 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     let candidates = CandidateCauses { always: candidates.always.clone(), optional };
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
-    let model = select_model(observations, start, &candidates, Approach::Careful, FIT_SAMPLES);
+    let model =
+        select_model(observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
     let State { offsets, streams } = &model.state;
     // Dropped causes may leave a constant offset in a known frame, as usual links do.
     let is_constant = || {
@@ -300,9 +303,17 @@ fn best_start(decoded: &DecodedStream, corrected: &CorrectedJoints, with_offsets
     }
     let models = starts
         .into_par_iter()
-        .flat_map_iter(|state| [(state.clone(), Approach::Careful), (state, Approach::Bold)])
-        .map(|(state, approach)| {
-            select_model(&[&decoded.observations], state, &candidates, approach, MAX_SEARCH_SAMPLES)
+        .flat_map_iter(|state| {
+            [(state.clone(), SelectionStart::AtState), (state, SelectionStart::AllCausesFree)]
+        })
+        .map(|(state, selection_start)| {
+            select_model(
+                &[&decoded.observations],
+                state,
+                &candidates,
+                selection_start,
+                MAX_SEARCH_SAMPLES,
+            )
         })
         .collect();
     let state = best_model(models)

@@ -35,7 +35,7 @@ use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
 /// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
-    diagnose_with(joints, streams, max_lag_s, LinkModel::Deviate)
+    diagnose_with(joints, streams, max_lag_s, LinkModel::MayDeviate)
 }
 
 /// Diagnoses a segment already corrected by another's result: the links are the same, so they explain no
@@ -45,7 +45,7 @@ pub(super) fn diagnose_other_segment(
     streams: &[PoseStream],
     max_lag_s: f64,
 ) -> ArmDiagnosis {
-    diagnose_with(joints, streams, max_lag_s, LinkModel::AreKnown)
+    diagnose_with(joints, streams, max_lag_s, LinkModel::Fixed)
 }
 
 fn diagnose_with(
@@ -314,7 +314,7 @@ pub fn diagnose_derived(
         let corrected = CorrectedJoints::new(joints, encoding, &is_prismatic).for_derived();
         let position_encodings =
             [PositionEncodingEstimate::estimate(&corrected.track, stream, max_lag_s)];
-        diagnose(joints, &corrected, streams, &position_encodings, false, LinkModel::AreKnown)
+        diagnose(joints, &corrected, streams, &position_encodings, false, LinkModel::Fixed)
             .streams
             .remove(0)
     };

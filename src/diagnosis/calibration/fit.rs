@@ -87,9 +87,9 @@ pub(super) fn fit(
         values: DVector::zeros(parameters.width()),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
-    let drawing = system.linearize(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
-    let before = system.nominal_residuals(&drawing);
-    let mut linearized = drawing;
+    let nominal = system.linearize(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
+    let before = system.nominal_residuals(&nominal);
+    let mut linearized = nominal;
     let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
     for round in 0..MAX_ITERATIONS {
         let normal = system.normal(&linearized);
@@ -116,8 +116,8 @@ pub(super) fn fit(
     // A fit absorbs noise: residuals shrink by the share of fitted degrees of freedom, scores by its square
     // (MacKinnon and White 1985, HC3, on average).
     let fitted = (&inverse * &normal.matrix).trace();
-    let taken = (fitted / normal.independent.max(1.0)).clamp(0.0, 0.9);
-    let scores = system.scores(&linearized) / (1.0 - taken).powi(2);
+    let fitted_share = (fitted / normal.independent.max(1.0)).clamp(0.0, 0.9);
+    let scores = system.scores(&linearized) / (1.0 - fitted_share).powi(2);
     let before_log = DMatrix::from_diagonal(&DVector::from_vec(prior));
     let covariance = &inverse * (scores + before_log) * &inverse;
     let held_out = system.held_out(&linearized, &state, link_m);

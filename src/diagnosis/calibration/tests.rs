@@ -26,7 +26,7 @@ impl Normal {
 }
 
 struct Case {
-    drawing: Robot,
+    nominal: Robot,
     truth: Robot,
     /// Link deviations in the order of the parameters.
     values: Vec<f64>,
@@ -41,9 +41,9 @@ impl Case {
     /// UR5e with deviations of `link_m` (and 0.1° per mm), whose joints oscillate by `amplitude`.
     fn new(seed: u64, link_m: f64, seconds: f64, amplitude: [f64; 6]) -> Self {
         let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(seed));
-        let drawing = catalogue::find("ur5e").expect("it is in the catalogue").clone();
-        let [base, tip] = ["base", "tool0"].map(|name| drawing.link(name).expect("a link"));
-        let path = drawing.link_path(base, tip).expect("a path");
+        let nominal = catalogue::find("ur5e").expect("it is in the catalogue").clone();
+        let [base, tip] = ["base", "tool0"].map(|name| nominal.link(name).expect("a link"));
+        let path = nominal.link_path(base, tip).expect("a path");
         let mut values = Vec::new();
         let deviations: Vec<Pose> = (0..path.links.len())
             .map(|link| {
@@ -58,7 +58,7 @@ impl Case {
                 pose_of_twist(&twist)
             })
             .collect();
-        let truth = drawing.with_deviations(&path, &deviations, &[]);
+        let truth = nominal.with_deviations(&path, &deviations, &[]);
         let mut joints = JointTrack { dof: 6, ..Default::default() };
         let at = |joint: usize, t_s: f64| {
             let (rate, phase) = (0.37 + 0.171 * joint as f64, 1.3 * joint as f64);
@@ -87,7 +87,7 @@ impl Case {
             t_s.push(stamp);
             poses.push(logged);
         }
-        Self { drawing, truth, values, base, tip, joints, t_s, poses }
+        Self { nominal, truth, values, base, tip, joints, t_s, poses }
     }
 
     fn stream(&self) -> CalibrationStream<'_> {
@@ -110,8 +110,8 @@ impl Case {
         }
     }
 
-    fn found(&self) -> ArmCalibration {
-        calibrate_arm(&self.drawing, &[self.stream()], &[]).expect("a calibration")
+    fn calibrate(&self) -> ArmCalibration {
+        calibrate_arm(&self.nominal, &[self.stream()], &[]).expect("a calibration")
     }
 
     /// Log with another base frame and tool.
@@ -128,9 +128,9 @@ impl Case {
 }
 
 /// Rms over the workspace, m and rad.
-fn apart(case: &Case, found: &Robot) -> (f64, f64) {
+fn tip_difference(case: &Case, calibrate: &Robot) -> (f64, f64) {
     let chains =
-        [&case.truth, found].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
+        [&case.truth, calibrate].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
     let (mut m, mut rad) = (0.0, 0.0);
     for k in 0..400 {
         let q: Vec<f64> = (0..6)
@@ -149,17 +149,18 @@ const RICH: [f64; 6] = [1.9, 0.9, 1.3, 1.5, 1.6, 2.0];
 fn link_deviations_are_estimated_over_the_whole_workspace() {
     for seed in 0..3 {
         let case = Case::new(seed, 0.5e-3, 60.0, RICH);
-        let found = case.found();
-        let (before_m, _) = apart(&case, &case.drawing);
-        let (m, rad) = apart(&case, &found.robot);
+        let calibrate = case.calibrate();
+        let (before_m, _) = tip_difference(&case, &case.nominal);
+        let (m, rad) = tip_difference(&case, &calibrate.robot);
         assert!(before_m > 1e-3 && m < 5e-6 && rad.to_degrees() < 0.001, "{before_m} {m} {rad}");
         assert!(
-            m < 2.5 * found.calibrated_uncertainty.m && m > 0.3 * found.calibrated_uncertainty.m,
+            m < 2.5 * calibrate.calibrated_uncertainty.m
+                && m > 0.3 * calibrate.calibrated_uncertainty.m,
             "{m} {:?}",
-            found.calibrated_uncertainty
+            calibrate.calibrated_uncertainty
         );
-        assert!((0.3e-3..0.9e-3).contains(&found.link_m), "{}", found.link_m);
-        let stream = &found.streams[0];
+        assert!((0.3e-3..0.9e-3).contains(&calibrate.link_m), "{}", calibrate.link_m);
+        let stream = &calibrate.streams[0];
         let noise_m = 3f64.sqrt() * NOISE_M;
         assert!(stream.before.m > 5e-4 && (stream.after.m / noise_m - 1.0).abs() < 0.05);
         assert!((stream.held_out_after.m / noise_m - 1.0).abs() < 0.1, "{stream:?}");
@@ -174,9 +175,9 @@ fn intervals_cover_the_truth_at_their_confidence() {
     let (mut parameters_inside, mut parameters) = (0, 0);
     for seed in 10..26 {
         let case = Case::new(seed, 0.3e-3, 20.0, RICH);
-        let found = case.found();
+        let calibrate = case.calibrate();
         for (at, truth) in case.values.iter().enumerate() {
-            let [low, high] = found.value(at).interval(0.95);
+            let [low, high] = calibrate.value(at).interval(0.95);
             parameters_inside += usize::from((low..=high).contains(truth));
             parameters += 1;
         }
@@ -185,10 +186,10 @@ fn intervals_cover_the_truth_at_their_confidence() {
             let q: Vec<f64> = (0..6)
                 .map(|joint| 2.9 * (f64::from(k) * 0.7 + 1.9 * f64::from(joint)).sin())
                 .collect();
-            let [truth, own] = [&case.truth, &found.robot]
+            let [truth, own] = [&case.truth, &calibrate.robot]
                 .map(|robot| robot.chain(case.base, case.tip).expect("a chain").forward(&q));
             let error = truth.translation.vector - own.translation.vector;
-            let spread = spread_at(&case, &found, &q);
+            let spread = spread_at(&case, &calibrate, &q);
             inside += (0..3).filter(|&axis| error[axis].abs() < 1.96 * spread[axis]).count();
             all += 3;
         }
@@ -200,23 +201,23 @@ fn intervals_cover_the_truth_at_their_confidence() {
 }
 
 /// Standard error of the tip position at `q`, by finite differences.
-fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
+fn spread_at(case: &Case, calibrate: &ArmCalibration, q: &[f64]) -> [f64; 3] {
     const STEP: f64 = 1e-6;
-    let path = case.drawing.link_path(case.base, case.tip).expect("a path");
+    let path = case.nominal.link_path(case.base, case.tip).expect("a path");
     let at = |values: &[f64]| {
         let mut all = vec![[0.0; 6]; path.links.len()];
-        for (one, value) in found.parameters.iter().zip(values) {
+        for (one, value) in calibrate.parameters.iter().zip(values) {
             let first = if one.is_rotation { 3 } else { 0 };
             (0..3).for_each(|axis| all[one.link][first + axis] += one.direction[axis] * value);
         }
         let deviations: Vec<Pose> = all.iter().map(|twist| pose_of_twist(twist)).collect();
-        let robot = case.drawing.with_deviations(&path, &deviations, &[]);
+        let robot = case.nominal.with_deviations(&path, &deviations, &[]);
         robot.chain(case.base, case.tip).expect("a chain").forward(q).translation.vector
     };
-    let middle = at(&found.values);
-    let slopes: Vec<Vec3> = (0..found.values.len())
+    let middle = at(&calibrate.values);
+    let slopes: Vec<Vec3> = (0..calibrate.values.len())
         .map(|parameter| {
-            let mut values = found.values.clone();
+            let mut values = calibrate.values.clone();
             values[parameter] += STEP;
             (at(&values) - middle) / STEP
         })
@@ -224,7 +225,7 @@ fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
     std::array::from_fn(|axis| {
         let slope =
             nalgebra::DVector::from_iterator(slopes.len(), slopes.iter().map(|slope| slope[axis]));
-        slope.dot(&(&found.covariance * &slope)).sqrt()
+        slope.dot(&(&calibrate.covariance * &slope)).sqrt()
     })
 }
 
@@ -234,10 +235,10 @@ fn base_and_tool_frames_do_not_change_the_links() {
     let tool = pose([0.05, 0.02, 0.2], rotation_from_rotvec(Vec3::new(-0.3, 0.8, 0.1)));
     let far = pose([1.3, -0.4, 0.7], rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0)));
     let places = [(Pose::identity(), tool), (far, tool), (far, Pose::identity())];
-    let found = places.map(|(world, tool)| {
-        calibrate_arm(&case.drawing, &[case.elsewhere(&world, &tool)], &[]).expect("a calibration")
+    let calibrate = places.map(|(world, tool)| {
+        calibrate_arm(&case.nominal, &[case.elsewhere(&world, &tool)], &[]).expect("a calibration")
     });
-    let [a, b, c] = &found;
+    let [a, b, c] = &calibrate;
     assert!(
         a.parameters == b.parameters && a.parameters.iter().all(|one| (1..6).contains(&one.link))
     );
@@ -252,25 +253,25 @@ fn base_and_tool_frames_do_not_change_the_links() {
 #[test]
 fn one_moving_joint_adds_little_to_the_nominal_model() {
     let case = Case::new(4, 0.5e-3, 30.0, [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]);
-    let found = case.found();
+    let calibrate = case.calibrate();
     assert!(
-        found.calibrated_uncertainty.m > 0.5 * found.nominal_uncertainty.m,
+        calibrate.calibrated_uncertainty.m > 0.5 * calibrate.nominal_uncertainty.m,
         "{:?} {:?}",
-        found.calibrated_uncertainty,
-        found.nominal_uncertainty
+        calibrate.calibrated_uncertainty,
+        calibrate.nominal_uncertainty
     );
-    let spans = &found.streams[0].spans;
+    let spans = &calibrate.streams[0].spans;
     assert!(spans[2] > 2.0 && spans.iter().filter(|span| **span < 1e-9).count() == 5, "{spans:?}");
-    assert!(!found.undetermined.is_empty());
+    assert!(!calibrate.undetermined.is_empty());
 }
 
 #[test]
 fn several_logs_give_one_estimate() {
     let [first, second] = [(); 2].map(|()| Case::new(5, 0.4e-3, 20.0, RICH));
-    let one = first.found();
+    let one = first.calibrate();
     let world = pose([0.4, 0.1, -0.2], rotation_from_rotvec(Vec3::new(0.0, 0.3, 1.0)));
     let streams = [first.stream(), second.elsewhere(&world, &Pose::identity())];
-    let both = calibrate_arm(&first.drawing, &streams, &[]).expect("a calibration");
+    let both = calibrate_arm(&first.nominal, &streams, &[]).expect("a calibration");
     assert!(
         both.calibrated_uncertainty.m < one.calibrated_uncertainty.m,
         "{:?} {:?}",
@@ -287,7 +288,7 @@ fn outliers_barely_change_the_calibration() {
     for at in (0..case.poses.len()).step_by(25) {
         case.poses[at].translation.vector += normal.triple(5e-3);
     }
-    let (m, _) = apart(&case, &case.found().robot);
+    let (m, _) = tip_difference(&case, &case.calibrate().robot);
     assert!(m < 8e-6, "{m}");
 }
 
@@ -297,9 +298,9 @@ fn a_joint_zero_of_degrees_is_absorbed_by_the_origin() {
     let mut off = case.joints.clone();
     off.q.chunks_exact_mut(6).for_each(|row| row[2] -= 0.03);
     let stream = CalibrationStream { joints: &off, ..case.stream() };
-    let found = calibrate_arm(&case.drawing, &[stream], &[2]).expect("a calibration");
-    let chains =
-        [&case.truth, &found.robot].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
+    let calibrate = calibrate_arm(&case.nominal, &[stream], &[2]).expect("a calibration");
+    let chains = [&case.truth, &calibrate.robot]
+        .map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
     let q = [0.3, -1.0, 0.9, -0.4, 1.1, 2.0];
     let mut reported = q;
     reported[2] -= 0.03;

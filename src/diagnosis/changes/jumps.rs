@@ -39,26 +39,26 @@ pub(super) fn detect_jumps(
     aligned: &AlignedSamples,
     lag_s: f64,
 ) -> Vec<Jump> {
-    let left = aligned.corrected.iter().zip(&aligned.fk_at_truth);
+    let pairs = aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let in_base = |(is, fk): (&Pose, &Pose)| {
-        let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-        [is.translation.vector - fk.translation.vector, turn * LEVER_M]
+        let rotation = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
+        [is.translation.vector - fk.translation.vector, rotation * LEVER_M]
     };
-    let left: Vec<[Vec3; 2]> = left.map(in_base).collect();
-    let mut found = jumps_in_series(&aligned.t_s, &left, &aligned.fk_at_truth);
+    let pairs: Vec<[Vec3; 2]> = pairs.map(in_base).collect();
+    let mut jumps = jumps_in_series(&aligned.t_s, &pairs, &aligned.fk_at_truth);
     let raw = align_with_fk(joints, stream, lag_s);
-    let turn = |pose: &Pose| [pose.rotation * Vec3::x(), pose.rotation * Vec3::y()];
+    let rotation = |pose: &Pose| [pose.rotation * Vec3::x(), pose.rotation * Vec3::y()];
     let in_tool: Vec<Pose> =
         raw.fk.iter().zip(&raw.logged).map(|(fk, logged)| fk.inv_mul(logged)).collect();
     let at: Vec<[Vec3; 2]> =
         in_tool.iter().map(|pose| [pose.translation.vector, Vec3::zeros()]).collect();
     let turned: Vec<[Vec3; 2]> =
-        in_tool.iter().map(|pose| turn(pose).map(|axis| axis * LEVER_M)).collect();
-    found.extend(jumps_in_series(&raw.t_s, &at, &raw.fk));
-    found.extend(jumps_in_series(&raw.t_s, &turned, &raw.fk));
-    found.extend(jumps_in_path(&raw.t_s, &raw.logged));
-    found.extend(gaps(&stream.track.t_s));
-    strongest(found)
+        in_tool.iter().map(|pose| rotation(pose).map(|axis| axis * LEVER_M)).collect();
+    jumps.extend(jumps_in_series(&raw.t_s, &at, &raw.fk));
+    jumps.extend(jumps_in_series(&raw.t_s, &turned, &raw.fk));
+    jumps.extend(jumps_in_path(&raw.t_s, &raw.logged));
+    jumps.extend(gaps(&stream.track.t_s));
+    strongest(jumps)
 }
 
 /// Detects steps that exceed the mean of the adjacent ones, without FK.
@@ -67,15 +67,15 @@ fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     const FLOOR_M: f64 = 1e-5;
     let step = |row: usize| -> [Vec3; 2] {
         let (a, b) = (&poses[row - 1], &poses[row]);
-        let turn = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
-        [b.translation.vector - a.translation.vector, turn * LEVER_M]
+        let rotation = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
+        [b.translation.vector - a.translation.vector, rotation * LEVER_M]
     };
     let steps: Vec<[Vec3; 2]> = (1..poses.len()).map(step).collect();
     let of_kind = |kind: usize| {
-        let beside = |at: usize| {
+        let deviation_from_neighbours = |at: usize| {
             (steps[at][kind] - 0.5 * (steps[at - 1][kind] + steps[at + 1][kind])).norm()
         };
-        let sizes = (1..steps.len().saturating_sub(1)).map(beside).collect();
+        let sizes = (1..steps.len().saturating_sub(1)).map(deviation_from_neighbours).collect();
         jumps_in_differences(t_s, sizes, FLOOR_M)
     };
     [of_kind(0), of_kind(1)].concat()
@@ -87,15 +87,16 @@ pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
     /// In rad or m.
     const MIN_JUMP: f64 = 1e-3;
     let rows = joints.len();
-    let gap_s = least_gap_s(&joints.t_s);
+    let gap_s = min_gap_s(&joints.t_s);
     let q = |row: usize, column: usize| joints.q[row * joints.dof + column];
     let of_joint = |column: usize| {
         let step = |row: usize| q(row, column) - q(row - 1, column);
-        let beside = |row: usize| match joints.t_s[row + 1] - joints.t_s[row - 2] > gap_s {
-            true => 0.0,
-            false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
-        };
-        let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(beside).collect();
+        let deviation_from_neighbours =
+            |row: usize| match joints.t_s[row + 1] - joints.t_s[row - 2] > gap_s {
+                true => 0.0,
+                false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
+            };
+        let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(deviation_from_neighbours).collect();
         jumps_in_differences(&joints.t_s, sizes, MIN_JUMP / MIN_JUMP_RATIO)
     };
     strongest((0..joints.dof).flat_map(of_joint).collect())
@@ -118,7 +119,7 @@ fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     sizes.into_iter().enumerate().filter_map(jump).collect()
 }
 
-fn least_gap_s(t_s: &[f64]) -> f64 {
+fn min_gap_s(t_s: &[f64]) -> f64 {
     const MIN_GAP_PERIODS: f64 = 10.0;
     const MIN_GAP_S: f64 = 0.3;
     (MIN_GAP_PERIODS * median_period_s(t_s)).max(MIN_GAP_S)
@@ -127,11 +128,11 @@ fn least_gap_s(t_s: &[f64]) -> f64 {
 /// Anything may change during a gap.
 fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const MAX_GAPS: usize = 3;
-    let least_s = least_gap_s(t_s);
+    let min_gap_s = min_gap_s(t_s);
     let mut gaps: Vec<(f64, f64)> = t_s
         .windows(2)
         .map(|pair| (pair[1] - pair[0], pair[0]))
-        .filter(|(s, _)| *s > least_s)
+        .filter(|(s, _)| *s > min_gap_s)
         .collect();
     gaps.sort_by(|a, b| b.0.total_cmp(&a.0));
     let jump = |(long_s, from_s): (f64, f64)| Jump {
@@ -144,20 +145,20 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
 }
 
 /// Jumps in time order, at least [`MIN_SEPARATION_S`] apart.
-pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
+pub(super) fn strongest(jumps: Vec<Jump>) -> Vec<Jump> {
     let finer = |jump: &Jump| {
-        found.iter().any(|other| {
+        jumps.iter().any(|other| {
             other.window_s < jump.window_s
                 && (other.at_s - jump.at_s).abs() <= jump.window_s
                 && other.strength > MIN_SHORT_WINDOW_STRENGTH * jump.strength
         })
     };
-    let mut found: Vec<Jump> = found.iter().filter(|jump| !finer(jump)).copied().collect();
-    found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
-    let largest = found.iter().find(|jump| jump.strength.is_finite());
+    let mut jumps: Vec<Jump> = jumps.iter().filter(|jump| !finer(jump)).copied().collect();
+    jumps.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    let largest = jumps.iter().find(|jump| jump.strength.is_finite());
     let min_strength = MIN_RELATIVE_STRENGTH * largest.map_or(0.0, |jump| jump.strength);
     let mut separated: Vec<Jump> = Vec::new();
-    for jump in found {
+    for jump in jumps {
         let is_separated =
             separated.iter().all(|other| (other.at_s - jump.at_s).abs() > MIN_SEPARATION_S);
         if is_separated && separated.len() < MAX_CHANGE_POINTS && jump.strength > min_strength {
@@ -185,17 +186,17 @@ fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usi
     let mean = |from: usize, to: usize| -> [Vec3; 2] {
         std::array::from_fn(|kind| (sums[to][kind] - sums[from][kind]) / (to - from) as f64)
     };
-    let apart = |a: [Vec3; 2], b: [Vec3; 2]| {
+    let distance = |a: [Vec3; 2], b: [Vec3; 2]| {
         a.iter().zip(&b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
     };
     // The jump is between samples `row - 1` and `row`.
     let rows: Vec<usize> = (side..=n - side).filter(|row| *row < n).collect();
-    let step = |row: usize| apart(mean(row - side, row), mean(row, row + side));
+    let step = |row: usize| distance(mean(row - side, row), mean(row, row + side));
     let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
     let moved = |row: usize| {
         let (a, b) = (&fk[row - side], &fk[row + side - 1]);
-        let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * LEVER_M;
-        (a.translation.vector - b.translation.vector).norm() + turn.norm()
+        let rotation = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * LEVER_M;
+        (a.translation.vector - b.translation.vector).norm() + rotation.norm()
     };
     let moves: Vec<f64> = rows.iter().map(|&row| moved(row)).collect();
     let Some(usual) = median(&mut moves.clone()) else { return Vec::new() };
@@ -216,7 +217,7 @@ fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usi
         let before = (2..=6).filter_map(|by| steps.get(index.checked_sub(by * side)?).copied());
         let after = (2..=6).filter_map(|by| steps.get(index + by * side).copied());
         let [before, after] = [before.collect(), after.collect()]
-            .map(|mut beside: Vec<f64>| median(&mut beside).unwrap_or(0.0));
+            .map(|mut surrounding: Vec<f64>| median(&mut surrounding).unwrap_or(0.0));
         let usual = usual.max(before.min(after));
         let times = steps[index] / usual;
         (times > MIN_JUMP_RATIO).then(|| Jump {

@@ -35,10 +35,10 @@ pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
         has_rotation,
     );
     let error = series.error(&moves, true);
-    let is_much = |(size, least): (&ErrorSize, f64)| {
+    let is_much = |(size, min_size): (&ErrorSize, f64)| {
         size.parts.iter().any(|PartError { magnitude: amount, .. }| {
             let noise = amount.noise.map_or(0.0, |noise| noise.rms);
-            amount.rms > least.max(MIN_NOISE_RATIO * noise)
+            amount.rms > min_size.max(MIN_NOISE_RATIO * noise)
         })
     };
     std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
@@ -48,7 +48,7 @@ pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
     diagnosis
         .latency_profile
         .as_ref()
-        .is_ok_and(|course| course.is_unsteady && !course.steps.is_empty())
+        .is_ok_and(|profile| profile.is_unsteady && !profile.steps.is_empty())
 }
 
 /// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
@@ -80,11 +80,11 @@ pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
     let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
         let parts: Vec<&[[f64; 3]]> =
             residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
-        let beside_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
+        let minus_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
             let mean = mean(part);
             part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
         };
-        let beside: Vec<[f64; 3]> = parts.iter().flat_map(beside_mean).collect();
+        let beside: Vec<[f64; 3]> = parts.iter().flat_map(minus_mean).collect();
         let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
         parts.iter().any(|part| {
             let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;

@@ -127,7 +127,7 @@ fn diagnose_with_jumps(
     ) {
         after = with_compliance;
     }
-    let uncompressed = after.clone();
+    let before_reporting = after.clone();
     for (s, after) in after.streams.iter_mut().enumerate() {
         if corrected.tracks[s].is_some() {
             baseline.report_encoding(s, &others, after);
@@ -144,7 +144,7 @@ fn diagnose_with_jumps(
     let reports_a_change = !after.joints.changes.is_empty()
         || after.streams.iter().any(|after| after.has_changes() || has_latency_steps(after));
     (reports_a_change
-        && is_justified(diagnosis, &uncompressed, parameter_count(&after, spans.len())))
+        && is_justified(diagnosis, &before_reporting, parameter_count(&after, spans.len())))
     .then_some(after)
 }
 

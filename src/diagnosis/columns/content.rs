@@ -23,11 +23,11 @@ pub enum ColumnContent {
     /// Two values.
     TwoLevels,
     /// Shifted copy of that column.
-    As(usize, GroupShift),
+    CopyOf(usize, GroupShift),
     /// Rate of that column.
     RateOf(usize),
     /// Unrelated.
-    Own,
+    Independent,
 }
 
 impl NumericTable {
@@ -137,14 +137,14 @@ impl NumericTable {
             .iter()
             .filter_map(|&other| Some((other, self.group_shift(&[other], &[column])?)));
         if let Some((other, shift)) = copies.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual)) {
-            return ColumnContent::As(other, shift);
+            return ColumnContent::CopyOf(other, shift);
         }
         let best = others.iter().map(|&other| (self.rate_correlation(column, other), other));
         match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((correlation, other)) if correlation > MIN_RATE_CORRELATION => {
                 ColumnContent::RateOf(other)
             }
-            _ => ColumnContent::Own,
+            _ => ColumnContent::Independent,
         }
     }
 

@@ -110,6 +110,7 @@ pub struct ColumnMapping {
     /// Position columns.
     pub position: [usize; 3],
     /// Position residual against FK, rms.
+    #[serde(rename = "left_m")]
     pub residual_m: f64,
     /// Rms distance from their mean.
     pub spread_m: f64,

@@ -136,13 +136,13 @@ pub(crate) fn candidate_encodings(
         .max(MAX_EQUIVALENT_RESIDUAL_SHARE * extent_m);
     found.retain(|one| one.residual_m <= near);
     found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.residual_m.total_cmp(&b.residual_m)));
-    let mut kept: Vec<PositionEncoding> = Vec::new();
+    let mut distinct: Vec<PositionEncoding> = Vec::new();
     for one in found {
-        if !kept.iter().any(|known| known.is_same(&one)) {
-            kept.push(one);
+        if !distinct.iter().any(|known| known.is_same(&one)) {
+            distinct.push(one);
         }
     }
-    kept
+    distinct
 }
 
 /// Normal matrix for scale (0), tool (1–3) and shift (4–6). It depends on FK only.
@@ -211,14 +211,14 @@ impl<'a> EncodingSearch<'a> {
                 (free.shift && known, 2),
             ];
             let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
-            let (inverted, left_m) = (self.is_inverted, solved.residual_m);
-            let is_explained = left_m <= MAX_RESIDUAL_SHARE * self.extent_m;
+            let (inverted, residual_m) = (self.is_inverted, solved.residual_m);
+            let is_explained = residual_m <= MAX_RESIDUAL_SHARE * self.extent_m;
             found.push(PositionEncoding {
                 metres,
                 is_inverted: inverted,
                 axes,
                 turn,
-                residual_m: left_m,
+                residual_m,
                 is_explained,
                 rank,
             });
@@ -281,7 +281,9 @@ impl<'a> EncodingSearch<'a> {
                     let right = self.right_hand_side(&turn, self.sums_of(axes));
                     let solved = self.solve(&right, None, free);
                     if let Some(solved) = &solved
-                        && start.as_ref().is_none_or(|(left_m, _)| solved.residual_m < *left_m)
+                        && start
+                            .as_ref()
+                            .is_none_or(|(residual_m, _)| solved.residual_m < *residual_m)
                     {
                         start = Some((solved.residual_m, turn));
                     }
@@ -364,19 +366,20 @@ impl<'a> EncodingSearch<'a> {
         let rhs = DVector::from_iterator(columns.len(), columns.iter().map(|&c| target(c)));
         let mut matrix =
             DMatrix::from_fn(columns.len(), columns.len(), |a, b| normal[(columns[a], columns[b])]);
-        let plain = matrix.clone();
+        let unregularized = matrix.clone();
         let samples = self.fk.len() as f64;
-        for (own, &column) in columns.iter().enumerate() {
+        for (index, &column) in columns.iter().enumerate() {
             // Keeps an unobservable tool at zero.
-            matrix[(own, own)] += if column == 0 { 0.0 } else { 1e-6 * samples };
+            matrix[(index, index)] += if column == 0 { 0.0 } else { 1e-6 * samples };
         }
         let found = match columns.is_empty() {
             true => DVector::zeros(0),
             false => matrix.cholesky()?.solve(&rhs),
         };
-        let left = square - 2.0 * found.dot(&rhs) + found.dot(&(&plain * &found));
+        let residual_square =
+            square - 2.0 * found.dot(&rhs) + found.dot(&(&unregularized * &found));
         let value = |column: usize| {
-            columns.iter().position(|&one| one == column).map_or(0.0, |own| found[own])
+            columns.iter().position(|&one| one == column).map_or(0.0, |index| found[index])
         };
         let scale = scale.unwrap_or_else(|| value(0));
         if scale <= 0.0 {
@@ -384,12 +387,8 @@ impl<'a> EncodingSearch<'a> {
         }
         let tool = Vec3::new(value(1), value(2), value(3));
         let longest_m = if self.is_inverted { MAX_BASE_DISTANCE_M } else { MAX_TOOL_M };
-        let left_m = (left.max(0.0) / samples).sqrt() / scale;
-        (tool.norm() <= longest_m * scale).then_some(EncodingSolution {
-            scale,
-            tool,
-            residual_m: left_m,
-        })
+        let residual_m = (residual_square.max(0.0) / samples).sqrt() / scale;
+        (tool.norm() <= longest_m * scale).then_some(EncodingSolution { scale, tool, residual_m })
     }
 
     fn best_rotation(

@@ -47,7 +47,11 @@ pub(crate) enum Side {
 
 /// Constant frame that best maps FK to the candidates. Tries several samples as anchors, because one may be
 /// on a wrong branch.
-pub(crate) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
+pub(crate) fn fit_one_frame(
+    candidates: &CandidateRotations,
+    fk: &[Rotation],
+    side: Side,
+) -> Rotation {
     let frame_at = |truth: &Rotation, fk: &Rotation| match side {
         Side::Reference => truth * fk.inverse(),
         Side::Tool => fk.inverse() * truth,
@@ -59,10 +63,11 @@ pub(crate) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: 
     let step = fk.len().div_ceil(4);
     let anchors = (0..fk.len())
         .step_by(step)
-        .flat_map(|sample| truths.of_sample(sample).iter().map(move |truth| (sample, truth)));
+        .flat_map(|sample| candidates.of_sample(sample).iter().map(move |truth| (sample, truth)));
     let closeness = |frame: &Rotation| -> f64 {
         let cosine = |(sample, fk): (usize, &Rotation)| {
-            nearest(truths.of_sample(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
+            nearest(candidates.of_sample(sample), &apply(frame, fk))
+                .map_or(0.0, |(_, cosine)| cosine)
         };
         fk.iter().enumerate().map(cosine).sum()
     };
@@ -78,7 +83,7 @@ pub(crate) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: 
             .iter()
             .enumerate()
             .filter_map(|(sample, fk)| {
-                let (truth, _) = nearest(truths.of_sample(sample), &apply(&frame, fk))?;
+                let (truth, _) = nearest(candidates.of_sample(sample), &apply(&frame, fk))?;
                 Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
             })
             .sum::<Vec3>()
@@ -95,16 +100,16 @@ pub(crate) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: 
 /// value solution by Markley 1988. With a single rotation axis, noise alone determines the angle about it,
 /// so Gauss–Newton steps on all samples follow.
 pub(crate) fn fit_both_frames(
-    truths: &CandidateRotations,
+    candidates: &CandidateRotations,
     fk: &[Rotation],
 ) -> (Rotation, Rotation) {
-    let first = (0..fk.len()).map(|sample| truths.of_sample(sample).first().copied()).collect();
+    let first = (0..fk.len()).map(|sample| candidates.of_sample(sample).first().copied()).collect();
     let mut chosen: Vec<Option<Rotation>> = first;
     let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());
     for round in 0..3 {
         if round > 0 {
             let nearest = |(sample, fk): (usize, &Rotation)| {
-                nearest(truths.of_sample(sample), &(reference * fk * tool)).map(|n| n.0)
+                nearest(candidates.of_sample(sample), &(reference * fk * tool)).map(|n| n.0)
             };
             chosen = fk.iter().enumerate().map(nearest).collect();
         }
@@ -129,7 +134,7 @@ pub(crate) fn fit_both_frames(
 }
 
 fn refine_frames(
-    truths: &[Option<Rotation>],
+    candidates: &[Option<Rotation>],
     fk: &[Rotation],
     mut reference: Rotation,
     mut tool: Rotation,
@@ -141,7 +146,7 @@ fn refine_frames(
     const CONVERGED_RAD: f64 = 1e-7;
     for _ in 0..MAX_STEPS {
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
-        for (truth, fk) in truths.iter().zip(fk) {
+        for (truth, fk) in candidates.iter().zip(fk) {
             let Some(truth) = truth else { continue };
             let predicted = reference * fk * tool;
             let residual = rotvec_from_rotation(&(truth * predicted.inverse()));

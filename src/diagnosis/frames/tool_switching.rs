@@ -58,8 +58,8 @@ impl SwitchedTool {
 impl ToolSwitching {
     /// Lengths in m for positions in another unit.
     pub fn converted_to_m(&self, found: &PoseDiagnosis) -> Self {
-        let slip = found.length_unit.as_ref().ok().and_then(Option::as_ref);
-        let factor = slip.map_or(1.0, LengthUnitError::factor);
+        let unit_error = found.length_unit.as_ref().ok().and_then(Option::as_ref);
+        let factor = unit_error.map_or(1.0, LengthUnitError::factor);
         let mut scaled = self.clone();
         for other in &mut scaled.others {
             other.pose.translation.vector *= factor;
@@ -389,8 +389,8 @@ mod tests {
             stamps_copied: false,
             removed_ramp: None,
         };
-        let (alternation, mended) = detect_tool_switching(&joints, &stream)?;
-        Some((alternation, mended, usual))
+        let (alternation, corrected) = detect_tool_switching(&joints, &stream)?;
+        Some((alternation, corrected, usual))
     }
 
     fn still(_: f64) -> Pose {

@@ -59,8 +59,8 @@ impl TargetEncoding {
             Self::AsLogged => *logged,
             Self::Axes(axes) => pose(axes.map(|(from, sign)| sign * xyz[from]), rotation),
             Self::Transposed => pose(xyz.into(), rotation.inverse()),
-            Self::QuaternionOrder(slip) => {
-                let meant = rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&rotation)));
+            Self::QuaternionOrder(error) => {
+                let meant = rotation_from_xyzw(error.true_xyzw(xyzw_from_rotation(&rotation)));
                 pose(xyz.into(), meant.unwrap_or(rotation))
             }
             Self::Misinterpreted(class) => {

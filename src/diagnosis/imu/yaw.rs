@@ -214,8 +214,8 @@ impl Bins {
         let is_solved = inverse.is_some();
         let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(width, width));
         let parameters = &inverse * (design.transpose() * &right);
-        let left = &right - &design * &parameters;
-        let square = left.norm_squared().max(n as f64 * FLOOR_RAD.powi(2));
+        let residual = &right - &design * &parameters;
+        let square = residual.norm_squared().max(n as f64 * FLOOR_RAD.powi(2));
         let dof = (n - width) as f64;
         let variance = square / dof;
         let log_likelihood = -0.5 * n as f64 * (square / n as f64).ln() - log_root;
@@ -256,13 +256,13 @@ impl Bins {
             if b.log_likelihood > a.log_likelihood { b } else { a }
         };
         let end_of = |bin: usize| self.samples[self.ranges[bin].end - 1].0;
-        let apart = |&bin: &usize| {
+        let is_separate = |&bin: &usize| {
             fit.jumps_s.iter().all(|&at_s| {
                 let nearest = self.t_s.partition_point(|&t_s| t_s < at_s);
                 nearest.abs_diff(bin) > 2
             })
         };
-        let bins = (1..self.ranges.len() - 2).filter(apart);
+        let bins = (1..self.ranges.len() - 2).filter(is_separate);
         let coarse = bins
             .map(|bin| (bin, try_at(end_of(bin))))
             .reduce(|a, b| if b.1.log_likelihood > a.1.log_likelihood { b } else { a });
@@ -386,12 +386,14 @@ mod tests {
     fn a_yaw_jump_is_estimated_with_time_size_and_drift() {
         for (rho, size) in [(0.0, 0.01), (0.0, -0.003), (0.95, 0.01), (0.95, -0.2)] {
             let jump = |t_s: f64| if t_s > 7.123 { size } else { 0.0 };
-            let course = decompose_yaw(&series(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)));
-            let [found] = course.parts.jumps.as_slice() else { panic!("{rho} {size}: {course:?}") };
+            let decomposition = decompose_yaw(&series(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)));
+            let [found] = decomposition.parts.jumps.as_slice() else {
+                panic!("{rho} {size}: {decomposition:?}")
+            };
             assert!((found.at_s - 7.123).abs() < 0.1, "{found:?}");
             assert!((found.size_rad.value - size).abs() < 3e-4, "{found:?}");
-            assert_eq!(course.parts.walk_rad_per_sqrt_s, None);
-            let drift = course.drift_rad_s.unwrap();
+            assert_eq!(decomposition.parts.walk_rad_per_sqrt_s, None);
+            let drift = decomposition.drift_rad_s.unwrap();
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
         }
     }
@@ -401,12 +403,12 @@ mod tests {
         let (walk, count) = (2e-3, 60);
         let (mut walks, mut covered, mut jumps) = (0, 0, 0);
         for seed in 0..count {
-            let course = decompose_yaw(&series(seed, 0.0, walk, |_| 0.0));
+            let decomposition = decompose_yaw(&series(seed, 0.0, walk, |_| 0.0));
             walks += usize::from(
-                course.parts.walk_rad_per_sqrt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)),
+                decomposition.parts.walk_rad_per_sqrt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)),
             );
-            jumps += course.parts.jumps.len();
-            covered += usize::from(course.drift_rad_s.is_some_and(|drift| {
+            jumps += decomposition.parts.jumps.len();
+            covered += usize::from(decomposition.drift_rad_s.is_some_and(|drift| {
                 let [low, high] = drift.interval(0.95);
                 (low..=high).contains(&0.0)
             }));
@@ -417,9 +419,9 @@ mod tests {
     #[test]
     fn a_jump_is_detected_within_a_random_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
-        let course = decompose_yaw(&series(9, 0.0, 1e-3, jump));
-        assert_eq!(course.parts.jumps.len(), 1, "{:?}", course.parts);
-        assert!(course.parts.walk_rad_per_sqrt_s.is_some(), "{:?}", course.parts);
+        let decomposition = decompose_yaw(&series(9, 0.0, 1e-3, jump));
+        assert_eq!(decomposition.parts.jumps.len(), 1, "{:?}", decomposition.parts);
+        assert!(decomposition.parts.walk_rad_per_sqrt_s.is_some(), "{:?}", decomposition.parts);
     }
 
     #[test]

@@ -43,17 +43,17 @@ fn view<'a>(
     }
 }
 
-fn found(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
+fn find_map(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
     match search_kind(view, kind, freedom, MOST) {
-        SearchOutcome::Found(found) => found.map,
+        SearchOutcome::Found(find_map) => find_map.map,
         SearchOutcome::Ambiguous => panic!("several ways fit"),
         SearchOutcome::Nothing => panic!("nothing fits"),
     }
 }
 
-fn assert_near(found: &[f64], expected: &[f64], most: f64) {
-    let near = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < most);
-    assert!(near, "{found:?}, not {expected:?}");
+fn assert_near(find_map: &[f64], expected: &[f64], most: f64) {
+    let near = find_map.iter().zip(expected).all(|(a, b)| (a - b).abs() < most);
+    assert!(near, "{find_map:?}, not {expected:?}");
 }
 
 fn tcp() -> Pose {
@@ -76,7 +76,7 @@ fn one_misinterpreted_joint_is_found_for_any_scale_and_zero() {
             logged[joint] = (q[joint] - zero) / factor;
             logged
         });
-        let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
+        let map = find_map(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
         let expected = JointMap::as_logged(6).with(joint, factor, zero);
         for (own, truth) in map.factor.iter().zip(&expected.factor) {
             assert!((own / truth - 1.0).abs() < 1e-2, "{map:?}, not {expected:?}");
@@ -90,7 +90,7 @@ fn all_joints_in_another_unit_are_one_interpretation() {
     let chain = ur5e();
     for factor in [1f64.to_radians(), TAU / 65536.0, -1.0, 1.0 / 101.0] {
         let view = view(&chain, tcp(), |q| q.iter().map(|q| q / factor).collect());
-        let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
+        let map = find_map(&view, InterpretationKind::OneJoint, FreeFrames::Tool);
         assert_near(&map.factor.iter().map(|f| f / factor).collect::<Vec<_>>(), &[1.0; 6], 1e-2);
     }
 }
@@ -99,12 +99,12 @@ fn all_joints_in_another_unit_are_one_interpretation() {
 fn two_joints_or_an_order_and_one_joint_are_found() {
     let chain = ur5e();
     let two = view(&chain, tcp(), |q| vec![q[0], q[1] - 1.9, -q[2], q[3], q[4], q[5]]);
-    let map = found(&two, InterpretationKind::TwoJoints, FreeFrames::Tool);
+    let map = find_map(&two, InterpretationKind::TwoJoints, FreeFrames::Tool);
     assert_near(&map.zero, &[0.0, 1.9, 0.0, 0.0, 0.0, 0.0], 0.02);
     assert_near(&map.factor, &[1.0, 1.0, -1.0, 1.0, 1.0, 1.0], 1e-6);
 
     let order = view(&chain, Pose::identity(), |q| vec![q[2], q[1], q[0], -q[3], q[4], q[5]]);
-    let map = found(&order, InterpretationKind::OrderAndOneJoint, FreeFrames::Tool);
+    let map = find_map(&order, InterpretationKind::OrderAndOneJoint, FreeFrames::Tool);
     assert_eq!(map.from, [2, 1, 0, 3, 4, 5]);
     assert_near(&map.factor, &[1.0, 1.0, 1.0, -1.0, 1.0, 1.0], 1e-6);
 }
@@ -118,7 +118,7 @@ fn joints_are_interpreted_in_an_unknown_world_frame() {
         let moved = world * Pose::from_parts((*xyz).into(), *rotation);
         (*xyz, *rotation) = (moved.translation.vector, moved.rotation);
     }
-    let map = found(&view, InterpretationKind::OneJoint, FreeFrames::Both);
+    let map = find_map(&view, InterpretationKind::OneJoint, FreeFrames::Both);
     assert_near(&map.factor, &[1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 1e-6);
 }
 
@@ -164,12 +164,12 @@ fn a_coupled_pair_is_identified_with_its_factor() {
             logged
         });
         let most = ResidualSize { m: 5e-4, rad: Some(1e-3) };
-        let SearchOutcome::Found(found) =
+        let SearchOutcome::Found(find_map) =
             search_kind(&view, InterpretationKind::Coupled, FreeFrames::Tool, most)
         else {
             panic!("{factor} of joint {by} in joint {joint} is not found")
         };
-        let coupling = found.map.coupling.expect("a coupling");
+        let coupling = find_map.map.coupling.expect("a coupling");
         assert_eq!((coupling.joint, coupling.by), (joint, by));
         assert!((coupling.factor - factor).abs() < 1e-3, "{coupling:?}");
     }

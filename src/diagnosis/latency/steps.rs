@@ -270,12 +270,12 @@ mod tests {
             };
             let found = changed(late);
             let found = found.as_ref().and_then(CoarseLatencyChange::steps).expect("it steps");
-            let course = found.profile(&Err(crate::NotObservable::AtRest));
-            let first = course.steps[0];
+            let profile = found.profile(&Err(crate::NotObservable::AtRest));
+            let first = profile.steps[0];
             assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
             assert!((first.size_s.value - sizes_s[0]).abs() < 0.01, "{sizes_s:?}: {found:?}");
             let is_one = sizes_s[0] == sizes_s[1];
-            assert_eq!(course.steps.len(), if is_one { 1 } else { 2 }, "{found:?}");
+            assert_eq!(profile.steps.len(), if is_one { 1 } else { 2 }, "{found:?}");
             let straight = found.compensated(&[1.0, 2.0, 38.0]);
             let last = straight[straight.len() - 1].1 - 38.0 + sizes_s[1];
             assert!(last.abs() < 0.01, "{sizes_s:?}: {straight:?}");

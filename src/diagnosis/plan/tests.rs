@@ -32,7 +32,7 @@ fn sensing() -> Sensing {
     }
 }
 
-const ROOM: JointMargins =
+const MARGINS: JointMargins =
     JointMargins { below: 0.26, above: 0.26, velocity: 1.0, acceleration: 1.0 };
 const UR: [f64; 6] = [0.0, -1.57, 1.57, -1.2, -1.57, 0.3];
 
@@ -47,11 +47,11 @@ fn requirements<'a>(
     keep: &'a Clearances,
     purpose: Purpose,
 ) -> PlanRequirements<'a> {
-    let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
+    let (around, margins_at, sensing) = (&UR, &[MARGINS; 6], sensing());
     PlanRequirements {
         chain,
         around,
-        margins: rooms,
+        margins: margins_at,
         seconds: 20.0,
         purpose,
         sensing,
@@ -68,7 +68,7 @@ fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> MotionPlan {
 }
 
 /// Up to 0.4 rad within the limits.
-fn rooms(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
+fn margins_at(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
     let margins = |(limits, q): (&ground::robot::Limits, &f64)| JointMargins {
         below: limits.lower.map_or(0.4, |lower| (q - lower).min(0.4)),
         above: limits.upper.map_or(0.4, |upper| (upper - q).min(0.4)),
@@ -90,9 +90,9 @@ fn posture(chain: &Chain, parts: &[f64]) -> Vec<f64> {
     kinds.zip(chain.limits()).zip(parts).map(at).collect()
 }
 
-fn assert_within(series: &FourierMotion, rooms: &[JointMargins]) {
+fn assert_within(series: &FourierMotion, margins_at: &[JointMargins]) {
     const ROWS: usize = 4001;
-    for (joint, margins) in rooms.iter().enumerate() {
+    for (joint, margins) in margins_at.iter().enumerate() {
         for row in 0..ROWS {
             let t_s = series.length_s() * row as f64 / (ROWS - 1) as f64;
             let [q, qd, qdd] = series.at(joint, t_s);
@@ -147,14 +147,14 @@ proptest! {
         let arms = catalogue::entries();
         let chain = chain_of(&arms[arm % arms.len()]);
         let q = posture(&chain, &parts);
-        let (rooms, keep) = (rooms(&chain, &q), free(&chain, &q));
+        let (margins_at, keep) = (margins_at(&chain, &q), free(&chain, &q));
         let purpose = Purpose::ALL[purpose];
         let requirements = PlanRequirements {
-            chain: &chain, around: &q, margins: &rooms, seconds, purpose, sensing: sensing(), clearances: &keep, seed,
+            chain: &chain, around: &q, margins: &margins_at, seconds, purpose, sensing: sensing(), clearances: &keep, seed,
         };
         match plan(&requirements) {
             Ok(planned) => {
-                assert_within(&planned.series, &rooms);
+                assert_within(&planned.series, &margins_at);
                 let rows = (planned.series.length_s() * 50.0).ceil() as usize + 1;
                 let track = planned.series.track(rows);
                 for row in 0..track.len() {

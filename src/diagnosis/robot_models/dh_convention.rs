@@ -74,8 +74,8 @@ impl DhResidual {
 
 /// Number of faults in a diagnosis.
 pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
-    let of_joints = diagnosis.joints.encoding.as_ref().map_or(0, |reading| {
-        usize::from(reading.degrees.is_some()) + usize::from(reading.permutation.is_some())
+    let of_joints = diagnosis.joints.encoding.as_ref().map_or(0, |encoding| {
+        usize::from(encoding.degrees.is_some()) + usize::from(encoding.permutation.is_some())
     });
     let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.is_chosen).count();
     let of_stream = |stream: &PoseDiagnosis| {
@@ -128,17 +128,20 @@ impl DhComparison {
 mod tests {
     use super::*;
 
-    const FAR: [f64; 2] = [0.3, 0.4];
-    const NEAR: [f64; 2] = [2e-5, 1e-5];
-    const DRAWING: [f64; 2] = [4e-3, 4e-3];
-    const UNREAD: [f64; 2] = [f64::INFINITY, f64::INFINITY];
+    const LARGE_RESIDUAL: [f64; 2] = [0.3, 0.4];
+    const SMALL_RESIDUAL: [f64; 2] = [2e-5, 1e-5];
+    const NOMINAL: [f64; 2] = [4e-3, 4e-3];
+    const NOT_DECODED: [f64; 2] = [f64::INFINITY, f64::INFINITY];
 
-    fn told(streams: &[([f64; 2], Option<[f64; 2]>)], faults: [usize; 2]) -> DhConventionResult {
-        let left = |[m, rad]: [f64; 2]| DhResidual { m, rad };
+    fn convention_of(
+        streams: &[([f64; 2], Option<[f64; 2]>)],
+        faults: [usize; 2],
+    ) -> DhConventionResult {
+        let residual = |[m, rad]: [f64; 2]| DhResidual { m, rad };
         let streams = streams.iter().map(|&(declared, other)| DhStreamResiduals {
-            declared: left(declared),
+            declared: residual(declared),
             declared_positions_m: None,
-            other: other.map(left),
+            other: other.map(residual),
         });
         let [declared_faults, other_faults] = faults;
         DhComparison { streams: streams.collect(), declared_faults, other_faults }.convention()
@@ -146,23 +149,53 @@ mod tests {
 
     #[test]
     fn a_convention_is_identified_if_only_the_other_explains() {
-        assert_eq!(told(&[(FAR, Some(NEAR))], [2, 0]), DhConventionResult::Other);
-        assert_eq!(told(&[(UNREAD, Some(DRAWING))], [0, 1]), DhConventionResult::Other);
-        assert_eq!(told(&[(NEAR, None)], [1, 0]), DhConventionResult::AsDeclared);
-        assert_eq!(told(&[(NEAR, Some(NEAR))], [1, 1]), DhConventionResult::AsDeclared);
-        assert_eq!(told(&[(NEAR, Some(NEAR))], [2, 0]), DhConventionResult::Either);
-        assert_eq!(told(&[([0.02, 0.0], Some(DRAWING))], [0, 0]), DhConventionResult::Either);
-        assert_eq!(told(&[(FAR, Some(FAR))], [0, 0]), DhConventionResult::Neither);
-        assert_eq!(told(&[(FAR, None)], [0, 0]), DhConventionResult::Neither);
+        assert_eq!(
+            convention_of(&[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL))], [2, 0]),
+            DhConventionResult::Other
+        );
+        assert_eq!(
+            convention_of(&[(NOT_DECODED, Some(NOMINAL))], [0, 1]),
+            DhConventionResult::Other
+        );
+        assert_eq!(
+            convention_of(&[(SMALL_RESIDUAL, None)], [1, 0]),
+            DhConventionResult::AsDeclared
+        );
+        assert_eq!(
+            convention_of(&[(SMALL_RESIDUAL, Some(SMALL_RESIDUAL))], [1, 1]),
+            DhConventionResult::AsDeclared
+        );
+        assert_eq!(
+            convention_of(&[(SMALL_RESIDUAL, Some(SMALL_RESIDUAL))], [2, 0]),
+            DhConventionResult::Either
+        );
+        assert_eq!(
+            convention_of(&[([0.02, 0.0], Some(NOMINAL))], [0, 0]),
+            DhConventionResult::Either
+        );
+        assert_eq!(
+            convention_of(&[(LARGE_RESIDUAL, Some(LARGE_RESIDUAL))], [0, 0]),
+            DhConventionResult::Neither
+        );
+        assert_eq!(convention_of(&[(LARGE_RESIDUAL, None)], [0, 0]), DhConventionResult::Neither);
     }
 
     #[test]
     fn a_stream_that_neither_convention_explains_is_ignored() {
-        let stranger = (UNREAD, Some(UNREAD));
-        assert_eq!(told(&[stranger, (NEAR, None)], [0, 0]), DhConventionResult::AsDeclared);
-        assert_eq!(told(&[(FAR, Some(NEAR)), stranger], [0, 0]), DhConventionResult::Other);
+        let stranger = (NOT_DECODED, Some(NOT_DECODED));
         assert_eq!(
-            told(&[(FAR, Some(NEAR)), (NEAR, Some(FAR))], [0, 0]),
+            convention_of(&[stranger, (SMALL_RESIDUAL, None)], [0, 0]),
+            DhConventionResult::AsDeclared
+        );
+        assert_eq!(
+            convention_of(&[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL)), stranger], [0, 0]),
+            DhConventionResult::Other
+        );
+        assert_eq!(
+            convention_of(
+                &[(LARGE_RESIDUAL, Some(SMALL_RESIDUAL)), (SMALL_RESIDUAL, Some(LARGE_RESIDUAL))],
+                [0, 0]
+            ),
             DhConventionResult::Either
         );
     }

@@ -363,11 +363,11 @@ pub(crate) struct SelectedModel {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Approach {
+pub(crate) enum SelectionStart {
     /// Start at the given state. Best near the solution or with little information.
-    Careful,
+    AtState,
     /// First take a few steps with all causes free. Best if several large causes add up.
-    Bold,
+    AllCausesFree,
 }
 
 /// Selects from a starting state, with about `most` samples per stream.
@@ -375,14 +375,14 @@ pub(crate) fn select_model(
     observations: &[&PoseObservations],
     start: State,
     candidates: &CandidateCauses,
-    approach: Approach,
+    selection_start: SelectionStart,
     max_samples: usize,
 ) -> SelectedModel {
     let all = candidates.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
     let mut linear = Linearized::new(observations, &state, max_samples, &all);
-    let bold_rounds = if approach == Approach::Bold { 3 } else { 0 };
+    let bold_rounds = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
     for round in 0..12 {
         let full = round < bold_rounds;
         let next = if full {

@@ -47,7 +47,7 @@ impl LengthScale {
     }
 
     /// Name, such as `centimetres`, or its length in metres.
-    pub fn words(self) -> String {
+    pub fn plural_name(self) -> String {
         self.entry()
             .map_or_else(|| format!("numbers of {self} each"), |(.., name)| (*name).to_owned())
     }
@@ -152,7 +152,7 @@ impl AngleUnit {
     }
 
     /// Plural name.
-    pub fn words(self) -> &'static str {
+    pub fn plural_name(self) -> &'static str {
         match self {
             Self::Radian => "radians",
             Self::Degree => "degrees",
@@ -258,7 +258,7 @@ mod tests {
 
     #[test]
     fn units_have_symbols_and_lengths_their_metres() {
-        for (metres, symbol, words) in [
+        for (metres, symbol, plural_name) in [
             (1e-2, "cm", "centimetres"),
             (1e-4, "0.1 mm", "tenths of a millimetre"),
             (0.0254, "in", "inches"),
@@ -266,7 +266,10 @@ mod tests {
             (12.5, "12.50 m", "numbers of 12.50 m each"),
         ] {
             let scale = LengthScale::from_m(metres);
-            assert_eq!((scale.to_string().as_str(), scale.words().as_str()), (symbol, words));
+            assert_eq!(
+                (scale.to_string().as_str(), scale.plural_name().as_str()),
+                (symbol, plural_name)
+            );
             assert_eq!(symbol.parse(), Ok(scale));
         }
         assert!(

@@ -269,16 +269,16 @@ impl ColumnSearch<'_> {
             ColumnContent::TwoLevels => {
                 "it takes two values, like a gripper or a switch".to_owned()
             }
-            ColumnContent::As(other, shift) if shift.delay_s == 0.0 => {
+            ColumnContent::CopyOf(other, shift) if shift.delay_s == 0.0 => {
                 format!("a copy of {}", name(other))
             }
-            ColumnContent::As(other, shift) => {
+            ColumnContent::CopyOf(other, shift) => {
                 let when = if shift.delay_s > 0.0 { "later" } else { "earlier" };
                 format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.delay_s.abs())
             }
             ColumnContent::RateOf(other) => format!("the rate of {}", name(other)),
-            ColumnContent::Own if used.is_empty() => NAME_UNKNOWN.to_owned(),
-            ColumnContent::Own => MATCHES_NOTHING.to_owned(),
+            ColumnContent::Independent if used.is_empty() => NAME_UNKNOWN.to_owned(),
+            ColumnContent::Independent => MATCHES_NOTHING.to_owned(),
         }
     }
 }

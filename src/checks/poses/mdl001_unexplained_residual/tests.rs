@@ -90,7 +90,7 @@ fn a_disagreement_of_poses_and_joints_withdraws_all_causes_with_the_reason() {
     stream.latency_s = Ok(precise(0.05));
     let evaluation = evaluate(&run, &Default::default());
     let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
-    assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
+    assert_eq!((finding.code, finding.title), ("MDL001", DISAGREEMENT_TITLE));
     let said = "poses and joint states disagree by 560 mm, 32.1°, and no known cause explains it";
     assert!(finding.message.starts_with(said), "{}", finding.message);
     let late = evaluation

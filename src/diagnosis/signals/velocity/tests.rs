@@ -10,7 +10,7 @@ fn rate(joint: usize, t: f64) -> f64 {
 }
 
 /// First of two joints, with positions quantised to `quantum`.
-fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
+fn diagnosis(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
     let t_s: Vec<f64> = (0..2000).map(|row| f64::from(row) * 0.01).collect();
     let stepped = |q: f64| if quantum > 0.0 { (q / quantum).round() * quantum } else { q };
     let of = |joint: usize| t_s.iter().map(|&t| stepped(position(joint, t))).collect::<Vec<f64>>();
@@ -29,34 +29,34 @@ fn found(quantum: f64, velocity: impl Fn(f64) -> f64) -> VelocityDiagnosis {
 fn velocities_match_positions_at_any_encoder_resolution() {
     for bits in [0.0, 14.0, 12.0, 10.0] {
         let quantum = if bits > 0.0 { std::f64::consts::TAU / f64::exp2(bits) } else { 0.0 };
-        let found = found(quantum, |t| rate(0, t));
+        let diagnosis = diagnosis(quantum, |t| rate(0, t));
         assert!(
-            found.error.value < 0.02 && found.error.half_width(0.95) < 0.05,
-            "{bits}: {found:?}"
+            diagnosis.error.value < 0.02 && diagnosis.error.half_width(0.95) < 0.05,
+            "{bits}: {diagnosis:?}"
         );
-        assert_eq!(found.shape, VelocityShape::Rates);
+        assert_eq!(diagnosis.shape, VelocityShape::Rates);
     }
 }
 
 #[test]
 fn each_velocity_fault_is_classified_with_its_size() {
-    let degrees = found(0.0, |t| rate(0, t).to_degrees());
+    let degrees = diagnosis(0.0, |t| rate(0, t).to_degrees());
     assert!(matches!(degrees.shape, VelocityShape::Scaled(by) if (by - 57.296).abs() < 0.1));
     assert!((degrees.error.value - 56.296).abs() < 0.1, "{degrees:?}");
-    let turned = found(0.0015, |t| -rate(0, t));
+    let turned = diagnosis(0.0015, |t| -rate(0, t));
     assert!(matches!(turned.shape, VelocityShape::Scaled(by) if (by + 1.0).abs() < 0.02));
-    assert_eq!(found(0.0, |_| 0.0).shape, VelocityShape::Zero);
-    let swapped = found(0.0, |t| rate(1, t));
+    assert_eq!(diagnosis(0.0, |_| 0.0).shape, VelocityShape::Zero);
+    let swapped = diagnosis(0.0, |t| rate(1, t));
     assert!(matches!(swapped.shape, VelocityShape::OfJoint(1, by) if (by - 1.0).abs() < 0.02));
-    assert_eq!(found(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unrelated);
-    let late = found(0.0, |t| rate(0, t - 0.06));
+    assert_eq!(diagnosis(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unrelated);
+    let late = diagnosis(0.0, |t| rate(0, t - 0.06));
     let VelocityShape::Filtered(response) = late.shape else { panic!("{late:?}") };
     assert!((response.delay_s.value - 0.06).abs() < 1e-3, "{response:?}");
 }
 
 #[test]
 fn a_difference_of_two_samples_is_a_rate() {
-    let backward = found(0.0, |t| (position(0, t) - position(0, t - 0.01)) / 0.01);
+    let backward = diagnosis(0.0, |t| (position(0, t) - position(0, t - 0.01)) / 0.01);
     assert_eq!(backward.shape, VelocityShape::Rates, "{backward:?}");
 }
 
@@ -71,8 +71,8 @@ fn windows_with_a_gap_are_skipped() {
     let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v, breaks: &[] };
     let windows = VelocityWindows::from_samples(&joint).expect("it moves");
     assert!(windows.changes.windows.iter().all(|(from, to)| *to < 9.95 || *from > 10.3));
-    let found = diagnose_velocity(&[joint], 0).expect("it moves");
-    assert_eq!(found.shape, VelocityShape::Rates, "{found:?}");
+    let diagnosis = diagnose_velocity(&[joint], 0).expect("it moves");
+    assert_eq!(diagnosis.shape, VelocityShape::Rates, "{diagnosis:?}");
 }
 
 #[test]
