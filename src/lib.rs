@@ -42,7 +42,8 @@ pub use poseaudit_diagnosis as diagnosis;
 pub use poseaudit_log as log;
 
 pub use audit::{
-    Audited, Calibrated, DEMO_LOG, Demo, Options, Planted, Policy, Taken, calibrate, demo,
+    Audited, CalibrationInput, CalibrationResult, DEMO_LOG, Demo, Options, PlantedFault, Policy,
+    calibrate, demo,
 };
 pub use report::compare;
 
@@ -64,7 +65,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     if let Some(given) = &given {
         given.correct_stamps(&mut log)?;
     }
-    Audited::of(log, options, given)
+    Audited::audit(log, options, given)
 }
 
 /// Audits the data so far of a growing log ([`log::LogFollower`]), without corrections.
@@ -72,7 +73,7 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 /// # Errors
 /// If the call is invalid. Without an arm or a model, the report has the error.
 pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
-    Audited::of(log, options, None)
+    Audited::audit(log, options, None)
 }
 
 /// Lists the topics of a log with their roles, without an audit.
@@ -82,7 +83,7 @@ pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> 
 pub fn info(options: &Options) -> Result<Report, Trouble> {
     let mut log = log::open(&options.logs, &options.read)?;
     run::identify_columns(&mut log, &options.run);
-    let read = audit::Read::of(&log);
+    let read = audit::ReadLog::from_log(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
-    Ok(audit::summary(&run, read))
+    Ok(audit::summarize(&run, read))
 }

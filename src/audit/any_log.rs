@@ -382,7 +382,7 @@ impl AnyLog {
             },
             ..Options::default()
         };
-        if let Ok(audited) = Audited::of(log, &options, None) {
+        if let Ok(audited) = Audited::audit(log, &options, None) {
             let report = audited.with_figures().report;
             assert!(report.checks.iter().all(|row| !row.code.is_empty()));
         }

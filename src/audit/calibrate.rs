@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Options;
-use super::tables::table;
+use super::tables::read_table;
 use crate::checks::{UnmovedJoint, rejection_reason, stream_rejection_reason, unmoved_joints};
 use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
@@ -12,26 +12,26 @@ use crate::diagnosis::{
 use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
 use crate::log;
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::{PlanInputs, Trouble, TroubleKind, plan_command};
 use crate::robot::Robot;
 use crate::run::{Arm, PoseSource, PoseSourceKind, Run, load_robot};
 use crate::stream::JointTrack;
 
 /// Larger frame offsets are not link deviations, m and rad.
-const MOST_M: f64 = 10e-3;
-const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const MAX_DEVIATION_M: f64 = 10e-3;
+const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Stream as calibration input.
 #[derive(Clone, Debug)]
-pub struct Taken {
+pub struct CalibrationInput {
     /// File.
     pub log: PathBuf,
     /// Topic, or its substitute for a table.
     pub topic: String,
     /// Source of the poses.
-    pub witness: PoseSourceKind,
+    pub source_kind: PoseSourceKind,
     /// Encoding of the rotations if not the log's.
-    pub reading: Option<String>,
+    pub encoding: Option<String>,
     /// Base link.
     pub base: String,
     /// Tip link.
@@ -40,49 +40,49 @@ pub struct Taken {
     pub(super) columns: Vec<usize>,
     pub(super) t_s: Vec<f64>,
     pub(super) poses: Vec<Pose>,
-    pub(super) rotation_is_blind: bool,
+    pub(super) is_rotation_excluded: bool,
     pub(super) latency_s: Option<f64>,
     pub(super) skew: f64,
     pub(super) reference: Pose,
-    pub(super) reference_is_free: bool,
+    pub(super) is_reference_free: bool,
     pub(super) tool: Pose,
-    pub(super) tool_is_free: bool,
+    pub(super) is_tool_free: bool,
     pub(super) zeros: Vec<String>,
 }
 
 /// Result of a calibration.
 #[derive(Debug)]
-pub struct Calibrated {
+pub struct CalibrationResult {
     /// Nominal model.
-    pub drawing: Robot,
+    pub nominal: Robot,
     /// Joint names of the chain.
     pub joints: Vec<String>,
     /// In the order of [`ArmCalibration::streams`].
-    pub streams: Vec<Taken>,
+    pub streams: Vec<CalibrationInput>,
     /// Data left out, with the reasons.
     pub left_out: Vec<String>,
     /// Estimated calibration.
-    pub found: ArmCalibration,
+    pub calibration: ArmCalibration,
     /// Joints that moved too little.
-    pub still: Vec<UnmovedJoint>,
+    pub unmoved: Vec<UnmovedJoint>,
     /// Command that plans a more informative motion.
     pub plan: Option<String>,
     /// Why no file is written; `None` if the calibration is accepted.
-    pub refused: Option<String>,
-    pub(crate) read: Places,
+    pub rejection: Option<String>,
+    pub(crate) read: PathRegistry,
 }
 
-impl Taken {
+impl CalibrationInput {
     /// The rotations carry no information.
-    pub fn rotation_is_blind(&self) -> bool {
-        self.rotation_is_blind
+    pub fn is_rotation_excluded(&self) -> bool {
+        self.is_rotation_excluded
     }
 }
 
-impl Calibrated {
+impl CalibrationResult {
     /// The controller only yields its own kinematics, not the arm's.
-    pub fn witness(&self) -> PoseSourceKind {
-        let of = |witness| self.streams.iter().all(|stream| stream.witness == witness);
+    pub fn source_kind(&self) -> PoseSourceKind {
+        let of = |source_kind| self.streams.iter().all(|stream| stream.source_kind == source_kind);
         match (of(PoseSourceKind::External), of(PoseSourceKind::Controller)) {
             (true, _) => PoseSourceKind::External,
             (_, true) => PoseSourceKind::Controller,
@@ -101,15 +101,15 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 ///
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
-pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, Trouble> {
+pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
     options.places().check()?;
     let (mut streams, mut left_out, mut arm) = (Vec::new(), Vec::new(), None);
     for path in &options.logs {
-        let found = match table(path)? {
-            Some(table) => table.taken(path, &options.run),
-            None => of_log(path, options, topic),
+        let found = match read_table(path)? {
+            Some(table) => table.input(path, &options.run),
+            None => inputs_from_log(path, options, topic),
         };
-        let (robot, taken, others) = match found {
+        let (robot, input, others) = match found {
             Ok(found) => found,
             // Several logs: skip unusable ones.
             Err(trouble) if options.logs.len() > 1 && trouble.kind == TroubleKind::Log => {
@@ -130,10 +130,10 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
                 return Err(trouble(path, what, "use logs of one arm, with one --robot"));
             }
         }
-        streams.extend(taken);
+        streams.extend(input);
     }
     let place = options.logs.first().map(PathBuf::as_path).unwrap_or(Path::new("LOG"));
-    let Some(drawing) = arm.filter(|_| !streams.is_empty()) else {
+    let Some(nominal) = arm.filter(|_| !streams.is_empty()) else {
         let what = match left_out.first() {
             Some(why) => format!("no pose stream to calibrate with: {why}"),
             None => "no pose stream to calibrate with".to_owned(),
@@ -141,36 +141,55 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         return Err(trouble(place, what, "run `poseaudit audit` on it for the reason"));
     };
     // Only external trackers observe the arm itself.
-    if streams.iter().any(|stream: &Taken| stream.witness == PoseSourceKind::External) {
-        let (outside, others): (Vec<Taken>, Vec<Taken>) =
-            streams.into_iter().partition(|stream| stream.witness == PoseSourceKind::External);
+    if streams
+        .iter()
+        .any(|stream: &CalibrationInput| stream.source_kind == PoseSourceKind::External)
+    {
+        let (external, others): (Vec<CalibrationInput>, Vec<CalibrationInput>) =
+            streams.into_iter().partition(|stream| stream.source_kind == PoseSourceKind::External);
         left_out.extend(others.iter().map(|other| {
             format!(
                 "{}: an external measurement of the arm is preferred; use --topic to select this one",
                 other.topic
             )
         }));
-        streams = outside;
+        streams = external;
     }
-    let (joints, found) = fitted_to_most(&drawing, &mut streams, &mut left_out).map_err(|why| {
-        let (what, remedy) = words(why);
-        trouble(place, what, remedy)
-    })?;
-    let still = unmoved_joints(&drawing, &joints, &found);
-    let refused = rejection_reason(&found, &still);
+    let (joints, calibration) = calibrate_consistent(&nominal, &mut streams, &mut left_out)
+        .map_err(|why| {
+            let (what, remedy) = failure_text(why);
+            trouble(place, what, remedy)
+        })?;
+    let unmoved = unmoved_joints(&nominal, &joints, &calibration);
+    let rejection = rejection_reason(&calibration, &unmoved);
     let read = options.places();
-    let plan = streams.first().and_then(|stream| plan(options, &drawing, stream));
-    Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
+    let plan =
+        streams.first().and_then(|stream| calibration_plan_command(options, &nominal, stream));
+    Ok(CalibrationResult {
+        nominal,
+        joints,
+        streams,
+        left_out,
+        calibration,
+        unmoved,
+        plan,
+        rejection,
+        read,
+    })
 }
 
 /// Plan around the configurations of `stream`.
-fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
-    let [base, tip] = [&stream.base, &stream.tip].map(|name| drawing.link(name));
-    let chain = drawing.chain(base?, tip?).ok()?;
+fn calibration_plan_command(
+    options: &Options,
+    nominal: &Robot,
+    stream: &CalibrationInput,
+) -> Option<String> {
+    let [base, tip] = [&stream.base, &stream.tip].map(|name| nominal.link(name));
+    let chain = nominal.chain(base?, tip?).ok()?;
     let given = options.run.robots.first().map(|given| given.model.clone());
-    let name = given.or_else(|| drawing.text().is_none().then(|| drawing.name.clone()));
+    let name = given.or_else(|| nominal.text().is_none().then(|| nominal.name.clone()));
     let call = plan_command(&PlanInputs {
-        robot: drawing,
+        robot: nominal,
         chain: &chain,
         joints: &stream.joints,
         columns: &stream.columns,
@@ -178,8 +197,8 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
         log: &stream.log,
         log_options: String::new(),
     })?;
-    let outside = if stream.witness == PoseSourceKind::External { " --outside" } else { "" };
-    Some(format!("{call} --for calibration{outside}"))
+    let external = if stream.source_kind == PoseSourceKind::External { " --outside" } else { "" };
+    Some(format!("{call} --for calibration{external}"))
 }
 
 fn is_same_arm(a: &Robot, b: &Robot) -> bool {
@@ -189,7 +208,7 @@ fn is_same_arm(a: &Robot, b: &Robot) -> bool {
     origins(a) == origins(b)
 }
 
-fn words(why: CalibrationFailure) -> (&'static str, &'static str) {
+fn failure_text(why: CalibrationFailure) -> (&'static str, &'static str) {
     match why {
         CalibrationFailure::Chain => (
             "its chain contains a joint from child to parent, or a mimic joint",
@@ -211,14 +230,14 @@ fn words(why: CalibrationFailure) -> (&'static str, &'static str) {
 
 /// Drops a minority of streams that the calibration does not improve: the arm may have been in a different
 /// state. If it does not improve most streams, keeps all and rejects the result.
-fn fitted_to_most(
+fn calibrate_consistent(
     robot: &Robot,
-    streams: &mut Vec<Taken>,
+    streams: &mut Vec<CalibrationInput>,
     left_out: &mut Vec<String>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let given = streams.len();
     loop {
-        let (joints, found) = fitted(robot, streams)?;
+        let (joints, found) = calibrate_streams(robot, streams)?;
         let useless: Vec<Option<String>> =
             found.streams.iter().map(stream_rejection_reason).collect();
         let kept = useless.iter().filter(|why| why.is_none()).count();
@@ -236,9 +255,9 @@ fn fitted_to_most(
     }
 }
 
-fn fitted(
+fn calibrate_streams(
     robot: &Robot,
-    streams: &[Taken],
+    streams: &[CalibrationInput],
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let link = |name: &str| robot.link(name).ok_or(CalibrationFailure::Chain);
     let mut given = Vec::with_capacity(streams.len());
@@ -251,14 +270,14 @@ fn fitted(
             t_s: stream.t_s.clone(),
             poses: stream.poses.clone(),
             excluded: [false; 3],
-            is_rotation_excluded: stream.rotation_is_blind,
+            is_rotation_excluded: stream.is_rotation_excluded,
             latency_s: stream.latency_s.unwrap_or(0.0),
             latency_is_free: stream.latency_s.is_some(),
             skew: stream.skew,
             reference: stream.reference,
-            reference_is_free: stream.reference_is_free,
+            reference_is_free: stream.is_reference_free,
             tool: stream.tool,
-            tool_is_free: stream.tool_is_free,
+            tool_is_free: stream.is_tool_free,
         });
     }
     let first = given.first().ok_or(CalibrationFailure::TooFewSamples)?;
@@ -270,9 +289,13 @@ fn fitted(
     Ok((joints, found))
 }
 
-pub(super) type FromLog = (Robot, Vec<Taken>, Vec<String>);
+pub(super) type LogInputs = (Robot, Vec<CalibrationInput>, Vec<String>);
 
-fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog, Trouble> {
+fn inputs_from_log(
+    path: &Path,
+    options: &Options,
+    topic: Option<&str>,
+) -> Result<LogInputs, Trouble> {
     let log = log::open(&[path.to_path_buf()], &options.read)?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     let evidence = RunEvidence::collect(&mut run, &ReadLosses::default(), &options.run);
@@ -286,8 +309,8 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
             if topic.is_some_and(|topic| topic != stream.topic()) {
                 continue;
             }
-            match taken(path, arm, of, source, stream.topic(), &stream.value) {
-                Ok(taken) => streams.push(taken),
+            match input_from_stream(path, arm, of, source, stream.topic(), &stream.value) {
+                Ok(input) => streams.push(input),
                 Err(why) => left_out.push(format!("{}: {why}", stream.topic())),
             }
         }
@@ -319,14 +342,14 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
 
 /// # Errors
 /// The reason for leaving the stream out.
-fn taken(
+fn input_from_stream(
     path: &Path,
     arm: &Arm,
     of: &ArmEvidence,
     source: &PoseSource,
     topic: &str,
     found: &PoseEvidence,
-) -> Result<Taken, String> {
+) -> Result<CalibrationInput, String> {
     let diagnosis = &found.diagnosis;
     if of.diagnosis.encoding.is_err() {
         return Err("the encoding of the joint states is undetermined".to_owned());
@@ -360,25 +383,26 @@ fn taken(
         }
     }
     let is_small = |frame: &Pose| {
-        frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
+        frame.translation.vector.norm() <= MAX_DEVIATION_M
+            && frame.rotation.angle() <= MAX_DEVIATION_RAD
     };
     let is_outside = found.source_kind == PoseSourceKind::External;
     let frames = &diagnosis.frame_correction;
     let reference_is_free = !source.reference_known || !is_small(&frames.reference);
     let tool_is_free = (is_outside && !source.tip_named) || !is_small(&frames.tool);
     let kept = |frame: Pose, is_free: bool| if is_free { frame } else { Pose::identity() };
-    Ok(Taken {
+    Ok(CalibrationInput {
         log: path.to_path_buf(),
         topic: topic.to_owned(),
-        witness: found.source_kind,
-        reading: reading(diagnosis),
+        source_kind: found.source_kind,
+        encoding: encoding_name(diagnosis),
         base: source.chain.base_name().to_owned(),
         tip: source.chain.tip_name().to_owned(),
         joints: unzeroed.corrected_joints(&arm.joints, &arm.are_prismatic()),
         columns: source.columns.clone(),
         t_s: diagnosis.aligned.t_s.clone(),
         poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-        rotation_is_blind: diagnosis.encoding.is_err(),
+        is_rotation_excluded: diagnosis.encoding.is_err(),
         latency_s: diagnosis.latency_s.as_ref().ok().map(|latency| latency.value),
         skew: diagnosis
             .skew
@@ -387,14 +411,14 @@ fn taken(
             .filter(|_| diagnosis.is_skew_chosen)
             .map_or(0.0, |skew| skew.value),
         reference: kept(frames.reference, reference_is_free),
-        reference_is_free,
+        is_reference_free: reference_is_free,
         tool: kept(frames.tool, tool_is_free),
-        tool_is_free,
+        is_tool_free: tool_is_free,
         zeros,
     })
 }
 
-pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
+pub(super) fn encoding_name(found: &PoseDiagnosis) -> Option<String> {
     let reading = match found.encoding.as_ref().ok()?.best {
         PoseEncoding::AsLogged => return None,
         PoseEncoding::Misinterpreted(class) => {

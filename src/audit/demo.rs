@@ -21,12 +21,12 @@ pub struct Demo {
     /// Report on the log.
     pub report: Report,
     /// Planted faults.
-    pub planted: Vec<Planted>,
+    pub planted: Vec<PlantedFault>,
 }
 
 /// A planted fault.
 #[derive(Clone, Debug)]
-pub struct Planted {
+pub struct PlantedFault {
     /// The fault with its value.
     pub what: String,
     /// Found at the right size.
@@ -41,13 +41,13 @@ pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
     let log = dir.join(DEMO_LOG);
     write(&log).map_err(|error| Trouble {
         kind: TroubleKind::Call,
-        what: cause(&*error).to_string(),
+        what: innermost_cause(&*error).to_string(),
         place: log.display().to_string(),
         remedy: "name a writable folder".to_owned(),
     })?;
     let audited = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
     let report = audited.with_figures().into_report();
-    let planted = planted(&report.findings);
+    let planted = check_planted(&report.findings);
     Ok(Demo { report, planted })
 }
 
@@ -59,11 +59,11 @@ fn write(log: &Path) -> Result<(), Box<dyn Error>> {
     })
 }
 
-fn cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
-    error.source().map_or(error, cause)
+fn innermost_cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
+    error.source().map_or(error, innermost_cause)
 }
 
-fn planted(findings: &[Finding]) -> Vec<Planted> {
+fn check_planted(findings: &[Finding]) -> Vec<PlantedFault> {
     let has = |topic: Option<&str>, joint: Option<&str>, is_it: &dyn Fn(&Cause) -> bool| {
         findings.iter().any(|finding| {
             finding.subject.topic.as_deref() == topic
@@ -82,11 +82,11 @@ fn planted(findings: &[Finding]) -> Vec<Planted> {
     let misread = Cause::Rotation(RotationError::Misread(misreading));
     let pose = synth::POSE;
     vec![
-        Planted {
+        PlantedFault {
             what: format!("rotation vector read as roll-pitch-yaw on {pose}"),
             recovered: has(Some(pose), None, &|cause| *cause == misread),
         },
-        Planted {
+        PlantedFault {
             what: format!("{pose} {:.0} ms late", latency_s * 1e3),
             recovered: has(
                 Some(pose),
@@ -94,14 +94,14 @@ fn planted(findings: &[Finding]) -> Vec<Planted> {
                 &|cause| matches!(cause, Cause::Latency(found) if near(found, latency_s, 1e-3)),
             ),
         },
-        Planted {
+        PlantedFault {
             what: format!("zero of {lift} off by {:+.1}°", zero_rad.to_degrees()),
             recovered: has(None, Some(lift), &|cause| {
                 let tolerance = 0.05_f64.to_radians();
                 matches!(cause, Cause::JointZero { offset, .. } if near(offset, zero_rad, tolerance))
             }),
         },
-        Planted {
+        PlantedFault {
             what: format!(
                 "yaw of {} drifting {:+.1} °/min",
                 synth::IMU,

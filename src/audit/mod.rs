@@ -11,37 +11,37 @@ use crate::checks::{Evaluation, SegmentEvaluation, evaluate, merge_segments};
 use crate::corrections::GivenCorrections;
 use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, UndecodableTopic};
 use crate::log::{Extent, Log, Loss};
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, has_decided_hand_eye,
     join_segments, plans, robot_rows, stream_rows, workspace_coverage,
 };
 use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
 
-pub use calibrate::{Calibrated, Taken, calibrate};
-pub use demo::{DEMO_LOG, Demo, Planted, demo};
+pub use calibrate::{CalibrationInput, CalibrationResult, calibrate};
+pub use demo::{DEMO_LOG, Demo, PlantedFault, demo};
 pub use options::{Options, Policy};
 
-pub(crate) struct Read {
+pub(crate) struct ReadLog {
     summary: LogSummary,
-    lost: ReadLosses,
+    losses: ReadLosses,
 }
 
-impl Read {
+impl ReadLog {
     pub fn note_corrections(&mut self, given: &GivenCorrections<'_>) {
         let path = given.file.to_owned();
         let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
         self.summary.notes.extend(notes);
     }
 
-    fn note(&mut self, what: &str) {
+    fn segments_note(&mut self, what: &str) {
         if let Some(file) = self.summary.files.first() {
             let path = file.path.clone();
             self.summary.notes.push(NoteRow { path, note: what.to_owned() });
         }
     }
 
-    pub fn of(log: &Log) -> Self {
+    pub fn from_log(log: &Log) -> Self {
         let files = log.files.iter().map(|file| FileRow {
             path: file.path.clone(),
             container: file.container.name(),
@@ -72,7 +72,7 @@ impl Read {
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
             },
-            lost: ReadLosses {
+            losses: ReadLosses {
                 losses: log.losses.clone(),
                 undecodable: undecodable.collect(),
                 contradictions: log.contradictions.clone(),
@@ -95,31 +95,31 @@ pub struct Audited {
     /// Index of that segment.
     pub(crate) segment: usize,
     is_part: bool,
-    pub(crate) read: Places,
+    pub(crate) read: PathRegistry,
 }
 
 impl Audited {
     /// Audits each segment as a separate run. Reports a segment that cannot be audited (ING001); returns
     /// the error of the longest.
-    pub(crate) fn of(
+    pub(crate) fn audit(
         mut log: Log,
         options: &Options,
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
         identify_columns(&mut log, &options.run);
-        let mut read = Read::of(&log);
+        let mut read = ReadLog::from_log(&log);
         if let Some(given) = &given {
             read.note_corrections(given);
         }
         let segments = segments(log);
-        let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
+        let longest = segments.iter().map(|segment| segment.duration_s).fold(0.0, f64::max);
         let (mut parts, mut main) = (Vec::new(), None);
-        let (count, mut unaudited) = (segments.len(), Vec::new());
+        let (count, mut not_audited) = (segments.len(), Vec::new());
         for (index, segment) in segments.into_iter().enumerate() {
-            let is_main = main.is_none() && segment.seconds >= longest;
+            let is_main = main.is_none() && segment.duration_s >= longest;
             let file = segment.log.files.first().map(|file| file.path.clone());
             let messages = segment.messages();
-            match Part::of(segment, &read, options, given) {
+            match AuditedSegment::audit(segment, &read, options, given) {
                 Ok(part) => {
                     if is_main {
                         main = Some(parts.len());
@@ -127,7 +127,7 @@ impl Audited {
                     parts.push(part);
                 }
                 Err(trouble) if is_main => return Err(trouble),
-                Err(trouble) => unaudited.push(Loss {
+                Err(trouble) => not_audited.push(Loss {
                     file: file.unwrap_or_default(),
                     offset: None,
                     what: format!(
@@ -142,14 +142,14 @@ impl Audited {
             }
         }
         // Losses of the file belong to the first segment.
-        if let Some(first) = parts.first_mut().filter(|_| !unaudited.is_empty()) {
-            first.evidence.losses.extend(unaudited);
+        if let Some(first) = parts.first_mut().filter(|_| !not_audited.is_empty()) {
+            first.evidence.losses.extend(not_audited);
             first.evaluation = evaluate(&first.evidence, &options.policy.rules);
         }
         let main = main.unwrap_or_default();
-        let report = report(&parts, main, read, options);
+        let report = build_report(&parts, main, read, options);
         let is_part = parts.len() > 1;
-        let Part { run, evidence, .. } = parts.swap_remove(main);
+        let AuditedSegment { run, evidence, .. } = parts.swap_remove(main);
         Ok(Self { report, run, evidence, segment: main, is_part, read: options.places() })
     }
 
@@ -176,20 +176,25 @@ impl Audited {
     }
 }
 
-struct Part {
+struct AuditedSegment {
     run: Run,
     evidence: RunEvidence,
     evaluation: Evaluation,
-    seconds: f64,
+    duration_s: f64,
 }
 
 /// `main` is the longest segment.
-fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Report {
+fn build_report(
+    parts: &[AuditedSegment],
+    main: usize,
+    mut read: ReadLog,
+    options: &Options,
+) -> Report {
     /// Fraction of the longest segment.
-    const SHORT: f64 = 0.2;
+    const MAX_SHORT_SEGMENT_SHARE: f64 = 0.2;
     let (segment, main) = (main, &parts[main]);
     if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
-        read.note(&format!(
+        read.segments_note(&format!(
             "long run: causes are estimated from {count} excerpts of {:.0} s with the most joint motion; \
              clocks, rates and gaps cover the whole run",
             seconds / count.max(1) as f64
@@ -198,7 +203,7 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     if main.run.arms.iter().all(|arm| arm.poses.is_empty()) {
         for &stream in &main.run.undecided {
             let topic = &main.run.streams[stream].topic;
-            read.note(&format!(
+            read.segments_note(&format!(
                 "'{topic}' may be the tool's pose, but the motion does not confirm it; set role = \"pose\" \
                  in [stream.\"{topic}\"] of poseaudit.toml if it is"
             ));
@@ -207,10 +212,10 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     let evaluation = match parts {
         [only] => only.evaluation.clone(),
         segments => {
-            read.note(&note(segments));
+            read.segments_note(&note(segments));
             let parts = segments.iter().map(|segment| SegmentEvaluation {
                 evaluation: segment.evaluation.clone(),
-                is_short: segment.seconds < SHORT * main.seconds,
+                is_short: segment.duration_s < MAX_SHORT_SEGMENT_SHARE * main.duration_s,
             });
             merge_segments(parts.collect(), segment)
         }
@@ -257,21 +262,21 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     }
 }
 
-fn note(parts: &[Part]) -> String {
+fn note(parts: &[AuditedSegment]) -> String {
     let lengths: Vec<String> =
-        parts.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
+        parts.iter().map(|segment| format!("{:.1} s", segment.duration_s)).collect();
     let (count, lengths) = (lengths.len(), lengths.join(", "));
     format!("all stamps step back: the clock restarted. Audited in {count} segments: {lengths}")
 }
 
-impl Part {
-    fn of(
+impl AuditedSegment {
+    fn audit(
         segment: Segment,
-        read: &Read,
+        read: &ReadLog,
         options: &Options,
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
-        let Segment { log, seconds } = segment;
+        let Segment { log, duration_s: seconds } = segment;
         let run = &options.run;
         options.read.set_activity("sorting");
         let mut run = Run::complete(log, run, |run| match given {
@@ -279,13 +284,13 @@ impl Part {
             None => Ok(()),
         })?;
         options.read.set_activity("estimating");
-        let evidence = RunEvidence::collect(&mut run, &read.lost, &options.run);
+        let evidence = RunEvidence::collect(&mut run, &read.losses, &options.run);
         options.read.set_activity("judging");
         let evaluation = evaluate(&evidence, &options.policy.rules);
-        Ok(Self { run, evidence, evaluation, seconds })
+        Ok(Self { run, evidence, evaluation, duration_s: seconds })
     }
 }
 
-pub(crate) fn summary(run: &Run, read: Read) -> Report {
+pub(crate) fn summarize(run: &Run, read: ReadLog) -> Report {
     Report::from_log(read.summary, robot_rows(run), stream_rows(run))
 }

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use crate::checks::Settings;
 use crate::finding::Severity;
 use crate::log::ReadOptions;
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::run::{RobotSource, RunOptions};
 
 /// Input and settings of an audit.
@@ -43,16 +43,16 @@ impl Default for Policy {
 
 impl Options {
     /// Files that the audit reads.
-    pub fn places(&self) -> Places {
-        let mut places = Places::default();
-        self.logs.iter().for_each(|log| places.reads_log(log));
+    pub fn places(&self) -> PathRegistry {
+        let mut places = PathRegistry::default();
+        self.logs.iter().for_each(|log| places.add_log(log));
         // Other robots are catalogue names.
         let robots = self.run.robots.iter().filter_map(RobotSource::file);
-        robots.for_each(|robot| places.reads("the robot", robot));
+        robots.for_each(|robot| places.add_input("the robot", robot));
         let calibrations = self.run.calibrations.iter();
-        calibrations.for_each(|one| places.reads("the calibration", &one.file));
-        self.config.iter().for_each(|config| places.reads("the config", config));
-        self.corrections.iter().for_each(|file| places.reads("the corrections", file));
+        calibrations.for_each(|one| places.add_input("the calibration", &one.file));
+        self.config.iter().for_each(|config| places.add_input("the config", config));
+        self.corrections.iter().for_each(|file| places.add_input("the corrections", file));
         places
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::calibrate::{FromLog, Taken, reading, trouble};
+use super::calibrate::{CalibrationInput, LogInputs, encoding_name, trouble};
 use crate::diagnosis::{PoseStream, diagnose_arm};
 use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{CalibrationTable, RotationColumns, read_calibration_table};
@@ -12,20 +12,20 @@ use crate::run::{PoseSourceKind, RunOptions};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Tables have no times: rows are 1 s apart, with the arm at rest for half of it.
-const ROW_S: f64 = 1.0;
+const ROW_INTERVAL_S: f64 = 1.0;
 const REST_S: f64 = 0.5;
-const LEAST_ROWS: usize = 6;
+const MIN_ROWS: usize = 6;
 
 /// `None` if the file is not a table.
-pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
-    Ok(read_calibration_table(path)?.map(Table))
+pub(super) fn read_table(path: &Path) -> Result<Option<ConfigurationTable>, Trouble> {
+    Ok(read_calibration_table(path)?.map(ConfigurationTable))
 }
 
-pub(super) struct Table(CalibrationTable);
+pub(super) struct ConfigurationTable(CalibrationTable);
 
-impl Table {
+impl ConfigurationTable {
     /// Resolves their encoding against the arm in `options`.
-    pub fn taken(&self, path: &Path, options: &RunOptions) -> Result<FromLog, Trouble> {
+    pub fn input(&self, path: &Path, options: &RunOptions) -> Result<LogInputs, Trouble> {
         let Self(table) = self;
         let call = |what: String, remedy: &str| {
             let kind = TroubleKind::Call;
@@ -36,8 +36,8 @@ impl Table {
             return Err(call(what, "name its model with --robot"));
         };
         let robot = named.robot()?;
-        let (base, tip) =
-            ends(&robot, options).map_err(|what| call(what, "name a link with --base or --tip"))?;
+        let (base, tip) = chain_ends(&robot, options)
+            .map_err(|what| call(what, "name a link with --base or --tip"))?;
         let chain = robot.chain(base, tip).map_err(|error| {
             call(error.to_string(), "name different links with --base and --tip")
         })?;
@@ -50,7 +50,7 @@ impl Table {
                 "name the columns like the model's joints, or q1, q2 and so on",
             ));
         };
-        if table.rows.len() < LEAST_ROWS {
+        if table.rows.len() < MIN_ROWS {
             let what = format!("only {} rows hold numbers in all columns", table.rows.len());
             return Err(trouble(path, what, "use a table with more configurations"));
         }
@@ -65,7 +65,7 @@ impl Table {
             stamps_copied: true,
             removed_ramp: None,
         };
-        let found = diagnose_arm(&track, &[stream], ROW_S);
+        let found = diagnose_arm(&track, &[stream], ROW_INTERVAL_S);
         let Some(diagnosis) = found.streams.first().filter(|one| one.residual.is_ok()) else {
             return Err(trouble(
                 path,
@@ -94,31 +94,31 @@ impl Table {
                 table.dropped.len()
             )
         });
-        let taken = Taken {
+        let input = CalibrationInput {
             log: path.to_path_buf(),
             topic: "rows".to_owned(),
-            witness: PoseSourceKind::External,
-            reading: reading(diagnosis),
+            source_kind: PoseSourceKind::External,
+            encoding: encoding_name(diagnosis),
             base: chain.base_name().to_owned(),
             tip: chain.tip_name().to_owned(),
             joints: unzeroed.corrected_joints(&track, &slides),
             columns: columns.clone(),
             t_s: diagnosis.aligned.t_s.clone(),
             poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-            rotation_is_blind: diagnosis.encoding.is_err(),
+            is_rotation_excluded: diagnosis.encoding.is_err(),
             latency_s: None,
             skew: 0.0,
             reference: frames.reference,
-            reference_is_free: true,
+            is_reference_free: true,
             tool: frames.tool,
-            tool_is_free: true,
+            is_tool_free: true,
             zeros: Vec::new(),
         };
-        Ok((robot, vec![taken], dropped.into_iter().collect()))
+        Ok((robot, vec![input], dropped.into_iter().collect()))
     }
 }
 
-fn ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
+fn chain_ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
     let link = |given: &Option<String>, usual: &Option<String>| {
         let name = given.as_ref().or(usual.as_ref());
         name.map(|name| robot.link_or_nearest(name)).transpose().map_err(|error| error.to_string())
@@ -133,7 +133,7 @@ fn joint_track(table: &CalibrationTable, joints: &[usize]) -> JointTrack {
     let mut track = JointTrack { dof: joints.len(), ..JointTrack::default() };
     for (at, row) in table.rows.iter().enumerate() {
         for within_s in [0.0, REST_S] {
-            track.t_s.push(at as f64 * ROW_S + within_s);
+            track.t_s.push(at as f64 * ROW_INTERVAL_S + within_s);
             track.q.extend(joints.iter().map(|&column| row[column]));
         }
     }
@@ -156,7 +156,7 @@ fn pose_track(table: &CalibrationTable) -> PoseTrack {
         RotationColumns::None => Orientations::Unset(rows.len()),
     };
     PoseTrack {
-        t_s: (0..rows.len()).map(|at| at as f64 * ROW_S + 0.5 * REST_S).collect(),
+        t_s: (0..rows.len()).map(|at| at as f64 * ROW_INTERVAL_S + 0.5 * REST_S).collect(),
         xyz: rows.iter().map(xyz).collect(),
         orientation,
         declared: None,

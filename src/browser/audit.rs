@@ -16,31 +16,35 @@ use crate::{Answer, misuse};
 /// An audit request.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
-    files: Vec<File>,
+pub struct AuditRequest {
+    files: Vec<RequestFile>,
     /// Catalogue name.
     robot: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct RequestFile {
     name: PathBuf,
     #[serde(rename = "as")]
-    kind: Kind,
+    kind: FileKind,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Kind {
+enum FileKind {
     Log,
     Robot,
     Config,
 }
 
-pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<Answer, Trouble> {
+pub fn answer(
+    request: &AuditRequest,
+    files: Vec<Bytes>,
+    progress: Progress,
+) -> Result<Answer, Trouble> {
     let progress = Arc::new(progress);
-    let audited = asked.options(files).and_then(|(mut options, words)| {
+    let audited = request.options(files).and_then(|(mut options, words)| {
         options.read.progress = Some(Arc::clone(&progress));
         Ok((poseaudit::audit(&options)?, words))
     });
@@ -55,12 +59,12 @@ pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<An
     Ok(Answer {
         status: status(&report),
         error: report.error.as_ref().map(ToString::to_string),
-        json: written(&report, "json"),
-        shown: written(&report, "html"),
+        json: write_report(&report, "json"),
+        shown: write_report(&report, "html"),
     })
 }
 
-fn written(report: &Report, format: &str) -> String {
+fn write_report(report: &Report, format: &str) -> String {
     let mut bytes = Vec::new();
     let done = Format::from_name(format).map(|format| format.write(report, &mut bytes));
     debug_assert!(matches!(done, Some(Ok(()))), "memory takes every report");
@@ -78,15 +82,15 @@ fn status(report: &Report) -> u8 {
     }
 }
 
-impl Asked {
+impl AuditRequest {
     /// Options, and the words of the equivalent command line.
     fn options(&self, files: Vec<Bytes>) -> Result<(Options, Vec<String>), Trouble> {
         let (mut logs, mut robots, mut configs) = (Vec::new(), Vec::new(), Vec::new());
-        for (File { name, kind }, content) in self.files.iter().zip(files) {
+        for (RequestFile { name, kind }, content) in self.files.iter().zip(files) {
             match kind {
-                Kind::Log => logs.push((name.clone(), content)),
-                Kind::Robot => robots.push((name, text(name, &content)?)),
-                Kind::Config => configs.push((name, text(name, &content)?)),
+                FileKind::Log => logs.push((name.clone(), content)),
+                FileKind::Robot => robots.push((name, text(name, &content)?)),
+                FileKind::Config => configs.push((name, text(name, &content)?)),
             }
         }
         let mut words = vec!["poseaudit".to_owned(), "audit".to_owned()];

@@ -15,7 +15,7 @@ use crate::{Answer, misuse};
 /// Request with pasted poses.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
+pub struct PoseRequest {
     pose: String,
     /// Unset parts are inferred.
     coded: Option<String>,
@@ -26,16 +26,16 @@ pub struct Asked {
     robot: Option<String>,
 }
 
-pub fn answer(asked: &Asked) -> Result<Answer, Trouble> {
+pub fn answer(request: &PoseRequest) -> Result<Answer, Trouble> {
     let style = |text: &Option<String>, place| {
         let style: Option<Result<Style, DeskError>> = text.as_deref().map(str::parse);
         style.transpose().map(Option::unwrap_or_default).map_err(trouble(place))
     };
-    let coded = style(&asked.coded, "how A is coded")?;
-    let a = paste(&asked.pose).map_err(trouble("pose A"))?;
-    let Some(other) = &asked.other else {
+    let coded = style(&request.coded, "how A is coded")?;
+    let a = paste(&request.pose).map_err(trouble("pose A"))?;
+    let Some(other) = &request.other else {
         let sheets = sheet(&a, coded).map_err(trouble("pose A"))?;
-        let shown = written(|out| write_sheets(&sheets, &a, out));
+        let shown = write_text(|out| write_sheets(&sheets, &a, out));
         return Ok(Answer {
             json: format!("{:#}", sheets_as_json(&sheets)),
             shown,
@@ -43,11 +43,11 @@ pub fn answer(asked: &Asked) -> Result<Answer, Trouble> {
         });
     };
     let b = paste(other).map_err(trouble("pose B"))?;
-    let robot = asked.robot.as_deref().map(load_robot).transpose()?;
+    let robot = request.robot.as_deref().map(load_robot).transpose()?;
     let names = |of: &Pasted| FrameNames { parent: of.parent.clone(), child: of.child.clone() };
     let question = Question {
         is: coded,
-        but: style(&asked.other_coded, "how B is coded")?,
+        but: style(&request.other_coded, "how B is coded")?,
         frames: Corrections::of(robot.as_ref(), &names(&a), &names(&b)),
         pairs: vec![Pair { is: a, but: b }],
     };
@@ -56,7 +56,7 @@ pub fn answer(asked: &Asked) -> Result<Answer, Trouble> {
         status: u8::from(answer.verdict == Verdict::Open),
         error: None,
         json: format!("{:#}", answer_as_json(&answer, 1)),
-        shown: written(|out| write_answer(&answer, 1, out)),
+        shown: write_text(|out| write_answer(&answer, 1, out)),
     })
 }
 
@@ -64,7 +64,7 @@ fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
     move |error| misuse(place, &error, error.advice())
 }
 
-fn written(write: impl FnOnce(&mut dyn io::Write) -> io::Result<()>) -> String {
+fn write_text(write: impl FnOnce(&mut dyn io::Write) -> io::Result<()>) -> String {
     let mut bytes = Vec::new();
     let done = write(&mut bytes);
     debug_assert!(done.is_ok(), "memory takes every text");

@@ -14,7 +14,7 @@ unsafe extern "C" {
     /// Current step, bytes read, bytes in total.
     fn step(doing: *const u8, length: usize, read: f64, total: f64);
     /// Message of a panic.
-    fn failed(said: *const u8, length: usize);
+    fn failed(message: *const u8, length: usize);
 }
 
 /// In the order of the question.
@@ -50,19 +50,20 @@ pub unsafe extern "C" fn file(at: *mut u8, bytes: usize) {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     panic::set_hook(Box::new(|info| {
-        let said = info.to_string();
+        let message = info.to_string();
         // SAFETY: the page copies the text before it returns.
-        unsafe { failed(said.as_ptr(), said.len()) }
+        unsafe { failed(message.as_ptr(), message.len()) }
     }));
     // SAFETY: guaranteed by the caller.
     let question = unsafe { filled(at, bytes) };
     let files = std::mem::take(&mut *FILES.lock().unwrap_or_else(PoisonError::into_inner));
-    let told = Mutex::new((0, ""));
+    let last_step = Mutex::new((0, ""));
     let progress = Progress::with_callback(move |progress| {
         // Posts at most 200 updates.
         let (read, total, doing) = (progress.read(), progress.total(), progress.activity());
         let now = (200 * read / total.max(1), doing);
-        if std::mem::replace(&mut *told.lock().unwrap_or_else(PoisonError::into_inner), now) != now
+        if std::mem::replace(&mut *last_step.lock().unwrap_or_else(PoisonError::into_inner), now)
+            != now
         {
             // SAFETY: the page copies the text before it returns.
             unsafe { step(doing.as_ptr(), doing.len(), read as f64, total as f64) }

@@ -1,4 +1,4 @@
-//! poseaudit in a browser: [`answer`] takes a [`Question`] with its files and returns the page's content.
+//! poseaudit in a browser: [`answer`] takes a [`Request`] with its files and returns the page's content.
 //! `exports` has the C functions for the page's worker, without a binding generator.
 #![warn(missing_docs, clippy::unwrap_used)]
 
@@ -15,11 +15,11 @@ use serde::{Deserialize, Serialize};
 /// Request of the page.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum Question {
+pub enum Request {
     /// Audit of one run.
-    Audit(audit::Asked),
+    Audit(audit::AuditRequest),
     /// One pose in every convention, or a comparison of two.
-    Desk(desk::Asked),
+    Desk(desk::PoseRequest),
 }
 
 /// Answer to the page.
@@ -38,8 +38,8 @@ pub struct Answer {
 /// Answers the JSON `question`, with `files` in its order. Reports steps to `progress`.
 pub fn answer(question: &str, files: Vec<Bytes>, progress: Progress) -> Answer {
     let answered = match serde_json::from_str(question) {
-        Ok(Question::Audit(asked)) => audit::answer(&asked, files, progress),
-        Ok(Question::Desk(asked)) => desk::answer(&asked),
+        Ok(Request::Audit(request)) => audit::answer(&request, files, progress),
+        Ok(Request::Desk(request)) => desk::answer(&request),
         Err(error) => {
             let error = Some(format!("invalid request from the page: {error}"));
             return Answer { status: 2, error, ..Answer::default() };

@@ -99,7 +99,7 @@ fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
     if let Some(folder) = &args.fix {
         fix::register_outputs(folder, &options.run.robots, &mut places);
     }
-    args.write_baseline.iter().for_each(|path| places.writes(BASELINE_OPTION, path));
+    args.write_baseline.iter().for_each(|path| places.add_output(BASELINE_OPTION, path));
     args.reports.register_outputs(&mut places);
     places.check()?;
     Ok(options)

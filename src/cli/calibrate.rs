@@ -75,7 +75,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         Format::Text => found.write_text(&files, stdout),
         Format::Json => writeln!(stdout, "{:#}", found.json()),
     })?;
-    Ok(match found.refused {
+    Ok(match found.rejection {
         None => Outcome::Clean,
         Some(_) => Outcome::Findings,
     })

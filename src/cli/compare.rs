@@ -62,8 +62,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let logs: Vec<&PathBuf> = sides.into_iter().filter(|path| !is_json(path)).collect();
     args.audit_options.find_config(&logs)?;
     let mut places = args.audit_options.options_without_config().places();
-    sides.into_iter().for_each(|path| places.reads_log(path));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    sides.into_iter().for_each(|path| places.add_log(path));
+    args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     let options = args.audit_options.into_options()?;
     let (old, new) = (

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use poseaudit::Planted;
-use poseaudit::places::Places;
+use poseaudit::PlantedFault;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::{Format, Trouble};
 
 use super::{Outcome, output, reports};
@@ -27,8 +27,8 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let mut places = Places::default();
-    places.writes_into("DIR", &args.dir, [poseaudit::DEMO_LOG.to_owned()]);
+    let mut places = PathRegistry::default();
+    places.add_outputs_in("DIR", &args.dir, [poseaudit::DEMO_LOG.to_owned()]);
     places.check()?;
     let demo = poseaudit::demo(&args.dir)?;
     reports::emit(args.format, &demo.report, None)?;
@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(if recovered { Outcome::Clean } else { Outcome::Findings })
 }
 
-fn planted_text(planted: &Planted) -> String {
+fn planted_text(planted: &PlantedFault) -> String {
     let mark = if planted.recovered { "recovered" } else { "missed" };
     format!("{mark:<16}{}", planted.what)
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::output::tables::{Configurations, TableError, kinematics_frame, write_frame};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::{Trouble, sanitize_display};
 use poseaudit::robot::{Chain, Robot};
 use poseaudit::run::load_robot;
@@ -66,10 +66,10 @@ fn parse_finite(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let mut places = Places::default();
-    places.reads("the robot", Path::new(&args.robot));
-    args.file.iter().for_each(|file| places.reads("the file of joint positions", file));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    let mut places = PathRegistry::default();
+    places.add_input("the robot", Path::new(&args.robot));
+    args.file.iter().for_each(|file| places.add_input("the file of joint positions", file));
+    args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     let robot = load_robot(&args.robot)
         .map_err(|error| Trouble { place: args.robot.clone(), ..Trouble::from(&error) })?;

@@ -16,7 +16,7 @@ use poseaudit::fleet::{
     available_memory_bytes, find_sources, pending, run as audit_all, serve,
 };
 use poseaudit::log::{SourceName, is_url};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 use serde::Serialize;
 
@@ -186,11 +186,16 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-fn register_places(args: &Args, options: &Options, out: &Path, sources: &[LogSource]) -> Places {
+fn register_places(
+    args: &Args,
+    options: &Options,
+    out: &Path,
+    sources: &[LogSource],
+) -> PathRegistry {
     let mut places = options.places();
-    Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
-    sources.iter().for_each(|source| places.reads_log(&source.path));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    Store::folders(out).iter().for_each(|folder| places.reserve_folder("--out", folder));
+    sources.iter().for_each(|source| places.add_log(&source.path));
+    args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places
 }
 

@@ -10,7 +10,7 @@ use poseaudit::fleet::report::{
 };
 use poseaudit::fleet::{Store, Template};
 use poseaudit::log;
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 
 use super::{Outcome, misuse, output};
@@ -73,13 +73,13 @@ enum Format {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let mut places = Places::default();
-    Store::folders(&args.folder).iter().for_each(|folder| places.keeps("DIR", folder));
-    places.reads_results(&args.folder);
+    let mut places = PathRegistry::default();
+    Store::folders(&args.folder).iter().for_each(|folder| places.reserve_folder("DIR", folder));
+    places.add_results_folder(&args.folder);
     if log::is_dataset(&args.folder) || log::is_store(&args.folder) {
-        places.reads_log(&args.folder);
+        places.add_log(&args.folder);
     }
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     let Some(store) = Store::open(&args.folder) else {
         let place = args.folder.display().to_string();

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
 use poseaudit::config::Config;
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, sanitize, sanitize_display};
 use poseaudit::time::seconds;
 
@@ -30,7 +30,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    Places::only_read(args.logs.iter().chain(&args.config))?;
+    PathRegistry::check_read_only(args.logs.iter().chain(&args.config))?;
     let config = args.config.as_deref().map(Config::from_file).transpose()?;
     let mut options = config.as_ref().map(Config::options).unwrap_or_default();
     options.logs.clone_from(&args.logs);

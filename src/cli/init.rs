@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use poseaudit::Options;
 use poseaudit::config;
 use poseaudit::log::ReadOptions;
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 
 use super::progress::with_progress;
@@ -39,9 +39,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         let what = "exists already and is not overwritten";
         return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
     }
-    let mut places = Places::default();
-    logs.iter().for_each(|log| places.reads_log(log));
-    output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    let mut places = PathRegistry::default();
+    logs.iter().for_each(|log| places.add_log(log));
+    output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     if schema {
         output::emit(output.as_deref(), |out| out.write_all(config::schema().as_bytes()))?;

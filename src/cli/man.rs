@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Command, CommandFactory};
 use clap_mangen::Man;
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 
 use super::{Cli, Outcome, output};
@@ -28,8 +28,8 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     match &args.output {
         None => output::emit(None, |out| Man::new(whole).render(out))?,
         Some(folder) => {
-            let mut places = Places::default();
-            places.writes_into(output::OUTPUT_OPTION, folder, []);
+            let mut places = PathRegistry::default();
+            places.add_outputs_in(output::OUTPUT_OPTION, folder, []);
             places.check()?;
             for page in pages(&whole)? {
                 let path = folder.join(page.name);

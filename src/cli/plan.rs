@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use poseaudit::diagnosis::plan::{self, ClearanceViolation, Infeasible, Purpose};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 
 use super::{Outcome, misuse, output};
@@ -216,10 +216,10 @@ const COLLISION_WARNING: &str = "NO COLLISION CHECKING: the cell, the payload an
     low speed first, with a hand on the e-stop";
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let mut places = Places::default();
-    places.reads("the robot", Path::new(&args.robot));
-    args.check.iter().for_each(|file| places.reads("the motion", file));
-    args.output.iter().for_each(|path| places.writes(output::OUTPUT_OPTION, path));
+    let mut places = PathRegistry::default();
+    places.add_input("the robot", Path::new(&args.robot));
+    args.check.iter().for_each(|file| places.add_input("the motion", file));
+    args.output.iter().for_each(|path| places.add_output(output::OUTPUT_OPTION, path));
     places.check()?;
     let arm = PlannedArm::from_args(args)?;
     match &args.check {

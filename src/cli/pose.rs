@@ -8,7 +8,7 @@ use poseaudit::desk::{
     Corrections, DeskError, FrameNames, Pair, Pasted, Question, Style, Verdict, answer_as_json,
     pairs_from_csv, paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
 };
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 use poseaudit::run::load_robot;
 
@@ -240,7 +240,7 @@ fn frame_names(
 
 fn read_pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
     if let Some(path) = &args.pairs {
-        Places::only_read([path])?;
+        PathRegistry::check_read_only([path])?;
         let place = path.display().to_string();
         let text = fs::read_to_string(path).map_err(|error| {
             misuse(&place, format!("cannot be read: {error}"), "name a CSV with one pair per row")

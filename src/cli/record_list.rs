@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use poseaudit::Options;
 use poseaudit::log::is_url;
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::{Report, Trouble, sanitize};
 use poseaudit::robot::{Robot, catalogue};
 use serde::Deserialize;
@@ -96,7 +96,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 fn open_source(of: &Path) -> Result<Source, Trouble> {
     let name = of.display().to_string();
     if of.exists() || is_url(of) {
-        Places::only_read([of.to_owned()].iter())?;
+        PathRegistry::check_read_only([of.to_owned()].iter())?;
         let mut options = Options { logs: vec![of.to_owned()], ..Options::default() };
         let report = with_progress(|progress| {
             options.read.progress = Some(progress);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 
 use super::output::OUTPUT_OPTION;
@@ -60,13 +60,13 @@ impl ReportOptions {
     }
 
     /// Adds the report files to `places`.
-    pub fn register_outputs(&self, places: &mut Places) {
+    pub fn register_outputs(&self, places: &mut PathRegistry) {
         match (&self.output, self.distinct_formats().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => {
                 let names = formats.iter().map(|format| format.file_name.to_owned());
-                places.writes_into(OUTPUT_OPTION, folder, names);
+                places.add_outputs_in(OUTPUT_OPTION, folder, names);
             }
-            (output, _) => output.iter().for_each(|path| places.writes(OUTPUT_OPTION, path)),
+            (output, _) => output.iter().for_each(|path| places.add_output(OUTPUT_OPTION, path)),
         }
     }
 

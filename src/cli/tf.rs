@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use poseaudit::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use poseaudit::log::{self, ReadOptions};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 use poseaudit::run::{RobotSource, Run, RunOptions, TfPath};
 use poseaudit::time::Stamp;
@@ -91,7 +91,7 @@ fn parse_positive(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    Places::only_read([&args.log])?;
+    PathRegistry::check_read_only([&args.log])?;
     let log = with_progress(|progress| {
         let options = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
         log::open(std::slice::from_ref(&args.log), &options)
@@ -135,7 +135,7 @@ impl TransformPrinter<'_> {
     /// Outside the common range of the transforms, the pose at its nearest end.
     fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
         let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
-        self.path.at(held).map_err(io::Error::other)
+        self.path.pose_at(held).map_err(io::Error::other)
     }
 
     fn print_one(&self, out: &mut dyn Write) -> io::Result<()> {

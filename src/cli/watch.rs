@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 
 use clap::ValueEnum;
 use poseaudit::log::{HEAD_BYTES, looks_like_log};
-use poseaudit::places::Places;
+use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 use walkdir::WalkDir;
 
@@ -80,9 +80,9 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         let place = args.path.display().to_string();
         return Err(misuse(place, "no such file or folder", "start the watch after the recorder"));
     }
-    let mut places = Places::default();
-    places.reads_log(&args.path);
-    args.rrd.iter().for_each(|path| places.writes("--rrd", path));
+    let mut places = PathRegistry::default();
+    places.add_log(&args.path);
+    args.rrd.iter().for_each(|path| places.add_output("--rrd", path));
     places.check()?;
     args.audit_options.find_config(std::slice::from_ref(&args.path))?;
     let options = args.audit_options.clone().into_options()?;

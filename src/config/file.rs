@@ -21,7 +21,7 @@ use crate::time::Clock;
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "poseaudit.toml")]
-pub(super) struct File {
+pub(super) struct ConfigFile {
     /// The robot: a URDF or DH table, or a catalogue name; for several arms, a table by the prefix of their
     /// joint names. Default: the description in the log, else the best-matching catalogue arm.
     #[schemars(with = "Option<ByPrefix>")]
@@ -201,8 +201,8 @@ pub(super) enum OneOrMore {
 impl TryFrom<OneOrMore> for Selection {
     type Error = String;
 
-    fn try_from(said: OneOrMore) -> Result<Self, String> {
-        let texts = match said {
+    fn try_from(value: OneOrMore) -> Result<Self, String> {
+        let texts = match value {
             OneOrMore::One(text) => vec![text],
             OneOrMore::More(texts) => texts,
         };
@@ -215,7 +215,7 @@ impl TryFrom<OneOrMore> for Selection {
 #[serde(deny_unknown_fields, try_from = "StreamTable")]
 #[schemars(with = "StreamTable")]
 pub(super) struct Stream {
-    pub said: StreamTable,
+    pub table: StreamTable,
     /// Encoding of its numbers.
     pub coding: Option<(RotationEncoding, Units)>,
 }
@@ -250,16 +250,16 @@ pub(super) struct StreamTable {
 impl TryFrom<StreamTable> for Stream {
     type Error = String;
 
-    fn try_from(said: StreamTable) -> Result<Self, String> {
-        let UnitNames(units) = said.units;
-        let vendor = said.vendor.as_ref().map(|vendor| vendor.0);
+    fn try_from(table: StreamTable) -> Result<Self, String> {
+        let UnitNames(units) = table.units;
+        let vendor = table.vendor.as_ref().map(|vendor| vendor.0);
         let by_vendor = vendor.map(|vendor| vendor.coding).filter(|coding| !coding.is_matrix());
-        let coding = said.convention.as_ref().map(|name| name.0).or(by_vendor);
+        let coding = table.convention.as_ref().map(|name| name.0).or(by_vendor);
         if coding.is_none() && units != Units::default() {
             return Err("`units` requires a `convention` or a `vendor`".to_owned());
         }
         let units = units.or(vendor.map_or_else(Units::default, |vendor| vendor.units));
-        Ok(Self { coding: coding.map(|coding| (coding, units)), said })
+        Ok(Self { coding: coding.map(|coding| (coding, units)), table })
     }
 }
 

@@ -24,7 +24,7 @@ use crate::run::{
     CalibrationSource, Declaration, JointName, RobotSource, RoleSetting, RunOptions, TopicSettings,
 };
 
-use self::file::{ByPrefix, File, Ignore, Stream};
+use self::file::{ByPrefix, ConfigFile, Ignore, Stream};
 
 pub use file::{ClockName, FailOn};
 pub use schema::schema;
@@ -36,7 +36,7 @@ pub const FILE_NAME: &str = "poseaudit.toml";
 /// A parsed config.
 #[derive(Clone, Debug)]
 pub struct Config {
-    file: File,
+    file: ConfigFile,
     path: PathBuf,
     text: String,
 }
@@ -47,7 +47,7 @@ impl Config {
     /// # Errors
     /// With the line, if it cannot be read or parsed.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
-        let text = read::text_of(path)?;
+        let text = read::read_text(path)?;
         Self::from_text(text, path)
     }
 
@@ -64,7 +64,7 @@ impl Config {
     /// # Errors
     /// With the line, if it cannot be parsed.
     pub fn from_text(text: String, path: &Path) -> Result<Self, Trouble> {
-        let file = read::parsed(&text, path)?;
+        let file = read::parse(&text, path)?;
         let config = Self { file, path: path.to_owned(), text };
         config.check_robots()?;
         Ok(config)
@@ -72,7 +72,7 @@ impl Config {
 
     /// Options for an audit; unset keys keep their defaults.
     pub fn options(&self) -> Options {
-        let File { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
+        let ConfigFile { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
         let mut run = RunOptions {
             robots: self.robots(),
             calibrations: self.calibrations(),
@@ -104,11 +104,11 @@ impl Config {
 
     /// File and line.
     fn place(&self, at: usize) -> String {
-        read::place(&self.path, &self.text, at)
+        read::line_place(&self.path, &self.text, at)
     }
 
     /// Paths are relative to the config file.
-    fn beside(&self, path: &str) -> PathBuf {
+    fn resolve_path(&self, path: &str) -> PathBuf {
         match self.path.parent() {
             Some(folder) if folder != Path::new("") => folder.join(path),
             _ => PathBuf::from(path),
@@ -117,7 +117,7 @@ impl Config {
 
     /// `None` if `model` is a catalogue name.
     fn robot_file(&self, model: &str) -> Option<PathBuf> {
-        let path = self.beside(model);
+        let path = self.resolve_path(model);
         let is_path =
             path.is_file() || Path::new(model).extension().is_some() || model.contains('/');
         is_path.then_some(path)
@@ -135,7 +135,7 @@ impl Config {
         };
         let what = format!("`{model}` is neither a file nor a catalogue arm{nearest}");
         let remedy = "name a URDF or TOML file, or an arm listed by `poseaudit robots`";
-        Err(read::refused(self.place(robot.span().start), what, remedy))
+        Err(read::call_trouble(self.place(robot.span().start), what, remedy))
     }
 
     fn robots(&self) -> Vec<RobotSource> {
@@ -155,7 +155,7 @@ impl Config {
         let all = self.file.calibration.iter().flat_map(ByPrefix::all);
         let source = |(prefix, file): (Option<&str>, &str)| CalibrationSource {
             prefix: prefix.map(str::to_owned),
-            file: self.beside(file),
+            file: self.resolve_path(file),
         };
         all.map(source).collect()
     }
@@ -171,7 +171,7 @@ impl Config {
 
     fn declarations(&self) -> Vec<Declaration> {
         let streams = self.file.stream.iter();
-        let declared = streams.filter_map(|(topic, Stream { said, coding })| {
+        let declared = streams.filter_map(|(topic, Stream { table, coding })| {
             let (coding, units) = (*coding)?;
             Some(Declaration {
                 topic: topic.as_ref().clone(),
@@ -179,7 +179,7 @@ impl Config {
                 coding,
                 length: units.length.unwrap_or_default(),
                 angle: units.angle.unwrap_or_default(),
-                is_of_vendor: said.convention.is_none(),
+                is_of_vendor: table.convention.is_none(),
             })
         });
         declared.collect()
@@ -188,15 +188,15 @@ impl Config {
     fn topics(&self) -> Vec<TopicSettings> {
         let streams = self.file.stream.iter();
         let topic =
-            |(topic, Stream { said, .. }): (&toml::Spanned<String>, &Stream)| TopicSettings {
+            |(topic, Stream { table, .. }): (&toml::Spanned<String>, &Stream)| TopicSettings {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
-                role: said.role,
-                source_kind: said.witness,
-                frame: said.frame.clone(),
-                link: said.link.clone(),
-                rate_hz: said.rate_hz.map(|rate| rate.0),
-                vendor: said.vendor.as_ref().map(|vendor| vendor.0.description()),
+                role: table.role,
+                source_kind: table.witness,
+                frame: table.frame.clone(),
+                link: table.link.clone(),
+                rate_hz: table.rate_hz.map(|rate| rate.0),
+                vendor: table.vendor.as_ref().map(|vendor| vendor.0.description()),
                 of_columns: false,
             };
         let mut topics: Vec<TopicSettings> = streams.map(topic).collect();
@@ -209,8 +209,8 @@ impl Config {
                 of_columns: true,
                 ..TopicSettings::default()
             };
-            match topics.iter_mut().find(|said| said.is_of(&columns.topic)) {
-                Some(said) => said.role = said.role.or(columns.role),
+            match topics.iter_mut().find(|settings| settings.is_of(&columns.topic)) {
+                Some(settings) => settings.role = settings.role.or(columns.role),
                 None => topics.push(columns),
             }
         }

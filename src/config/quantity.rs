@@ -53,7 +53,7 @@ impl Quantity {
             Self::Number(number) => {
                 return Err(format!(
                     "{number} has no unit: write it in {}, as in \"{number} {}\"",
-                    either(&names),
+                    list_alternatives(&names),
                     names[0]
                 ));
             }
@@ -67,7 +67,10 @@ impl Quantity {
                 let factor = known.iter().find(|(name, _)| *name == suffix);
                 let Some((_, factor)) = factor else {
                     let what = if suffix.is_empty() { "no unit" } else { "the wrong unit" };
-                    return Err(format!("`{text}` has {what}: write it in {}", either(&names)));
+                    return Err(format!(
+                        "`{text}` has {what}: write it in {}",
+                        list_alternatives(&names)
+                    ));
                 };
                 (number, *factor, text.to_owned())
             }
@@ -98,20 +101,21 @@ impl Quantity {
         let names = units.iter().filter_map(|unit| Some(spellings(*unit).first()?.0));
         match (self, refused.as_slice()) {
             (_, [only]) => Err(only.clone()),
-            (Self::Number(number), _) => {
-                Err(format!("{number} has no unit: write {}", either(&names.collect::<Vec<_>>())))
-            }
+            (Self::Number(number), _) => Err(format!(
+                "{number} has no unit: write {}",
+                list_alternatives(&names.collect::<Vec<_>>())
+            )),
             (Self::Text(text), _) => Err(format!(
                 "`{}` has the wrong unit: write it in {}",
                 text.trim(),
-                either(&names.collect::<Vec<_>>())
+                list_alternatives(&names.collect::<Vec<_>>())
             )),
         }
     }
 }
 
 /// As in `a, b or c`.
-fn either(names: &[&str]) -> String {
+fn list_alternatives(names: &[&str]) -> String {
     match names {
         [] => "no unit".to_owned(),
         [one] => (*one).to_owned(),

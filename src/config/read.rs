@@ -4,53 +4,53 @@ use std::fs::File as Opened;
 use std::io::Read;
 use std::path::Path;
 
-use super::file::File;
+use super::file::ConfigFile;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::nearest;
 
 /// In bytes; the parser needs up to 2000 times as much memory.
-const MOST_BYTES: usize = 256 << 10;
+const MAX_BYTES: usize = 256 << 10;
 /// Characters of the config repeated in a message.
-const MOST_SHOWN: usize = 200;
+const MAX_SHOWN_CHARS: usize = 200;
 
-pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
+pub(super) fn read_text(path: &Path) -> Result<String, Trouble> {
     let place = path.display().to_string();
     let mut text = String::new();
     let read = Opened::open(path).and_then(|file| {
         // One byte more shows that the file is too large.
-        file.take(MOST_BYTES as u64 + 1).read_to_string(&mut text)
+        file.take(MAX_BYTES as u64 + 1).read_to_string(&mut text)
     });
     read.map(|_| text).map_err(|error| {
         let remedy = "name a readable file; `poseaudit init LOG` writes one";
-        refused(place, format!("cannot be read: {error}"), remedy)
+        call_trouble(place, format!("cannot be read: {error}"), remedy)
     })
 }
 
-pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
-    if text.len() > MOST_BYTES {
-        let what = format!("larger than the maximum of {MOST_BYTES} bytes");
-        return Err(refused(path.display().to_string(), what, "name the config of one audit"));
+pub(super) fn parse(text: &str, path: &Path) -> Result<ConfigFile, Trouble> {
+    if text.len() > MAX_BYTES {
+        let what = format!("larger than the maximum of {MAX_BYTES} bytes");
+        return Err(call_trouble(path.display().to_string(), what, "name the config of one audit"));
     }
     toml::from_str(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);
-        let (what, remedy) = worded(error.message());
-        refused(place(path, text, at), what, remedy)
+        let (what, remedy) = reword(error.message());
+        call_trouble(line_place(path, text, at), what, remedy)
     })
 }
 
-pub(super) fn refused(place: String, what: String, remedy: &str) -> Trouble {
+pub(super) fn call_trouble(place: String, what: String, remedy: &str) -> Trouble {
     Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }
 
 /// `FILE:LINE` of byte `at`.
-pub(super) fn place(path: &Path, text: &str, at: usize) -> String {
+pub(super) fn line_place(path: &Path, text: &str, at: usize) -> String {
     let before = &text.as_bytes()[..at.min(text.len())];
     let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
     format!("{}:{line}", path.display())
 }
 
 /// Rewords the parser's message, with the nearest known key or value.
-fn worded(message: &str) -> (String, &'static str) {
+fn reword(message: &str) -> (String, &'static str) {
     const KEYS: &str = "docs/config.md lists the keys";
     const VALUES: &str = "docs/config.md lists the values";
     let message = message.lines().map(str::trim).collect::<Vec<_>>().join(", ");
@@ -60,7 +60,7 @@ fn worded(message: &str) -> (String, &'static str) {
         let Some(rest) = message.strip_prefix(start) else { continue };
         // `is`, expected one of `a`, `b`: every second piece is between backquotes.
         let mut quoted = rest.split('`').skip(1).step_by(2);
-        let is = &brief(quoted.next().unwrap_or_default());
+        let is = &excerpt(quoted.next().unwrap_or_default());
         let known: Vec<&str> = quoted.collect();
         let instead = match nearest(is, known.iter().copied()).first() {
             Some(near) => format!("did you mean `{near}`?"),
@@ -69,14 +69,14 @@ fn worded(message: &str) -> (String, &'static str) {
         return (format!("unknown {kind} `{is}`: {instead}"), remedy);
     }
     match message.strip_prefix("missing field ") {
-        Some(key) => (format!("the key {} is missing", brief(key)), KEYS),
-        None => (brief(&message), VALUES),
+        Some(key) => (format!("the key {} is missing", excerpt(key)), KEYS),
+        None => (excerpt(&message), VALUES),
     }
 }
 
 /// The first characters of a text from the file.
-fn brief(text: &str) -> String {
-    match text.char_indices().nth(MOST_SHOWN) {
+fn excerpt(text: &str) -> String {
+    match text.char_indices().nth(MAX_SHOWN_CHARS) {
         Some((at, _)) => format!("{}…", &text[..at]),
         None => text.to_owned(),
     }

@@ -53,7 +53,7 @@ impl Template {
     }
 
     fn head(&mut self, report: &Report) {
-        let files = report.log.files.iter().map(|file| name_of(&file.path));
+        let files = report.log.files.iter().map(|file| file_name(&file.path));
         let files = files.collect::<Vec<_>>().join(" ");
         let _ = writeln!(self.0, "# Settings for the robot and its topics, from {files}.");
         self.line(
@@ -192,7 +192,7 @@ impl Template {
             RoleSetting::Joints | RoleSetting::Pose | RoleSetting::Tf | RoleSetting::Imu
         );
         if let Some(rate_hz) = stream.rate_hz.filter(|rate_hz| is_expected && *rate_hz > 0.0) {
-            self.set("rate_hz", &rounded(rate_hz), "");
+            self.set("rate_hz", &round_rate(rate_hz), "");
         }
         if role != RoleSetting::Pose {
             return;
@@ -262,7 +262,7 @@ fn amount(unit: Unit, value: f64) -> String {
     }
 }
 
-fn rounded(rate_hz: f64) -> String {
+fn round_rate(rate_hz: f64) -> String {
     let digits = 2 - rate_hz.log10().floor() as i32;
     let step = 10f64.powi(-digits);
     let rounded = (rate_hz / step).round() * step;
@@ -274,7 +274,7 @@ fn one_line(text: &str) -> String {
     sanitize(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }
 
-fn name_of(path: &Path) -> String {
+fn file_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or(path.as_os_str());
     one_line(&name.to_string_lossy())
 }

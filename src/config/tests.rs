@@ -76,7 +76,7 @@ turning = "30 rad/s²"
         (Some(RoleSetting::Pose), Some(PoseSourceKind::External))
     );
     assert_eq!((tcp.rate_hz, tcp.place.as_str()), (Some(125.0), "setup/p.toml:17"));
-    assert!(pendant.vendor.as_ref().is_some_and(|said| said.contains("KUKA")), "{pendant:?}");
+    assert!(pendant.vendor.as_ref().is_some_and(|text| text.contains("KUKA")), "{pendant:?}");
     let coded = |topic: &str| {
         let declared = options.run.declared.iter().find(|declared| declared.is_of(topic));
         let declared = declared.expect("a declaration");

@@ -8,7 +8,7 @@ use crate::diagnosis::{
     position_violation, row_blocks, speed_violation, speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
-use crate::run::{Arm, JointSamples, JointStateCorrection, Run, Velocities};
+use crate::run::{Arm, JointSamples, JointStateCorrection, Run, VelocitySource};
 
 /// One joint of a chain.
 #[derive(Clone, Debug)]
@@ -92,11 +92,11 @@ pub(super) fn joint_evidence(
             motion.turns_beyond = if turns { turns_beyond(position, &limits) } else { None };
         }
         (motion.speeds, motion.abruptness) = match source.velocities {
-            Velocities::Logged | Velocities::Near => (
+            VelocitySource::Logged | VelocitySource::DerivedLoggedClose => (
                 speed_violation(t_s, velocity, &limits),
                 peak_acceleration(t_s, velocity, JointSampleKind::Velocities, 0.0),
             ),
-            Velocities::Derived => {
+            VelocitySource::Derived => {
                 let step = encoder_step(position);
                 let beyond = speed_violation_from_positions(t_s, position, &limits, step);
                 (beyond, peak_acceleration(t_s, position, JointSampleKind::Positions, step))

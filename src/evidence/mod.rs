@@ -16,7 +16,7 @@ use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
 use crate::log::{self, Loss, Note, Repeat};
-use crate::run::{Arm, Frozen, NormDefects, NotAudited, NotAuditedReason, Run, RunOptions};
+use crate::run::{Arm, FrozenSpan, NormDefects, NotAudited, NotAuditedReason, Run, RunOptions};
 use crate::time::Stamp;
 
 pub use arm::ArmEvidence;
@@ -58,7 +58,7 @@ pub struct RunEvidence {
     /// Outliers of joint states, tool poses and transforms.
     pub outliers: Vec<StreamEvidence<OutlierEvidence>>,
     /// Frozen intervals of streams compared with the arm.
-    pub frozen_intervals: Vec<StreamEvidence<Vec<Frozen>>>,
+    pub frozen_intervals: Vec<StreamEvidence<Vec<FrozenSpan>>>,
     /// Streams that repeat values with new stamps.
     pub repeated_values: Vec<StreamEvidence<RepeatedValueEvidence>>,
     /// Streams that are, or are declared, joint states or tool poses, and why they are not audited.

@@ -1,6 +1,8 @@
 use super::{StreamEvidence, stream_evidence};
 use crate::robot::JointKind;
-use crate::run::{Frozen, NormDefects, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
+use crate::run::{
+    FrozenSpan, NormDefects, Outliers, PoseSource, RepeatedValues, Role, Run, Stream,
+};
 use crate::stream::Columns;
 
 /// Unusable samples of a stream.
@@ -144,12 +146,12 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
 }
 
 /// Frozen intervals of streams compared with an arm.
-pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
+pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<FrozenSpan>>> {
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
         let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
-        if !is_asked && !times.clone().any(|found| found.whole) {
+        if !is_asked && !times.clone().any(|found| found.is_whole_stream) {
             return None;
         }
         Some(stream_evidence(run, index, times.copied().collect()))

@@ -1,7 +1,8 @@
 use super::{StreamEvidence, stream_evidence};
 use crate::finding::Subject;
 use crate::run::{
-    Cadence, Extent, NotAudited, NotAuditedReason, Role, RoundedStamps, Run, Stream, StreamClock,
+    Cadence, NotAudited, NotAuditedReason, Role, RoundedStamps, Run, Stream, StreamClock,
+    StreamExtent,
 };
 use crate::time::Clock;
 
@@ -54,7 +55,7 @@ pub struct RhythmEvidence {
     /// Timing per sender or transform.
     pub parts: Vec<Cadence>,
     /// Start and end relative to the other streams.
-    pub extent: Option<Extent>,
+    pub extent: Option<StreamExtent>,
 }
 
 impl StreamEvidence<RhythmEvidence> {
@@ -70,7 +71,7 @@ impl StreamEvidence<RhythmEvidence> {
 
     /// Parts that an audit needs.
     pub fn required_parts(&self) -> impl Iterator<Item = &Cadence> {
-        self.parts.iter().filter(|part| part.wanted)
+        self.parts.iter().filter(|part| part.is_audited)
     }
 }
 

@@ -91,7 +91,7 @@ pub(super) fn tf(run: &Run) -> TfEvidence {
     let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
     TfEvidence {
         topics: run.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
-        problems: run.tf_problems.iter().cloned().chain(run.pieces()).collect(),
+        problems: run.tf_problems.iter().cloned().chain(run.disconnected_frames()).collect(),
     }
 }
 

@@ -67,7 +67,7 @@ pub(super) fn vibration_of_joints(
         arm.chain.forward(&q).translation.vector
     };
     let found = match samples.first() {
-        Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
+        Some(first) if samples.iter().all(|other| other.has_same_times(first)) => {
             estimate_vibration(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
         }
         _ => estimate_vibration(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),

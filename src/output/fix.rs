@@ -5,15 +5,15 @@ use std::path::Path;
 
 use crate::audit::Audited;
 use crate::corrections::{CorrectionPlan, FIX_FILES, model_files};
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::{Trouble, write_whole};
 use crate::run::RobotSource;
 
 /// Registers the files that may be written into `folder`, including patched copies of robot files.
-pub fn register_outputs(folder: &Path, robots: &[RobotSource], places: &mut Places) {
+pub fn register_outputs(folder: &Path, robots: &[RobotSource], places: &mut PathRegistry) {
     let patched = robots.iter().filter_map(RobotSource::file).flat_map(model_files);
     let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
-    places.writes_into("--fix", folder, names);
+    places.add_outputs_in("--fix", folder, names);
 }
 
 impl Audited {
@@ -27,7 +27,7 @@ impl Audited {
         let files = CorrectionPlan::from_findings(report, run, evidence, *segment).files();
         let mut places = self.read.clone();
         // A model in the log has no file name before the log is read.
-        places.writes_into("--fix", folder, files.iter().map(|(name, _)| name.clone()));
+        places.add_outputs_in("--fix", folder, files.iter().map(|(name, _)| name.clone()));
         places.check()?;
         let unwritable = |path: &Path, error: std::io::Error| {
             let what = format!("cannot be written: {error}");

@@ -200,13 +200,12 @@ fn timeline_rows(clock: &RunClock) -> Vec<TimelineRow> {
 
 /// The longest in time order, and the number of others.
 fn stream_gaps(clock: &RunClock, rhythm: Option<&Rhythm>) -> (Vec<StreamGap>, usize) {
-    let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.wanted);
-    let holes = parts.flat_map(|part| &part.holes);
+    let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.is_audited);
+    let holes = parts.flat_map(|part| &part.missing_rows);
     let mut gaps: Vec<StreamGap> = holes
         .map(|hole| StreamGap {
-            span_s: [hole.stretch.start, hole.stretch.end]
-                .map(|stamp| clock.seconds_of_stamp(stamp)),
-            missing: hole.missing,
+            span_s: [hole.span.start, hole.span.end].map(|stamp| clock.seconds_of_stamp(stamp)),
+            missing: hole.count,
         })
         .collect();
     let length_s = |gap: &StreamGap| gap.span_s[1] - gap.span_s[0];

@@ -127,7 +127,7 @@ impl<'a> JointRows<'a> {
     fn new(run: &'a Run, arm: &'a Arm) -> Self {
         let samples = run.joint_samples(&arm.joint_sources);
         let is_shared = match samples.as_slice() {
-            [first, others @ ..] => others.iter().all(|other| other.is_beside(first)),
+            [first, others @ ..] => others.iter().all(|other| other.has_same_times(first)),
             [] => false,
         };
         Self { arm, samples, is_shared }

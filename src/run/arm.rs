@@ -12,10 +12,10 @@ use super::joints::{JointSamples, JointSource, JointTopics};
 use super::model::{CompetingModel, FrameNames, LogModel};
 use super::namespace::{Namespace, NamespaceMatch};
 use super::role::{FrameKind, split_words};
-use super::skeleton::{self, ArmPath, driver};
+use super::skeleton::{self, ArmPath, driving_joint};
 use super::sources::{ImuSource, PoseSource};
 use super::tf_error::TfError;
-use super::tf_tree::{TfTree, without_slash};
+use super::tf_tree::{TfTree, strip_slash};
 
 /// One arm of a run.
 #[derive(Clone, Debug)]
@@ -175,7 +175,7 @@ impl Arm {
     ) -> Result<Self, RunError> {
         let robot = &model.robot;
         let link = |option: &'static str, name: &str| {
-            let name = without_slash(name);
+            let name = strip_slash(name);
             let found = robot.link(name).or_else(|| model.frames.link_of(robot, name));
             found.ok_or_else(|| RunError::UnknownLink {
                 option,
@@ -188,7 +188,7 @@ impl Arm {
             Some(name) => link("--tip", name)?,
             None => {
                 let preferred = model.controller_tip.map(|link| robot.link_name(link));
-                skeleton::tip(robot, path.end, preferred)
+                skeleton::select_tip(robot, path.end, preferred)
             }
         };
         let base = match ends.base {
@@ -199,7 +199,7 @@ impl Arm {
         let mut joint_names = path.joints.clone();
         joint_names
             .extend(chain.joint_names().iter().filter(|name| !path.joints.contains(name)).cloned());
-        let is_logged = |name: &&String| joints.topics.iter().any(|topic| topic.holds(name));
+        let is_logged = |name: &&String| joints.topics.iter().any(|topic| topic.has_joint(name));
         let missing: Vec<String> =
             joint_names.iter().filter(|name| !is_logged(name)).cloned().collect();
         if !missing.is_empty() {
@@ -297,7 +297,7 @@ impl Arm {
         let (anchor, is_link) = match link_of(frame) {
             Some(link) => (FrameAnchor { link, link_from_frame: Pose::identity() }, true),
             None => {
-                let tied = self.tree.tied(frame, |other| link_of(other).is_some());
+                let tied = self.tree.nearest_fixed(frame, |other| link_of(other).is_some());
                 let anchor = tied.and_then(|(name, link_from_frame)| {
                     Some(FrameAnchor { link: link_of(name)?, link_from_frame })
                 });
@@ -328,7 +328,7 @@ impl Arm {
     /// A joint that moves `link` but has no joint states.
     pub(super) fn unlogged_joint_above(&self, link: LinkId) -> Option<&str> {
         skeleton::moving_joints_above(&self.robot, link)
-            .map(|joint| driver(&self.robot, joint).name.as_str())
+            .map(|joint| driving_joint(&self.robot, joint).name.as_str())
             .find(|name| !self.has_joint_states_of(name))
     }
 
@@ -350,7 +350,9 @@ impl Arm {
 
     fn count_joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);
-        above.filter(|joint| self.has_joint_states_of(&driver(&self.robot, joint).name)).count()
+        above
+            .filter(|joint| self.has_joint_states_of(&driving_joint(&self.robot, joint).name))
+            .count()
     }
 
     pub(super) fn has_most_joints_between(&self, base: LinkId, tip: LinkId) -> bool {
@@ -395,7 +397,7 @@ impl Arm {
 /// The controller's base, else the root. The arm's first link if an unlogged joint moves it.
 fn default_base(model: &LogModel, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
-    let known = |joint: &Joint| path.joints.contains(&driver(robot, joint).name);
+    let known = |joint: &Joint| path.joints.contains(&driving_joint(robot, joint).name);
     let wanted = model.controller_base.unwrap_or(robot.root());
     let is_reachable = skeleton::moving_joints_above(robot, path.base).all(known)
         && skeleton::moving_joints_above(robot, wanted).all(known);

@@ -17,7 +17,7 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 use super::arm::Arm;
-use super::cadence::rhythms;
+use super::cadence::measure_rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::joint_order;
@@ -144,7 +144,7 @@ impl Run {
             measure_norm_defects(&streams, &timing.clocks),
         );
         release_values(&mut streams, &norms);
-        let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
+        let rhythms = measure_rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let Timing { clocks, excerpts, sample_filter } = timing;
         Ok(Run {
             origin,
@@ -164,7 +164,7 @@ impl Run {
             not_audited: unaudited,
             leaders: Vec::new(),
             undecided: Vec::new(),
-            frozen: stale::times(&sample_filter.stale).chain(frozen).collect(),
+            frozen: stale::frozen_spans(&sample_filter.stale).chain(frozen).collect(),
             tool_switching: Vec::new(),
             sample_filter,
             searched_for_frozen: watched,

@@ -1,7 +1,7 @@
 //! Excerpts of a long run for estimation.
 //!
-//! Five minutes spread over an hour estimate nearly as well as the hour. A run longer than [`WHOLE_S`] is
-//! divided into [`PARTS`] parts with equally many joint states, and estimators use the span of each with
+//! Five minutes spread over an hour estimate nearly as well as the hour. A run longer than [`MAX_WHOLE_RUN_S`] is
+//! divided into [`EXCERPT_COUNT`] parts with equally many joint states, and estimators use the span of each with
 //! the most motion. Clocks, rates, gaps, repeats and counts use all rows.
 
 use rayon::prelude::*;
@@ -15,12 +15,12 @@ use super::sample_filter::SampleFilter;
 use super::streams::{Stream, StreamClocks};
 
 /// Maximum duration that is used completely, s.
-const WHOLE_S: i64 = 300;
-const PARTS: usize = 24;
+const MAX_WHOLE_RUN_S: i64 = 300;
+const EXCERPT_COUNT: usize = 24;
 /// Duration of each excerpt, s.
 const EXCERPT_S: i64 = 12;
 /// Maximum number of motion sums; about a second each for a day.
-const STEPS: i64 = 100_000;
+const MAX_STEPS: i64 = 100_000;
 
 /// The excerpts of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,21 +36,21 @@ impl Excerpts {
         clocks: &StreamClocks,
         sample_filter: &SampleFilter,
     ) -> Option<Self> {
-        let topics = joints(streams, clocks, sample_filter);
-        let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
+        let topics = filtered_joint_states(streams, clocks, sample_filter);
+        let (start, end) = typical_range(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
         // 2 % margin.
-        if span <= WHOLE_S * NANOS_PER_SECOND * 102 / 100 {
+        if span <= MAX_WHOLE_RUN_S * NANOS_PER_SECOND * 102 / 100 {
             return None;
         }
-        let step = NANOS_PER_SECOND.max(span / STEPS);
-        let mut activity = Activity::none(start, step, (span / step) as usize + 1);
+        let step = NANOS_PER_SECOND.max(span / MAX_STEPS);
+        let mut activity = MotionHistogram::new(start, step, (span / step) as usize + 1);
         for (columns, rows) in &topics {
             activity.add(columns, rows);
         }
         let length = (EXCERPT_S * NANOS_PER_SECOND / step).max(1) as usize;
         let spans = activity.parts().into_iter().map(|(from, to)| {
-            let at = from + busiest(&activity.motion[from..to], length);
+            let at = from + busiest_window(&activity.motion[from..to], length);
             let first = start + at as i64 * step;
             (first, first + length as i64 * step)
         });
@@ -58,7 +58,7 @@ impl Excerpts {
     }
 
     /// Tests whether a time is within `around_s` of an excerpt. Fast for increasing times.
-    pub(super) fn holds(&self, around_s: f64) -> impl FnMut(Stamp) -> bool {
+    pub(super) fn time_filter(&self, around_s: f64) -> impl FnMut(Stamp) -> bool {
         let around = nanos(around_s);
         let widened =
             |(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
@@ -87,7 +87,7 @@ impl Excerpts {
     }
 }
 
-fn joints<'a>(
+fn filtered_joint_states<'a>(
     streams: &'a [Stream],
     clocks: &StreamClocks,
     sample_filter: &SampleFilter,
@@ -106,7 +106,7 @@ fn joints<'a>(
 }
 
 /// Range without outlier stamps, with a margin, ns.
-fn bulk(rows: &Rows) -> Option<(i64, i64)> {
+fn typical_range(rows: &Rows) -> Option<(i64, i64)> {
     // The margin includes these rows again if they are regular.
     let stray = rows.len() / 200;
     let last = rows.len().checked_sub(1 + stray)?;
@@ -119,7 +119,7 @@ fn bulk(rows: &Rows) -> Option<(i64, i64)> {
     Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }
 
-struct Activity {
+struct MotionHistogram {
     /// Start of the run, and duration of a step, ns.
     start: i64,
     step: i64,
@@ -129,8 +129,8 @@ struct Activity {
     motion: Vec<f64>,
 }
 
-impl Activity {
-    fn none(start: i64, step: i64, steps: usize) -> Self {
+impl MotionHistogram {
+    fn new(start: i64, step: i64, steps: usize) -> Self {
         Self { start, step, rows: vec![0; steps], motion: vec![0.0; steps] }
     }
 
@@ -166,11 +166,11 @@ impl Activity {
 
     /// First and end step (exclusive) of each part.
     fn parts(&self) -> Vec<(usize, usize)> {
-        let mut behind = Vec::with_capacity(PARTS);
+        let mut behind = Vec::with_capacity(EXCERPT_COUNT);
         let (all, mut seen) = (self.rows.iter().sum::<usize>(), 0);
         for (step, rows) in self.rows.iter().enumerate() {
             seen += rows;
-            while behind.len() < PARTS && seen * PARTS >= all * (behind.len() + 1) {
+            while behind.len() < EXCERPT_COUNT && seen * EXCERPT_COUNT >= all * (behind.len() + 1) {
                 behind.push(step + 1);
             }
         }
@@ -179,7 +179,7 @@ impl Activity {
     }
 }
 
-fn busiest(motion: &[f64], length: usize) -> usize {
+fn busiest_window(motion: &[f64], length: usize) -> usize {
     let sums = motion.windows(length).map(|window| window.iter().sum::<f64>());
     // The first of equals; `max_by` would return the last.
     let best = sums.enumerate().reduce(|best, next| if next.1 > best.1 { next } else { best });
@@ -198,7 +198,7 @@ mod tests {
         let mut columns = JointColumns::default();
         columns.joints.push(JointColumn { name: "a".into(), ..Default::default() });
         let rows = 2 * seconds;
-        let part = rows / PARTS as i64;
+        let part = rows / EXCERPT_COUNT as i64;
         for row in 0..rows {
             let at = (1000 + row / 2) * NANOS_PER_SECOND + (row % 2) * NANOS_PER_SECOND / 2;
             columns.times.push(at, at, at);
@@ -227,27 +227,30 @@ mod tests {
 
     #[test]
     fn a_short_run_is_seen_whole() {
-        assert_eq!(excerpts(WHOLE_S, None), None);
-        assert_eq!(excerpts(WHOLE_S, Some(i64::MAX)), None);
+        assert_eq!(excerpts(MAX_WHOLE_RUN_S, None), None);
+        assert_eq!(excerpts(MAX_WHOLE_RUN_S, Some(i64::MAX)), None);
     }
 
     #[test]
     fn of_each_part_the_stretch_with_most_motion_is_seen() {
         let part_s = 200;
-        let seconds = part_s * PARTS as i64;
+        let seconds = part_s * EXCERPT_COUNT as i64;
         for stray in [None, Some(1), Some(i64::MAX)] {
             let excerpts = excerpts(seconds, stray).unwrap();
-            assert_eq!(excerpts.extent(), (PARTS, (PARTS as i64 * EXCERPT_S) as f64));
+            assert_eq!(
+                excerpts.extent(),
+                (EXCERPT_COUNT, (EXCERPT_COUNT as i64 * EXCERPT_S) as f64)
+            );
             let holds = |stamp: Stamp, around_s: f64| {
-                let mut of_many = excerpts.holds(around_s);
-                let alone = excerpts.holds(around_s)(stamp);
+                let mut of_many = excerpts.time_filter(around_s);
+                let alone = excerpts.time_filter(around_s)(stamp);
                 for seconds in 0..seconds {
                     of_many(Stamp::from_nanos((1000 + seconds) * NANOS_PER_SECOND));
                     assert_eq!(of_many(stamp), alone);
                 }
                 alone
             };
-            for part in 0..PARTS as i64 {
+            for part in 0..EXCERPT_COUNT as i64 {
                 let moving = Stamp::from_nanos((1000 + part * part_s + 190) * NANOS_PER_SECOND);
                 let still = Stamp::from_nanos((1000 + part * part_s + 90) * NANOS_PER_SECOND);
                 assert!(holds(moving, 0.0), "part {part}");

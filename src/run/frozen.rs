@@ -13,21 +13,21 @@ use super::poses::StampedTrack;
 use super::sources::PoseSource;
 
 /// Minimum duration, s; slow sources repeat values for less.
-const LEAST_S: f64 = 0.25;
+const MIN_DURATION_S: f64 = 0.25;
 /// Minimum number of periods, for the same reason.
-const LEAST_PERIODS: usize = 10;
+const MIN_PERIODS: usize = 10;
 /// Gaps longer than this end a span, s.
-const BREAK_S: f64 = 1.0;
+const MAX_GAP_S: f64 = 1.0;
 /// Latency at which values near both ends may lie outside the joint states, s; such spans are not reported.
-const LATE_S: f64 = 1.0;
+const MAX_LATENCY_S: f64 = 1.0;
 /// Maximum motion of a joint at rest, rad or m.
-const REST: f64 = 5e-3;
+const MAX_REST_MOTION: f64 = 5e-3;
 /// The same as a share of the joint's range.
-const REST_SHARE: f64 = 0.01;
+const MAX_REST_SHARE: f64 = 0.01;
 
 /// A span with one repeated value while the arm moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frozen {
+pub struct FrozenSpan {
     /// Index of the stream.
     pub stream: usize,
     /// First stamp with the value.
@@ -37,36 +37,43 @@ pub struct Frozen {
     /// Number of samples with the value.
     pub samples: usize,
     /// Whether the stream has no other value.
-    pub whole: bool,
+    pub is_whole_stream: bool,
     /// Motion of the fastest joint, rad or m: the minimum over possible latencies.
-    pub moved: f64,
+    pub joint_motion: f64,
 }
 
 /// Removes repeats while the arm moves, except the first of each value, and returns the spans. `columns`
 /// are the joints that move the link.
 ///
 /// If the stream may belong to another arm (not `known`), keeps it when little would remain.
-pub(super) fn take_frozen(
+pub(super) fn remove_frozen(
     stream: usize,
     poses: &mut StampedTrack<PoseTrack>,
     joints: &JointTrack,
     columns: &[usize],
     (known, max_lag_s): (bool, f64),
-) -> Vec<Frozen> {
+) -> Vec<FrozenSpan> {
     let StampedTrack { track, stamps } = poses;
-    let holds = holds(track);
+    let holds = constant_spans(track);
     if holds.is_empty() {
         return Vec::new();
     }
     let mut frozen = Vec::new();
     let mut kept = vec![true; stamps.len()];
-    let rests = rests(joints);
+    let rests = rest_limits(joints);
     for (first, last) in holds {
         let hold = (track.t_s[first], track.t_s[last]);
-        let moved = least_motion(joints, (columns, &rests), hold, max_lag_s).unwrap_or(0.0);
+        let moved = min_motion(joints, (columns, &rests), hold, max_lag_s).unwrap_or(0.0);
         if moved > 0.0 {
             let (start, end, samples) = (stamps[first], stamps[last], last + 1 - first);
-            frozen.push(Frozen { stream, start, end, samples, whole: false, moved });
+            frozen.push(FrozenSpan {
+                stream,
+                start,
+                end,
+                samples,
+                is_whole_stream: false,
+                joint_motion: moved,
+            });
             kept[first + 1..=last].fill(false);
         }
     }
@@ -74,9 +81,9 @@ pub(super) fn take_frozen(
     if !known && 2 * left < kept.len() {
         return Vec::new();
     }
-    frozen.iter_mut().for_each(|frozen| frozen.whole = left < 2);
+    frozen.iter_mut().for_each(|frozen| frozen.is_whole_stream = left < 2);
     if !frozen.is_empty() {
-        keep(track, &kept);
+        retain_samples(track, &kept);
         retain(stamps, &kept);
     }
     frozen
@@ -84,14 +91,14 @@ pub(super) fn take_frozen(
 
 impl PoseSource {
     /// Whether it repeats a value for a long time.
-    pub fn stands_still(&self) -> bool {
-        !holds(&self.track).is_empty()
+    pub fn has_constant_span(&self) -> bool {
+        !constant_spans(&self.track).is_empty()
     }
 
     /// How far the joints move its link during its single value, m. `None` if it has several, or the joints
     /// do not move the link.
-    pub fn unmoved_by_m(&self, joints: &JointTrack) -> Option<f64> {
-        const LOOKS: usize = 64;
+    pub fn unfollowed_motion_m(&self, joints: &JointTrack) -> Option<f64> {
+        const MAX_POSES: usize = 64;
         let Self { track, chain, columns, .. } = self;
         let ([first_s, .., last_s], true) =
             (track.t_s.as_slice(), (1..track.t_s.len()).all(|row| is_same(track, 0, row)))
@@ -105,62 +112,65 @@ impl PoseSource {
             chain.forward(&q).translation.vector
         };
         let places: Vec<_> =
-            rows.clone().step_by(rows.len().div_ceil(LOOKS).max(1)).map(pose).collect();
+            rows.clone().step_by(rows.len().div_ceil(MAX_POSES).max(1)).map(pose).collect();
         let from_first_m = places.iter().map(|place| (place - places[0]).norm());
-        Some(from_first_m.fold(0.0, f64::max)).filter(|moved_m| *moved_m > REST)
+        Some(from_first_m.fold(0.0, f64::max)).filter(|moved_m| *moved_m > MAX_REST_MOTION)
     }
 }
 
 impl Run {
     /// Removes repeats while the arm moves at each of `lags_s`, the possible lags of the source.
-    pub fn take_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
+    pub fn remove_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
-        let holds = holds(track);
+        let holds = constant_spans(track);
         if holds.is_empty() {
             return;
         }
         let mut kept = vec![true; track.t_s.len()];
-        let rests = rests(joints);
+        let rests = rest_limits(joints);
         let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
         for (first, last) in holds {
             let hold = (track.t_s[first], track.t_s[last]);
-            let moved = motion_at(joints, (columns, &rests), hold, lags_s).unwrap_or(0.0);
+            let moved = motion_at_lags(joints, (columns, &rests), hold, lags_s).unwrap_or(0.0);
             if moved <= 0.0 {
                 continue;
             }
-            self.frozen.push(Frozen {
+            self.frozen.push(FrozenSpan {
                 stream: *stream,
                 start: stamp(hold.0),
                 end: stamp(hold.1),
                 samples: last + 1 - first,
-                whole: false,
-                moved,
+                is_whole_stream: false,
+                joint_motion: moved,
             });
             kept[first + 1..=last].fill(false);
         }
-        keep(track, &kept);
+        retain_samples(track, &kept);
     }
 }
 
-fn rests(joints: &JointTrack) -> Vec<f64> {
+fn rest_limits(joints: &JointTrack) -> Vec<f64> {
     let rows = || 0..joints.len();
-    let rest = |joint| (REST_SHARE * range(rows().map(|row| joints.row(row)[joint]))).max(REST);
+    let rest = |joint| {
+        (MAX_REST_SHARE * value_range(rows().map(|row| joints.row(row)[joint])))
+            .max(MAX_REST_MOTION)
+    };
     (0..joints.dof).map(rest).collect()
 }
 
-fn range(of: impl Iterator<Item = f64> + Clone) -> f64 {
+fn value_range(of: impl Iterator<Item = f64> + Clone) -> f64 {
     of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
-fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
+fn constant_spans(track: &PoseTrack) -> Vec<(usize, usize)> {
     let (mut holds, mut first) = (Vec::new(), 0);
     while first < track.t_s.len() {
         let repeats = (first + 1..track.t_s.len()).take_while(|&row| {
-            track.t_s[row] - track.t_s[row - 1] < BREAK_S && is_same(track, first, row)
+            track.t_s[row] - track.t_s[row - 1] < MAX_GAP_S && is_same(track, first, row)
         });
         let last = first + repeats.count();
-        if last - first >= LEAST_PERIODS && track.t_s[last] - track.t_s[first] >= LEAST_S {
+        if last - first >= MIN_PERIODS && track.t_s[last] - track.t_s[first] >= MIN_DURATION_S {
             holds.push((first, last));
         }
         first = last + 1;
@@ -170,17 +180,17 @@ fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
 
 /// Motion of the fastest joint during `hold`, minimised over lags near `lags_s`; 0 at rest. `None` outside
 /// the joint states.
-fn motion_at(
+fn motion_at_lags(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     lags_s: &[f64],
 ) -> Option<f64> {
     /// Accuracy of a lag from speeds, and search step, s.
-    const RIGHT_S: f64 = 0.1;
+    const LAG_ACCURACY_S: f64 = 0.1;
     const STEP_S: f64 = 0.01;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
-    let steps = (RIGHT_S / STEP_S) as i32;
+    let steps = (LAG_ACCURACY_S / STEP_S) as i32;
     let lags_s = lags_s
         .iter()
         .flat_map(|lag_s| (-steps..=steps).map(move |step| lag_s + STEP_S * f64::from(step)));
@@ -192,7 +202,7 @@ fn motion_at(
         let rows = joints.t_s.partition_point(|t_s| *t_s < from_s)
             ..joints.t_s.partition_point(|t_s| *t_s <= to_s);
         let moved = columns.iter().filter_map(|&joint| {
-            let range = range(rows.clone().map(|row| joints.row(row)[joint]));
+            let range = value_range(rows.clone().map(|row| joints.row(row)[joint]));
             (range > rests[joint]).then_some(range)
         });
         Some(moved.fold(0.0, f64::max))
@@ -211,7 +221,7 @@ fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
         }
 }
 
-fn keep(track: &mut PoseTrack, kept: &[bool]) {
+fn retain_samples(track: &mut PoseTrack, kept: &[bool]) {
     retain(&mut track.t_s, kept);
     retain(&mut track.xyz, kept);
     match &mut track.orientation {
@@ -233,41 +243,42 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
 
 /// Least motion of the fastest joint in any span half as long as `hold` within `max_lag_s`. `None` outside
 /// the joint states, as the arm may have rested.
-fn least_motion(
+fn min_motion(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     max_lag_s: f64,
 ) -> Option<f64> {
     /// Start times per span length, and samples per span.
-    const STARTS: f64 = 4.0;
-    const LOOKS: usize = 8;
+    const STARTS_PER_SPAN: f64 = 4.0;
+    const SAMPLES_PER_SPAN: usize = 8;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
     let at = |t_s: f64| {
         let row = joints.t_s.partition_point(|own| *own < t_s).min(joints.t_s.len() - 1);
         joints.row(row)
     };
     let length_s = 0.5 * (hold.1 - hold.0);
-    let late_s = LATE_S.min(max_lag_s);
+    let late_s = MAX_LATENCY_S.min(max_lag_s);
     if hold.0 + late_s + length_s > end_s || hold.1 - late_s - length_s < begin_s {
         return None;
     }
     // The first value may precede the first joint state.
-    if hold.0 - begin_s < LATE_S && hold.1 - max_lag_s - begin_s < LEAST_S {
+    if hold.0 - begin_s < MAX_LATENCY_S && hold.1 - max_lag_s - begin_s < MIN_DURATION_S {
         return None;
     }
     let (from_s, to_s) = ((hold.0 - max_lag_s).max(begin_s), (hold.1 + max_lag_s).min(end_s));
     let (mut start_s, mut least) = (from_s, None::<f64>);
     while start_s + length_s <= to_s {
-        let rows = (0..=LOOKS).map(|look| at(start_s + length_s * look as f64 / LOOKS as f64));
+        let rows = (0..=SAMPLES_PER_SPAN)
+            .map(|look| at(start_s + length_s * look as f64 / SAMPLES_PER_SPAN as f64));
         let rows: Vec<&[f64]> = rows.collect();
         let moved = columns.iter().filter_map(|&joint| {
-            let range = range(rows.iter().map(|row| row[joint]));
+            let range = value_range(rows.iter().map(|row| row[joint]));
             (range > rests[joint]).then_some(range)
         });
         let most = moved.fold(0.0, f64::max);
         least = Some(least.map_or(most, |least| least.min(most)));
-        start_s += length_s / STARTS;
+        start_s += length_s / STARTS_PER_SPAN;
     }
     least
 }

@@ -347,12 +347,12 @@ pub(super) fn rename_joints(robot: &Robot, pairs: &[(String, String)]) -> Option
 }
 
 fn arm_joints(robot: &Robot) -> Option<Vec<String>> {
-    let paths = skeleton::arms(robot, |_| true);
+    let paths = skeleton::find_arm_paths(robot, |_| true);
     <[_; 1]>::try_from(paths).ok().map(|[path]| path.joints)
 }
 
 fn own_names(robot: &Robot) -> Vec<String> {
-    let own = robot.joints().iter().filter(|joint| skeleton::is_own(joint));
+    let own = robot.joints().iter().filter(|joint| skeleton::is_independent(joint));
     own.map(|joint| joint.name.clone()).collect()
 }
 

@@ -10,7 +10,7 @@ use crate::time::Stamp;
 
 use super::Run;
 use super::rows::Rows;
-use super::velocities::{Smoothed, Velocities, agreement, smoothed};
+use super::velocities::{SmoothedJoint, VelocitySource, compare_velocities, smooth};
 
 /// Origin of one joint.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub struct JointSource {
     /// Number of samples in that stream.
     pub samples: usize,
     /// Source of its velocities.
-    pub velocities: Velocities,
+    pub velocities: VelocitySource,
 }
 
 #[derive(Clone)]
@@ -41,7 +41,7 @@ impl JointTopic<'_> {
     }
 
     /// Whether it has samples of the joint.
-    pub fn holds(&self, name: &str) -> bool {
+    pub fn has_joint(&self, name: &str) -> bool {
         let joint = self.columns.joints.iter().find(|joint| joint.name == name);
         let has_sample =
             |position: &[f64]| self.rows.iter().any(|(_, row)| position[*row].is_finite());
@@ -84,7 +84,7 @@ pub(super) struct MergedJoints {
 
 /// Finite samples, strictly increasing in time.
 #[derive(Default)]
-pub(super) struct Samples {
+pub(super) struct SortedSamples {
     pub stamps: Vec<Stamp>,
     pub position: Vec<f64>,
     velocity: Vec<f64>,
@@ -105,7 +105,7 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     let mut sources = Vec::with_capacity(names.len());
     let mut joints = Vec::with_capacity(names.len());
     let found = names.par_iter().map(|name| {
-        let samples = ranked.iter().map(|topic| (topic, Samples::of(topic, name)));
+        let samples = ranked.iter().map(|topic| (topic, SortedSamples::from_topic(topic, name)));
         let (topic, samples) = samples.into_iter().find(|(_, found)| !found.stamps.is_empty())?;
         let (track, velocities) = samples.track(origin);
         Some((topic, samples, track, velocities))
@@ -126,12 +126,12 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     let noise = joints.iter().flat_map(|(_, track)| track.noise.iter().copied()).collect();
     let mut track = JointTrack { dof: names.len(), noise, ..Default::default() };
     let mut stamps = Vec::new();
-    let mut cursors: Vec<Cursor> = joints.iter().map(|_| Cursor::default()).collect();
+    let mut cursors: Vec<SampleCursor> = joints.iter().map(|_| SampleCursor::default()).collect();
     let mut row: Vec<(f64, f64)> = Vec::with_capacity(names.len());
     for &stamp in grid {
         let t_s = stamp.seconds_since(origin);
         row.clear();
-        let at = |((stamps, track), cursor): (&(Vec<Stamp>, JointTrack), &mut Cursor)| {
+        let at = |((stamps, track), cursor): (&(Vec<Stamp>, JointTrack), &mut SampleCursor)| {
             cursor.sample(stamps, track, stamp, t_s)
         };
         row.extend(joints.iter().zip(&mut cursors).map_while(at));
@@ -160,7 +160,7 @@ pub struct JointSamples<'a> {
 
 impl JointSamples<'_> {
     /// Whether two joints have the same times.
-    pub fn is_beside(&self, other: &Self) -> bool {
+    pub fn has_same_times(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
     }
 }
@@ -213,7 +213,7 @@ impl<'a> JointTopic<'a> {
                 velocity: velocity.into(),
             };
         }
-        let Samples { stamps, position, velocity } = Samples::of(self, name);
+        let SortedSamples { stamps, position, velocity } = SortedSamples::from_topic(self, name);
         JointSamples {
             t_s: stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect(),
             position: position.into(),
@@ -223,12 +223,12 @@ impl<'a> JointTopic<'a> {
 }
 
 #[derive(Default)]
-struct Cursor {
+struct SampleCursor {
     next: usize,
     interval: usize,
 }
 
-impl Cursor {
+impl SampleCursor {
     /// Position and velocity at `stamp`, interpolated between samples.
     fn sample(
         &mut self,
@@ -248,9 +248,9 @@ impl Cursor {
     }
 }
 
-impl Samples {
+impl SortedSamples {
     /// Finite samples in time order; the first of equal stamps.
-    pub fn of(topic: &JointTopic<'_>, name: &str) -> Self {
+    pub fn from_topic(topic: &JointTopic<'_>, name: &str) -> Self {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
         };
@@ -265,11 +265,11 @@ impl Samples {
         }
     }
 
-    fn track(&self, origin: Stamp) -> (JointTrack, Velocities) {
+    fn track(&self, origin: Stamp) -> (JointTrack, VelocitySource) {
         let t_s: Vec<f64> = self.stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
-        let Smoothed { q, qd: derived, mut noise } = smoothed(&t_s, &self.position);
-        let velocities = agreement(&t_s, &q, &self.velocity, &derived);
-        let is_logged = velocities == Velocities::Logged;
+        let SmoothedJoint { q, qd: derived, mut noise } = smooth(&t_s, &self.position);
+        let velocities = compare_velocities(&t_s, &q, &self.velocity, &derived);
+        let is_logged = velocities == VelocitySource::Logged;
         let qd = if is_logged { self.velocity.clone() } else { derived };
         if is_logged {
             noise[1] = sample_noise(&qd);
@@ -316,7 +316,7 @@ mod tests {
         let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
         assert_eq!((track.len(), track.dof), (300, 2));
         assert_eq!(track.row(50), [1.5_f64.sin(), 1.0_f64.sin()]);
-        assert!(sources.iter().all(|joint| joint.velocities == Velocities::Logged));
+        assert!(sources.iter().all(|joint| joint.velocities == VelocitySource::Logged));
     }
 
     #[test]
@@ -326,7 +326,7 @@ mod tests {
         {
             let columns = columns(wrong);
             let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
-            assert!(sources.iter().all(|joint| joint.velocities == Velocities::Derived));
+            assert!(sources.iter().all(|joint| joint.velocities == VelocitySource::Derived));
             for row in 0..track.len() {
                 let truth = 3.0 * (3.0 * track.t_s[row]).cos();
                 assert!((track.qd[2 * row] - truth).abs() < 2e-3, "row {row}");
@@ -339,8 +339,11 @@ mod tests {
         let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.01).collect();
         let noise: Vec<f64> = (0..100).map(|row| 1e-5 * f64::from(row % 3)).collect();
         let derived = derivative(&t_s, &noise);
-        assert_eq!(agreement(&t_s, &noise, &[0.0; 100], &derived), Velocities::Logged);
-        assert_eq!(agreement(&t_s, &noise, &[0.3; 100], &derived), Velocities::Derived);
+        assert_eq!(compare_velocities(&t_s, &noise, &[0.0; 100], &derived), VelocitySource::Logged);
+        assert_eq!(
+            compare_velocities(&t_s, &noise, &[0.3; 100], &derived),
+            VelocitySource::Derived
+        );
     }
 
     #[test]

@@ -63,21 +63,21 @@ use crate::time::{Clock, Stamp};
 
 pub use arm::{Arm, JointStateCorrection, TfUnavailable};
 pub use assemble::{ReferenceContent, ReferenceSource};
-pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
+pub use cadence::{Cadence, MissingRows, RateSpan, Rhythm, StreamExtent};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use columns::{SharedColumns, SharedMapping, SharedRow, identify_columns, selectors};
 pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
-pub use frozen::Frozen;
+pub use frozen::FrozenSpan;
 pub use joints::{JointSamples, JointSource};
 pub use model::CompetingModel;
 pub use models::load_robot;
 pub use norm_defects::{NormDefects, RotationStorage};
 pub use not_audited::{NotAudited, NotAuditedReason};
-pub use outliers::{FEWEST_SAMPLES, Outliers};
+pub use outliers::{MIN_OUTLIER_SAMPLES, Outliers};
 pub use pose_distance::PoseDistance;
-pub use publishers::Publishers;
+pub use publishers::TwoPublishers;
 pub use repeated::RepeatedValues;
 pub(crate) use resolve::{common_diagnosis_count, realign_moving_bases};
 pub use role::Role;
@@ -95,7 +95,7 @@ pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{RoleSetting, TopicSettings};
 pub use unwrap::WrappedJoint;
-pub use velocities::Velocities;
+pub use velocities::VelocitySource;
 
 /// Minimum speed correlation of a stream that follows the arm.
 const MIN_FOLLOWER_CORRELATION: f64 = 0.7;
@@ -186,7 +186,7 @@ pub struct Run {
     /// Samples excluded from estimation.
     pub sample_filter: SampleFilter,
     /// Frozen spans while the arm moved, also excluded.
-    pub frozen: Vec<Frozen>,
+    pub frozen: Vec<FrozenSpan>,
     /// Streams that were searched for frozen spans.
     pub searched_for_frozen: Vec<usize>,
     /// Streams alternating between rigid bodies on the tool, converted to the main body.

@@ -13,7 +13,7 @@ use super::error::RunError;
 use super::joint_order;
 use super::model::{LogModel, ModelClues};
 use super::namespace::{Namespace, NamespaceMatch};
-use super::skeleton::is_own;
+use super::skeleton::is_independent;
 use super::{RunOptions, SharedMapping};
 
 /// A robot given by the caller, and its joint name prefix, or a word of its topic.
@@ -256,7 +256,7 @@ fn match_by_prefix(
         models.push(LogModel::new(renamed, found, &names.to_prefix, clues));
     }
     if models.is_empty() {
-        let own = robot.joints().iter().filter(|joint| is_own(joint));
+        let own = robot.joints().iter().filter(|joint| is_independent(joint));
         return Err(RunError::UnknownJoints {
             robot: robot.name.clone(),
             source: robot.source.clone(),
@@ -317,7 +317,7 @@ fn have_same_joints(a: &LogModel, b: &LogModel) -> bool {
             .robot
             .joints()
             .iter()
-            .filter(|joint| is_own(joint))
+            .filter(|joint| is_independent(joint))
             .map(|joint| joint.name.clone())
             .collect()
     };

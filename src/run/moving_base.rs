@@ -21,7 +21,7 @@ impl PoseSource {
 
 impl MovingBase {
     /// Frame in base at a time, interpolated. `None` outside the transforms.
-    pub fn at(&self, t_s: f64) -> Option<Pose> {
+    pub fn pose_at(&self, t_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (&after_s, after) = (self.t_s.get(right)?, self.base_from_frame.get(right)?);
         if after_s == t_s {
@@ -48,7 +48,7 @@ impl MovingBase {
         let mut turned = Vec::new();
         for (row, &t_s) in logged.t_s.iter().enumerate() {
             let rotation = rotations.map(|rotations| rotations[row]).unwrap_or_default();
-            let Some(base_from_frame) = self.at(t_s - lag_s) else { continue };
+            let Some(base_from_frame) = self.pose_at(t_s - lag_s) else { continue };
             let pose = base_from_frame * Pose::from_parts(logged.xyz[row].into(), rotation);
             transformed.t_s.push(t_s);
             transformed.xyz.push(pose.translation.vector);

@@ -14,30 +14,30 @@ use crate::time::Stamp;
 
 use super::pose_distance::PoseDistance;
 use super::poses::MatrixOrder;
-use super::publishers::Publishers;
+use super::publishers::TwoPublishers;
 use super::role::Role;
 use super::rows::Rows;
-use super::stale::HARDEST;
+use super::stale::MAX_ACCELERATION;
 use super::streams::{Stream, StreamClocks};
 
 /// Maximum number of consecutive outliers.
-const LONGEST: usize = 3;
+const MAX_CONSECUTIVE: usize = 3;
 /// Maximum duration, s; longer excursions may be motion.
-const SOON_S: f64 = 0.25;
+const MAX_DURATION_S: f64 = 0.25;
 /// Minimum ratio of a jump to the usual and nearby steps.
-const FAR: f64 = 5.0;
+const MIN_STEP_RATIO: f64 = 5.0;
 /// Ratio to the usual steps that always suffices.
-const BEYOND: f64 = 1000.0;
+const SUFFICIENT_STEP_RATIO: f64 = 1000.0;
 /// Maximum distance after the return, as a share of the jump.
-const BACK: f64 = 0.2;
+const MAX_RETURN_SHARE: f64 = 0.2;
 /// Minimum jump, rad or m.
-const LEAST: f64 = 1e-3;
+const MIN_JUMP: f64 = 1e-3;
 /// The same if mostly stationary, because an encoder's last bit flips.
-const LEAST_AT_REST: f64 = 5e-3;
+const MIN_JUMP_AT_REST: f64 = 5e-3;
 /// Maximum share; more are indistinguishable from data.
-const MOST: f64 = 0.05;
+const MAX_SHARE: f64 = 0.05;
 /// Minimum number of samples; with fewer, no outliers are reported.
-pub const FEWEST_SAMPLES: usize = 20;
+pub const MIN_OUTLIER_SAMPLES: usize = 20;
 
 /// Outliers of a stream, transform or joint.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,9 +49,9 @@ pub struct Outliers {
     /// The joint.
     pub joint: Option<String>,
     /// Largest jump; a joint's, in its unit, as `length_m`.
-    pub farthest: PoseDistance,
+    pub largest_jump: PoseDistance,
     /// Stamp of that sample, if it has one.
-    pub at: Option<Stamp>,
+    pub largest_at: Option<Stamp>,
     /// Index of the stream's part.
     pub(super) piece: usize,
     /// Outlier rows in order. Empty if indistinguishable from data.
@@ -65,7 +65,7 @@ impl Outliers {
     }
 }
 
-pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
+pub(super) fn remove_outliers(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = outliers.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
     let outlier: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
     if !outlier.is_empty() {
@@ -77,7 +77,7 @@ pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mu
 pub(super) fn detect_outliers(
     streams: &[Stream],
     clocks: &StreamClocks,
-    publishers: &[Publishers],
+    publishers: &[TwoPublishers],
 ) -> Vec<Outliers> {
     let is_of_two = |stream: usize, piece: usize| {
         publishers.iter().any(|two| (two.stream, two.piece) == (stream, piece))
@@ -97,34 +97,44 @@ pub(super) fn detect_outliers(
         };
         let found = match &stream.columns {
             _ if !may_jump(stream.role) || is_of_two(index, 0) && times.len() == 1 => Vec::new(),
-            Some(Columns::Joints(joints)) => of_joints(joints, &|row| at(0, row)),
+            Some(Columns::Joints(joints)) => joint_outliers(joints, &|row| at(0, row)),
             Some(Columns::Poses(poses)) => {
-                let of = |(piece, poses)| of_poses(piece, poses, false, &|row| at(piece, row));
+                let of = |(piece, poses)| pose_outliers(piece, poses, false, &|row| at(piece, row));
                 poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Transforms(poses)) => {
                 let of = |(piece, poses)| {
                     let is_one = !is_of_two(index, piece);
-                    is_one.then(|| of_poses(piece, poses, true, &|row| at(piece, row))).flatten()
+                    is_one
+                        .then(|| pose_outliers(piece, poses, true, &|row| at(piece, row)))
+                        .flatten()
                 };
                 poses.par_iter().enumerate().filter_map(of).collect()
             }
             Some(Columns::Array(array)) if array.width >= 6 => {
-                of_array(array, &|row| at(0, row)).into_iter().collect()
+                array_outliers(array, &|row| at(0, row)).into_iter().collect()
             }
             _ => Vec::new(),
         };
         let stamped = found.into_iter().map(|found| {
             let at = at(found.piece, found.farthest_row);
             let PartOutliers { piece, frame, joint, rows, farthest, .. } = found;
-            Outliers { stream: index, frame, joint, farthest, at, piece, rows }
+            Outliers {
+                stream: index,
+                frame,
+                joint,
+                largest_jump: farthest,
+                largest_at: at,
+                piece,
+                rows,
+            }
         });
         stamped.collect::<Vec<_>>()
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
+type StampOfRow<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
 struct PartOutliers {
     piece: usize,
@@ -135,7 +145,7 @@ struct PartOutliers {
     farthest_row: usize,
 }
 
-fn of_joints(joints: &JointColumns, at: At) -> Vec<PartOutliers> {
+fn joint_outliers(joints: &JointColumns, at: StampOfRow) -> Vec<PartOutliers> {
     let of = |column: &JointColumn| {
         let q = &column.position;
         let known: Option<Vec<usize>> = q
@@ -144,14 +154,14 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<PartOutliers> {
             .then(|| (0..q.len()).filter(|&row| q[row].is_finite()).collect());
         let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
         let samples = known.as_ref().map_or(q.len(), Vec::len);
-        let distance = |a: usize, b: usize| turned(q[row(b)] - q[row(a)]);
+        let distance = |a: usize, b: usize| angular_distance(q[row(b)] - q[row(a)]);
         let jumps = find_jumps(samples, &|sample| at(row(sample)), distance)?;
-        let (farthest, length_m) = farthest(&jumps)?;
+        let (farthest, length_m) = largest_jump(&jumps)?;
         Some(PartOutliers {
             piece: 0,
             frame: None,
             joint: Some(column.name.clone()),
-            rows: identifiable(&jumps, samples).map(row).collect(),
+            rows: identifiable_rows(&jumps, samples).map(row).collect(),
             farthest: PoseDistance { length_m, angle_rad: 0.0 },
             farthest_row: row(farthest),
         })
@@ -160,9 +170,9 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<PartOutliers> {
 }
 
 /// Joint motion without whole turns in rad or degrees, as joints may be wrapped.
-fn turned(by: f64) -> f64 {
-    const TURNS: f64 = 4.0;
-    let without = |turn: f64| match by.abs() > TURNS * turn {
+fn angular_distance(by: f64) -> f64 {
+    const MAX_TURNS: f64 = 4.0;
+    let without = |turn: f64| match by.abs() > MAX_TURNS * turn {
         true => f64::INFINITY,
         false => (by - turn * (by / turn).round()).abs(),
     };
@@ -174,70 +184,75 @@ fn turned(by: f64) -> f64 {
 
 /// Outliers of poses. Checks orientations only of a `transform`; misinterpreted ones jump without an
 /// outlier.
-fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<PartOutliers> {
+fn pose_outliers(
+    piece: usize,
+    poses: &PoseColumns,
+    transform: bool,
+    at: StampOfRow,
+) -> Option<PartOutliers> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
     let samples = poses.times.len();
-    let moved =
-        find_jumps(samples, at, |a, b| length(poses.xyz[a], poses.xyz[b])).unwrap_or_default();
+    let moved = find_jumps(samples, at, |a, b| point_distance(poses.xyz[a], poses.xyz[b]))
+        .unwrap_or_default();
     let turned = transform
         .then(|| find_jumps(samples, at, OrientationDistance(poses)))
         .flatten()
         .unwrap_or_default();
-    of_leaps(piece, frame, samples, &moved, &turned)
+    outliers_from_jumps(piece, frame, samples, &moved, &turned)
 }
 
 /// Outliers of unnamed positions; angles may jump by a turn.
-fn of_array(array: &ArrayColumns, at: At) -> Option<PartOutliers> {
+fn array_outliers(array: &ArrayColumns, at: StampOfRow) -> Option<PartOutliers> {
     let layout = [12, 16].contains(&array.width).then(|| MatrixOrder::detect(array)).flatten();
     let xyz = |row: usize| match layout {
         Some(layout) => layout.split(array.row(row)).0,
         None => [0, 1, 2].map(|axis| array.row(row)[axis]),
     };
     let samples = array.times.len();
-    let moved = find_jumps(samples, at, |a, b| length(xyz(a), xyz(b)))?;
-    of_leaps(0, None, samples, &moved, &[])
+    let moved = find_jumps(samples, at, |a, b| point_distance(xyz(a), xyz(b)))?;
+    outliers_from_jumps(0, None, samples, &moved, &[])
 }
 
-fn length(a: [f64; 3], b: [f64; 3]) -> f64 {
+fn point_distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-fn of_leaps(
+fn outliers_from_jumps(
     piece: usize,
     frame: Option<String>,
     samples: usize,
     moved: &[(usize, f64)],
     turned: &[(usize, f64)],
 ) -> Option<PartOutliers> {
-    let [by_length, by_angle] = [moved, turned].map(farthest);
+    let [by_length, by_angle] = [moved, turned].map(largest_jump);
     let farthest_row = by_length.or(by_angle)?.0;
     let amount = |farthest: Option<(usize, f64)>| farthest.map_or(0.0, |(_, amount)| amount);
     let farthest = PoseDistance { length_m: amount(by_length), angle_rad: amount(by_angle) };
     let mut rows: Vec<usize> =
-        identifiable(moved, samples).chain(identifiable(turned, samples)).collect();
+        identifiable_rows(moved, samples).chain(identifiable_rows(turned, samples)).collect();
     rows.sort_unstable();
     rows.dedup();
     Some(PartOutliers { piece, frame, joint: None, rows, farthest, farthest_row })
 }
 
-fn farthest(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
+fn largest_jump(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
     jumps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// The samples of `jumps`, unless too large a share of `samples`.
-fn identifiable(jumps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
-    let are_few = jumps.len() as f64 <= MOST * samples as f64;
+fn identifiable_rows(jumps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
+    let are_few = jumps.len() as f64 <= MAX_SHARE * samples as f64;
     jumps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
 }
 
-trait Distance {
+trait SampleDistance {
     fn between(&self, a: usize, b: usize) -> f64;
 
     /// Whether the distance is at most `limit`. Fast; may miss some.
     fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool;
 }
 
-impl<F: Fn(usize, usize) -> f64> Distance for F {
+impl<F: Fn(usize, usize) -> f64> SampleDistance for F {
     fn between(&self, a: usize, b: usize) -> f64 {
         self(a, b)
     }
@@ -249,36 +264,40 @@ impl<F: Fn(usize, usize) -> f64> Distance for F {
 
 struct OrientationDistance<'a>(&'a PoseColumns);
 
-impl Distance for OrientationDistance<'_> {
+impl SampleDistance for OrientationDistance<'_> {
     fn between(&self, a: usize, b: usize) -> f64 {
         PoseDistance::between((self.0, a), (self.0, b)).angle_rad
     }
 
     fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool {
-        PoseDistance::is_certainly_rotated_less(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
+        PoseDistance::is_rotation_certainly_below(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
     }
 }
 
 /// Outliers with their distances. `None` with too few samples.
-fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
+fn find_jumps(
+    samples: usize,
+    at: StampOfRow,
+    measure: impl SampleDistance,
+) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
     let distance = |a: usize, b: usize| measure.between(a, b);
     let usual = usual_step(samples, &distance)?;
     let least = if usual > 0.0 {
-        LEAST.max(FAR * usual)
+        MIN_JUMP.max(MIN_STEP_RATIO * usual)
     } else {
-        LEAST_AT_REST.max(flips(samples, &distance))
+        MIN_JUMP_AT_REST.max(min_flip_distance(samples, &distance))
     };
     let step = |sample: usize| distance(sample, sample + 1);
     let is_soon = |from: usize, to: usize| match (at(from), at(to)) {
-        (Some(from), Some(to)) => to.seconds_since(from).abs() <= SOON_S,
+        (Some(from), Some(to)) => to.seconds_since(from).abs() <= MAX_DURATION_S,
         _ => true,
     };
     // Ends have no return, and the start of a motion is no outlier.
-    let inside = || (LONGEST..samples.saturating_sub(LONGEST + 1)).map(step);
+    let inside = || (MAX_CONSECUTIVE..samples.saturating_sub(MAX_CONSECUTIVE + 1)).map(step);
     let is_unlike_all = |far: f64| {
         let longest = inside().filter(|step| step.is_finite()).fold(0.0, f64::max);
-        longest > 0.0 && far > FAR * longest
+        longest > 0.0 && far > MIN_STEP_RATIO * longest
     };
     let mut sample = 0;
     while sample + 1 < samples {
@@ -296,18 +315,18 @@ fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usi
             // Leaving and returning at rest takes four accelerations of a quarter of the time each.
             let own = at(sample)
                 .zip(at(next))
-                .map(|(from, to)| HARDEST * span_s(from, to).powi(2) / 16.0);
+                .map(|(from, to)| MAX_ACCELERATION * span_s(from, to).powi(2) / 16.0);
             is_soon(sample, next)
-                && distance(sample, next) < BACK * far
+                && distance(sample, next) < MAX_RETURN_SHARE * far
                 && own.is_none_or(|own| far > own)
         };
-        let next = (sample + 2..samples.min(sample + 2 + LONGEST)).find(|&next| back(next));
-        let astray = match next {
+        let next = (sample + 2..samples.min(sample + 2 + MAX_CONSECUTIVE)).find(|&next| back(next));
+        let excursion = match next {
             Some(next) => Some(sample + 1..next),
-            None if sample < LONGEST && is_soon(0, sample + 1) && is_unlike_all(far) => {
+            None if sample < MAX_CONSECUTIVE && is_soon(0, sample + 1) && is_unlike_all(far) => {
                 Some(0..sample + 1)
             }
-            None if samples - sample - 1 <= LONGEST
+            None if samples - sample - 1 <= MAX_CONSECUTIVE
                 && is_soon(sample, samples - 1)
                 && is_unlike_all(far) =>
             {
@@ -315,38 +334,39 @@ fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usi
             }
             None => None,
         };
-        let stands_out = |astray: &Range<usize>| {
-            (usual > 0.0 && far > BEYOND * usual) || far > FAR * nearby(samples, astray, &step)
+        let stands_out = |excursion: &Range<usize>| {
+            (usual > 0.0 && far > SUFFICIENT_STEP_RATIO * usual)
+                || far > MIN_STEP_RATIO * nearby_step(samples, excursion, &step)
         };
-        let Some(astray) = astray.filter(stands_out) else {
+        let Some(excursion) = excursion.filter(stands_out) else {
             sample += 1;
             continue;
         };
-        let other = if astray.start == 0 { astray.end } else { astray.start - 1 };
-        sample = astray.end;
-        found.extend(astray.map(|outlier| (outlier, distance(outlier, other))));
+        let other = if excursion.start == 0 { excursion.end } else { excursion.start - 1 };
+        sample = excursion.end;
+        found.extend(excursion.map(|outlier| (outlier, distance(outlier, other))));
     }
     Some(found)
 }
 
 /// Minimum outlier distance if several steps equal the smallest one, an encoder's last bit or a text's last
 /// digit; else 0.
-fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
+fn min_flip_distance(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
     let steps =
         || (1..samples).map(|sample| distance(sample - 1, sample)).filter(|step| *step > 0.0);
     let least = steps().fold(f64::INFINITY, f64::min);
     let alike = steps().filter(|step| *step < 1.5 * least).count();
-    if alike > 2 * LONGEST { FAR * least } else { 0.0 }
+    if alike > 2 * MAX_CONSECUTIVE { MIN_STEP_RATIO * least } else { 0.0 }
 }
 
 /// Upper quartile of the non-zero steps, of a subset if many; 0 if nearly all are zero.
 fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option<f64> {
-    const ENOUGH: usize = 4096;
-    let stride = samples.div_ceil(ENOUGH).max(1);
+    const MAX_SAMPLED_STEPS: usize = 4096;
+    let stride = samples.div_ceil(MAX_SAMPLED_STEPS).max(1);
     let some = (1..samples).step_by(stride).map(|sample| distance(sample - 1, sample));
     let looked_at = some.len();
     let mut steps: Vec<f64> = some.filter(|step| *step > 0.0 && step.is_finite()).collect();
-    if samples < FEWEST_SAMPLES {
+    if samples < MIN_OUTLIER_SAMPLES {
         return None;
     }
     if steps.len() * 10 < looked_at {
@@ -358,10 +378,11 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
 
 /// Sixth largest step within eight samples of `astray`: more than a few outliers, fewer than a fast motion
 /// has.
-fn nearby(samples: usize, astray: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
-    const AROUND: usize = 8;
-    let before = astray.start.saturating_sub(AROUND + 1)..astray.start.saturating_sub(1);
-    let after = astray.end..(astray.end + AROUND).min(samples - 1);
+fn nearby_step(samples: usize, excursion: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
+    const WINDOW_SAMPLES: usize = 8;
+    let before =
+        excursion.start.saturating_sub(WINDOW_SAMPLES + 1)..excursion.start.saturating_sub(1);
+    let after = excursion.end..(excursion.end + WINDOW_SAMPLES).min(samples - 1);
     let mut steps: Vec<f64> = before.chain(after).map(step).collect();
     steps.sort_by(f64::total_cmp);
     steps.len().checked_sub(6).map_or(f64::INFINITY, |sixth| steps[sixth])
@@ -390,9 +411,9 @@ mod tests {
         (0..samples).map(at).collect()
     }
 
-    fn astray(q: &[f64]) -> Vec<usize> {
+    fn excursion(q: &[f64]) -> Vec<usize> {
         let at = |row: usize| Some(Stamp::from_nanos(row as i64 * 20_000_000));
-        let jumps = find_jumps(q.len(), &at, |a: usize, b: usize| turned(q[b] - q[a]))
+        let jumps = find_jumps(q.len(), &at, |a: usize, b: usize| angular_distance(q[b] - q[a]))
             .expect("enough samples");
         jumps.iter().map(|(row, _)| *row).collect()
     }
@@ -404,20 +425,20 @@ mod tests {
         {
             let mut q = smooth(500);
             planted.iter().for_each(|&row| q[row] += 0.9);
-            assert_eq!(astray(&q), planted);
+            assert_eq!(excursion(&q), planted);
         }
     }
 
     #[test]
     fn motion_is_not_stray() {
-        assert_eq!(astray(&smooth(500)), Vec::<usize>::new());
+        assert_eq!(excursion(&smooth(500)), Vec::<usize>::new());
         // So coarse that it leaves and returns between samples.
         let coarse: Vec<f64> = smooth(2000).into_iter().step_by(60).collect();
-        assert_eq!(astray(&coarse), Vec::<usize>::new());
+        assert_eq!(excursion(&coarse), Vec::<usize>::new());
         // A permanent step is a motion.
         let mut moved = smooth(500);
         moved[200..].iter_mut().for_each(|q| *q += 0.5);
-        assert_eq!(astray(&moved), Vec::<usize>::new());
+        assert_eq!(excursion(&moved), Vec::<usize>::new());
     }
 
     #[test]
@@ -425,14 +446,14 @@ mod tests {
         let mut q = smooth(500);
         q[100] += TAU;
         q[300] -= TAU;
-        assert_eq!(astray(&q), Vec::<usize>::new());
+        assert_eq!(excursion(&q), Vec::<usize>::new());
     }
 
     #[test]
     fn an_encoder_at_rest_that_flips_by_its_last_bit_is_not_stray() {
         for bit in [0.002, 0.006, 0.29] {
             let at = |row: usize| if row % 97 == 3 { 1.0 + bit } else { 1.0 };
-            assert_eq!(astray(&(0..500).map(at).collect::<Vec<f64>>()), Vec::<usize>::new());
+            assert_eq!(excursion(&(0..500).map(at).collect::<Vec<f64>>()), Vec::<usize>::new());
         }
     }
 
@@ -442,11 +463,11 @@ mod tests {
             let at = |row: usize| if (from..to).contains(&row) { 0.02 * row as f64 } else { 1.0 };
             (0..500).map(at).collect::<Vec<f64>>()
         };
-        assert_eq!(astray(&rest(0, 2)), Vec::<usize>::new());
-        assert_eq!(astray(&rest(498, 500)), Vec::<usize>::new());
+        assert_eq!(excursion(&rest(0, 2)), Vec::<usize>::new());
+        assert_eq!(excursion(&rest(498, 500)), Vec::<usize>::new());
         // Each value occurs several times.
         let held: Vec<f64> = (0..500).map(|row| (row / 12) as f64 * 0.01).collect();
-        assert_eq!(astray(&held), Vec::<usize>::new());
+        assert_eq!(excursion(&held), Vec::<usize>::new());
     }
 
     #[test]
@@ -454,7 +475,7 @@ mod tests {
         let mut q = vec![0.0_f64; 100];
         q[40..42].fill(0.8);
         let each = |seconds: i64| move |row: usize| Some(Stamp::from_nanos(row as i64 * seconds));
-        let found = |at: At| {
+        let found = |at: StampOfRow| {
             find_jumps(100, at, |a: usize, b: usize| (q[a] - q[b]).abs()).expect("enough").len()
         };
         assert_eq!((found(&each(1_000_000_000)), found(&each(20_000_000))), (0, 2));
@@ -464,9 +485,10 @@ mod tests {
     fn of_many_jumps_it_is_seen_that_there_are_some() {
         let mut q = smooth(500);
         q.iter_mut().skip(5).step_by(12).for_each(|q| *q = 0.0);
-        let found = astray(&q);
+        let found = excursion(&q);
         assert!(
-            found.len() > 25 && identifiable(&vec![(0, 1.0); found.len()], 500).next().is_none()
+            found.len() > 25
+                && identifiable_rows(&vec![(0, 1.0); found.len()], 500).next().is_none()
         );
     }
 
@@ -474,7 +496,7 @@ mod tests {
     fn what_stands_still_shows_its_strays() {
         let mut q = vec![0.3; 500];
         q[120] = 0.1;
-        assert_eq!(astray(&q), [120]);
+        assert_eq!(excursion(&q), [120]);
     }
 
     #[test]
@@ -485,7 +507,7 @@ mod tests {
         position[400] += 1.0;
         let velocity = vec![f64::NAN; position.len()];
         joints.joints.push(JointColumn { name: "a".into(), position, velocity });
-        let found = of_joints(&joints, &|_| None);
+        let found = joint_outliers(&joints, &|_| None);
         assert_eq!(found[0].rows, [400]);
         assert!((found[0].farthest.length_m - 1.0).abs() < 0.1);
     }

@@ -5,9 +5,9 @@ use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns
 use super::role::Role;
 use super::rows::Rows;
 use super::streams::{Stream, StreamClocks};
-use super::tf_tree::without_slash;
+use super::tf_tree::strip_slash;
 
-pub(super) struct Series<'a> {
+pub(super) struct PartSeries<'a> {
     /// Index of the stream.
     pub stream: usize,
     /// Index of the part.
@@ -18,48 +18,48 @@ pub(super) struct Series<'a> {
     pub is_table: bool,
     pub rows: Rows,
     pub times: &'a Times,
-    pub values: Values<'a>,
+    pub values: PartValues<'a>,
 }
 
 #[derive(Clone, Copy)]
-pub(super) enum Values<'a> {
+pub(super) enum PartValues<'a> {
     Joints(&'a JointColumns),
     Poses(&'a PoseColumns),
     Imu(&'a ImuColumns),
     Array(&'a ArrayColumns),
 }
 
-impl Values<'_> {
+impl PartValues<'_> {
     /// Number of values per row.
     pub fn width(&self) -> usize {
         match self {
-            Values::Joints(joints) => joints.joints.len(),
-            Values::Poses(_) => 7,
-            Values::Imu(_) => 10,
-            Values::Array(array) => array.width,
+            PartValues::Joints(joints) => joints.joints.len(),
+            PartValues::Poses(_) => 7,
+            PartValues::Imu(_) => 10,
+            PartValues::Array(array) => array.width,
         }
     }
 
-    pub fn at(&self, row: usize, number: usize) -> f64 {
+    pub fn number(&self, row: usize, number: usize) -> f64 {
         match (self, number) {
-            (Values::Joints(joints), _) => joints.joints[number].position[row],
-            (Values::Poses(poses), 0..3) => poses.xyz[row][number],
-            (Values::Poses(poses), _) => poses.q_xyzw[row][number - 3],
-            (Values::Array(array), _) => array.row(row)[number],
-            (Values::Imu(imu), 0..3) => imu.gyro[row][number],
-            (Values::Imu(imu), 3..6) => imu.accel[row][number - 3],
-            (Values::Imu(imu), _) => imu.q_xyzw[row][number - 6],
+            (PartValues::Joints(joints), _) => joints.joints[number].position[row],
+            (PartValues::Poses(poses), 0..3) => poses.xyz[row][number],
+            (PartValues::Poses(poses), _) => poses.q_xyzw[row][number - 3],
+            (PartValues::Array(array), _) => array.row(row)[number],
+            (PartValues::Imu(imu), 0..3) => imu.gyro[row][number],
+            (PartValues::Imu(imu), 3..6) => imu.accel[row][number - 3],
+            (PartValues::Imu(imu), _) => imu.q_xyzw[row][number - 6],
         }
     }
 
     /// Whether two rows are bitwise equal.
     pub fn is_same(&self, a: usize, b: usize) -> bool {
         let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
-        (0..self.width()).all(|number| same(self.at(a, number), self.at(b, number)))
+        (0..self.width()).all(|number| same(self.number(a, number), self.number(b, number)))
     }
 }
 
-impl Series<'_> {
+impl PartSeries<'_> {
     /// Seconds since the first row.
     pub fn seconds(&self) -> Vec<f64> {
         let first = self.rows.first().map(|(stamp, _)| *stamp).unwrap_or_default();
@@ -68,7 +68,10 @@ impl Series<'_> {
 }
 
 /// All parts except joint states with incomplete messages.
-pub(super) fn series<'a>(streams: &'a [Stream], clocks: &StreamClocks) -> Vec<Series<'a>> {
+pub(super) fn collect_series<'a>(
+    streams: &'a [Stream],
+    clocks: &StreamClocks,
+) -> Vec<PartSeries<'a>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {
         let is_used = matches!(
@@ -85,28 +88,28 @@ pub(super) fn series<'a>(streams: &'a [Stream], clocks: &StreamClocks) -> Vec<Se
             let mut rows = clocks.rows(streams, stream, piece);
             rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
             let is_table = held.read_as.is_some();
-            found.push(Series { stream, piece, frame, is_table, rows, times, values });
+            found.push(PartSeries { stream, piece, frame, is_table, rows, times, values });
         };
         match columns {
             Columns::Joints(joints) => {
                 let is_known = |q: &f64| q.is_finite();
                 if joints.joints.iter().all(|joint| joint.position.iter().all(is_known)) {
-                    add(0, None, &joints.times, Values::Joints(joints));
+                    add(0, None, &joints.times, PartValues::Joints(joints));
                 }
             }
             Columns::Poses(poses) => {
                 for (piece, poses) in poses.iter().enumerate() {
-                    add(piece, None, &poses.times, Values::Poses(poses));
+                    add(piece, None, &poses.times, PartValues::Poses(poses));
                 }
             }
             Columns::Transforms(poses) => {
                 for (piece, poses) in poses.iter().enumerate() {
-                    let child = without_slash(&poses.child_frame_id);
-                    add(piece, Some(child), &poses.times, Values::Poses(poses));
+                    let child = strip_slash(&poses.child_frame_id);
+                    add(piece, Some(child), &poses.times, PartValues::Poses(poses));
                 }
             }
-            Columns::Imu(imu) => add(0, None, &imu.times, Values::Imu(imu)),
-            Columns::Array(array) => add(0, None, &array.times, Values::Array(array)),
+            Columns::Imu(imu) => add(0, None, &imu.times, PartValues::Imu(imu)),
+            Columns::Array(array) => add(0, None, &array.times, PartValues::Array(array)),
             Columns::Text(_) => {}
         }
     }

@@ -35,7 +35,7 @@ impl PoseDistance {
     }
 
     /// Whether two rotations are less than `limit_rad` apart. Avoids square roots; may miss some.
-    pub(super) fn is_certainly_rotated_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
+    pub(super) fn is_rotation_certainly_below(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let square: f64 = (0..4).map(|i| (p[i] - sign * q[i]).powi(2)).sum();

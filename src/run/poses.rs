@@ -262,7 +262,7 @@ pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> StampedT
 }
 
 /// Whether 90 % of `stamps` are among `of`; both sorted.
-pub(super) fn are_copies(stamps: &[Stamp], of: &[Stamp]) -> bool {
+pub(super) fn are_copied_stamps(stamps: &[Stamp], of: &[Stamp]) -> bool {
     let copies = stamps.iter().filter(|stamp| of.binary_search(stamp).is_ok()).count();
     !stamps.is_empty() && 10 * copies >= 9 * stamps.len()
 }
@@ -372,8 +372,8 @@ mod tests {
         let decimated: Vec<Stamp> = joints.iter().copied().step_by(5).collect();
         let own: Vec<Stamp> =
             joints.iter().map(|stamp| Stamp::from_nanos(stamp.nanos() + 1)).collect();
-        assert!(are_copies(&decimated, &joints));
-        assert!(!are_copies(&own, &joints) && !are_copies(&[], &joints));
+        assert!(are_copied_stamps(&decimated, &joints));
+        assert!(!are_copied_stamps(&own, &joints) && !are_copied_stamps(&[], &joints));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
-use super::part_series::{Series, Values};
+use super::part_series::{PartSeries, PartValues};
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
 
@@ -34,13 +34,13 @@ pub struct RepeatedValues {
     /// Index of the stream's part.
     pub(super) piece: usize,
     /// Rows with a new value, in order, with corrected times. Empty if few are repeated.
-    pub(super) new: Vec<(usize, Stamp)>,
+    pub(super) new_rows: Vec<(usize, Stamp)>,
 }
 
 impl RepeatedValues {
     /// Whether repeated values are removed.
     pub fn is_deduplicated(&self) -> bool {
-        !self.new.is_empty()
+        !self.new_rows.is_empty()
     }
 
     /// Share of repeats among rows in motion.
@@ -50,10 +50,10 @@ impl RepeatedValues {
 }
 
 /// Minimum share for removal.
-const TAKEN_ONCE: f64 = 0.05;
-const AROUND_S: f64 = 0.1;
-const MOVED: f64 = 5e-3;
-const ENOUGH: usize = 40;
+const MIN_REMOVED_SHARE: f64 = 0.05;
+const HALF_WINDOW_S: f64 = 0.1;
+const MIN_MOTION: f64 = 5e-3;
+const MIN_ROWS: usize = 40;
 
 pub(super) fn is_deduplicated(repeats: &[RepeatedValues], stream: usize, piece: usize) -> bool {
     repeats.iter().any(|repeats| {
@@ -68,24 +68,26 @@ pub(super) fn deduplicate(
     rows: &mut Rows,
 ) {
     let of_it = |repeats: &&RepeatedValues| {
-        (repeats.stream, repeats.piece) == (stream, piece) && !repeats.new.is_empty()
+        (repeats.stream, repeats.piece) == (stream, piece) && !repeats.new_rows.is_empty()
     };
     let Some(repeats) = repeats.iter().find(of_it) else { return };
-    rows.retain_mut(|(stamp, row)| match repeats.new.binary_search_by_key(row, |(row, _)| *row) {
-        Ok(at) => {
-            *stamp = repeats.new[at].1;
-            true
+    rows.retain_mut(|(stamp, row)| {
+        match repeats.new_rows.binary_search_by_key(row, |(row, _)| *row) {
+            Ok(at) => {
+                *stamp = repeats.new_rows[at].1;
+                true
+            }
+            Err(_) => false,
         }
-        Err(_) => false,
     });
 }
 
-pub(super) fn detect_repeated_values(series: &[Series<'_>]) -> Vec<RepeatedValues> {
-    let motion: Motion<'_> = LazyLock::new(Box::new(|| {
-        let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
-        joints.map(paces).collect()
+pub(super) fn detect_repeated_values(series: &[PartSeries<'_>]) -> Vec<RepeatedValues> {
+    let motion: JointMotion<'_> = LazyLock::new(Box::new(|| {
+        let joints = series.iter().filter(|series| matches!(series.values, PartValues::Joints(_)));
+        joints.map(joint_speeds).collect()
     }));
-    let is_of_joints = |series: &&Series<'_>| matches!(series.values, Values::Joints(_));
+    let is_of_joints = |series: &&PartSeries<'_>| matches!(series.values, PartValues::Joints(_));
     let of_joints: Vec<Option<RepeatedValues>> = series
         .par_iter()
         .map(|series| {
@@ -99,20 +101,20 @@ pub(super) fn detect_repeated_values(series: &[Series<'_>]) -> Vec<RepeatedValue
     let mut stamps: Vec<Stamp> =
         repeats.flat_map(|(series, _)| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
     stamps.sort_unstable();
-    let found = |(series, own): (&Series<'_>, Option<RepeatedValues>)| match series.values {
-        Values::Joints(_) => own,
+    let found = |(series, own): (&PartSeries<'_>, Option<RepeatedValues>)| match series.values {
+        PartValues::Joints(_) => own,
         _ => detect_in_series(series, &motion, &stamps),
     };
     series.par_iter().zip(of_joints).filter_map(found).collect()
 }
 
-struct Group {
+struct RepeatGroup {
     /// Its first row in the series.
     first: usize,
     count: usize,
 }
 
-fn groups(series: &Series<'_>) -> impl Iterator<Item = Group> {
+fn repeat_groups(series: &PartSeries<'_>) -> impl Iterator<Item = RepeatGroup> {
     let rows = &series.rows;
     let mut first = 0;
     std::iter::from_fn(move || {
@@ -120,15 +122,15 @@ fn groups(series: &Series<'_>) -> impl Iterator<Item = Group> {
         let repeats = rows[first + 1..].iter();
         let count = 1 + repeats.take_while(|(_, row)| series.values.is_same(value, *row)).count();
         first += count;
-        Some(Group { first: first - count, count })
+        Some(RepeatGroup { first: first - count, count })
     })
 }
 
 /// Smallest non-zero step of each number, the source's resolution.
-fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
+fn least_increments(series: &PartSeries<'_>, groups: &[RepeatGroup]) -> Vec<f64> {
     let mut least: Vec<f64> = Vec::new();
     for pair in groups.windows(2) {
-        let steps = steps(series, [&pair[0], &pair[1]]);
+        let steps = group_steps(series, [&pair[0], &pair[1]]);
         least.resize(steps.len(), f64::INFINITY);
         for (least, step) in least.iter_mut().zip(steps) {
             if step > 1e-12 {
@@ -141,109 +143,118 @@ fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
 
 /// Steps between two groups: length and angle for a transform, where encoder steps are uniform; else each
 /// number.
-fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
+fn group_steps(series: &PartSeries<'_>, pair: [&RepeatGroup; 2]) -> Vec<f64> {
     let [a, b] = pair.map(|group| series.rows[group.first].1);
-    if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
+    if let (PartValues::Poses(poses), Some(_)) = (&series.values, series.frame) {
         let apart = PoseDistance::between((poses, a), (poses, b));
         return vec![apart.length_m, apart.angle_rad];
     }
-    let number = |number: usize| (series.values.at(b, number) - series.values.at(a, number)).abs();
+    let number =
+        |number: usize| (series.values.number(b, number) - series.values.number(a, number)).abs();
     (0..series.values.width()).map(number).collect()
 }
 
 /// Joint speed, least increments per second, and motion of the fastest joint around it, rad or m.
-struct Pace {
+struct JointSpeed {
     at: Stamp,
-    bits_per_s: f64,
+    increments_per_s: f64,
     moved: f64,
 }
 
-type Motion<'a> = LazyLock<Vec<Vec<Pace>>, Box<dyn FnOnce() -> Vec<Vec<Pace>> + Send + 'a>>;
+type JointMotion<'a> =
+    LazyLock<Vec<Vec<JointSpeed>>, Box<dyn FnOnce() -> Vec<Vec<JointSpeed>> + Send + 'a>>;
 
-fn paces(series: &Series<'_>) -> Vec<Pace> {
-    let groups: Vec<Group> = groups(series).collect();
-    let quanta = quanta(series, &groups);
-    let stamp = |group: &Group| series.rows[group.first].0;
+fn joint_speeds(series: &PartSeries<'_>) -> Vec<JointSpeed> {
+    let groups: Vec<RepeatGroup> = repeat_groups(series).collect();
+    let quanta = least_increments(series, &groups);
+    let stamp = |group: &RepeatGroup| series.rows[group.first].0;
     let (mut from, mut to) = (0, 0);
     let pace = |at: usize| {
         let now = stamp(&groups[at]);
-        while now.seconds_since(stamp(&groups[from])) > AROUND_S && from < at {
+        while now.seconds_since(stamp(&groups[from])) > HALF_WINDOW_S && from < at {
             from += 1;
         }
-        while to + 1 < groups.len() && stamp(&groups[to]).seconds_since(now) < AROUND_S {
+        while to + 1 < groups.len() && stamp(&groups[to]).seconds_since(now) < HALF_WINDOW_S {
             to += 1;
         }
         let pair = [from, to].map(|at| series.rows[groups[at].first]);
         let span_s = pair[1].0.seconds_since(pair[0].0);
-        let (mut bits, mut moved) = (0.0_f64, 0.0_f64);
+        let (mut increments, mut moved) = (0.0_f64, 0.0_f64);
         for (number, quantum) in quanta.iter().enumerate() {
-            let [a, b] = pair.map(|(_, row)| series.values.at(row, number));
+            let [a, b] = pair.map(|(_, row)| series.values.number(row, number));
             moved = moved.max((b - a).abs());
-            bits = bits.max((b - a).abs() / quantum);
+            increments = increments.max((b - a).abs() / quantum);
         }
-        Pace { at: now, bits_per_s: if span_s > 0.0 { bits / span_s } else { 0.0 }, moved }
+        JointSpeed {
+            at: now,
+            increments_per_s: if span_s > 0.0 { increments / span_s } else { 0.0 },
+            moved,
+        }
     };
     (0..groups.len()).map(pace).collect()
 }
 
 /// Whether joints are so fast that rows `period_s` apart must differ. `None` without joint states.
-fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
+fn must_differ(motion: &JointMotion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
     /// Minimum visible motion per period, least increments.
-    const BITS: f64 = 3.0;
+    const MIN_INCREMENTS_PER_PERIOD: f64 = 3.0;
     let near = motion.iter().filter_map(|paces| {
         let next = paces.partition_point(|pace| pace.at < at);
         paces.get(next.min(paces.len().checked_sub(1)?))
     });
-    near.map(|pace| pace.moved > MOVED && pace.bits_per_s * period_s > BITS).reduce(|a, b| a || b)
+    near.map(|pace| {
+        pace.moved > MIN_MOTION && pace.increments_per_s * period_s > MIN_INCREMENTS_PER_PERIOD
+    })
+    .reduce(|a, b| a || b)
 }
 
 /// Whether a transform moves around a group, rather than vibrates.
-fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
-    let stamp = |group: &Group| series.rows[group.first].0;
+fn is_moving(series: &PartSeries<'_>, groups: &[RepeatGroup], at: usize) -> bool {
+    let stamp = |group: &RepeatGroup| series.rows[group.first].0;
     let now = stamp(&groups[at]);
-    let from = groups.partition_point(|group| now.seconds_since(stamp(group)) > AROUND_S);
-    let to = groups.partition_point(|group| stamp(group).seconds_since(now) < AROUND_S);
+    let from = groups.partition_point(|group| now.seconds_since(stamp(group)) > HALF_WINDOW_S);
+    let to = groups.partition_point(|group| stamp(group).seconds_since(now) < HALF_WINDOW_S);
     let ends = [&groups[from], &groups[to.max(from + 1) - 1]];
-    let moved = |pair: [&Group; 2]| steps(series, pair).into_iter().fold(0.0, f64::max);
-    moved(ends) > MOVED
+    let moved = |pair: [&RepeatGroup; 2]| group_steps(series, pair).into_iter().fold(0.0, f64::max);
+    moved(ends) > MIN_MOTION
 }
 
 fn detect_in_series(
-    series: &Series<'_>,
-    motion: &Motion<'_>,
+    series: &PartSeries<'_>,
+    motion: &JointMotion<'_>,
     joint_stamps: &[Stamp],
 ) -> Option<RepeatedValues> {
     /// Minimum step to the next value per repeat, least increments.
-    const STEPS: f64 = 2.0;
+    const MIN_INCREMENTS_PER_REPEAT: f64 = 2.0;
     /// Maximum repeats, in usual ones; beyond, the arm rests.
-    const RESTS: usize = 3;
+    const MAX_REPEATS_RATIO: usize = 3;
     let rows = &series.rows;
-    if rows.len() < ENOUGH {
+    if rows.len() < MIN_ROWS {
         return None;
     }
-    let count = groups(series).count();
+    let count = repeat_groups(series).count();
     if count < 3 || count as f64 > (1.0 - 0.01) * rows.len() as f64 {
         return None;
     }
-    let groups: Vec<Group> = groups(series).collect();
-    let quanta = quanta(series, &groups);
-    let is_of_joints = matches!(series.values, Values::Joints(_));
+    let groups: Vec<RepeatGroup> = repeat_groups(series).collect();
+    let quanta = least_increments(series, &groups);
+    let is_of_joints = matches!(series.values, PartValues::Joints(_));
     let has_frame = series.frame.is_some();
     let moves = |at: usize| {
         let (group, pair) = (&groups[at], groups.get(at..at + 2)?);
         let span_s = rows[pair[1].first].0.seconds_since(rows[group.first].0);
-        let goes_on = steps(series, [&pair[0], &pair[1]])
-            .iter()
-            .zip(&quanta)
-            .any(|(step, quantum)| *step >= STEPS * quantum * group.count as f64);
+        let goes_on =
+            group_steps(series, [&pair[0], &pair[1]]).iter().zip(&quanta).any(|(step, quantum)| {
+                *step >= MIN_INCREMENTS_PER_REPEAT * quantum * group.count as f64
+            });
         let by_joints = || must_differ(motion, rows[group.first].0, span_s / group.count as f64);
         // A transform depends on one joint; others may move.
-        let is_told = goes_on
+        let is_repeat_observable = goes_on
             && match is_of_joints || has_frame {
-                true => is_of_joints || travels(series, &groups, at),
+                true => is_of_joints || is_moving(series, &groups, at),
                 false => by_joints().unwrap_or(true),
             };
-        is_told.then_some((at, span_s))
+        is_repeat_observable.then_some((at, span_s))
     };
     let mut moving: Vec<(usize, f64)> = (0..groups.len()).filter_map(moves).collect();
     let mut counts: Vec<usize> = moving.iter().map(|(at, _)| groups[*at].count).collect();
@@ -252,17 +263,17 @@ fn detect_in_series(
     }
     let middle = counts.len() / 2;
     let usual = *counts.select_nth_unstable(middle).1;
-    moving.retain(|(at, _)| groups[*at].count <= RESTS * usual + 1);
+    moving.retain(|(at, _)| groups[*at].count <= MAX_REPEATS_RATIO * usual + 1);
     let (mut count, mut span_s, mut age_s) = (0, 0.0, 0.0);
     for &(at, own_s) in &moving {
-        let Group { first, count: own } = groups[at];
+        let RepeatGroup { first, count: own } = groups[at];
         count += own;
         span_s += own_s;
         let ages =
             rows[first..first + own].iter().map(|(stamp, _)| stamp.seconds_since(rows[first].0));
         age_s += ages.sum::<f64>();
     }
-    if count < ENOUGH || span_s <= 0.0 {
+    if count < MIN_ROWS || span_s <= 0.0 {
         return None;
     }
     let mut repeats = RepeatedValues {
@@ -274,9 +285,9 @@ fn detect_in_series(
         values_hz: moving.len() as f64 / span_s,
         mean_age_s: age_s / count as f64,
         piece: series.piece,
-        new: Vec::new(),
+        new_rows: Vec::new(),
     };
-    if repeats.share() >= TAKEN_ONCE {
+    if repeats.share() >= MIN_REMOVED_SHARE {
         // Splits a rest at the usual rate, so that it is no gap.
         let most = (count as f64 / moving.len() as f64).ceil() as usize;
         let pieces = groups.iter().flat_map(|group| {
@@ -284,22 +295,23 @@ fn detect_in_series(
             starts
                 .map(move |start| group.first + start..group.first + group.count.min(start + most))
         });
-        let is_own = !is_of_joints && !has_frame && !is_of(rows, joint_stamps);
-        let new = pieces.map(|rows| (series.rows[rows.start].1, taken_at(series, rows, is_own)));
-        repeats.new = new.collect();
-        repeats.new.sort_unstable();
+        let is_own = !is_of_joints && !has_frame && !are_copied_stamps(rows, joint_stamps);
+        let new =
+            pieces.map(|rows| (series.rows[rows.start].1, corrected_stamp(series, rows, is_own)));
+        repeats.new_rows = new.collect();
+        repeats.new_rows.sort_unstable();
     }
     (repeats.repeated > 0).then_some(repeats)
 }
 
-fn is_of(rows: &Rows, stamps: &[Stamp]) -> bool {
+fn are_copied_stamps(rows: &Rows, stamps: &[Stamp]) -> bool {
     let copies = rows.iter().filter(|(stamp, _)| stamps.binary_search(stamp).is_ok()).count();
     10 * copies >= 9 * rows.len()
 }
 
 /// Corrected time of a repeated value: the mean of its own stamps. Joint states, the time reference, and
 /// values read with them use the first.
-fn taken_at(series: &Series<'_>, rows: std::ops::Range<usize>, is_own: bool) -> Stamp {
+fn corrected_stamp(series: &PartSeries<'_>, rows: std::ops::Range<usize>, is_own: bool) -> Stamp {
     let first = series.rows[rows.start].0;
     if !is_own {
         return first;
@@ -338,8 +350,8 @@ mod tests {
 
     fn found(columns: &JointColumns) -> Option<RepeatedValues> {
         let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
-        let (times, values) = (&columns.times, Values::Joints(columns));
-        detect_repeated_values(&[Series {
+        let (times, values) = (&columns.times, PartValues::Joints(columns));
+        detect_repeated_values(&[PartSeries {
             stream: 0,
             piece: 0,
             frame: None,

@@ -98,7 +98,7 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
             let found = &of.poses[source];
-            if found.moving_base.is_some() || !found.stands_still() {
+            if found.moving_base.is_some() || !found.has_constant_span() {
                 continue;
             }
             let peaks = candidate_lags(&of.joints, &run.pose_stream(found), max_lag_s);
@@ -109,7 +109,7 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             let likely =
                 peaks.iter().filter(|peak| peak.correlation >= MIN_CORRELATION_RATIO * best);
             let lags_s: Vec<f64> = likely.map(|peak| peak.lag_s).collect();
-            run.take_frozen_at(arm, source, &lags_s);
+            run.remove_frozen_at(arm, source, &lags_s);
         }
     }
 }
@@ -311,7 +311,7 @@ fn align_moving_bases(run: &mut Run, max_lag_s: f64) {
             let of = &run.arms[arm];
             let Some(moving_base) = &of.poses[source].moving_base else { continue };
             let stream = run.pose_stream(&of.poses[source]);
-            let at = |t_s: f64| moving_base.at(t_s);
+            let at = |t_s: f64| moving_base.pose_at(t_s);
             let Some(lag) =
                 estimate_moving_base_lag(&of.joints, &stream, &moving_base.logged, &at, max_lag_s)
             else {
@@ -394,7 +394,7 @@ fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
 fn exclude_unmoved(run: &mut Run) {
     let unmoved = run.arms.iter().flat_map(|arm| {
         let of = |source: &PoseSource| {
-            let moved_m = source.unmoved_by_m(&arm.joints)?;
+            let moved_m = source.unfollowed_motion_m(&arm.joints)?;
             Some((source.stream, source.track.t_s.len(), moved_m))
         };
         let is_said = |source: &&PoseSource| {

@@ -8,10 +8,10 @@
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
 
-use super::part_series::Values;
+use super::part_series::PartValues;
 use super::role::Role;
 use super::streams::Stream;
-use super::tick_grid::Grid;
+use super::tick_grid::TickGrid;
 
 /// A part with rounded stamps, restored from the row order.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +21,7 @@ pub struct RoundedStamps {
     /// Tick of the clock, s.
     pub tick_s: f64,
     /// Rows with the previous row's stamp.
-    pub shared: usize,
+    pub shared_rows: usize,
     /// Maximum error, s, besides a constant offset of up to half a tick.
     pub resolution_s: f64,
     /// Index of the stream's part.
@@ -38,23 +38,23 @@ impl RoundedStamps {
 }
 
 /// Minimum tick, s.
-const LEAST_TICK_S: f64 = 2e-4;
+const MIN_TICK_S: f64 = 2e-4;
 
-pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
+pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
-    let mut known: Vec<(Vec<i64>, Restored)> = Vec::new();
+    let mut known: Vec<(Vec<i64>, RestoredStamps)> = Vec::new();
     for (index, stream) in streams.iter_mut().enumerate() {
         let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
         let Some(columns) = stream.columns.as_mut().filter(|_| is_of_use) else { continue };
         for piece in 0..columns.times().len() {
             let times = columns.times()[piece];
-            let column = stamped_by(times, clock);
+            let column = clock_of_rows(times, clock);
             let raw = times.nanos_on(column);
             let restored = match known.iter().position(|(of, _)| of == raw) {
                 Some(group) => (group, known[group].1.clone()),
                 None => {
-                    let Some(restored) =
-                        values_of(columns, piece).and_then(|values| Restored::of(raw, &values))
+                    let Some(restored) = values_of(columns, piece)
+                        .and_then(|values| RestoredStamps::restore(raw, &values))
                     else {
                         continue;
                     };
@@ -62,52 +62,61 @@ pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps
                     (known.len() - 1, restored)
                 }
             };
-            let (group, Restored { nanos, tick_s, shared, resolution_s }) = restored;
+            let (group, RestoredStamps { nanos, tick_s, shared, resolution_s }) = restored;
             if let Some(times) = columns.times_mut().into_iter().nth(piece) {
                 times.restamp(column, nanos);
             }
-            found.push(RoundedStamps { stream: index, piece, tick_s, shared, resolution_s, group });
+            found.push(RoundedStamps {
+                stream: index,
+                piece,
+                tick_s,
+                shared_rows: shared,
+                resolution_s,
+                group,
+            });
         }
     }
     found
 }
 
 /// Clock of the rows: log time without header stamps.
-fn stamped_by(times: &Times, clock: Clock) -> Clock {
+fn clock_of_rows(times: &Times, clock: Clock) -> Clock {
     let has_stamps = times.header.iter().any(|nanos| *nanos != 0);
     if clock == Clock::Header && !has_stamps { Clock::Log } else { clock }
 }
 
-fn values_of(columns: &Columns, piece: usize) -> Option<Values<'_>> {
+fn values_of(columns: &Columns, piece: usize) -> Option<PartValues<'_>> {
     match columns {
-        Columns::Joints(joints) => Some(Values::Joints(joints)),
-        Columns::Poses(poses) | Columns::Transforms(poses) => poses.get(piece).map(Values::Poses),
-        Columns::Imu(imu) => Some(Values::Imu(imu)),
-        Columns::Array(array) => Some(Values::Array(array)),
+        Columns::Joints(joints) => Some(PartValues::Joints(joints)),
+        Columns::Poses(poses) | Columns::Transforms(poses) => {
+            poses.get(piece).map(PartValues::Poses)
+        }
+        Columns::Imu(imu) => Some(PartValues::Imu(imu)),
+        Columns::Array(array) => Some(PartValues::Array(array)),
         Columns::Text(_) => None,
     }
 }
 
 #[derive(Clone)]
-struct Restored {
+struct RestoredStamps {
     nanos: Vec<i64>,
     tick_s: f64,
     shared: usize,
     resolution_s: f64,
 }
 
-impl Restored {
+impl RestoredStamps {
     /// `None` unless the stamps are multiples of a tick that hides times.
-    fn of(raw: &[i64], values: &Values<'_>) -> Option<Self> {
+    fn restore(raw: &[i64], values: &PartValues<'_>) -> Option<Self> {
         /// Minimum share of rows with the previous stamp but new values.
-        const SHARED: f64 = 0.02;
+        const MIN_SHARED_SHARE: f64 = 0.02;
         let first = *raw.first()?;
         if !raw.is_sorted() || raw.contains(&0) {
             return None;
         }
         let t_s: Vec<f64> =
             raw.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect();
-        let grid = Grid::with_least_tick(&t_s, LEAST_TICK_S)?;
+        let grid = TickGrid::detect_with_min_tick(&t_s, MIN_TICK_S)?;
         let repeats: Vec<bool> = (1..raw.len()).map(|row| values.is_same(row - 1, row)).collect();
         let (mut shared, mut sent_again) = (0, 0);
         for (ticks, repeats) in grid.ticks.iter().zip(&repeats) {
@@ -124,14 +133,14 @@ impl Restored {
         // Expected share of shared stamps for a sender faster than the tick.
         let period_s = t_s[t_s.len() - 1] / (t_s.len() - 1) as f64;
         let expected = 1.0 - period_s / grid.tick_s;
-        let are_shared = share > SHARED && share < 1.5 * expected && !are_sent_again;
+        let are_shared = share > MIN_SHARED_SHARE && share < 1.5 * expected && !are_sent_again;
         // If the shortest interval is one tick, the tick may be the period, and longer intervals losses.
         let is_coarser = grid.ticks.iter().all(|ticks| *ticks >= 2);
         if !(are_shared || is_coarser && grid.is_of_one_even_sender()) {
             return None;
         }
         let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);
-        let is_plausible = matches!(values, Values::Imu(_))
+        let is_plausible = matches!(values, PartValues::Imu(_))
             || is_smooth(&restored_s, values, &repeats).unwrap_or(!are_shared);
         let mut last = i64::MIN;
         let nanos = restored_s.iter().map(|at_s| {
@@ -145,11 +154,11 @@ impl Restored {
 
 /// Whether restored times interpolate new values well, unlike two publishers that disagree. `None` if too
 /// few are new.
-fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool> {
-    const ENOUGH: usize = 20;
+fn is_smooth(t_s: &[f64], values: &PartValues<'_>, repeats: &[bool]) -> Option<bool> {
+    const MIN_NEW_VALUES: usize = 20;
     /// White noise has a ratio of interpolation residual to step of √1.5 / √2 = 0.87, motion far less.
-    const SMOOTH: f64 = 0.6;
-    let numbers = if matches!(values, Values::Poses(_)) { 3 } else { values.width() };
+    const MAX_RESIDUAL_RATIO: f64 = 0.6;
+    let numbers = if matches!(values, PartValues::Poses(_)) { 3 } else { values.width() };
     let is_new = |row: &usize| *row == 0 || !repeats[row - 1];
     let rows: Vec<usize> = (0..t_s.len()).filter(is_new).collect();
     let (mut off, mut steps, mut count) = (0.0, 0.0, 0);
@@ -157,7 +166,7 @@ fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool>
         let [a, b, c] = [three[0], three[1], three[2]];
         let part = (t_s[b] - t_s[a]) / (t_s[c] - t_s[a]).max(f64::MIN_POSITIVE);
         for number in 0..numbers {
-            let [x, y, z] = [a, b, c].map(|row| values.at(row, number));
+            let [x, y, z] = [a, b, c].map(|row| values.number(row, number));
             if (x + y + z).is_finite() {
                 off += (y - x - part * (z - x)).abs();
                 steps += 0.5 * ((y - x).abs() + (z - y).abs());
@@ -165,24 +174,24 @@ fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool>
         }
         count += 1;
     }
-    (count >= ENOUGH && steps > 0.0).then_some(off < SMOOTH * steps)
+    (count >= MIN_NEW_VALUES && steps > 0.0).then_some(off < MAX_RESIDUAL_RATIO * steps)
 }
 
 /// Fits the fewest lines within half a tick of each stamp, plus a jitter margin. Returns times on them, and
 /// their uncertainty, s.
 fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
     /// Maximum jitter of a regular sender, periods.
-    const UNEVEN: f64 = 1.0;
+    const MAX_JITTER_PERIODS: f64 = 1.0;
     let n = t_s.len();
     let period_s = (t_s[n - 1] - t_s[0]) / (n - 1) as f64;
-    let margin_s = (0.25 * tick_s).min(UNEVEN * period_s);
+    let margin_s = (0.25 * tick_s).min(MAX_JITTER_PERIODS * period_s);
     let mut restored = Vec::with_capacity(n);
     let (mut weighted, mut from) = (0.0, 0);
     while from < n {
-        let line = Line::along(&t_s[from..], 0.5 * tick_s + margin_s);
+        let line = StampLine::fit(&t_s[from..], 0.5 * tick_s + margin_s);
         let rows = line.rows;
         let own = &t_s[from..from + rows];
-        let beside = || own.iter().enumerate().map(|(row, at)| at - line.at(row));
+        let beside = || own.iter().enumerate().map(|(row, at)| at - line.value_at(row));
         let least = beside().fold(f64::INFINITY, f64::min);
         let most = beside().fold(f64::NEG_INFINITY, f64::max);
         // Every offset in these bounds keeps the line within half a tick. The line is as uncertain as a
@@ -191,26 +200,26 @@ fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
         let offset = 0.5 * (low + high);
         let left_open_s = (0.5 * (high - low)).abs() + tick_s / (rows as f64).sqrt();
         weighted += rows as f64 * left_open_s.min(0.5 * tick_s);
-        restored.extend((0..rows).map(|row| line.at(row) + offset));
+        restored.extend((0..rows).map(|row| line.value_at(row) + offset));
         from += rows;
     }
     (restored, weighted / n as f64)
 }
 
-struct Line {
+struct StampLine {
     rows: usize,
     at_first: f64,
     slope: f64,
 }
 
-impl Line {
-    fn at(&self, row: usize) -> f64 {
+impl StampLine {
+    fn value_at(&self, row: usize) -> f64 {
         self.at_first + self.slope * row as f64
     }
 
     /// The line within `half` of the longest initial run; its slope is the mean of the steepest and the
     /// flattest one.
-    fn along(values: &[f64], half: f64) -> Self {
+    fn fit(values: &[f64], half: f64) -> Self {
         type Point = (f64, f64);
         let slope = |a: Point, b: Point| (b.1 - a.1) / (b.0 - a.0);
         let cross =

@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 
 use super::outliers::{self, Outliers, detect_outliers};
-use super::part_series::{Values, series};
-use super::publishers::{self, Publishers, publishers};
+use super::part_series::{PartValues, collect_series};
+use super::publishers::{self, TwoPublishers, detect_publishers};
 use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
 use super::rows::Rows;
@@ -17,7 +17,7 @@ pub struct SampleFilter {
     /// Outliers.
     pub outliers: Vec<Outliers>,
     /// Parts with two publishers.
-    pub publishers: Vec<Publishers>,
+    pub publishers: Vec<TwoPublishers>,
     /// Repeated values with new stamps.
     pub repeated: Vec<RepeatedValues>,
     /// Frozen joint states.
@@ -26,16 +26,21 @@ pub struct SampleFilter {
 
 impl SampleFilter {
     pub(super) fn new(streams: &[Stream], clocks: &StreamClocks) -> Self {
-        let mut series = series(streams, clocks);
-        let publishers = publishers(&series);
+        let mut series = collect_series(streams, clocks);
+        let publishers = detect_publishers(&series);
         for series in &mut series {
-            publishers::hide(&publishers, series.stream, series.piece, &mut series.rows);
+            publishers::remove_second_publisher(
+                &publishers,
+                series.stream,
+                series.piece,
+                &mut series.rows,
+            );
             // A message resent with its stamp is the same row.
             series.rows.dedup_by_key(|(stamp, _)| *stamp);
         }
         let repeated = detect_repeated_values(&series);
         let joints = series.iter().filter(|series| {
-            matches!(series.values, Values::Joints(_))
+            matches!(series.values, PartValues::Joints(_))
                 && streams[series.stream].role == Role::Joints
         });
         let stale = joints.flat_map(|series| {
@@ -51,9 +56,9 @@ impl SampleFilter {
     }
 
     pub(super) fn apply(&self, stream: usize, piece: usize, rows: &mut Rows) {
-        publishers::hide(&self.publishers, stream, piece, rows);
-        outliers::hide(&self.outliers, stream, piece, rows);
-        stale::hide(&self.stale, stream, rows);
+        publishers::remove_second_publisher(&self.publishers, stream, piece, rows);
+        outliers::remove_outliers(&self.outliers, stream, piece, rows);
+        stale::remove_stale_rows(&self.stale, stream, rows);
         repeated::deduplicate(&self.repeated, stream, piece, rows);
     }
 
@@ -76,7 +81,7 @@ impl SampleFilter {
         shared(
             &mut self.publishers,
             |one| of_it((one.stream, one.piece)),
-            |one| Publishers { stream: to, piece: 0, ..one },
+            |one| TwoPublishers { stream: to, piece: 0, ..one },
         );
         shared(
             &mut self.repeated,

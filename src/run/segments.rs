@@ -9,9 +9,9 @@ use crate::stream::{Columns, Times};
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
 /// Minimum decrease, ns.
-const RESTART: i64 = NANOS_PER_SECOND;
+const MIN_RESTART_NS: i64 = NANOS_PER_SECOND;
 /// Maximum receive time between decreases of one restart, ns.
-const TOGETHER: i64 = 2 * NANOS_PER_SECOND;
+const MAX_RESTART_SPREAD_NS: i64 = 2 * NANOS_PER_SECOND;
 
 /// Part of a log between two restarts.
 #[derive(Debug)]
@@ -19,29 +19,29 @@ pub struct Segment {
     /// Its data. Data without time, such as static transforms, is in every segment.
     pub log: Log,
     /// Time from the first to the last stamp, s.
-    pub seconds: f64,
+    pub duration_s: f64,
 }
 
 impl Segment {
     /// Messages of topics that are not valid at all times.
     pub fn messages(&self) -> u64 {
-        self.log.topics.iter().filter(|topic| moves(topic)).map(|topic| topic.messages).sum()
+        self.log.topics.iter().filter(|topic| has_times(topic)).map(|topic| topic.messages).sum()
     }
 }
 
 /// Minimum median duration, s; shorter segments are jumping stamps.
-const BRIEF_S: f64 = 1.0;
+const MIN_MEDIAN_DURATION_S: f64 = 1.0;
 
 /// Splits a log at its restarts, in receive order.
 pub fn segments(log: Log) -> Vec<Segment> {
-    let moving = || log.topics.iter().filter(|topic| moves(topic));
+    let moving = || log.topics.iter().filter(|topic| has_times(topic));
     if !moving().flat_map(times_of).any(may_restart) {
-        return vec![Segment { seconds: 0.0, log }];
+        return vec![Segment { duration_s: 0.0, log }];
     }
-    let pieces: Vec<Piece> = moving().flat_map(Piece::all).collect();
+    let pieces: Vec<OrderedPart> = moving().flat_map(OrderedPart::all_of_topic).collect();
     let reference =
         pieces.iter().max_by_key(|piece| (!piece.restarts.is_empty(), piece.order.len()));
-    let restarts: Vec<Restart> = match reference {
+    let restarts: Vec<ClockRestart> = match reference {
         Some(reference) => {
             let restarts = reference.restarts.iter().map(|&at| reference.restart(at));
             restarts.filter(|restart| pieces.iter().all(|piece| piece.agrees(restart))).collect()
@@ -49,21 +49,21 @@ pub fn segments(log: Log) -> Vec<Segment> {
         None => Vec::new(),
     };
     let Some(reference) = reference.filter(|_| !restarts.is_empty()) else {
-        return vec![Segment { seconds: 0.0, log }];
+        return vec![Segment { duration_s: 0.0, log }];
     };
     let cuts = reference.cuts(&restarts);
     let spans: Vec<f64> =
         (0..=restarts.len()).map(|segment| reference.seconds(&cuts, segment)).collect();
-    if median(&mut spans.clone()).is_none_or(|usual_s| usual_s < BRIEF_S) {
-        return vec![Segment { seconds: 0.0, log }];
+    if median(&mut spans.clone()).is_none_or(|usual_s| usual_s < MIN_MEDIAN_DURATION_S) {
+        return vec![Segment { duration_s: 0.0, log }];
     }
     spans
         .into_iter()
         .enumerate()
         .map(|(index, seconds)| {
-            let topics = log.topics.iter().map(|topic| part_of(topic, &restarts, index));
+            let topics = log.topics.iter().map(|topic| segment_of_topic(topic, &restarts, index));
             let log = Log { topics: topics.collect(), ..without_topics(&log) };
-            Segment { log, seconds }
+            Segment { log, duration_s: seconds }
         })
         .collect()
 }
@@ -91,12 +91,12 @@ fn times_of(topic: &Topic) -> Vec<&Times> {
 
 /// Whether stamps decrease in receive order, without sorting.
 fn may_restart(times: &Times) -> bool {
-    let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
+    let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > MIN_RESTART_NS;
     times.header.windows(2).any(step_back) || !times.log.is_sorted()
 }
 
 /// Whether a topic's data is valid only at its time.
-fn moves(topic: &Topic) -> bool {
+fn has_times(topic: &Topic) -> bool {
     let holds_at_all_times =
         matches!(topic.columns, Some(Columns::Text(_)) | None) || topic.name.ends_with("tf_static");
     !holds_at_all_times
@@ -104,27 +104,27 @@ fn moves(topic: &Topic) -> bool {
 
 /// Receive times of the last message before a restart and the first after it.
 #[derive(Clone, Copy, Debug)]
-struct Restart {
-    before: i64,
-    after: i64,
+struct ClockRestart {
+    last_before_ns: i64,
+    first_after_ns: i64,
 }
 
-struct Piece<'a> {
+struct OrderedPart<'a> {
     times: &'a Times,
     order: Vec<usize>,
     /// Indices into `order` of decreasing stamps.
     restarts: Vec<usize>,
 }
 
-impl<'a> Piece<'a> {
-    fn all(topic: &'a Topic) -> Vec<Self> {
-        times_of(topic).into_iter().map(Self::of).collect()
+impl<'a> OrderedPart<'a> {
+    fn all_of_topic(topic: &'a Topic) -> Vec<Self> {
+        times_of(topic).into_iter().map(Self::new).collect()
     }
 
-    fn of(times: &'a Times) -> Self {
+    fn new(times: &'a Times) -> Self {
         let mut order: Vec<usize> = (0..times.len()).collect();
         // Files are nearly in receive order. Keep theirs if the recorder's clock restarted.
-        let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
+        let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > MIN_RESTART_NS;
         if !times.log.windows(2).any(steps_back) {
             order.sort_by_key(|&row| times.log[row]);
         }
@@ -135,7 +135,7 @@ impl<'a> Piece<'a> {
             .filter(|(_, stamp)| *stamp != 0)
             .collect();
         let restarts =
-            stamped.windows(2).filter(|pair| pair[0].1.saturating_sub(pair[1].1) > RESTART);
+            stamped.windows(2).filter(|pair| pair[0].1.saturating_sub(pair[1].1) > MIN_RESTART_NS);
         let restarts = restarts.map(|pair| pair[1].0).collect();
         Self { times, order, restarts }
     }
@@ -144,43 +144,52 @@ impl<'a> Piece<'a> {
         self.times.log[self.order[at]]
     }
 
-    fn restart(&self, at: usize) -> Restart {
-        Restart { before: self.received(at - 1), after: self.received(at) }
+    fn restart(&self, at: usize) -> ClockRestart {
+        ClockRestart { last_before_ns: self.received(at - 1), first_after_ns: self.received(at) }
     }
 
     /// Index at which its own stamps decrease at `restart`.
-    fn own(&self, restart: &Restart) -> Option<usize> {
+    fn matching_restart(&self, restart: &ClockRestart) -> Option<usize> {
         let apart = |&&at: &&usize| {
             let own = self.restart(at);
-            let after = own.after.saturating_sub(restart.after).saturating_abs();
-            let before = own.before.saturating_sub(restart.before).saturating_abs();
+            let after = own.first_after_ns.saturating_sub(restart.first_after_ns).saturating_abs();
+            let before = own.last_before_ns.saturating_sub(restart.last_before_ns).saturating_abs();
             (after, before)
         };
-        let near = self.restarts.iter().filter(|at| apart(at).0 <= TOGETHER);
+        let near = self.restarts.iter().filter(|at| apart(at).0 <= MAX_RESTART_SPREAD_NS);
         near.min_by_key(|at| apart(at).0.saturating_add(apart(at).1)).copied()
     }
 
     /// Whether its stamps decrease at `restart`, are missing, or do not cover it.
-    fn agrees(&self, restart: &Restart) -> bool {
+    fn agrees(&self, restart: &ClockRestart) -> bool {
         let stamped = self.order.iter().filter(|&&row| self.times.header[row] != 0);
         let received = stamped.map(|&row| self.times.log[row]);
         let (first, last) = match (received.clone().min(), received.max()) {
             (Some(first), Some(last)) => (first, last),
             _ => return true,
         };
-        let is_over = last <= restart.before.max(restart.after).saturating_add(TOGETHER);
-        let is_later = first >= restart.before.min(restart.after).saturating_sub(TOGETHER);
-        self.own(restart).is_some() || is_over || is_later
+        let is_over = last
+            <= restart
+                .last_before_ns
+                .max(restart.first_after_ns)
+                .saturating_add(MAX_RESTART_SPREAD_NS);
+        let is_later = first
+            >= restart
+                .last_before_ns
+                .min(restart.first_after_ns)
+                .saturating_sub(MAX_RESTART_SPREAD_NS);
+        self.matching_restart(restart).is_some() || is_over || is_later
     }
 
     /// Start of each segment but the first, as ascending indices into `order`.
-    fn cuts(&self, restarts: &[Restart]) -> Vec<usize> {
-        let by_receipt = |restart: &Restart| {
-            let is_later = |&row: &usize| self.times.log[row] >= restart.after;
+    fn cuts(&self, restarts: &[ClockRestart]) -> Vec<usize> {
+        let by_receipt = |restart: &ClockRestart| {
+            let is_later = |&row: &usize| self.times.log[row] >= restart.first_after_ns;
             self.order.iter().position(is_later).unwrap_or(self.order.len())
         };
-        let cuts =
-            restarts.iter().map(|restart| self.own(restart).unwrap_or_else(|| by_receipt(restart)));
+        let cuts = restarts
+            .iter()
+            .map(|restart| self.matching_restart(restart).unwrap_or_else(|| by_receipt(restart)));
         // Each row is in one segment.
         let mut from = 0;
         cuts.map(|cut| {
@@ -215,11 +224,11 @@ impl<'a> Piece<'a> {
 
 /// One segment of a topic. Splits the message count by rows; dropped samples count in the first segment
 /// with rows.
-fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
-    if !moves(topic) {
+fn segment_of_topic(topic: &Topic, restarts: &[ClockRestart], segment: usize) -> Topic {
+    if !has_times(topic) {
         return topic.clone();
     }
-    let pieces = Piece::all(topic);
+    let pieces = OrderedPart::all_of_topic(topic);
     let cuts: Vec<Vec<usize>> = pieces.iter().map(|piece| piece.cuts(restarts)).collect();
     let rows: Vec<Vec<usize>> =
         pieces.iter().zip(&cuts).map(|(piece, cuts)| piece.rows(cuts, segment)).collect();
@@ -349,7 +358,7 @@ mod tests {
         let held: Vec<Vec<usize>> =
             segments.iter().map(|one| (0..5).map(|at| rows(one, at)).collect()).collect();
         assert_eq!(held, [[200, 190, 200, 160, 1], [100, 80, 100, 0, 1]]);
-        assert!((segments[0].seconds - 19.9).abs() < 1e-9);
+        assert!((segments[0].duration_s - 19.9).abs() < 1e-9);
         assert_eq!(segments[1].log.topics[0].messages, 100);
     }
 

@@ -12,18 +12,18 @@ pub(super) struct ArmPath {
     pub joints: Vec<String>,
 }
 
-const GRIPPER: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
+const GRIPPER_WORDS: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
 
 /// Names of joints that rotate a whole gripper.
-const TURNS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
+const ROTATION_WORDS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
 
 /// Whether a joint has one coordinate and mimics no other.
-pub(super) fn is_own(joint: &Joint) -> bool {
+pub(super) fn is_independent(joint: &Joint) -> bool {
     joint.kind.has_position() && joint.mimic.is_none()
 }
 
 /// `joint`, or the one that it mimics.
-pub(super) fn driver<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
+pub(super) fn driving_joint<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
     let master = |joint: &&'a Joint| robot.joint(&joint.mimic.as_ref()?.joint);
     // Limits the steps of cyclic mimics.
     let drivers = std::iter::successors(Some(joint), master).take(robot.joints().len() + 1);
@@ -35,9 +35,9 @@ pub(super) fn driver<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
 ///
 /// A path ends where all branches have fewer joints than the path so far (a gripper), and before a last
 /// joint named like a gripper's.
-pub(super) fn arms(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath> {
-    const OWN: usize = 4;
-    let mut walk = Walk { robot, logged, ends: Vec::new() };
+pub(super) fn find_arm_paths(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath> {
+    const MIN_OWN_JOINTS: usize = 4;
+    let mut walk = TreeWalk { robot, logged, ends: Vec::new() };
     walk.descend(
         robot.root(),
         ArmPath { base: robot.root(), end: robot.root(), joints: Vec::new() },
@@ -49,20 +49,20 @@ pub(super) fn arms(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath>
         let taken = |joint: &&String| arms.iter().any(|arm| arm.joints.contains(joint));
         let shared = path.joints.iter().filter(taken).count();
         let own = path.joints.len() - shared;
-        if own > 0 && (arms.is_empty() || own >= OWN.max(shared + 1)) {
+        if own > 0 && (arms.is_empty() || own >= MIN_OWN_JOINTS.max(shared + 1)) {
             arms.push(path);
         }
     }
     arms
 }
 
-struct Walk<'a, F> {
+struct TreeWalk<'a, F> {
     robot: &'a Robot,
     logged: F,
     ends: Vec<ArmPath>,
 }
 
-impl<F: Fn(&str) -> bool> Walk<'_, F> {
+impl<F: Fn(&str) -> bool> TreeWalk<'_, F> {
     fn descend(&mut self, link: LinkId, path: ArmPath) {
         let robot = self.robot;
         let branches: Vec<(&Joint, usize)> = robot
@@ -92,13 +92,13 @@ impl<F: Fn(&str) -> bool> Walk<'_, F> {
 
     fn extended(&self, path: &ArmPath, joint: &Joint) -> ArmPath {
         let mut path = path.clone();
-        if is_own(joint) && (self.logged)(&joint.name) {
+        if is_independent(joint) && (self.logged)(&joint.name) {
             if path.joints.is_empty() {
                 path.base = joint.parent;
             }
             path.joints.push(joint.name.clone());
             path.end = joint.child;
-        } else if !is_fixed(joint) && !(self.logged)(&driver(self.robot, joint).name) {
+        } else if !is_fixed(joint) && !(self.logged)(&driving_joint(self.robot, joint).name) {
             // Without this joint's position, the arm can only start below it.
             path = ArmPath { base: joint.child, end: joint.child, joints: Vec::new() };
         }
@@ -112,7 +112,7 @@ impl<F: Fn(&str) -> bool> Walk<'_, F> {
     /// Maximum number of independent logged joints from `joint`.
     fn depth(&self, joint: &Joint) -> usize {
         let below = self.robot.child_joints(joint.child).map(|below| self.depth(below)).max();
-        usize::from(is_own(joint) && (self.logged)(&joint.name)) + below.unwrap_or(0)
+        usize::from(is_independent(joint) && (self.logged)(&joint.name)) + below.unwrap_or(0)
     }
 }
 
@@ -123,13 +123,17 @@ fn is_fixed(joint: &Joint) -> bool {
 fn opens_gripper(joint: &Joint, depth: usize, path: &ArmPath) -> bool {
     let name = joint.name.to_lowercase();
     let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
-    depth == 1 && path.joints.len() > 1 && is_own(joint) && has(GRIPPER) && !has(TURNS)
+    depth == 1
+        && path.joints.len() > 1
+        && is_independent(joint)
+        && has(GRIPPER_WORDS)
+        && !has(ROTATION_WORDS)
 }
 
 /// Default tip among links fixed to `end`: `preferred`, else the first of `tool0`, `flange`, `*_tcp`,
 /// `*_link8`, else behind the most fixed joints.
-pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId {
-    let fixed = fixed_below(robot, end);
+pub(super) fn select_tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId {
+    let fixed = fixed_links_below(robot, end);
     let named = |fits: &dyn Fn(&str) -> bool| {
         fixed.iter().map(|(link, _)| *link).find(|link| fits(robot.link_name(*link)))
     };
@@ -147,7 +151,7 @@ pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId
 }
 
 /// `link` and links fixed below, with the number of joints between, parents first.
-fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
+fn fixed_links_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
     let mut found = vec![(link, 0)];
     let mut next = 0;
     while let Some(&(link, depth)) = found.get(next) {
@@ -206,9 +210,9 @@ pub(super) mod tests {
     }
 
     fn only_arm(robot: &Robot) -> (Vec<String>, &str) {
-        let arms = arms(robot, |_| true);
+        let arms = find_arm_paths(robot, |_| true);
         assert_eq!(arms.len(), 1, "{arms:?}");
-        (arms[0].joints.clone(), robot.link_name(tip(robot, arms[0].end, None)))
+        (arms[0].joints.clone(), robot.link_name(select_tip(robot, arms[0].end, None)))
     }
 
     #[test]
@@ -260,14 +264,14 @@ pub(super) mod tests {
             .collect();
         joints.extend(names.iter().map(String::as_str));
         let robot = robot(&joints);
-        let found = arms(&robot, |_| true);
+        let found = find_arm_paths(&robot, |_| true);
         assert_eq!(found.iter().map(|arm| arm.joints.len()).collect::<Vec<_>>(), [5, 5]);
     }
 
     #[test]
     fn an_arm_begins_below_a_joint_that_is_not_logged() {
         let robot = robot(&ARM);
-        let arms = arms(&robot, |name| name != "j1");
+        let arms = find_arm_paths(&robot, |name| name != "j1");
         assert_eq!(arms[0].joints, ["j2", "j3", "j4"]);
         assert_eq!(robot.link_name(arms[0].base), "l1");
     }
@@ -276,20 +280,20 @@ pub(super) mod tests {
     fn a_mimic_joint_is_where_its_driver_is() {
         let joints = ["lift revolute base l1", "stage revolute=lift l1 l2", "j2 revolute l2 l3"];
         let robot = robot(&joints);
-        assert_eq!(driver(&robot, robot.joint("stage").unwrap()).name, "lift");
-        assert_eq!(arms(&robot, |name| name != "stage")[0].joints, ["lift", "j2"]);
-        assert_eq!(arms(&robot, |name| name == "j2")[0].joints, ["j2"]);
+        assert_eq!(driving_joint(&robot, robot.joint("stage").unwrap()).name, "lift");
+        assert_eq!(find_arm_paths(&robot, |name| name != "stage")[0].joints, ["lift", "j2"]);
+        assert_eq!(find_arm_paths(&robot, |name| name == "j2")[0].joints, ["j2"]);
     }
 
     #[test]
     fn the_tip_is_the_preferred_link_or_the_best_known_name() {
         let robot = robot(&with(&["c fixed tool0 camera", "o fixed camera optical"]));
         let end = robot.link("l4").unwrap();
-        assert_eq!(robot.link_name(tip(&robot, end, None)), "tool0");
-        assert_eq!(robot.link_name(tip(&robot, end, Some("camera"))), "camera");
-        assert_eq!(robot.link_name(tip(&robot, end, Some("l2"))), "tool0");
+        assert_eq!(robot.link_name(select_tip(&robot, end, None)), "tool0");
+        assert_eq!(robot.link_name(select_tip(&robot, end, Some("camera"))), "camera");
+        assert_eq!(robot.link_name(select_tip(&robot, end, Some("l2"))), "tool0");
         let plain =
             self::robot(&["j revolute base l", "a fixed l x", "b fixed l y", "c fixed y z"]);
-        assert_eq!(plain.link_name(tip(&plain, plain.link("l").unwrap(), None)), "z");
+        assert_eq!(plain.link_name(select_tip(&plain, plain.link("l").unwrap(), None)), "z");
     }
 }

@@ -55,11 +55,11 @@ const EXTERNAL_WORDS: &[&str] = &[
 ];
 
 /// Packages with controller messages.
-const CONTROLLERS: &[&str] =
+const CONTROLLER_PACKAGES: &[&str] =
     &["franka_", "ur_", "lbr_fri_", "iiwa_", "kuka_", "xarm_", "dsr_", "jaka_", "aubo_", "kinova_"];
 
 /// Packages with tracker or camera messages.
-const TRACKERS: &[&str] =
+const TRACKER_PACKAGES: &[&str] =
     &["vicon_", "mocap", "motion_capture_", "optitrack_", "vrpn_", "apriltag_", "aruco_"];
 
 #[derive(Clone, Copy, Debug)]
@@ -74,7 +74,7 @@ pub(super) struct PoseNames<'a> {
     pub stamps_copied: bool,
 }
 
-pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) {
+pub(super) fn classify_source(names: &PoseNames<'_>) -> (PoseSourceKind, String) {
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();
     let of_package = |known: &[&str]| known.iter().any(|start| package.starts_with(start));
@@ -85,7 +85,7 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
     if let Some(word) = outside {
         return (PoseSourceKind::External, format!("the word '{word}' in its names"));
     }
-    if of_package(TRACKERS) {
+    if of_package(TRACKER_PACKAGES) {
         return (PoseSourceKind::External, format!("messages of {package}"));
     }
     if let Some(driver) = find_driver(&topic_words) {
@@ -94,7 +94,7 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
             format!("the topic name that {driver} use for the tool pose"),
         );
     }
-    if of_package(CONTROLLERS) {
+    if of_package(CONTROLLER_PACKAGES) {
         return (PoseSourceKind::Controller, format!("messages of {package}"));
     }
     if find_word(&split_words(child_frame_id), &["controller"]).is_some() {
@@ -124,7 +124,7 @@ mod tests {
     ) -> PoseSourceKind {
         let (child_frame_id, stamps_copied) = ("", false);
         let names = PoseNames { topic, type_name, frame_id, child_frame_id, frame, stamps_copied };
-        source_kind_of(&names).0
+        classify_source(&names).0
     }
 
     #[test]
@@ -158,8 +158,8 @@ mod tests {
             frame: StillLink,
             stamps_copied: true,
         };
-        assert_eq!(source_kind_of(&names).0, PoseSourceKind::Controller);
+        assert_eq!(classify_source(&names).0, PoseSourceKind::Controller);
         let tool = PoseNames { stamps_copied: false, child_frame_id: "tool0_controller", ..names };
-        assert_eq!(source_kind_of(&tool).0, PoseSourceKind::Controller);
+        assert_eq!(classify_source(&tool).0, PoseSourceKind::Controller);
     }
 }

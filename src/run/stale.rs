@@ -5,40 +5,40 @@ use std::borrow::Cow;
 
 use crate::stream::{JointColumn, sample_noise};
 
-use super::frozen::Frozen;
-use super::part_series::{Series, Values};
+use super::frozen::FrozenSpan;
+use super::part_series::{PartSeries, PartValues};
 use super::rows::Rows;
 
 /// Minimum duration, s, and rows; slow sources have shorter spans.
-const LEAST_S: f64 = 0.25;
-const LEAST_ROWS: usize = 10;
+const MIN_DURATION_S: f64 = 0.25;
+const MIN_ROWS: usize = 10;
 /// Maximum frozen motion, noise standard deviations.
-const STILL: f64 = 8.0;
+const MAX_FROZEN_MOTION_SIGMAS: f64 = 8.0;
 /// Minimum final jump, rad or m, and in usual non-zero steps, to exclude a coarse encoder's resolution.
-const LEAP: f64 = 5e-3;
-const BITS: f64 = 4.0;
+const MIN_JUMP: f64 = 5e-3;
+const MIN_JUMP_STEPS: f64 = 4.0;
 /// Minimum ratio to the steps after it.
-const FAR: f64 = 5.0;
+const MIN_STEP_RATIO: f64 = 5.0;
 /// Maximum acceleration of a real joint, rad/s² or m/s²; jumps exceed it. A hand-guided UR5e stops by up to
 /// 87 rad/s² in public recordings (docs/real-logs.md).
-pub(super) const HARDEST: f64 = 100.0;
+pub(super) const MAX_ACCELERATION: f64 = 100.0;
 /// Rows on each side that show joint speeds.
-const BESIDE: usize = 4;
+const SPEED_ROWS: usize = 4;
 
 #[derive(Debug)]
 pub(super) struct StaleJoints {
-    pub frozen: Frozen,
+    pub frozen: FrozenSpan,
     pub rows: Vec<usize>,
 }
 
-pub(super) fn hide(stale: &[StaleJoints], stream: usize, rows: &mut Rows) {
+pub(super) fn remove_stale_rows(stale: &[StaleJoints], stream: usize, rows: &mut Rows) {
     for found in stale.iter().filter(|found| found.frozen.stream == stream) {
         rows.retain(|(_, row)| found.rows.binary_search(row).is_err());
     }
 }
 
-pub(super) fn detect_stale_joints<'s>(series: &Series<'s>, rows: &Rows) -> Vec<StaleJoints> {
-    let Values::Joints(joints) = series.values else { return Vec::new() };
+pub(super) fn detect_stale_joints<'s>(series: &PartSeries<'s>, rows: &Rows) -> Vec<StaleJoints> {
+    let PartValues::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
     let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
         match is_all {
@@ -64,52 +64,57 @@ pub(super) fn detect_stale_joints<'s>(series: &Series<'s>, rows: &Rows) -> Vec<S
         })
         .collect();
     let count = noise.len();
-    let far: Vec<f64> =
-        (0..count).map(|joint| LEAP.max(20.0 * noise[joint]).max(BITS * usual[joint])).collect();
+    let far: Vec<f64> = (0..count)
+        .map(|joint| MIN_JUMP.max(20.0 * noise[joint]).max(MIN_JUMP_STEPS * usual[joint]))
+        .collect();
     let (mut found, mut from) = (Vec::new(), 0);
-    for at in 0..rows.len().saturating_sub(1 + BESIDE) {
-        let own = HARDEST * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
-        let leaps = |joint: usize| {
+    for at in 0..rows.len().saturating_sub(1 + SPEED_ROWS) {
+        let own = MAX_ACCELERATION * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
+        let jumps = |joint: usize| {
             let by = (q(at + 1, joint) - q(at, joint)).abs();
-            let after = (1..BESIDE).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > far[joint].max(own) && by > FAR * after.fold(0.0, f64::max)
+            let after = (1..SPEED_ROWS).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
+            by > far[joint].max(own) && by > MIN_STEP_RATIO * after.fold(0.0, f64::max)
         };
-        if !(0..count).any(leaps) {
+        if !(0..count).any(jumps) {
             continue;
         }
         let is_still = |other: &usize| {
-            (0..count)
-                .all(|joint| (q(*other, joint) - q(at, joint)).abs() <= STILL * noise[joint] + 1e-9)
+            (0..count).all(|joint| {
+                (q(*other, joint) - q(at, joint)).abs()
+                    <= MAX_FROZEN_MOTION_SIGMAS * noise[joint] + 1e-9
+            })
         };
         let first = (from..at).rev().take_while(is_still).last().unwrap_or(at);
         from = at + 1;
         let (start, end) = (rows[first].0, rows[at].0);
-        let is_long = end.seconds_since(start) >= LEAST_S && at - first >= LEAST_ROWS;
+        let is_long = end.seconds_since(start) >= MIN_DURATION_S && at - first >= MIN_ROWS;
         let period_s = end.seconds_since(start) / (at - first).max(1) as f64;
-        let is_beside = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
+        let is_adjacent = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
         // A value redefined at rest also jumps, but without motion around it.
         let moves = |a: usize, b: usize| {
             (0..count).any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
-                leaps(joint) && by > (10.0 * noise[joint]).max(1e-4)
+                jumps(joint) && by > (10.0 * noise[joint]).max(1e-4)
             })
         };
-        let goes_on = moves(at + 1, at + BESIDE) || first >= BESIDE && moves(first - BESIDE, first);
-        if !is_long || !is_beside || !goes_on {
+        let goes_on = moves(at + 1, at + SPEED_ROWS)
+            || first >= SPEED_ROWS && moves(first - SPEED_ROWS, first);
+        if !is_long || !is_adjacent || !goes_on {
             continue;
         }
         let moved = (0..count).map(|j| (q(at + 1, j) - q(at, j)).abs()).fold(0.0, f64::max);
         let samples = at + 1 - first;
         let stream = series.stream;
-        let mut old: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
-        old.sort_unstable();
-        let frozen = Frozen { stream, start, end, samples, whole: false, moved };
-        found.push(StaleJoints { frozen, rows: old });
+        let mut stale_rows: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
+        stale_rows.sort_unstable();
+        let frozen =
+            FrozenSpan { stream, start, end, samples, is_whole_stream: false, joint_motion: moved };
+        found.push(StaleJoints { frozen, rows: stale_rows });
     }
     found
 }
 
-pub(super) fn times(stale: &[StaleJoints]) -> impl Iterator<Item = Frozen> + '_ {
+pub(super) fn frozen_spans(stale: &[StaleJoints]) -> impl Iterator<Item = FrozenSpan> + '_ {
     stale.iter().map(|found| found.frozen)
 }
 
@@ -136,10 +141,10 @@ mod tests {
     fn found(columns: &JointColumns) -> Vec<StaleJoints> {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
-        let (times, values) = (&columns.times, Values::Joints(columns));
+        let (times, values) = (&columns.times, PartValues::Joints(columns));
         let (frame, is_table) = (None, false);
         let series =
-            Series { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
+            PartSeries { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
         detect_stale_joints(&series, &rows)
     }
 
@@ -150,11 +155,11 @@ mod tests {
             let found = found(&columns);
             let [one] = found.as_slice() else { panic!("{noise}: {}", found.len()) };
             assert!((one.frozen.samples as i64 - 200).abs() < 5, "{:?}", one.frozen);
-            let times: Vec<Frozen> = times(&found).collect();
+            let times: Vec<FrozenSpan> = frozen_spans(&found).collect();
             let within = times[0].start..=times[0].end;
             assert!(within.contains(&Stamp::from_nanos(6_000_000_000)));
             let mut rows: Rows = (0..2000).map(|row| (Stamp::default(), row)).collect();
-            hide(&found, 0, &mut rows);
+            remove_stale_rows(&found, 0, &mut rows);
             assert!((rows.len() as i64 - 1801).abs() < 5);
         }
     }

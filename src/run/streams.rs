@@ -11,7 +11,7 @@ use super::role::{Role, role_by_content, role_by_name, split_words};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::source_kind::PoseSourceKind;
-use super::tf_tree::without_slash;
+use super::tf_tree::strip_slash;
 
 /// A stream, its role, and the reason.
 #[derive(Clone, Debug)]
@@ -106,8 +106,8 @@ impl Stream {
     pub(super) fn with_single_pose(&self, poses: PoseColumns) -> Self {
         let (count, dropped) = (poses.times.len() as u64, poses.not_finite);
         Stream {
-            frame_id: without_slash(&poses.frame_id).to_owned(),
-            child_frame_id: without_slash(&poses.child_frame_id).to_owned(),
+            frame_id: strip_slash(&poses.frame_id).to_owned(),
+            child_frame_id: strip_slash(&poses.child_frame_id).to_owned(),
             count,
             dropped,
             columns: Some(Columns::Poses(vec![poses])),
@@ -259,8 +259,8 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
         }
     }
     stream.frame_id = match &columns {
-        Columns::Joints(joints) => without_slash(&joints.frame_id).to_owned(),
-        Columns::Imu(imu) => without_slash(&imu.frame_id).to_owned(),
+        Columns::Joints(joints) => strip_slash(&joints.frame_id).to_owned(),
+        Columns::Imu(imu) => strip_slash(&imu.frame_id).to_owned(),
         _ => String::new(),
     };
     stream.dropped += dropped_in(&columns);

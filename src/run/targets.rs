@@ -75,7 +75,7 @@ pub enum HandKind {
 
 impl HandKind {
     /// FK of `arm` to the link with the camera's frame, else its tip, with camera poses in hand and base.
-    pub(super) fn of_arm(
+    pub(super) fn from_arm(
         index: usize,
         arm: &Arm,
         camera: &str,
@@ -112,18 +112,18 @@ impl HandKind {
 }
 
 /// Whether names make a dynamic transform a camera detection.
-pub(super) fn is_sighting(frame: &str, child: &str) -> bool {
+pub(super) fn is_detection(frame: &str, child: &str) -> bool {
     let is_camera = |name: &str| find_word(&split_words(name), CAMERA_WORDS).is_some();
     is_camera(frame)
         && (!is_camera(child) || find_word(&split_words(child), DETECTION_WORDS).is_some())
 }
 
-pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
+pub(super) fn camera_axes(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
     let is_optical = |frame: &str| split_words(frame).iter().any(|word| word == "optical");
     if is_optical(camera) {
         return Some(CameraAxes::Optical);
     }
-    let (_, optical_from_camera) = tf.tied(camera, is_optical)?;
+    let (_, optical_from_camera) = tf.nearest_fixed(camera, is_optical)?;
     // Optical z is body x, optical x is body −y.
     let turn = optical_from_camera.rotation;
     let forward = turn * crate::geometry::Vec3::x();
@@ -140,17 +140,17 @@ pub(super) fn hand_frame(tf: &TfTree, camera: &str) -> Option<(String, String)> 
             .iter()
             .filter(|edge| {
                 let (parent, child) = tf.names(edge);
-                edge.kind == EdgeKind::Dynamic && !is_sighting(parent, child)
+                edge.kind == EdgeKind::Dynamic && !is_detection(parent, child)
             })
             .count()
     };
     let is_moved = |frame: &str| {
         tf.edges().iter().any(|edge| {
             let (parent, child) = tf.names(edge);
-            edge.kind == EdgeKind::Dynamic && child == frame && !is_sighting(parent, child)
+            edge.kind == EdgeKind::Dynamic && child == frame && !is_detection(parent, child)
         })
     };
-    let carrier = tf.tied(camera, is_moved).map(|(frame, _)| frame);
+    let carrier = tf.nearest_fixed(camera, is_moved).map(|(frame, _)| frame);
     let farthest = || {
         let frames = tf.frames().filter(|frame| is_moved(frame));
         frames.max_by_key(|frame| moved_by(frame))
@@ -172,17 +172,17 @@ mod tests {
         let body_from_optical = pose([0.0, 0.015, 0.0], turn);
         tf.insert_fixed("camera_link", "camera_optical", EdgeKind::Static, body_from_optical);
         tf.insert_fixed("tool0", "cam", EdgeKind::Static, Pose::identity());
-        assert_eq!(axes_of(&tf, "camera_optical"), Some(CameraAxes::Optical));
-        assert_eq!(axes_of(&tf, "camera_link"), Some(CameraAxes::Body));
-        assert_eq!(axes_of(&tf, "cam"), None);
-        assert_eq!(axes_of(&tf, "elsewhere"), None);
+        assert_eq!(camera_axes(&tf, "camera_optical"), Some(CameraAxes::Optical));
+        assert_eq!(camera_axes(&tf, "camera_link"), Some(CameraAxes::Body));
+        assert_eq!(camera_axes(&tf, "cam"), None);
+        assert_eq!(camera_axes(&tf, "elsewhere"), None);
     }
 
     #[test]
     fn a_tag_is_sighted_and_a_cameras_own_frames_are_not() {
-        assert!(is_sighting("camera_optical_frame", "tag_3"));
-        assert!(is_sighting("camera", "camera_board"));
-        assert!(!is_sighting("camera_link", "camera_optical_frame"));
-        assert!(!is_sighting("base_link", "tag_3"));
+        assert!(is_detection("camera_optical_frame", "tag_3"));
+        assert!(is_detection("camera", "camera_board"));
+        assert!(!is_detection("camera_link", "camera_optical_frame"));
+        assert!(!is_detection("base_link", "tag_3"));
     }
 }

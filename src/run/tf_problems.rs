@@ -6,11 +6,11 @@ use crate::stream::{Columns, PoseColumns};
 
 use super::Run;
 use super::pose_distance::PoseDistance;
-use super::publishers::Publishers;
+use super::publishers::TwoPublishers;
 use super::role::{FrameKind, Role};
 use super::streams::Stream;
 use super::tf_error::TfError;
-use super::tf_tree::{Edge, EdgeKind, without_slash};
+use super::tf_tree::{Edge, EdgeKind, strip_slash};
 
 /// A TF problem, and its topics.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,7 +70,7 @@ pub enum TfProblemKind {
         are_joints: bool,
     },
     /// A stream's frame and the arm's base are disconnected.
-    Pieces {
+    Disconnected {
         /// The topic of the stream.
         needed_by: String,
         /// The frame.
@@ -90,33 +90,36 @@ pub struct FramePair {
 }
 
 /// Maximum rounding, m on a 1 m lever.
-const ROUNDING: f64 = 1e-4;
+const MAX_ROUNDING_M: f64 = 1e-4;
 
-struct Piece<'a> {
+struct TransformPart<'a> {
     topic: &'a str,
     is_static: bool,
     /// Whether its publishers are separated and reported alone.
-    is_of_two: bool,
+    has_two_publishers: bool,
     poses: &'a PoseColumns,
 }
 
-impl Piece<'_> {
-    fn between(&self) -> FramePair {
+impl TransformPart<'_> {
+    fn frame_pair(&self) -> FramePair {
         FramePair { parent: self.parent().to_owned(), child: self.child().to_owned() }
     }
 
     fn parent(&self) -> &str {
-        without_slash(&self.poses.frame_id)
+        strip_slash(&self.poses.frame_id)
     }
 
     fn child(&self) -> &str {
-        without_slash(&self.poses.child_frame_id)
+        strip_slash(&self.poses.child_frame_id)
     }
 }
 
 /// Problems per namespace: robots with their own TF topics may share frame names.
-pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) -> Vec<TfProblem> {
-    let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
+pub(super) fn detect_tf_problems(
+    streams: &[Stream],
+    publishers: &[TwoPublishers],
+) -> Vec<TfProblem> {
+    let mut spaces: BTreeMap<&str, Vec<TransformPart<'_>>> = BTreeMap::new();
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
         let space = stream.topic.rsplit_once('/').map_or("", |(space, _)| space);
@@ -124,10 +127,10 @@ pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) 
         let of_two =
             |piece: usize| publishers.iter().any(|two| (two.stream, two.piece) == (index, piece));
         let filled = transforms.iter().enumerate().filter(|(_, poses)| !poses.times.is_empty());
-        let pieces = filled.map(|(piece, poses)| Piece {
+        let pieces = filled.map(|(piece, poses)| TransformPart {
             topic: &stream.topic,
             is_static,
-            is_of_two: of_two(piece),
+            has_two_publishers: of_two(piece),
             poses,
         });
         spaces.entry(space).or_default().extend(pieces);
@@ -141,17 +144,17 @@ pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) 
     problems
 }
 
-fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<TfProblem> {
-    let size = |two: &Publishers| two.apart.map_or(0.0, PoseDistance::size_m);
+fn several_publishers(stream: &Stream, found: &[&TwoPublishers]) -> Option<TfProblem> {
+    let size = |two: &TwoPublishers| two.distance.map_or(0.0, PoseDistance::size_m);
     let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
     let between = |(parent, child): &(String, String)| FramePair {
-        parent: without_slash(parent).to_owned(),
-        child: without_slash(child).to_owned(),
+        parent: strip_slash(parent).to_owned(),
+        child: strip_slash(child).to_owned(),
     };
     let kind = TfProblemKind::Publishers {
         edge: worst.frames.as_ref().map(between),
-        edges: found.iter().filter(|two| two.apart.is_some()).count(),
-        by: worst.apart,
+        edges: found.iter().filter(|two| two.distance.is_some()).count(),
+        by: worst.distance,
         rates_hz: worst.rates_hz,
         rows: worst.rows,
         are_joints: matches!(stream.columns, Some(Columns::Joints(_))),
@@ -159,15 +162,15 @@ fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<TfProble
     Some(TfProblem { kind, topics: vec![stream.topic.clone()] })
 }
 
-fn problems_of(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
+fn problems_of(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
     let mut problems = several_parents(pieces);
     problems.extend(cycles(pieces));
-    problems.extend(pieces.iter().filter(|piece| piece.is_static).filter_map(moving));
+    problems.extend(pieces.iter().filter(|piece| piece.is_static).filter_map(static_that_moves));
     problems.extend(conflicts(pieces));
     problems
 }
 
-fn topics<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a Piece<'b>>) -> Vec<String> {
+fn topic_names<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a TransformPart<'b>>) -> Vec<String> {
     pieces
         .map(|piece| piece.topic)
         .collect::<BTreeSet<_>>()
@@ -176,33 +179,33 @@ fn topics<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a Piece<'b>>) -> Vec<String
         .collect()
 }
 
-fn several_parents(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
-    let mut by_child: BTreeMap<&str, Vec<&Piece<'_>>> = BTreeMap::new();
+fn several_parents(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
+    let mut by_child: BTreeMap<&str, Vec<&TransformPart<'_>>> = BTreeMap::new();
     for piece in pieces {
         by_child.entry(piece.child()).or_default().push(piece);
     }
-    let problem = |(child, pieces): (&str, Vec<&Piece<'_>>)| {
-        let rivals: Vec<&Piece<'_>> = pieces
+    let problem = |(child, pieces): (&str, Vec<&TransformPart<'_>>)| {
+        let conflicting: Vec<&TransformPart<'_>> = pieces
             .iter()
-            .filter(|a| pieces.iter().any(|b| a.parent() != b.parent() && are_at_once(a, b)))
+            .filter(|a| pieces.iter().any(|b| a.parent() != b.parent() && overlap_in_time(a, b)))
             .copied()
             .collect();
-        let parents: BTreeSet<&str> = rivals.iter().map(|piece| piece.parent()).collect();
-        (!rivals.is_empty()).then(|| TfProblem {
+        let parents: BTreeSet<&str> = conflicting.iter().map(|piece| piece.parent()).collect();
+        (!conflicting.is_empty()).then(|| TfProblem {
             kind: TfProblemKind::SeveralParents {
                 child: child.to_owned(),
                 parents: parents.into_iter().map(str::to_owned).collect(),
             },
-            topics: topics(rivals.into_iter()),
+            topics: topic_names(conflicting.into_iter()),
         })
     };
     by_child.into_iter().filter_map(problem).collect()
 }
 
 /// Whether transforms coincide in time, unlike an object that is picked and placed.
-fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
+fn overlap_in_time(a: &TransformPart<'_>, b: &TransformPart<'_>) -> bool {
     /// Alternations that pick and place may cause.
-    const FEW: usize = 4;
+    const MIN_ALTERNATIONS: usize = 4;
     if a.is_static || b.is_static {
         return true;
     }
@@ -215,18 +218,18 @@ fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
         }
         turns += usize::from(next > from);
     }
-    turns >= FEW && 4 * turns >= a.len().min(b.len())
+    turns >= MIN_ALTERNATIONS && 4 * turns >= a.len().min(b.len())
 }
 
 /// Each cycle once, from its first named frame.
-fn cycles(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
-    let mut parent_of: BTreeMap<&str, &Piece<'_>> = BTreeMap::new();
+fn cycles(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
+    let mut parent_of: BTreeMap<&str, &TransformPart<'_>> = BTreeMap::new();
     for piece in pieces {
         parent_of.entry(piece.child()).or_insert(piece);
     }
     let mut done: BTreeSet<&str> = BTreeSet::new();
     let mut found = Vec::new();
-    for start in pieces.iter().map(Piece::child) {
+    for start in pieces.iter().map(TransformPart::child) {
         let mut trail: Vec<&str> = Vec::new();
         let mut frame = start;
         while !done.contains(frame) && !trail.contains(&frame) {
@@ -235,86 +238,91 @@ fn cycles(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
             frame = piece.parent();
         }
         if let Some(first) = trail.iter().position(|seen| *seen == frame)
-            && let Some(ring) = trail.get(first..).filter(|_| parent_of.contains_key(frame))
+            && let Some(cycle) = trail.get(first..).filter(|_| parent_of.contains_key(frame))
         {
-            let of_ring = ring.iter().filter_map(|frame| parent_of.get(frame).copied());
-            let frames = ring.iter().map(|&frame| frame.to_owned()).collect();
-            found
-                .push(TfProblem { kind: TfProblemKind::Cycle { frames }, topics: topics(of_ring) });
+            let of_ring = cycle.iter().filter_map(|frame| parent_of.get(frame).copied());
+            let frames = cycle.iter().map(|&frame| frame.to_owned()).collect();
+            found.push(TfProblem {
+                kind: TfProblemKind::Cycle { frames },
+                topics: topic_names(of_ring),
+            });
         }
         done.extend(trail);
     }
     found
 }
 
-fn moving(piece: &Piece<'_>) -> Option<TfProblem> {
+fn static_that_moves(piece: &TransformPart<'_>) -> Option<TfProblem> {
     let poses = piece.poses;
-    let apart = (1..poses.times.len()).map(|row| PoseDistance::between((poses, 0), (poses, row)));
-    let by = apart.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
-    (by.size_m() > ROUNDING).then(|| TfProblem {
-        kind: TfProblemKind::StaticMoves { edge: piece.between(), by },
+    let distance =
+        (1..poses.times.len()).map(|row| PoseDistance::between((poses, 0), (poses, row)));
+    let by = distance.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
+    (by.size_m() > MAX_ROUNDING_M).then(|| TfProblem {
+        kind: TfProblemKind::StaticMoves { edge: piece.frame_pair(), by },
         topics: vec![piece.topic.to_owned()],
     })
 }
 
-fn conflicts(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
+fn conflicts(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
-        found.extend((!piece.is_of_two).then(|| alternates(piece)).flatten());
+        found.extend((!piece.has_two_publishers).then(|| detect_alternation(piece)).flatten());
         let fixed = pieces.iter().filter(|other| other.is_static);
-        let same = fixed.filter(|other| other.between() == piece.between());
-        found.extend(same.filter_map(|other| overrules(other, piece)));
+        let same = fixed.filter(|other| other.frame_pair() == piece.frame_pair());
+        found.extend(same.filter_map(|other| conflict_with_static(other, piece)));
     }
     found
 }
 
-fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<TfProblem> {
+fn conflict_with_static(fixed: &TransformPart<'_>, piece: &TransformPart<'_>) -> Option<TfProblem> {
     let rows = piece.poses.times.len();
-    let apart = (0..rows).map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)));
-    let by = apart.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
-    (by.size_m() > ROUNDING).then(|| TfProblem {
-        kind: TfProblemKind::Conflict { edge: piece.between(), by, jumps: rows, rows },
-        topics: topics([fixed, piece].into_iter()),
+    let distance = (0..rows).map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)));
+    let by = distance.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
+    (by.size_m() > MAX_ROUNDING_M).then(|| TfProblem {
+        kind: TfProblemKind::Conflict { edge: piece.frame_pair(), by, jumps: rows, rows },
+        topics: topic_names([fixed, piece].into_iter()),
     })
 }
 
 /// Detects alternating publishers: samples far from neighbours that agree.
-fn alternates(piece: &Piece<'_>) -> Option<TfProblem> {
+fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
     /// Minimum jump, m on a 1 m lever.
-    const JUMP: f64 = 1e-3;
+    const MIN_JUMP_M: f64 = 1e-3;
     /// Maximum distance of the neighbours, as a share of the jump.
-    const AGREE: f64 = 0.02;
+    const MAX_NEIGHBOUR_SHARE: f64 = 0.02;
     /// Minimum share and number of jumps.
-    const SHARE: f64 = 0.1;
-    const FEW: usize = 5;
+    const MIN_JUMP_SHARE: f64 = 0.1;
+    const MIN_JUMPS: usize = 5;
     /// Maximum distance to the samples two rows away, in jumps. A motion that reverses is then four times
     /// as far away; of two publishers, one sent that sample.
-    const ON: f64 = 1.5;
+    const MAX_SECOND_NEIGHBOUR_RATIO: f64 = 1.5;
     /// Maximum number of samples, and consecutive ones.
-    const ENOUGH: usize = 20_000;
-    const STRETCH: usize = 500;
+    const MAX_CHECKED_ROWS: usize = 20_000;
+    const CONSECUTIVE_ROWS: usize = 500;
     let poses = piece.poses;
-    let apart = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b));
+    let distance = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b));
     let (mut rows, mut jumps, mut largest) = (0, 0, PoseDistance::default());
     let inner = 2..poses.times.len().saturating_sub(2);
     // Consecutive, because publishers may alternate regularly.
-    let parts = inner.len().div_ceil(ENOUGH).max(1);
-    let is_looked_at = |row: &usize| (row / STRETCH).is_multiple_of(parts);
+    let parts = inner.len().div_ceil(MAX_CHECKED_ROWS).max(1);
+    let is_looked_at = |row: &usize| (row / CONSECUTIVE_ROWS).is_multiple_of(parts);
     for row in inner.filter(is_looked_at) {
         rows += 1;
-        let (before, after) = (apart(row - 1, row), apart(row, row + 1));
+        let (before, after) = (distance(row - 1, row), distance(row, row + 1));
         let (least, most) =
             (before.size_m().min(after.size_m()), before.size_m().max(after.size_m()));
-        if least > JUMP
-            && apart(row - 1, row + 1).size_m() < AGREE * least
-            && [row - 2, row + 2].iter().all(|&other| apart(row, other).size_m() < ON * most)
+        if least > MIN_JUMP_M
+            && distance(row - 1, row + 1).size_m() < MAX_NEIGHBOUR_SHARE * least
+            && [row - 2, row + 2]
+                .iter()
+                .all(|&other| distance(row, other).size_m() < MAX_SECOND_NEIGHBOUR_RATIO * most)
         {
             jumps += 1;
             largest = if before.size_m() > largest.size_m() { before } else { largest };
         }
     }
-    (jumps >= FEW && jumps as f64 > SHARE * rows as f64).then(|| TfProblem {
-        kind: TfProblemKind::Conflict { edge: piece.between(), by: largest, jumps, rows },
+    (jumps >= MIN_JUMPS && jumps as f64 > MIN_JUMP_SHARE * rows as f64).then(|| TfProblem {
+        kind: TfProblemKind::Conflict { edge: piece.frame_pair(), by: largest, jumps, rows },
         topics: vec![piece.topic.to_owned()],
     })
 }
@@ -322,19 +330,19 @@ fn alternates(piece: &Piece<'_>) -> Option<TfProblem> {
 impl Run {
     /// Disconnected frames that an audited stream needs: both frame and base are in the log's transforms,
     /// and the frame is not tied to the robot.
-    pub fn pieces(&self) -> Vec<TfProblem> {
+    pub fn disconnected_frames(&self) -> Vec<TfProblem> {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
             let (place, _) = arm.classify_frame(&stream.frame_id);
             let base = arm.frame_of(arm.base);
             let is_loose = place == FrameKind::Unknown;
-            is_loose.then(|| self.apart(&stream.topic, &stream.frame_id, &base)).flatten()
+            is_loose.then(|| self.disconnection(&stream.topic, &stream.frame_id, &base)).flatten()
         });
         of_streams.collect()
     }
 
-    fn apart(&self, needed_by: &str, frame: &str, base: &str) -> Option<TfProblem> {
+    fn disconnection(&self, needed_by: &str, frame: &str, base: &str) -> Option<TfProblem> {
         let is_logged = |frame: &str| {
             let mut logged = self.tf.edges().iter().filter(|edge| !self.is_stream(edge));
             logged.any(|edge| <[&str; 2]>::from(self.tf.names(edge)).contains(&frame))
@@ -343,10 +351,10 @@ impl Run {
             let path = self.tf.path(base, frame, |_| true);
             matches!(path, Err(TfError::NotConnected { .. }))
         };
-        let are_apart = is_logged(frame) && is_logged(base) && has_no_way();
+        let are_disconnected = is_logged(frame) && is_logged(base) && has_no_way();
         let is_tf = |stream: &&Stream| matches!(stream.role, Role::Tf | Role::TfStatic);
-        are_apart.then(|| TfProblem {
-            kind: TfProblemKind::Pieces {
+        are_disconnected.then(|| TfProblem {
+            kind: TfProblemKind::Disconnected {
                 needed_by: needed_by.to_owned(),
                 frame: frame.to_owned(),
                 base: base.to_owned(),
@@ -385,12 +393,12 @@ mod tests {
         poses
     }
 
-    fn dynamic(poses: &PoseColumns) -> Piece<'_> {
-        Piece { topic: "/tf", is_static: false, is_of_two: false, poses }
+    fn dynamic(poses: &PoseColumns) -> TransformPart<'_> {
+        TransformPart { topic: "/tf", is_static: false, has_two_publishers: false, poses }
     }
 
-    fn fixed(poses: &PoseColumns) -> Piece<'_> {
-        Piece { topic: "/tf_static", is_static: true, is_of_two: false, poses }
+    fn fixed(poses: &PoseColumns) -> TransformPart<'_> {
+        TransformPart { topic: "/tf_static", is_static: true, has_two_publishers: false, poses }
     }
 
     #[test]

@@ -32,7 +32,7 @@ pub struct Edge {
 
 impl Edge {
     /// `parent_from_child`, interpolated linearly and by slerp. `None` outside the samples.
-    fn at(&self, at: Stamp) -> Option<Pose> {
+    fn pose_at(&self, at: Stamp) -> Option<Pose> {
         if self.kind != EdgeKind::Dynamic {
             return self.parent_from_child.first().copied();
         }
@@ -120,7 +120,7 @@ impl TfTree {
     }
 
     fn intern(&mut self, frame: &str) -> usize {
-        let frame = without_slash(frame);
+        let frame = strip_slash(frame);
         if let Some(&id) = self.ids.get(frame) {
             return id;
         }
@@ -138,18 +138,18 @@ impl TfTree {
 
     /// Whether the frame exists.
     pub fn contains(&self, frame: &str) -> bool {
-        self.ids.contains_key(without_slash(frame))
+        self.ids.contains_key(strip_slash(frame))
     }
 
     /// First inserted transform in this direction.
     pub fn edge(&self, parent: &str, child: &str) -> Option<&Edge> {
-        let names = (without_slash(parent), without_slash(child));
+        let names = (strip_slash(parent), strip_slash(child));
         self.edges.iter().find(|edge| self.names(edge) == names)
     }
 
     /// Whether the frame has a parent.
     pub fn has_parent(&self, child: &str) -> bool {
-        self.edges.iter().any(|edge| self.names(edge).1 == without_slash(child))
+        self.edges.iter().any(|edge| self.names(edge).1 == strip_slash(child))
     }
 
     /// Transforms, in insertion order.
@@ -168,7 +168,7 @@ impl TfTree {
     /// If a frame is unknown, the two are not connected, or a transform has no samples on both sides of
     /// `at`.
     pub fn lookup(&self, target: &str, source: &str, at: Stamp) -> Result<Pose, TfError> {
-        self.path(target, source, |_| true)?.at(at)
+        self.path(target, source, |_| true)?.pose_at(at)
     }
 
     /// Path from `source` to `target` over edges that satisfy `admits`.
@@ -203,7 +203,11 @@ impl TfTree {
     }
 
     /// Nearest accepted frame that is statically tied to `frame`, with `accepted_from_frame`.
-    pub fn tied(&self, frame: &str, accepts: impl Fn(&str) -> bool) -> Option<(&str, Pose)> {
+    pub fn nearest_fixed(
+        &self,
+        frame: &str,
+        accepts: impl Fn(&str) -> bool,
+    ) -> Option<(&str, Pose)> {
         let from = self.id(frame).ok()?;
         let fixed = |edge: &Edge| edge.kind != EdgeKind::Dynamic;
         let mut found = None;
@@ -225,7 +229,7 @@ impl TfTree {
 
     fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
         let path = self.path(target, source, |edge| edge.kind != EdgeKind::Dynamic).ok()?;
-        path.at(Stamp::default()).ok()
+        path.pose_at(Stamp::default()).ok()
     }
 
     /// Breadth-first search until `stop`. Returns the edge to each reached frame.
@@ -291,7 +295,7 @@ impl TfTree {
     }
 
     fn id(&self, frame: &str) -> Result<usize, TfError> {
-        let frame = without_slash(frame);
+        let frame = strip_slash(frame);
         self.ids.get(frame).copied().ok_or_else(|| TfError::UnknownFrame {
             frame: frame.to_owned(),
             nearest: nearest(frame, self.frames()).into_iter().map(str::to_owned).collect(),
@@ -318,10 +322,10 @@ impl TfPath<'_> {
     ///
     /// # Errors
     /// [`TfError::Extrapolation`] if a transform has no samples on both sides of `at`.
-    pub fn at(&self, at: Stamp) -> Result<Pose, TfError> {
+    pub fn pose_at(&self, at: Stamp) -> Result<Pose, TfError> {
         let mut target_from_here = Pose::identity();
         for Step { edge, downwards } in &self.steps {
-            let parent_from_child = edge.at(at).ok_or_else(|| {
+            let parent_from_child = edge.pose_at(at).ok_or_else(|| {
                 let (parent, child) = self.tree.names(edge);
                 TfError::Extrapolation {
                     parent: parent.to_owned(),
@@ -376,7 +380,7 @@ impl TfPath<'_> {
 }
 
 /// Frame name without the leading `/` of older logs.
-pub(super) fn without_slash(frame: &str) -> &str {
+pub(super) fn strip_slash(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }
 
@@ -474,9 +478,9 @@ mod tests {
     #[test]
     fn a_frame_is_tied_to_the_nearest_accepted_one_by_fixed_transforms_only() {
         let tree = tree();
-        let (name, base_from_camera) = tree.tied("camera", |name| name == "base").unwrap();
+        let (name, base_from_camera) = tree.nearest_fixed("camera", |name| name == "base").unwrap();
         assert_eq!(name, "base");
         assert!(distance(&base_from_camera, &(some_pose(0.1).inverse() * some_pose(0.4))) < 1e-12);
-        assert_eq!(tree.tied("camera", |name| name == "arm"), None);
+        assert_eq!(tree.nearest_fixed("camera", |name| name == "arm"), None);
     }
 }

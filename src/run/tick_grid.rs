@@ -1,39 +1,39 @@
 //! Detects stamps that are multiples of a tick, such as 15.6 ms on some Windows machines.
 
 /// Minimum tick, s.
-const LEAST_S: f64 = 2e-3;
+const MIN_TICK_S: f64 = 2e-3;
 /// Minimum share of intervals of whole ticks.
-const NEARLY_ALL: f64 = 0.98;
+const MIN_WHOLE_TICK_SHARE: f64 = 0.98;
 
 /// Rows stamped in multiples of a tick.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Grid {
+pub(super) struct TickGrid {
     /// Tick, s.
     pub tick_s: f64,
     /// Ticks between consecutive rows.
     pub ticks: Vec<u32>,
 }
 
-impl Grid {
+impl TickGrid {
     /// Tick of ascending stamps, s; `None` without one. For a fine clock and even stream, its period.
-    pub fn of(t_s: &[f64]) -> Option<Self> {
-        Self::with_least_tick(t_s, LEAST_S)
+    pub fn detect(t_s: &[f64]) -> Option<Self> {
+        Self::detect_with_min_tick(t_s, MIN_TICK_S)
     }
 
     /// For ticks of at least `least_s`.
-    pub fn with_least_tick(t_s: &[f64], least_s: f64) -> Option<Self> {
-        const FEWEST: usize = 50;
+    pub fn detect_with_min_tick(t_s: &[f64], least_s: f64) -> Option<Self> {
+        const MIN_INTERVALS: usize = 50;
         /// Maximum ticks in the shortest interval.
-        const MOST: u32 = 4;
+        const MAX_SHORTEST_TICKS: u32 = 4;
         const ROUNDING_S: f64 = 2e-5;
         let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > least_s).collect();
         some.sort_unstable_by(f64::total_cmp);
-        if intervals.len() < FEWEST {
+        if intervals.len() < MIN_INTERVALS {
             return None;
         }
         let shortest_s = *some.get(some.len() / 50)?;
-        (1..=MOST).find_map(|parts| {
+        (1..=MAX_SHORTEST_TICKS).find_map(|parts| {
             let rough_s = shortest_s / f64::from(parts);
             let short = some.iter().filter(|dt| **dt < shortest_s + 0.5 * rough_s);
             let (sum_s, count) = short.fold((0.0, 0), |(sum_s, count), dt| (sum_s + dt, count + 1));
@@ -42,7 +42,8 @@ impl Grid {
             let is_multiple =
                 |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
             let fit = || intervals.iter().filter(is_multiple).count() as f64;
-            let is_one = tick_s >= least_s && fit() >= NEARLY_ALL * intervals.len() as f64;
+            let is_one =
+                tick_s >= least_s && fit() >= MIN_WHOLE_TICK_SHARE * intervals.len() as f64;
             is_one.then(|| Self {
                 tick_s,
                 ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),
@@ -57,15 +58,15 @@ impl Grid {
     /// coarsen the stamps.
     pub fn is_of_one_even_sender(&self) -> bool {
         /// Window length in rare intervals, so that losses change the sum.
-        const RARE: f64 = 4.0;
-        const HARDLY_ANY: f64 = 5e-3;
-        const NEARLY: f64 = 0.9;
+        const WINDOW_RARE_INTERVALS: f64 = 4.0;
+        const MAX_RARE_SHARE: f64 = 5e-3;
+        const MIN_EVEN_SHARE: f64 = 0.9;
         let n = self.ticks.len();
         let sum: u64 = self.ticks.iter().copied().map(u64::from).sum();
         let mean = sum as f64 / n as f64;
         let rare = (mean - mean.floor()).min(mean.ceil() - mean);
-        let window = (RARE / rare.max(HARDLY_ANY)).ceil() as usize;
-        if rare < HARDLY_ANY || n < 3 * window {
+        let window = (WINDOW_RARE_INTERVALS / rare.max(MAX_RARE_SHARE)).ceil() as usize;
+        if rare < MAX_RARE_SHARE || n < 3 * window {
             return false;
         }
         let sums: Vec<u64> = self
@@ -75,17 +76,17 @@ impl Grid {
             .collect();
         let usual = window as f64 * mean;
         let even = sums.iter().filter(|sum| (**sum as f64 - usual).abs() < 1.0 + 1e-6).count();
-        even as f64 >= NEARLY * sums.len() as f64
+        even as f64 >= MIN_EVEN_SHARE * sums.len() as f64
     }
 
     /// Whether longer stamp intervals are shorter by receive time, so that no rows were lost. `received_s`
     /// are of the same rows, s.
     pub fn hides_no_loss(&self, received_s: &[f64]) -> bool {
         /// Minimum excess of long stamp over receive intervals, ticks.
-        const APART: f64 = 0.25;
+        const MIN_LONG_EXCESS_TICKS: f64 = 0.25;
         /// Maximum excess of the others, ticks.
-        const HARDLY: f64 = 0.1;
-        const FEWEST: usize = 5;
+        const MAX_OTHER_EXCESS_TICKS: f64 = 0.1;
+        const MIN_LONG_INTERVALS: usize = 5;
         let mut sorted = self.ticks.clone();
         sorted.sort_unstable();
         let usual = sorted[sorted.len() / 2];
@@ -95,9 +96,9 @@ impl Grid {
             of.map(|(ticks, pair)| f64::from(*ticks) - (pair[1] - pair[0]) / self.tick_s).collect()
         };
         let [mut long, mut rest] = [beyond(true), beyond(false)];
-        long.len() >= FEWEST
-            && crate::stats::median(&mut long).is_some_and(|apart| apart > APART)
-            && crate::stats::median(&mut rest).is_some_and(|apart| apart < HARDLY)
+        long.len() >= MIN_LONG_INTERVALS
+            && crate::stats::median(&mut long).is_some_and(|apart| apart > MIN_LONG_EXCESS_TICKS)
+            && crate::stats::median(&mut rest).is_some_and(|apart| apart < MAX_OTHER_EXCESS_TICKS)
     }
 }
 
@@ -128,7 +129,7 @@ mod tests {
             [(0.02, 0.015625), (0.0125, 0.01), (0.0188, 0.015625), (0.0211, 0.01), (0.011, 0.01)]
         {
             let (stamped, received) = stamps(period_s, tick_s, 0.0);
-            let grid = Grid::of(&stamped).expect("a tick");
+            let grid = TickGrid::detect(&stamped).expect("a tick");
             assert!((grid.tick_s - tick_s).abs() < 1e-6, "{period_s} {tick_s}: {}", grid.tick_s);
             assert!(grid.is_of_one_even_sender(), "{period_s} {tick_s}");
             assert!(
@@ -138,7 +139,7 @@ mod tests {
         }
         for lost in [0.02, 0.08, 0.2, 0.4] {
             let (stamped, received) = stamps(0.02, 0.02, lost);
-            let grid = Grid::of(&stamped).expect("its period");
+            let grid = TickGrid::detect(&stamped).expect("its period");
             assert!(!grid.is_of_one_even_sender() && !grid.hides_no_loss(&received), "{lost}");
         }
     }
@@ -146,7 +147,7 @@ mod tests {
     #[test]
     fn uneven_stamps_have_no_tick() {
         let (_, received) = stamps(0.02, 0.02, 0.0);
-        assert_eq!(Grid::of(&received), None);
-        assert_eq!(Grid::of(&[0.0, 0.01]), None);
+        assert_eq!(TickGrid::detect(&received), None);
+        assert_eq!(TickGrid::detect(&[0.0, 0.01]), None);
     }
 }

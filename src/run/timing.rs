@@ -16,7 +16,7 @@ pub(super) struct Timing {
 impl Timing {
     /// Selects clocks, measures rates, and checks rows.
     pub fn new(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
-        let rounded = rounded::restore(streams, wanted);
+        let rounded = rounded::restore_stamps(streams, wanted);
         let mut clocks = StreamClocks::select(streams, wanted, max_latency_s);
         clocks.rounded = rounded;
         clocks.measure(streams);
@@ -35,7 +35,7 @@ impl Timing {
     ) -> Rows {
         let mut rows = match &self.excerpts {
             Some(excerpts) => {
-                self.clocks.rows_where(streams, stream, piece, excerpts.holds(around_s))
+                self.clocks.rows_where(streams, stream, piece, excerpts.time_filter(around_s))
             }
             None => self.clocks.rows(streams, stream, piece),
         };

@@ -11,7 +11,7 @@ use super::error::RunError;
 use super::role::{FrameKind, Role};
 use super::source_kind::PoseSourceKind;
 use super::streams::Stream;
-use super::tf_tree::{TfTree, without_slash};
+use super::tf_tree::{TfTree, strip_slash};
 
 /// The caller's settings for one topic, except its encoding.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -182,10 +182,10 @@ fn apply_to(topic_settings: &TopicSettings, stream: &mut Stream) -> Result<(), R
         }
     }
     if let Some(frame) = &topic_settings.frame {
-        stream.frame_id = without_slash(frame).to_owned();
+        stream.frame_id = strip_slash(frame).to_owned();
     }
     if let Some(link) = &topic_settings.link {
-        stream.child_frame_id = without_slash(link).to_owned();
+        stream.child_frame_id = strip_slash(link).to_owned();
     }
     Ok(())
 }
@@ -214,7 +214,7 @@ pub(super) fn check_frames(
         let links = arms.iter().flat_map(|arm| arm.robot.links().map(|link| arm.frame_of(link)));
         let known: Vec<String> = links.chain(tf.frames().map(str::to_owned)).collect();
         for (key, name) in [("frame", &topic_settings.frame), ("link", &topic_settings.link)] {
-            let Some(name) = name.as_deref().map(without_slash) else { continue };
+            let Some(name) = name.as_deref().map(strip_slash) else { continue };
             if is_known(name) || known.iter().any(|frame| frame == name) {
                 continue;
             }

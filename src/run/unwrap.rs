@@ -10,15 +10,15 @@ use crate::stream::{Columns, JointColumn};
 use super::role::Role;
 use super::streams::Stream;
 
-const TURNS: [f64; 2] = [TAU, 360.0];
+const TURN_LENGTHS: [f64; 2] = [TAU, 360.0];
 /// Maximum distance from the ends of the range, turns.
-const NEAR: f64 = 0.02;
+const MIN_END_MARGIN_TURNS: f64 = 0.02;
 /// The same in long usual steps; the larger applies.
-const STEPS: f64 = 4.0;
+const END_MARGIN_STEPS: f64 = 4.0;
 /// Upper bound of that distance, turns.
-const FAR: f64 = 0.125;
+const MAX_END_MARGIN_TURNS: f64 = 0.125;
 /// Minimum share of values in the range.
-const WITHIN: f64 = 0.99;
+const MIN_SHARE_IN_RANGE: f64 = 0.99;
 
 /// A joint that is logged modulo one turn.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,7 +60,7 @@ pub(super) fn add_remarks(streams: &mut [Stream], wrapped: &[WrappedJoint]) {
 
 /// Removes jumps of a turn and counts them. `None`, unchanged, without any.
 fn unwrap_column(q: &mut [f64]) -> Option<(f64, usize)> {
-    TURNS.into_iter().find_map(|turn| Some((turn, remove_turns(q, turn)?)))
+    TURN_LENGTHS.into_iter().find_map(|turn| Some((turn, remove_turns(q, turn)?)))
 }
 
 fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
@@ -80,10 +80,11 @@ fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
         .collect();
     let rank = usual.len().checked_sub(1)? * 99 / 100;
     let long = *usual.select_nth_unstable_by(rank, f64::total_cmp).1;
-    if long > FAR * turn {
+    if long > MAX_END_MARGIN_TURNS * turn {
         return None;
     }
-    let near = (STEPS * long).max(NEAR * turn).min(FAR * turn);
+    let near =
+        (END_MARGIN_STEPS * long).max(MIN_END_MARGIN_TURNS * turn).min(MAX_END_MARGIN_TURNS * turn);
     // The jump is a turn minus the motion.
     let leaps = |pair: &[usize]| {
         let by = q[pair[1]] - q[pair[0]];
@@ -95,7 +96,7 @@ fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
     });
     let (low, high) = ends.reduce(|(low, high), (a, b)| (low.min(a), high.max(b)))?;
     let within = known.iter().filter(|&&row| (low - near..=high + near).contains(&q[row])).count();
-    if (within as f64) < WITHIN * known.len() as f64 || high - low > turn + near {
+    if (within as f64) < MIN_SHARE_IN_RANGE * known.len() as f64 || high - low > turn + near {
         return None;
     }
     let passes = |pair: &[usize]| {

@@ -7,16 +7,16 @@ use crate::stream::sample_noise;
 
 /// Source of a joint's velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Velocities {
+pub enum VelocitySource {
     /// Logged and consistent with positions.
     Logged,
     /// Derivatives. Logged ones are close, as with irregularly read rows, and detect motion better.
-    Near,
+    DerivedLoggedClose,
     /// Derivatives: logged ones are missing or inconsistent.
     Derived,
 }
 
-pub(super) struct Smoothed {
+pub(super) struct SmoothedJoint {
     pub q: Vec<f64>,
     pub qd: Vec<f64>,
     /// Noise standard deviations of both, including encoder steps.
@@ -28,9 +28,9 @@ pub(super) struct Smoothed {
 /// The criterion is noise divided by typical speed, a timing error: an encoder's 20 µrad at 1 rad/s is 20
 /// µs and stays; a hobby servo's 0.5 mrad at 0.05 rad/s is 10 ms and would dominate latencies (Savitzky and
 /// Golay 1964).
-pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
-    const FEIGNED_S: f64 = 5e-4;
-    const LONGEST_S: f64 = 0.15;
+pub(super) fn smooth(t_s: &[f64], q: &[f64]) -> SmoothedJoint {
+    const MAX_TIMING_ERROR_S: f64 = 5e-4;
+    const MAX_WINDOW_S: f64 = 0.15;
     let derived = derivative(t_s, q);
     let rows = t_s.len();
     let speed = root_mean_square(&derived);
@@ -39,16 +39,16 @@ pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     let rounded = noise.max(encoder_step(q) / 12f64.sqrt());
     let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
     let period_s = (span_s / rows.saturating_sub(1).max(1) as f64).max(f64::MIN_POSITIVE);
-    let as_they_are = |qd: Vec<f64>| Smoothed {
+    let as_they_are = |qd: Vec<f64>| SmoothedJoint {
         q: q.to_vec(),
         qd,
         noise: [rounded, rounded / (2f64.sqrt() * period_s)],
     };
-    if rows < 9 || noise <= FEIGNED_S * speed {
+    if rows < 9 || noise <= MAX_TIMING_ERROR_S * speed {
         return as_they_are(derived);
     }
-    let needed = (noise / (FEIGNED_S * speed.max(f64::MIN_POSITIVE))).powi(2).ceil();
-    let longest = (0.5 * LONGEST_S / period_s).floor();
+    let needed = (noise / (MAX_TIMING_ERROR_S * speed.max(f64::MIN_POSITIVE))).powi(2).ceil();
+    let longest = (0.5 * MAX_WINDOW_S / period_s).floor();
     let half = (0.5 * needed.min(1e6)).min(longest) as usize;
     if half < 2 {
         return as_they_are(derived);
@@ -62,7 +62,7 @@ pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     let samples = (2 * half + 1) as f64;
     let noise =
         [rounded * (2.25 / samples).sqrt(), rounded * (12.0 / samples.powi(3)).sqrt() / period_s];
-    Smoothed { q, qd, noise }
+    SmoothedJoint { q, qd, noise }
 }
 
 /// Value and slope at `at` of the least-squares parabola.
@@ -104,15 +104,21 @@ pub(super) fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
 /// Over 0.1 s, the trapezoidal integral must match the position change within 2 % of its rms plus noise. At
 /// rest, velocities must not exceed the derivative. They are near if integrals and changes correlate and
 /// their ratio is within a fifth of one.
-pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> Velocities {
-    const NEAR: f64 = 0.2;
+pub(super) fn compare_velocities(
+    t_s: &[f64],
+    q: &[f64],
+    velocity: &[f64],
+    derived: &[f64],
+) -> VelocitySource {
+    const MAX_RATIO_DEVIATION: f64 = 0.2;
     const WINDOW_S: f64 = 0.1;
-    const MOVES: f64 = 1e-3;
-    const DISAGREEMENT: f64 = 0.02;
+    const MIN_MOTION: f64 = 1e-3;
+    const MAX_DISAGREEMENT: f64 = 0.02;
     if velocity.len() < 2 || velocity.iter().any(|v| !v.is_finite()) {
-        return Velocities::Derived;
+        return VelocitySource::Derived;
     }
-    let or_else = |agrees: bool, other: Velocities| if agrees { Velocities::Logged } else { other };
+    let or_else =
+        |agrees: bool, other: VelocitySource| if agrees { VelocitySource::Logged } else { other };
     let (mut moved, mut differed, mut windows) = (0.0, 0.0, 0.0);
     let (mut along, mut summed) = (0.0, 0.0);
     let (mut start, mut integral, mut largest) = (0, 0.0, 0.0_f64);
@@ -134,16 +140,20 @@ pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64
         windows += 1.0;
         (start, integral) = (row, 0.0);
     }
-    if largest < MOVES {
+    if largest < MIN_MOTION {
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
-        return or_else(peak(velocity) <= peak(derived), Velocities::Derived);
+        return or_else(peak(velocity) <= peak(derived), VelocitySource::Derived);
     }
     // Both ends contribute noise; three times its variance exceeds chance.
     let by_noise = 3.0 * windows * 2.0 * sample_noise(q).powi(2);
     let slope = along / moved;
-    let is_near = (slope - 1.0).abs() < NEAR && along * along > (1.0 - NEAR) * moved * summed;
-    let near = if is_near { Velocities::Near } else { Velocities::Derived };
-    or_else(differed <= DISAGREEMENT * DISAGREEMENT * moved + by_noise.min(0.1 * moved), near)
+    let is_near = (slope - 1.0).abs() < MAX_RATIO_DEVIATION
+        && along * along > (1.0 - MAX_RATIO_DEVIATION) * moved * summed;
+    let near = if is_near { VelocitySource::DerivedLoggedClose } else { VelocitySource::Derived };
+    or_else(
+        differed <= MAX_DISAGREEMENT * MAX_DISAGREEMENT * moved + by_noise.min(0.1 * moved),
+        near,
+    )
 }
 
 #[cfg(test)]

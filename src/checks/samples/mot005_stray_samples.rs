@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{OutlierEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
-use crate::run::{FEWEST_SAMPLES, Outliers};
+use crate::run::{MIN_OUTLIER_SAMPLES, Outliers};
 
 rule! {
     /// Samples jump away and back (outliers).
@@ -61,8 +61,8 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
             itself";
         return judged(stream.subject.clone(), Outcome::Inconclusive(why.to_owned()));
     }
-    if stream.parts.is_empty() && stream.samples < FEWEST_SAMPLES {
-        let why = format!("fewer than {FEWEST_SAMPLES} samples: too few to identify outliers");
+    if stream.parts.is_empty() && stream.samples < MIN_OUTLIER_SAMPLES {
+        let why = format!("fewer than {MIN_OUTLIER_SAMPLES} samples: too few to identify outliers");
         return judged(stream.subject.clone(), Outcome::Inconclusive(why));
     }
     let reported = || stream.parts.iter().filter(|part| !are_unreported(part));
@@ -84,18 +84,18 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult
             "joint": part.joint,
             "frame": part.frame,
             "count": part.count(),
-            "length_m": part.farthest.length_m,
-            "angle_rad": part.farthest.angle_rad,
-            "at_ns": part.at.map(|at| at.to_string()),
+            "length_m": part.largest_jump.length_m,
+            "angle_rad": part.largest_jump.angle_rad,
+            "at_ns": part.largest_at.map(|at| at.to_string()),
         })
     });
     let parts: Vec<Value> = parts.collect();
     judged(subject, Outcome::fail(fault(case, stream, worst, count, &unit.show(amount))))
         .estimated(Estimate::exact("jump", unit.symbol(), amount))
         .with_evidence("count", count)
-        .with_evidence("length_m", worst.farthest.length_m)
-        .with_evidence("angle_rad", worst.farthest.angle_rad)
-        .with_evidence("at_ns", worst.at.map(|at| at.to_string()))
+        .with_evidence("length_m", worst.largest_jump.length_m)
+        .with_evidence("angle_rad", worst.largest_jump.angle_rad)
+        .with_evidence("at_ns", worst.largest_at.map(|at| at.to_string()))
         .with_evidence("parts", parts)
 }
 
@@ -103,9 +103,9 @@ impl OutlierEvidence {
     /// Jump of a part.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
         let is_angle = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
-        match (is_angle, part.farthest.length_m) {
+        match (is_angle, part.largest_jump.length_m) {
             (true, by) => (Unit::Radian, by),
-            (false, 0.0) => (Unit::Radian, part.farthest.angle_rad),
+            (false, 0.0) => (Unit::Radian, part.largest_jump.angle_rad),
             (false, by) => (Unit::Metre, by),
         }
     }
@@ -118,7 +118,8 @@ fn fault(
     count: usize,
     shown: &str,
 ) -> Fault {
-    let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
+    let when =
+        worst.largest_at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
     let of = match (stream.parts.len(), &worst.joint, &worst.frame) {
         (1, ..) => String::new(),
         (_, Some(part), _) | (_, None, Some(part)) => format!(" ({part})"),

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
-use crate::run::Frozen;
+use crate::run::FrozenSpan;
 
 rule! {
     /// A stream is frozen while the arm moves.
@@ -52,11 +52,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.frozen_intervals.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn seconds(time: &Frozen) -> f64 {
+fn seconds(time: &FrozenSpan) -> f64 {
     time.end.seconds_since(time.start)
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> SubjectResult {
+fn judge(case: &Case, stream: &StreamEvidence<Vec<FrozenSpan>>) -> SubjectResult {
     let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
         return stream.judged(Outcome::pass());
@@ -86,7 +86,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> SubjectResult {
             "start_ns": time.start.to_string(),
             "end_ns": time.end.to_string(),
             "samples": time.samples,
-            "moved": time.moved,
+            "moved": time.joint_motion,
         })
     });
     stream

@@ -56,7 +56,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let concerned: Vec<&Cadence> =
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject_of(&concerned);
-    if !rhythm.parts.iter().any(|part| part.stamped) {
+    if !rhythm.parts.iter().any(|part| part.has_header_stamps) {
         let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
         return SubjectResult::new(subject, outcome).within(rhythm.span);
     }

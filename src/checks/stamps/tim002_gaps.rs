@@ -4,7 +4,7 @@ use crate::checks::topics::tim006_incomplete_stream::{SlowRateLimits, slow_stret
 use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
-use crate::run::{Cadence, Hole, Stretch};
+use crate::run::{Cadence, MissingRows, RateSpan};
 use crate::time::Stamp;
 
 rule! {
@@ -119,8 +119,8 @@ fn has_same_gaps(
     other: &StreamEvidence<RhythmEvidence>,
 ) -> bool {
     let holes = |of: &StreamEvidence<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
-        let holes = of.required_parts().flat_map(|part| &part.holes);
-        holes.map(|hole| (hole.stretch.start, hole.stretch.end)).collect()
+        let holes = of.required_parts().flat_map(|part| &part.missing_rows);
+        holes.map(|hole| (hole.span.start, hole.span.end)).collect()
     };
     let holes_of_one = holes(one);
     !holes_of_one.is_empty() && holes_of_one == holes(other)
@@ -136,7 +136,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let by = &GapLimits::for_stream(case, rhythm);
     let silent = |moving: Option<bool>| {
         let gaps = judged_parts(rhythm).flat_map(|part| gaps(by, part));
-        gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| compare_length(a, b))
+        gaps.filter(move |gap| gap.is_arm_moving == moving).max_by(|a, b| compare_length(a, b))
     };
     let concerned: Vec<&Cadence> =
         judged_parts(rhythm).filter(|part| has_gaps(by, part) || has_losses(by, part)).collect();
@@ -147,7 +147,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         return SubjectResult::new(subject, outcome).within(rhythm.span);
     }
     let missing: usize =
-        concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
+        concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.count).sum();
     let came = rhythm.unusable + rhythm.unstamped + rhythm.in_other_frames;
     if !concerned.is_empty() && came > 0 && missing as u64 <= 2 * came {
         let why = format!(
@@ -160,7 +160,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     if !concerned.is_empty() {
         return fault(case, by, rhythm, &concerned).within(rhythm.span);
     }
-    let shown = |gap: &Stretch| {
+    let shown = |gap: &RateSpan| {
         format!("{} at {}", Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start))
     };
     let outcome = if rhythm.required_parts().next().is_none() {
@@ -184,13 +184,13 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     SubjectResult::new(subject, outcome).within(rhythm.span)
 }
 
-fn compare_length(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
+fn compare_length(a: &RateSpan, b: &RateSpan) -> std::cmp::Ordering {
     a.seconds().total_cmp(&b.seconds())
 }
 
 /// Longer than any message delay.
-fn is_long(by: &GapLimits, part: &Cadence, hole: &Hole) -> bool {
-    let length_s = hole.stretch.seconds();
+fn is_long(by: &GapLimits, part: &Cadence, hole: &MissingRows) -> bool {
+    let length_s = hole.span.seconds();
     let stream_period_s = part.period_s.unwrap_or(f64::INFINITY);
     // The declared rate of a /tf topic applies to its fastest transform.
     let declared_s = by
@@ -201,20 +201,20 @@ fn is_long(by: &GapLimits, part: &Cadence, hole: &Hole) -> bool {
 }
 
 /// Outside stretches with a lower rate.
-fn holes<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
-    let slow: Vec<&Stretch> = slow_stretches(by.pace, part).collect();
+fn holes<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a MissingRows> {
+    let slow: Vec<&RateSpan> = slow_stretches(by.pace, part).collect();
     let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
-    part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
+    part.missing_rows.iter().filter(move |hole| !is_slow(hole.span.start))
 }
 
 /// Long silent holes.
-fn gaps<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
+fn gaps<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a RateSpan> {
     let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
-    long.map(|hole| &hole.stretch)
+    long.map(|hole| &hole.span)
 }
 
-fn gaps_in_motion<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
-    gaps(by, part).filter(|gap| gap.moving == Some(true))
+fn gaps_in_motion<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a RateSpan> {
+    gaps(by, part).filter(|gap| gap.is_arm_moving == Some(true))
 }
 
 fn has_gaps(by: &GapLimits, part: &Cadence) -> bool {
@@ -224,16 +224,16 @@ fn has_gaps(by: &GapLimits, part: &Cadence) -> bool {
 /// Counted by period or sequence numbers; `None` if neither is available.
 fn lost_samples(by: &GapLimits, part: &Cadence) -> Option<usize> {
     // Unbroken numbers may be assigned by the recorder, so they prove nothing.
-    let by_number = part.skipped.filter(|skipped| *skipped > 0);
+    let by_number = part.skipped_numbers.filter(|skipped| *skipped > 0);
     lost_samples_by_period(by, part).max(by_number)
 }
 
 fn lost_samples_by_period(by: &GapLimits, part: &Cadence) -> Option<usize> {
-    let is_lost = |hole: &&Hole| {
-        let rests = hole.stretch.moving == Some(false);
+    let is_lost = |hole: &&MissingRows| {
+        let rests = hole.span.is_arm_moving == Some(false);
         !is_long(by, part, hole) || (hole.is_silent && !rests)
     };
-    let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.missing).sum();
+    let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.count).sum();
     // Late samples, and those with the stamp of another, are not missing.
     part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
 }
@@ -259,7 +259,7 @@ fn fault(
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
     let (lost, samples) =
         worst.map_or((0, 0), |part| (lost_samples(by, part).unwrap_or(0), part.rows));
-    let skipped = worst.and_then(|part| part.skipped);
+    let skipped = worst.and_then(|part| part.skipped_numbers);
     let share = worst.map_or(0.0, |part| lost_share(by, part));
     let loss = format!("{:.1} % of samples lost: {lost} of {}", 100.0 * share, lost + samples);
     let (title, message, estimate) = match gaps().max_by(|a, b| compare_length(a, b)) {
@@ -311,7 +311,7 @@ struct GapCause {
 fn determine_cause(
     case: &Case,
     rhythm: &StreamEvidence<RhythmEvidence>,
-    gap: Option<&Stretch>,
+    gap: Option<&RateSpan>,
     skipped: Option<usize>,
 ) -> GapCause {
     let others = || {
@@ -322,16 +322,18 @@ fn determine_cause(
             .filter(|other| other.subject.topic != rhythm.subject.topic);
         others.filter(|other| other.due.is_expected())
     };
-    let stops = |other: &StreamEvidence<RhythmEvidence>, gap: &Stretch| {
-        let holes =
-            other.required_parts().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
-        let shared_s = |hole: &Hole| {
-            hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))
+    let stops = |other: &StreamEvidence<RhythmEvidence>, gap: &RateSpan| {
+        let holes = other
+            .required_parts()
+            .flat_map(|part| &part.missing_rows)
+            .filter(|hole| hole.is_silent);
+        let shared_s = |hole: &MissingRows| {
+            hole.span.end.min(gap.end).seconds_since(hole.span.start.max(gap.start))
         };
         holes.into_iter().any(|hole| 2.0 * shared_s(hole) > gap.seconds())
     };
     let all_stop =
-        |gap: &Stretch| others().next().is_some() && others().all(|other| stops(other, gap));
+        |gap: &RateSpan| others().next().is_some() && others().all(|other| stops(other, gap));
     if gap.is_some_and(all_stop) {
         return GapCause {
             made_by: Some("recorder"),
@@ -377,14 +379,15 @@ mod tests {
     /// 1000 samples at 100 Hz.
     fn with_hole(periods: i64, is_silent: bool) -> Cadence {
         let (start, end) = (Stamp::from_nanos(0), Stamp::from_nanos(10 * periods * MS));
-        let stretch = Stretch { start, end, rate_hz: 100.0 / periods as f64, moving: Some(true) };
+        let stretch =
+            RateSpan { start, end, rate_hz: 100.0 / periods as f64, is_arm_moving: Some(true) };
         let missing = usize::try_from(periods - 1).expect("more than one");
         Cadence {
-            wanted: true,
+            is_audited: true,
             rows: 1000,
             period_s: Some(0.01),
             is_regular: true,
-            holes: vec![Hole { stretch, missing, is_silent }],
+            missing_rows: vec![MissingRows { span: stretch, count: missing, is_silent }],
             ..Cadence::default()
         }
     }
@@ -408,7 +411,7 @@ mod tests {
         assert_eq!(lost_samples(&default_limits(), &late), Some(2));
         let mut slow = with_hole(9, true);
         let end = Stamp::from_nanos(3000 * MS);
-        slow.lulls.push(Stretch { end, rate_hz: 20.0, ..slow.holes[0].stretch });
+        slow.slow_spans.push(RateSpan { end, rate_hz: 20.0, ..slow.missing_rows[0].span });
         assert_eq!(lost_samples(&default_limits(), &slow), Some(0));
     }
 
@@ -416,9 +419,9 @@ mod tests {
     fn sequence_numbers_reveal_losses_without_a_period() {
         let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
         assert_eq!(lost_samples(&default_limits(), &part), None);
-        part.skipped = Some(0);
+        part.skipped_numbers = Some(0);
         assert_eq!(lost_samples(&default_limits(), &part), None);
-        part.skipped = Some(30);
+        part.skipped_numbers = Some(30);
         assert!(
             lost_samples(&default_limits(), &part) == Some(30)
                 && has_losses(&default_limits(), &part)

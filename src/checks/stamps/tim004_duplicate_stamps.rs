@@ -56,7 +56,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let most = case.thresholds.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);
-    if !rhythm.parts.iter().any(|part| part.stamped) {
+    if !rhythm.parts.iter().any(|part| part.has_header_stamps) {
         let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
         return SubjectResult::new(subject, outcome).within(rhythm.span);
     }

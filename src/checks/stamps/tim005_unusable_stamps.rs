@@ -125,7 +125,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> SubjectResult {
 }
 
 fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps) -> SubjectResult {
-    let RoundedStamps { tick_s, shared, resolution_s, .. } = *rounded;
+    let RoundedStamps { tick_s, shared_rows: shared, resolution_s, .. } = *rounded;
     let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
     let sharing = match shared {
         0 => String::new(),

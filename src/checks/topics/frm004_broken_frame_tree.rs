@@ -211,7 +211,7 @@ impl TfProblemReport {
                     fix: format!("find the two nodes that publish {on}, and stop one"),
                 }
             }
-            TfProblemKind::Pieces { needed_by, frame, base } => Self {
+            TfProblemKind::Disconnected { needed_by, frame, base } => Self {
                 severity: Severity::Error,
                 what: "pieces",
                 title: "the frame tree is disconnected",

@@ -1,7 +1,7 @@
 use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{EmptyStreamEvidence, ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::run::{Cadence, Stretch};
+use crate::run::{Cadence, RateSpan};
 
 rule! {
     /// An expected stream is empty, incomplete or slow.
@@ -208,17 +208,17 @@ fn missed_at_ends(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
         Some(false) if rhythm.due == ExpectedTiming::WhileMoving => 0.0,
         _ => (missed_s - period_s).max(0.0),
     };
-    let [before, after] = extent.moving;
+    let [before, after] = extent.is_arm_moving;
     (counted(extent.late_start_s, before), counted(extent.early_end_s, after))
 }
 
 pub(in crate::checks) fn slow_stretches(
     pace: SlowRateLimits,
     part: &Cadence,
-) -> impl Iterator<Item = &Stretch> {
+) -> impl Iterator<Item = &RateSpan> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
-    let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
-    part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.min_duration_s)
+    let is_slow = move |lull: &&RateSpan| lull.rate_hz * usual_s * pace.slow < 1.0;
+    part.slow_spans.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.min_duration_s)
 }
 
 /// Except at rest if the stream may be slow then.
@@ -226,9 +226,10 @@ fn slowest_stretch<'a>(
     pace: SlowRateLimits,
     rhythm: &StreamEvidence<RhythmEvidence>,
     part: &'a Cadence,
-) -> Option<&'a Stretch> {
-    let is_due =
-        |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != ExpectedTiming::WhileMoving;
+) -> Option<&'a RateSpan> {
+    let is_due = |lull: &&RateSpan| {
+        lull.is_arm_moving == Some(true) || rhythm.due != ExpectedTiming::WhileMoving
+    };
     let stretches = slow_stretches(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::audit::{Calibrated, Taken};
+use crate::audit::{CalibrationInput, CalibrationResult};
 use crate::diagnosis::{
     CalibrationResidual, LinkParameter, StreamCalibration, UndeterminedDirection,
 };
@@ -10,10 +10,10 @@ use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
 
-impl Calibrated {
+impl CalibrationResult {
     /// Result with all inputs.
     pub fn json(&self) -> Value {
-        let found = &self.found;
+        let found = &self.calibration;
         let joints: Vec<Value> = self
             .changed_joints()
             .map(|joint| {
@@ -64,18 +64,18 @@ impl Calibrated {
         let undetermined: Vec<Value> =
             found.undetermined.iter().map(|one| self.undetermined_json(one, &names)).collect();
         let still: Vec<Value> = self
-            .still
+            .unmoved
             .iter()
             .map(|one| json!({"joint": one.joint, "moved": one.moved, "unit": if one.slides { "m" } else { "rad" }}))
             .collect();
         json!({
             "schema": CALIBRATION_SCHEMA,
             "tool": {"name": "poseaudit", "version": env!("CARGO_PKG_VERSION")},
-            "arm": self.drawing.name,
-            "model": self.drawing.source,
-            "written": self.refused.is_none(),
-            "refused": self.refused,
-            "witness": self.witness().name(),
+            "arm": self.nominal.name,
+            "model": self.nominal.source,
+            "written": self.rejection.is_none(),
+            "refused": self.rejection,
+            "witness": self.source_kind().name(),
             "of": self.subject(),
             "joints": joints,
             "link_m": found.link_m,
@@ -95,7 +95,7 @@ impl Calibrated {
     }
 
     pub(super) fn parameter_names(&self) -> Vec<String> {
-        let found = &self.found;
+        let found = &self.calibration;
         let links = found
             .parameters
             .iter()
@@ -120,7 +120,7 @@ impl Calibrated {
              the one after it"
                 .to_owned(),
         ];
-        let found = &self.found;
+        let found = &self.calibration;
         let has = |link: usize| found.parameters.iter().any(|one| one.link == link);
         if !has(0) {
             said.push(format!(
@@ -165,13 +165,13 @@ fn frame_json(pose: &Option<Pose>) -> Option<Value> {
     Some(json!({"xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation)}))
 }
 
-fn stream_json(taken: &Taken, stream: &StreamCalibration) -> Value {
+fn stream_json(taken: &CalibrationInput, stream: &StreamCalibration) -> Value {
     let latency = stream
         .latency_s
         .map(|latency| json!({"value": latency.value, "ci95": latency.interval(0.95)}));
     json!({
-        "log": taken.log.display().to_string(), "topic": taken.topic, "witness": taken.witness.name(),
-        "base": taken.base, "tip": taken.tip, "read_as": taken.reading, "samples": stream.samples,
+        "log": taken.log.display().to_string(), "topic": taken.topic, "witness": taken.source_kind.name(),
+        "base": taken.base, "tip": taken.tip, "read_as": taken.encoding, "samples": stream.samples,
         "latency_s": latency, "stream_from_base": frame_json(&stream.reference),
         "tip_from_tool": frame_json(&stream.tool),
         "before": residual_json(&stream.before), "after": residual_json(&stream.after),

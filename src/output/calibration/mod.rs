@@ -6,8 +6,8 @@ mod text;
 use std::fs;
 use std::path::Path;
 
-use crate::audit::Calibrated;
-use crate::places::Places;
+use crate::audit::CalibrationResult;
+use crate::places::PathRegistry;
 use crate::report::{Trouble, write_whole};
 use crate::robot::{Calibration, Robot, catalogue};
 
@@ -21,22 +21,22 @@ const UR_FILE: &str = "calibration.yaml";
 const DH_FILE: &str = "dh.toml";
 
 /// Registers the files that may be written into `folder`.
-pub fn register_outputs(folder: &Path, places: &mut Places) {
-    places.writes_into(
+pub fn register_outputs(folder: &Path, places: &mut PathRegistry) {
+    places.add_outputs_in(
         "--out",
         folder,
         [MODEL_FILE, NUMBERS_FILE, UR_FILE, DH_FILE].map(str::to_owned),
     );
 }
 
-impl Calibrated {
+impl CalibrationResult {
     /// Writes the calibration into `folder`, creating it, and returns the file names. Each file is replaced
     /// as a whole. Writes nothing if the logs do not support a calibration.
     ///
     /// # Errors
     /// If a file cannot be written or would replace an input file.
     pub fn write(&self, folder: &Path) -> Result<Vec<&'static str>, Trouble> {
-        if self.refused.is_some() {
+        if self.rejection.is_some() {
             return Ok(Vec::new());
         }
         let mut places = self.read.clone();
@@ -66,14 +66,14 @@ impl Calibrated {
 
     /// The patched model, or a URDF of the kinematics only.
     fn urdf(&self) -> String {
-        let robot = &self.found.robot;
-        self.drawing.text_with_origins_of(robot).unwrap_or_else(|_| robot.to_urdf())
+        let robot = &self.calibration.robot;
+        self.nominal.text_with_origins_of(robot).unwrap_or_else(|_| robot.to_urdf())
     }
 
     /// Joints with changed origins, in the robot's order.
     fn changed_joints(&self) -> impl Iterator<Item = &crate::robot::Joint> {
-        let before = self.drawing.joints().iter();
-        let both = self.found.robot.joints().iter().zip(before);
+        let before = self.nominal.joints().iter();
+        let both = self.calibration.robot.joints().iter().zip(before);
         both.filter(|(after, before)| after.parent_from_joint != before.parent_from_joint)
             .map(|(after, _)| after)
     }
@@ -81,17 +81,17 @@ impl Calibrated {
     /// Only for a UR whose model has the frames of `ur_description`: the numbers refer to them.
     fn ur_yaml(&self) -> Option<String> {
         let prefix = self.joints.first()?.strip_suffix("shoulder_pan_joint")?;
-        let text = self.drawing.ur_calibration(prefix, "")?;
+        let text = self.nominal.ur_calibration(prefix, "")?;
         let own = Calibration::from_text(&text, "").ok()?;
-        let parent = self.drawing.joint(self.joints.first()?)?.parent;
-        let is_as_described = self.drawing.link_name(parent).ends_with("base_link_inertia")
+        let parent = self.nominal.joint(self.joints.first()?)?.parent;
+        let is_as_described = self.nominal.link_name(parent).ends_with("base_link_inertia")
             && catalogue::entries().iter().any(|ur| ur.calibrated("", &own).is_ok());
-        is_as_described.then(|| self.found.robot.ur_calibration(prefix, &self.hash()))?
+        is_as_described.then(|| self.calibration.robot.ur_calibration(prefix, &self.hash()))?
     }
 
     /// In the format of a UR controller.
     fn hash(&self) -> String {
-        let numbers = self.found.robot.joints().iter().flat_map(|joint| {
+        let numbers = self.calibration.robot.joints().iter().flat_map(|joint| {
             let origin = joint.parent_from_joint;
             let [x, y, z] = crate::geometry::xyz_of(&origin);
             let [i, j, k, w] = crate::geometry::xyzw_from_rotation(&origin.rotation);
@@ -108,10 +108,10 @@ impl Calibrated {
 
     /// DH table, if the model is one.
     fn dh_table(&self) -> Option<String> {
-        let convention = self.drawing.dh.as_ref()?.convention;
-        let link = |name: &String| self.drawing.link(name);
+        let convention = self.nominal.dh.as_ref()?.convention;
+        let link = |name: &String| self.nominal.link(name);
         let stream = self.streams.first()?;
         let (base, tip) = (link(&stream.base)?, link(&stream.tip)?);
-        Robot::to_dh(&self.found.robot, base, tip, convention)
+        Robot::to_dh(&self.calibration.robot, base, tip, convention)
     }
 }

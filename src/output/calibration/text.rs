@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::io;
 
-use crate::audit::Calibrated;
+use crate::audit::CalibrationResult;
 use crate::diagnosis::CalibrationResidual;
 use crate::finding::Unit;
 use crate::report::sanitize_display;
@@ -14,7 +14,7 @@ const MAX_LISTED_DIRECTIONS: usize = 6;
 /// Directions with less effect on the tip over the workspace are irrelevant, m.
 const MIN_EFFECT_M: f64 = 1e-6;
 
-impl Calibrated {
+impl CalibrationResult {
     /// Writes the results and the names of the `files`.
     pub fn write_text(&self, files: &[String], out: &mut dyn io::Write) -> io::Result<()> {
         out.write_all(self.text(files).as_bytes())
@@ -22,7 +22,7 @@ impl Calibrated {
 
     /// Depends on the source of the poses.
     pub(super) fn subject(&self) -> &'static str {
-        match self.witness() {
+        match self.source_kind() {
             PoseSourceKind::Controller => {
                 "the controller's own kinematics: its poses are computed from the same encoders and do not \
                  show where the arm really is"
@@ -36,16 +36,16 @@ impl Calibrated {
     }
 
     fn text(&self, files: &[String]) -> String {
-        let found = &self.found;
+        let found = &self.calibration;
         let mut text = String::new();
-        let name = sanitize_display(&self.drawing.name);
-        let _ = match &self.refused {
+        let name = sanitize_display(&self.nominal.name);
+        let _ = match &self.rejection {
             None => writeln!(text, "CALIBRATED  {name}: {}", sanitize_display(self.subject())),
             Some(why) => writeln!(text, "REFUSED     {name}: {}", sanitize_display(why)),
         };
         for (taken, stream) in self.streams.iter().zip(&found.streams) {
             let reading =
-                taken.reading.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
+                taken.encoding.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
             let (log, topic, tip) = (
                 sanitize_display(taken.log.display()),
                 sanitize_display(&taken.topic),
@@ -54,7 +54,7 @@ impl Calibrated {
             let _ = writeln!(
                 text,
                 "\n{log} {topic} ({}): {} poses of {tip} in {}{reading}",
-                taken.witness.name(),
+                taken.source_kind.name(),
                 stream.samples,
                 if stream.reference.is_some() {
                     "an unknown frame".to_owned()
@@ -62,7 +62,7 @@ impl Calibrated {
                     sanitize_display(&taken.base)
                 },
             );
-            let line = |of: &CalibrationResidual| match taken.rotation_is_blind() {
+            let line = |of: &CalibrationResidual| match taken.is_rotation_excluded() {
                 true => format!("{:.4} mm", 1e3 * of.m),
                 false => format!("{:.4} mm, {:.5}°", 1e3 * of.m, of.rad.to_degrees()),
             };
@@ -141,7 +141,7 @@ impl Calibrated {
 
     fn largest_deviations(&self) -> Vec<(String, usize)> {
         const MAX_PARAMETERS: usize = 8;
-        let found = &self.found;
+        let found = &self.calibration;
         let size = |at: usize| {
             let scale = if found.parameters.get(at).is_none_or(|one| one.is_rotation) {
                 1.745
@@ -161,7 +161,7 @@ impl Calibrated {
     }
 
     fn write_undetermined(&self, text: &mut String) {
-        let found = &self.found;
+        let found = &self.calibration;
         let names = self.parameter_names();
         text.push_str("\nfixed by convention, because poses do not determine it\n");
         for said in self.conventions() {
@@ -195,9 +195,9 @@ impl Calibrated {
             text.push_str("\nkept nominal, not observable in this motion\n");
             list(text, &missing);
         }
-        if !self.still.is_empty() {
+        if !self.unmoved.is_empty() {
             text.push_str("\nmotion that would make more observable\n");
-            for one in &self.still {
+            for one in &self.unmoved {
                 let _ = match one.slides {
                     true => writeln!(
                         text,

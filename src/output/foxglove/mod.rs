@@ -22,7 +22,7 @@ use crate::audit::Audited;
 use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Finding, Severity};
 use crate::geometry::Pose;
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::outline::Outline;
 use crate::report::{Report, Trouble, write_whole};
 use crate::stats::thin;
@@ -35,8 +35,8 @@ const LOG_TOPIC: &str = "/poseaudit/log";
 const SCENE_TOPIC: &str = "/poseaudit/scene";
 
 /// Registers the file.
-pub fn register_outputs(path: &Path, places: &mut Places) {
-    places.writes("--mcap", path);
+pub fn register_outputs(path: &Path, places: &mut PathRegistry) {
+    places.add_output("--mcap", path);
 }
 
 impl Audited {

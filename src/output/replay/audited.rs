@@ -6,16 +6,16 @@ use super::{
 use crate::audit::Audited;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::geometry::Pose;
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::{NoteRow, Trouble};
 use crate::run::{Arm, PoseSource, Run};
 use crate::time::Stamp;
 
 impl Recording {
     /// Registers the output file and the readable meshes.
-    pub fn register_outputs(&self, places: &mut Places) {
-        self.mesh_roots.iter().for_each(|root| places.reads_below(root));
-        places.writes("--rrd", &self.path);
+    pub fn register_outputs(&self, places: &mut PathRegistry) {
+        self.mesh_roots.iter().for_each(|root| places.add_mesh_folder(root));
+        places.add_output("--rrd", &self.path);
     }
 }
 

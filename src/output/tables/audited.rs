@@ -4,7 +4,7 @@ use super::{
     TableError, aligned_frames, checks_frame, findings_frame, joints_frame, workspace, write_table,
 };
 use crate::audit::Audited;
-use crate::places::Places;
+use crate::places::PathRegistry;
 use crate::report::Trouble;
 use crate::report::reached_workspaces;
 
@@ -12,8 +12,8 @@ const TABLE_NAMES: [&str; 6] =
     ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
 /// Registers the files in `folder`.
-pub fn register_outputs(folder: &Path, places: &mut Places) {
-    places.writes_into("--parquet", folder, TABLE_NAMES.map(|name| format!("{name}.parquet")));
+pub fn register_outputs(folder: &Path, places: &mut PathRegistry) {
+    places.add_outputs_in("--parquet", folder, TABLE_NAMES.map(|name| format!("{name}.parquet")));
 }
 
 impl Audited {

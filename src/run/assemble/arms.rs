@@ -146,9 +146,9 @@ impl Assembly<'_> {
             ChainEnds { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let (mut arms, mut refusal) = (Vec::new(), None);
         for model in &models {
-            for path in
-                skeleton::arms(&model.robot, |name| joints.iter().any(|joint| joint == name))
-            {
+            for path in skeleton::find_arm_paths(&model.robot, |name| {
+                joints.iter().any(|joint| joint == name)
+            }) {
                 match Arm::new(model, &path, ends, states) {
                     Ok(arm) if arm.has_joint_of(&path) => {
                         arms.push(Arm { namespace: namespace.clone(), ..arm });
@@ -233,7 +233,7 @@ fn joints_in(topics: &[JointTopic<'_>]) -> Vec<String> {
     for topic in topics {
         let names = topic.columns.joints.iter().map(|joint| &joint.name);
         let new: Vec<String> =
-            names.filter(|name| !joints.contains(name) && topic.holds(name)).cloned().collect();
+            names.filter(|name| !joints.contains(name) && topic.has_joint(name)).cloned().collect();
         joints.extend(new);
     }
     joints

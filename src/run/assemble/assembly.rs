@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::run::RunOptions;
 use crate::run::arm::Arm;
-use crate::run::frozen::Frozen;
+use crate::run::frozen::FrozenSpan;
 use crate::run::not_audited::NotAudited;
 use crate::run::shared_stream::SharedStream;
 use crate::run::streams::Stream;
@@ -23,7 +23,7 @@ pub(super) struct Assembly<'a> {
     pub(super) unmatched_joint_topics: Vec<usize>,
     pub(super) not_audited: Vec<NotAudited>,
     pub(super) shared_streams: Vec<SharedStream>,
-    pub(super) frozen: Vec<Frozen>,
+    pub(super) frozen: Vec<FrozenSpan>,
     pub(super) searched_for_frozen: Vec<usize>,
 }
 

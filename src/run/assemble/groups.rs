@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use super::super::joints::{JointTopic, JointTopics, Samples};
+use super::super::joints::{JointTopic, JointTopics, SortedSamples};
 use super::super::namespace::{Namespace, NamespaceMatch};
 use super::super::streams::Stream;
 use crate::time::Stamp;
@@ -117,7 +117,7 @@ struct JointComparison {
 fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation {
     let names = a.columns.joints.iter().map(|joint| &joint.name);
     let shared: Vec<&String> =
-        names.filter(|name| a.holds(name) && b.holds(name)).take(8).collect();
+        names.filter(|name| a.has_joint(name) && b.has_joint(name)).take(8).collect();
     if shared.is_empty() {
         return Relation::Unrelated;
     }
@@ -148,7 +148,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
 }
 
 fn compare_joint(a: &JointTopic<'_>, b: &JointTopic<'_>, name: &str) -> Option<JointComparison> {
-    let (a, b) = (Samples::of(a, name), Samples::of(b, name));
+    let (a, b) = (SortedSamples::from_topic(a, name), SortedSamples::from_topic(b, name));
     let bits: HashSet<u32> = a.position.iter().map(|q| (*q as f32).to_bits()).collect();
     let step = b.stamps.len().div_ceil(MAX_SAMPLES).max(1);
     let mut both = JointComparison { a: Vec::new(), b: Vec::new(), copied: 0.0 };

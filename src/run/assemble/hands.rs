@@ -19,14 +19,14 @@ impl Assembly<'_> {
     fn target(&self, index: usize) -> Option<TargetSource> {
         let stream = &self.streams[index];
         let camera = &stream.frame_id;
-        if self.is_transform(stream) && !targets::is_sighting(camera, &stream.child_frame_id) {
+        if self.is_transform(stream) && !targets::is_detection(camera, &stream.child_frame_id) {
             return None;
         }
         let hands = match self.likeliest_arm(stream) {
             Some(owner) => {
                 let arm = &self.arms[owner];
                 let (kind, [hand_from_camera, base_from_camera]) =
-                    HandKind::of_arm(owner, arm, camera)?;
+                    HandKind::from_arm(owner, arm, camera)?;
                 let stamp_error_s = self.stamp_error_s(arm, index, 0);
                 vec![HandSource { kind, hand_from_camera, base_from_camera, stamp_error_s }]
             }
@@ -34,7 +34,12 @@ impl Assembly<'_> {
         };
         // A detector's poses change; a frame published repeatedly does not.
         let track = self.plain_track(index).filter(|track| track.changes())?;
-        Some(TargetSource { stream: index, track, axes: targets::axes_of(&self.tf, camera), hands })
+        Some(TargetSource {
+            stream: index,
+            track,
+            axes: targets::camera_axes(&self.tf, camera),
+            hands,
+        })
     }
 
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
@@ -50,7 +55,7 @@ impl Assembly<'_> {
     fn hands_without_arm(&self, target: usize) -> Vec<HandSource> {
         let camera = &self.streams[target].frame_id;
         let tied = |frame: &str| {
-            let found = self.tf.tied(camera, |other| !frame.is_empty() && other == frame);
+            let found = self.tf.nearest_fixed(camera, |other| !frame.is_empty() && other == frame);
             found.map(|(_, frame_from_camera)| frame_from_camera)
         };
         let may_be = |&index: &usize| {
@@ -70,7 +75,7 @@ impl Assembly<'_> {
             let path = self.tf.path(&base, &hand, |_| true).ok()?;
             let stamps = path.stamps().into_iter();
             let samples: Vec<(Stamp, Pose)> =
-                stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+                stamps.filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?))).collect();
             let track = poses::from_samples(samples, self.origin).track;
             let (hand_from_camera, base_from_camera) = (tied(&hand), tied(&base));
             let kind = HandKind::Transforms { base, frame: hand, track };

@@ -223,8 +223,9 @@ impl PoseRanking<'_> {
 
     /// The path through the logged joints, if there is exactly one.
     fn only_path(&self, model: &LogModel) -> Option<skeleton::ArmPath> {
-        let is_logged = |name: &str| self.group.joints.topics.iter().any(|topic| topic.holds(name));
-        let paths = skeleton::arms(&model.robot, is_logged);
+        let is_logged =
+            |name: &str| self.group.joints.topics.iter().any(|topic| topic.has_joint(name));
+        let paths = skeleton::find_arm_paths(&model.robot, is_logged);
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 

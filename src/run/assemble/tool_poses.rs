@@ -8,7 +8,7 @@ use crate::time::Stamp;
 use super::super::arm::{Arm, FrameAnchor};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
-use super::super::frozen::{Frozen, take_frozen};
+use super::super::frozen::{FrozenSpan, remove_frozen};
 use super::super::namespace::NamespaceMatch;
 use super::super::not_audited::{NotAudited, NotAuditedReason};
 use super::super::poses::{self, StampedTrack};
@@ -16,7 +16,7 @@ use super::super::role::{
     FrameKind, PoseTopic, Role, RoleDecision, array_role, pose_role, role_outside_arm,
 };
 use super::super::shared_stream::{CandidateArm, SharedStream};
-use super::super::source_kind::{PoseNames, PoseSourceKind, source_kind_of};
+use super::super::source_kind::{PoseNames, PoseSourceKind, classify_source};
 use super::super::sources::MovingBase;
 use super::super::sources::{ImuSource, PoseSource};
 use super::super::streams::Stream;
@@ -97,7 +97,7 @@ impl Assembly<'_> {
                 Ok(found) => {
                     reason += &stream_frames.remarks;
                     let by_names = || {
-                        source_kind_of(&PoseNames {
+                        classify_source(&PoseNames {
                             topic: &stream.topic,
                             type_name: &stream.type_name,
                             frame_id: &stream.frame_id,
@@ -350,7 +350,7 @@ impl Assembly<'_> {
         arm: &Arm,
         stream_frames: &StreamFrames,
         declared: Option<&Declaration>,
-        (known, frozen): (bool, &mut Vec<Frozen>),
+        (known, frozen): (bool, &mut Vec<FrozenSpan>),
     ) -> Result<PoseSource, SourceError> {
         let (chain, columns) = arm
             .chain_between(stream_frames.base.link, stream_frames.tip.link)
@@ -377,8 +377,8 @@ impl Assembly<'_> {
             return Err("it never changes, like a tool offset in its own frame".to_owned().into());
         }
         let how = (known, self.options.max_latency_s);
-        *frozen = take_frozen(index, &mut logged, &arm.joints, &columns, how);
-        if frozen.iter().any(|frozen| frozen.whole) {
+        *frozen = remove_frozen(index, &mut logged, &arm.joints, &columns, how);
+        if frozen.iter().any(|frozen| frozen.is_whole_stream) {
             return Err("it repeats one value while the arm moves".to_owned().into());
         }
         let StampedTrack { track, stamps } = logged;
@@ -409,7 +409,7 @@ impl Assembly<'_> {
             track,
             moving_base,
             reference_known: !matches!(stream_frames.frame, FrameKind::Unknown | FrameKind::Tool),
-            stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
+            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
             tip_named: stream_frames.tip_named,
         })
@@ -424,8 +424,10 @@ impl Assembly<'_> {
         let path = arm.tree.path(&arm.frame_of(arm.base), frame, is_free).ok()?;
         let mut stamps = path.stamps();
         poses::thin(&mut stamps);
-        let samples: Vec<(Stamp, Pose)> =
-            stamps.into_iter().filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+        let samples: Vec<(Stamp, Pose)> = stamps
+            .into_iter()
+            .filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?)))
+            .collect();
         (samples.len() > 1).then_some(samples)
     }
 
@@ -484,7 +486,7 @@ impl Assembly<'_> {
             columns,
             track,
             link_from_imu,
-            stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
+            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
         };
         let reason = format!("inertial measurements; {why}");

@@ -14,7 +14,7 @@ use super::super::source_kind::PoseSourceKind;
 use super::super::sources::PoseSource;
 use super::super::streams::Stream;
 use super::super::targets;
-use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
+use super::super::tf_tree::{Edge, EdgeKind, TfTree, strip_slash};
 use super::super::timing::Timing;
 use super::assembly::Assembly;
 
@@ -139,7 +139,7 @@ impl Assembly<'_> {
         poses::thin(&mut stamps);
         let stamps = stamps.into_iter();
         let samples: Vec<(Stamp, Pose)> =
-            stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
+            stamps.filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?))).collect();
         if samples.len() < 2 {
             return Err(TfUnavailable::NoSamples);
         }
@@ -158,7 +158,7 @@ impl Assembly<'_> {
             columns,
             track,
             reference_known: true,
-            stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
+            stamps_copied: poses::are_copied_stamps(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, stream, piece),
             tip_named: arm.tip_named,
             moving_base: None,
@@ -170,7 +170,7 @@ impl Assembly<'_> {
     fn piece_of(&self, arm: &Arm, edge: &Edge) -> Option<(usize, usize)> {
         let names = arm.tree.names(edge);
         let is_it = |poses: &PoseColumns| {
-            (without_slash(&poses.frame_id), without_slash(&poses.child_frame_id)) == names
+            (strip_slash(&poses.frame_id), strip_slash(&poses.child_frame_id)) == names
         };
         self.streams.iter().enumerate().find_map(|(index, stream)| {
             let Some(Columns::Transforms(transforms)) = &stream.columns else { return None };
@@ -208,8 +208,8 @@ impl Assembly<'_> {
     }
 
     fn is_measured(&self, topic: &str, transform: &PoseColumns) -> bool {
-        let frame = without_slash(&transform.frame_id);
-        let child = without_slash(&transform.child_frame_id);
+        let frame = strip_slash(&transform.frame_id);
+        let child = strip_slash(&transform.child_frame_id);
         let is_own = |arm: &&Arm| arm.match_names([topic]) != NamespaceMatch::Foreign;
         let arms: Vec<&Arm> = self.arms.iter().filter(is_own).collect();
         let carries_none = || {
@@ -217,7 +217,7 @@ impl Assembly<'_> {
             roots.all(|(arm, root)| child != root && !arm.tree.is_above(child, &root))
         };
         let is_link = |arm: &&Arm| arm.classify_frame(child).0 != FrameKind::Unknown;
-        if targets::is_sighting(frame, child) && !arms.iter().any(is_link) {
+        if targets::is_detection(frame, child) && !arms.iter().any(is_link) {
             return true;
         }
         for arm in &arms {

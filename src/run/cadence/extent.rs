@@ -1,32 +1,32 @@
 //! Compares the start and end of each stream with the others.
 
-use super::motion::Motion;
-use super::parts::Part;
+use super::motion::ArmMotion;
+use super::parts::CadencePart;
 use crate::run::clock::StreamClock;
 use crate::time::{Stamp, seconds};
 
 /// Start and end relative to other streams, by receive time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Extent {
+pub struct StreamExtent {
     /// Start relative to the median start of the others, s; positive if later.
     pub late_start_s: f64,
     /// End relative to the others, s; positive if earlier.
     pub early_end_s: f64,
     /// Whether the arm moved before the start and after the end; `None` without joint states there.
-    pub moving: [Option<bool>; 2],
+    pub is_arm_moving: [Option<bool>; 2],
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Bounds {
+pub(super) struct PartBounds {
     received: (i64, i64),
     stamps: (Stamp, Stamp),
 }
 
-impl Bounds {
-    pub(super) fn of(part: &Part<'_>, clock: &StreamClock) -> Option<Self> {
+impl PartBounds {
+    pub(super) fn measure(part: &CadencePart<'_>, clock: &StreamClock) -> Option<Self> {
         let received = part.rows.iter().map(|row| part.times.log[row]);
         let known = part.rows.iter().filter_map(|row| clock.stamp_of(part.times, row));
-        Some(Self { received: ends(received)?, stamps: ends(known)? })
+        Some(Self { received: min_max(received)?, stamps: min_max(known)? })
     }
 
     pub(super) fn join(self, other: Self) -> Self {
@@ -36,7 +36,7 @@ impl Bounds {
     }
 }
 
-fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
+fn min_max<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     let first = values.next()?;
     Some(
         values.fold((first, first), |(least, greatest), value| {
@@ -45,14 +45,14 @@ fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     )
 }
 
-pub(super) struct Ends {
+pub(super) struct SortedEnds {
     starts: Vec<i64>,
     ends: Vec<i64>,
 }
 
-impl Ends {
-    pub(super) fn of(bounds: &[Option<Bounds>]) -> Self {
-        let sorted = |time: fn(&Bounds) -> i64| {
+impl SortedEnds {
+    pub(super) fn collect(bounds: &[Option<PartBounds>]) -> Self {
+        let sorted = |time: fn(&PartBounds) -> i64| {
             let mut times: Vec<i64> = bounds.iter().flatten().map(time).collect();
             times.sort_unstable();
             times
@@ -71,12 +71,12 @@ fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
     is_there.then(|| times[middle + usize::from(middle >= place)])
 }
 
-pub(super) fn extent(
-    bounds: &[Option<Bounds>],
-    all: &Ends,
+pub(super) fn compare_extent(
+    bounds: &[Option<PartBounds>],
+    all: &SortedEnds,
     index: usize,
-    motion: &Motion,
-) -> Option<Extent> {
+    motion: &ArmMotion,
+) -> Option<StreamExtent> {
     let own = bounds[index]?;
     // With two others, use the one closer to this stream.
     let start = median_of_others(&all.starts, own.received.0, true)?;
@@ -88,5 +88,5 @@ pub(super) fn extent(
         motion.moves(first.shifted(-late_start_s.max(0.0)), first),
         motion.moves(last, last.shifted(early_end_s.max(0.0))),
     ];
-    Some(Extent { late_start_s, early_end_s, moving })
+    Some(StreamExtent { late_start_s, early_end_s, is_arm_moving: moving })
 }

@@ -1,12 +1,12 @@
 //! Finds missing rows and reduced rates in the intervals between rows.
 
-use super::motion::Motion;
+use super::motion::ArmMotion;
 use crate::stats::median as median_of;
 use crate::time::{Stamp, seconds};
 
 /// A time span of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
+pub struct RateSpan {
     /// First stamp.
     pub start: Stamp,
     /// Last stamp.
@@ -14,10 +14,10 @@ pub struct Stretch {
     /// Mean rate, Hz; each end counts as half a row.
     pub rate_hz: f64,
     /// Whether the arm moved; `None` without joint states.
-    pub moving: Option<bool>,
+    pub is_arm_moving: Option<bool>,
 }
 
-impl Stretch {
+impl RateSpan {
     /// Duration, s.
     pub fn seconds(&self) -> f64 {
         self.end.seconds_since(self.start)
@@ -26,62 +26,65 @@ impl Stretch {
 
 /// An interval longer than a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hole {
+pub struct MissingRows {
     /// Its time span.
-    pub stretch: Stretch,
+    pub span: RateSpan,
     /// Number of missing rows.
-    pub missing: usize,
+    pub count: usize,
     /// Whether nothing was received for half of it; else the clock was stepped.
     pub is_silent: bool,
 }
 
-pub(super) struct Pace {
+pub(super) struct RowPeriod {
     /// Typical interval, s: mean of intervals near the median, which rounded stamps quantise.
     pub period_s: f64,
     /// Whether intervals are near multiples of the period.
     pub is_regular: bool,
     /// Maximum number of periods without a loss; more than one with jitter.
-    longest: u32,
+    max_periods: u32,
 }
 
-impl Pace {
-    pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
+impl RowPeriod {
+    pub fn estimate(times: &[(Stamp, i64)]) -> Option<Self> {
         /// Maximum deviation of a single interval, as a share of the median.
-        const SINGLE: f64 = 0.5;
-        const CLOSE: f64 = 0.25;
-        const REGULAR: f64 = 0.6;
+        const MAX_SINGLE_DEVIATION: f64 = 0.5;
+        const MAX_REGULAR_DEVIATION: f64 = 0.25;
+        const MIN_REGULAR_SHARE: f64 = 0.6;
         /// Block length with whole bursts of 2, 3, 4, 6 or 12 rows.
-        const BURSTS: usize = 12;
+        const BLOCK_ROWS: usize = 12;
         /// Ratio of median to mean interval for evenly spaced rows; two in five may be lost.
-        const USUAL: std::ops::RangeInclusive<f64> = 0.5..=1.6;
-        const ENOUGH: usize = 50_000;
+        const EVEN_RATIO: std::ops::RangeInclusive<f64> = 0.5..=1.6;
+        const MAX_INTERVALS: usize = 50_000;
         let intervals = || times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
         let count = times.len().saturating_sub(1);
         if count < 2 {
             return None;
         }
-        let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
+        let mut some: Vec<f64> = intervals().step_by(count.div_ceil(MAX_INTERVALS)).collect();
         let mut median = median_of(&mut some)?;
         // Intervals within a burst differ from the mean.
-        let blocks = times.windows(BURSTS + 1).step_by(count.div_ceil(ENOUGH));
-        let mut blocks: Vec<f64> =
-            blocks.map(|rows| rows[BURSTS].0.seconds_since(rows[0].0) / BURSTS as f64).collect();
-        if let Some(mean) = median_of(&mut blocks).filter(|mean| !USUAL.contains(&(median / mean)))
+        let blocks = times.windows(BLOCK_ROWS + 1).step_by(count.div_ceil(MAX_INTERVALS));
+        let mut blocks: Vec<f64> = blocks
+            .map(|rows| rows[BLOCK_ROWS].0.seconds_since(rows[0].0) / BLOCK_ROWS as f64)
+            .collect();
+        if let Some(mean) =
+            median_of(&mut blocks).filter(|mean| !EVEN_RATIO.contains(&(median / mean)))
         {
             median = mean;
         }
-        let close = intervals().filter(|dt| (dt - median).abs() < SINGLE * median);
+        let close = intervals().filter(|dt| (dt - median).abs() < MAX_SINGLE_DEVIATION * median);
         let (sum_s, singles) =
             close.fold((0.0, 0), |(sum_s, singles), dt| (sum_s + dt, singles + 1));
         let period_s = if singles > 0 { sum_s / f64::from(singles) } else { median };
         let is_close = |dt: &f64| {
             let periods = dt / period_s;
             // One period first, because rounding is slow.
-            (periods - 1.0).abs() < CLOSE || (periods - periods.round().max(1.0)).abs() < CLOSE
+            (periods - 1.0).abs() < MAX_REGULAR_DEVIATION
+                || (periods - periods.round().max(1.0)).abs() < MAX_REGULAR_DEVIATION
         };
         let regular = intervals().filter(is_close).count();
-        let is_regular = regular as f64 > REGULAR * count as f64;
-        Some(Self { period_s, is_regular, longest: reached_by_jitter(times, period_s) })
+        let is_regular = regular as f64 > MIN_REGULAR_SHARE * count as f64;
+        Some(Self { period_s, is_regular, max_periods: max_jitter_periods(times, period_s) })
     }
 }
 
@@ -89,39 +92,39 @@ impl Pace {
 ///
 /// Lost rows give whole multiples of the period, so intervals between two multiples are rarer than at the
 /// upper one.
-fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
+fn max_jitter_periods(times: &[(Stamp, i64)], period_s: f64) -> u32 {
     /// Maximum distance from a multiple, in periods.
-    const NEAR: f64 = 0.25;
+    const MAX_DISTANCE_PERIODS: f64 = 0.25;
     /// Longer intervals are rare in any stream, in periods.
-    const MOST: usize = 8;
+    const MAX_PERIODS: usize = 8;
     let periods: Vec<f64> =
         times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0) / period_s).collect();
-    let is_near = |periods: f64| (periods - periods.round()).abs() < NEAR;
-    let (mut at, mut below) = ([0_usize; MOST], [0_usize; MOST]);
+    let is_near = |periods: f64| (periods - periods.round()).abs() < MAX_DISTANCE_PERIODS;
+    let (mut at, mut below) = ([0_usize; MAX_PERIODS], [0_usize; MAX_PERIODS]);
     for (row, &own) in periods.iter().enumerate() {
         let upper = if is_near(own) { own.round() } else { own.ceil() };
-        if !(2.0..MOST as f64).contains(&upper) {
+        if !(2.0..MAX_PERIODS as f64).contains(&upper) {
             continue;
         }
         // A late or early row shortens an adjacent interval.
         let beside = [row.checked_sub(1), Some(row + 1)].into_iter().flatten();
         let mut beside = beside.filter_map(|other| periods.get(other));
-        let makes_up = |other: &f64| *other < 1.0 - NEAR && is_near(own + other);
+        let makes_up = |other: &f64| *other < 1.0 - MAX_DISTANCE_PERIODS && is_near(own + other);
         if is_near(own) {
             at[upper as usize] += 1;
         } else if !beside.any(makes_up) {
             below[upper as usize] += 1;
         }
     }
-    let reached = (2..MOST).take_while(|&upper| below[upper] > at[upper]).count();
+    let reached = (2..MAX_PERIODS).take_while(|&upper| below[upper] > at[upper]).count();
     1 + reached as u32
 }
 
 pub(super) struct Intervals<'a> {
     /// Stamp and receive time of each row, by unique stamps.
     pub times: &'a [(Stamp, i64)],
-    pub pace: &'a Pace,
-    pub motion: &'a Motion<'a>,
+    pub pace: &'a RowPeriod,
+    pub motion: &'a ArmMotion<'a>,
 }
 
 impl Intervals<'_> {
@@ -130,10 +133,10 @@ impl Intervals<'_> {
         pairs.map(|(left, pair)| (left, pair[1].0.seconds_since(pair[0].0)))
     }
 
-    fn stretch(&self, left: usize, count: usize) -> Stretch {
+    fn stretch(&self, left: usize, count: usize) -> RateSpan {
         let (start, end) = (self.times[left].0, self.times[left + count].0);
         let rate_hz = count as f64 / end.seconds_since(start);
-        Stretch { start, end, rate_hz, moving: self.motion.moves(start, end) }
+        RateSpan { start, end, rate_hz, is_arm_moving: self.motion.moves(start, end) }
     }
 
     /// Whether nothing was received for half of the interval after row `left`. `received` is sorted.
@@ -147,11 +150,11 @@ impl Intervals<'_> {
     }
 
     /// Intervals with missing rows.
-    pub fn holes(&self) -> Vec<Hole> {
+    pub fn missing_rows(&self) -> Vec<MissingRows> {
         /// Bounds the count if a stamp is decades off.
-        const MOST: f64 = 1e9;
-        let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
-        let longest = self.pace.longest as usize;
+        const MAX_MISSING: f64 = 1e9;
+        let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MAX_MISSING);
+        let longest = self.pace.max_periods as usize;
         let long_s = (longest as f64 + 0.5) * self.pace.period_s;
         let long = self.all().filter(|(_, interval_s)| *interval_s > long_s);
         let mut long = long.peekable();
@@ -160,42 +163,45 @@ impl Intervals<'_> {
         }
         let mut received: Vec<i64> = self.times.iter().map(|(_, received)| *received).collect();
         received.sort_unstable();
-        let hole = |(left, interval_s): (usize, f64)| Hole {
-            stretch: self.stretch(left, 1),
-            missing: (periods(interval_s) as usize).saturating_sub(longest),
+        let hole = |(left, interval_s): (usize, f64)| MissingRows {
+            span: self.stretch(left, 1),
+            count: (periods(interval_s) as usize).saturating_sub(longest),
             is_silent: self.is_silent(&received, left, interval_s),
         };
         long.map(hole).collect()
     }
 
     /// Number of rows within half a period of the previous one.
-    pub fn bunched(&self) -> usize {
-        const SHORT: f64 = 0.5;
-        self.all().filter(|(_, interval_s)| *interval_s < SHORT * self.pace.period_s).count()
+    pub fn count_bunched(&self) -> usize {
+        const MAX_SHORT_PERIODS: f64 = 0.5;
+        self.all()
+            .filter(|(_, interval_s)| *interval_s < MAX_SHORT_PERIODS * self.pace.period_s)
+            .count()
     }
 
     /// Spans with a reduced rate: most of nine consecutive intervals are long, none is a hole.
-    pub fn lulls(&self) -> Vec<Stretch> {
+    pub fn slow_spans(&self) -> Vec<RateSpan> {
         /// Minimum ratio of a long interval to the period.
-        const LOWER: f64 = 1.25;
-        const FAR_LONGER: f64 = 4.0;
-        const AROUND: usize = 9;
+        const MIN_LONG_PERIODS: f64 = 1.25;
+        const MIN_HOLE_RATIO: f64 = 4.0;
+        const WINDOW_INTERVALS: usize = 9;
         // Usually no interval is long.
-        let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
+        let is_long = |interval_s: &f64| *interval_s > MIN_LONG_PERIODS * self.pace.period_s;
         if !self.pace.is_regular || !self.all().any(|(_, interval_s)| is_long(&interval_s)) {
             return Vec::new();
         }
         let intervals: Vec<f64> = self.all().map(|(_, interval_s)| interval_s).collect();
         let is_lower = |window: &[f64]| {
-            let mut sorted = [0.0; AROUND];
+            let mut sorted = [0.0; WINDOW_INTERVALS];
             let sorted = &mut sorted[..window.len()];
             sorted.copy_from_slice(window);
             sorted.sort_by(f64::total_cmp);
             let (median, longest) = (sorted[(sorted.len() - 1) / 2], sorted[sorted.len() - 1]);
-            median > LOWER * self.pace.period_s && longest < FAR_LONGER * median
+            median > MIN_LONG_PERIODS * self.pace.period_s && longest < MIN_HOLE_RATIO * median
         };
         let around = |at: usize| {
-            let (from, to) = (at.saturating_sub(AROUND / 2), at + AROUND / 2 + 1);
+            let (from, to) =
+                (at.saturating_sub(WINDOW_INTERVALS / 2), at + WINDOW_INTERVALS / 2 + 1);
             &intervals[from..to.min(intervals.len())]
         };
         let may_be_lower = |at: usize| {

@@ -3,12 +3,12 @@
 //! A header stamp is the time of the content, a receive time its arrival. A hole in the stamps must also be
 //! one in the receive times, or the clock was stepped. The rules decide which are faults.
 
-mod coarse;
+mod coarse_clock;
 mod extent;
 mod intervals;
 mod motion;
-mod numbers;
 mod parts;
+mod sequence_numbers;
 #[cfg(test)]
 mod tests;
 
@@ -19,11 +19,11 @@ use rayon::prelude::*;
 use crate::stream::Columns;
 use crate::time::{Clock, Stamp, seconds};
 
-use self::coarse::Coarse;
-use self::extent::{Bounds, Ends, extent};
-use self::intervals::{Intervals, Pace};
-use self::motion::Motion;
-use self::parts::{Part, parts};
+use self::coarse_clock::CoarseClock;
+use self::extent::{PartBounds, SortedEnds, compare_extent};
+use self::intervals::{Intervals, RowPeriod};
+use self::motion::ArmMotion;
+use self::parts::{CadencePart, split_parts};
 use super::arm::Arm;
 use super::clock::{HeaderStamps, StreamClock};
 use super::joints::JointTopic;
@@ -31,8 +31,8 @@ use super::role::Role;
 use super::streams::Stream;
 use super::timing::Timing;
 
-pub use self::extent::Extent;
-pub use self::intervals::{Hole, Stretch};
+pub use self::extent::StreamExtent;
+pub use self::intervals::{MissingRows, RateSpan};
 
 /// Regularity of a stream, of one transform, or of one joint state sender.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -40,7 +40,7 @@ pub struct Cadence {
     /// Child frame of the transform.
     pub frame: Option<String>,
     /// Whether it should be regular; false for transforms outside an arm.
-    pub wanted: bool,
+    pub is_audited: bool,
     /// Number of rows.
     pub rows: usize,
     /// Typical interval, s; `None` with fewer than three rows.
@@ -50,7 +50,7 @@ pub struct Cadence {
     /// Tick of a coarse stamp clock, s. Finer receive times then give the rhythm.
     pub tick_s: Option<f64>,
     /// Whether header stamps are present and increasing.
-    pub stamped: bool,
+    pub has_header_stamps: bool,
     /// Stamps that decrease: the previous stamp, and the decrease, s.
     pub steps_back: Vec<(Stamp, f64)>,
     /// Rows that repeat stamp and content.
@@ -58,13 +58,13 @@ pub struct Cadence {
     /// Rows that repeat only the stamp.
     pub conflicts: usize,
     /// Intervals with missing rows, in time order.
-    pub holes: Vec<Hole>,
+    pub missing_rows: Vec<MissingRows>,
     /// Rows within half a period of the previous one: late, not lost; each replaces a missing row.
     pub bunched: usize,
     /// Spans at a notably lower rate.
-    pub lulls: Vec<Stretch>,
+    pub slow_spans: Vec<RateSpan>,
     /// Rows missing by sequence number; `None` if unusable.
-    pub skipped: Option<usize>,
+    pub skipped_numbers: Option<usize>,
 }
 
 /// Regularity of one stream.
@@ -75,7 +75,7 @@ pub struct Rhythm {
     /// One entry per part.
     pub parts: Vec<Cadence>,
     /// Extent relative to other streams; `None` without others.
-    pub extent: Option<Extent>,
+    pub extent: Option<StreamExtent>,
 }
 
 impl Rhythm {
@@ -86,51 +86,52 @@ impl Rhythm {
 }
 
 impl Cadence {
-    fn fill_holes(&mut self, came: &[Stamp]) {
-        self.holes.retain(|hole| {
-            let Stretch { start, end, .. } = hole.stretch;
-            let [from, to] = [start, end].map(|at| came.partition_point(|stamp| *stamp < at));
-            let between = came[from..to.max(from)].iter().copied();
+    fn remove_filled(&mut self, other_stamps: &[Stamp]) {
+        self.missing_rows.retain(|hole| {
+            let RateSpan { start, end, .. } = hole.span;
+            let [from, to] =
+                [start, end].map(|at| other_stamps.partition_point(|stamp| *stamp < at));
+            let between = other_stamps[from..to.max(from)].iter().copied();
             let mut last = start;
             let silences = between.chain([end]).map(|stamp| {
                 let silence_s = stamp.seconds_since(last);
                 last = stamp;
                 silence_s
             });
-            2.0 * silences.fold(0.0, f64::max) > hole.stretch.seconds()
+            2.0 * silences.fold(0.0, f64::max) > hole.span.seconds()
         });
     }
 }
 
-pub(super) fn rhythms(
+pub(super) fn measure_rhythms(
     streams: &[Stream],
     timing: &Timing,
     topics: &[JointTopic<'_>],
     arms: &[Arm],
 ) -> Vec<Rhythm> {
-    let motion = Motion::of(topics, arms);
+    let motion = ArmMotion::new(topics, arms);
     let rhythm = |(index, stream): (usize, &Stream)| {
         let has_rhythm = has_rhythm(stream) && !is_within_tf(stream, streams);
         let columns = stream.columns.as_ref().filter(|_| has_rhythm)?;
-        let mut parts: Vec<Part<'_>> = parts(columns, arms)
+        let mut parts: Vec<CadencePart<'_>> = split_parts(columns, arms)
             .into_iter()
             .flat_map(|part| {
                 let two = timing.sample_filter.publishers.iter();
                 let mut two = two.filter(|two| (two.stream, two.piece) == (index, part.piece));
                 match two.next() {
-                    Some(two) => Vec::from(part.by_publisher(&two.second)),
+                    Some(two) => Vec::from(part.by_publisher(&two.second_rows)),
                     None => vec![part],
                 }
             })
             .collect();
         if stream.role == Role::Tf {
-            parts.retain(|part| !is_stream_of_its_own(part, stream, streams));
+            parts.retain(|part| !is_separate_stream(part, stream, streams));
         }
         let bounds = parts
             .iter()
-            .filter(|part| part.wanted)
-            .filter_map(|part| Bounds::of(part, timing.clocks.clock(index, part.piece)?))
-            .reduce(Bounds::join);
+            .filter(|part| part.is_audited)
+            .filter_map(|part| PartBounds::measure(part, timing.clocks.clock(index, part.piece)?))
+            .reduce(PartBounds::join);
         // If senders share a topic, sequence numbers may count all messages.
         let numbers = match parts.as_slice() {
             [only] if stream.role != Role::Tf => only.numbers(),
@@ -138,22 +139,22 @@ pub(super) fn rhythms(
         };
         // Transforms of one sender share its message times.
         let led_by = |at: usize| {
-            let part: &Part<'_> = &parts[at];
-            let clock = |part: &Part<'_>| timing.clocks.index(index, part.piece);
+            let part: &CadencePart<'_> = &parts[at];
+            let clock = |part: &CadencePart<'_>| timing.clocks.index(index, part.piece);
             let led = |first: &usize| {
                 clock(&parts[*first]) == clock(part) && parts[*first].has_times_of(part)
             };
             (0..at).find(led).unwrap_or(at)
         };
         let leaders: Vec<usize> = (0..parts.len()).map(led_by).collect();
-        let paced = leaders.par_iter().enumerate().map(|(at, leader)| {
+        let base_cadences = leaders.par_iter().enumerate().map(|(at, leader)| {
             let clock = timing.clocks.clock(index, parts[at].piece)?;
-            (at == *leader).then(|| parts[at].paced(clock, &motion))
+            (at == *leader).then(|| parts[at].measure_period(clock, &motion))
         });
-        let paced: Vec<Option<Cadence>> = paced.collect();
-        let cadence = |(part, leader): (&Part<'_>, &usize)| {
+        let base_cadences: Vec<Option<Cadence>> = base_cadences.collect();
+        let cadence = |(part, leader): (&CadencePart<'_>, &usize)| {
             let rounded = timing.clocks.rounded_stamps(index, part.piece);
-            let cadence = part.cadence(paced[*leader].as_ref()?);
+            let cadence = part.cadence(base_cadences[*leader].as_ref()?);
             Some(Cadence { tick_s: rounded.map(|own| own.tick_s).or(cadence.tick_s), ..cadence })
         };
         let parts = parts.par_iter().zip(&leaders).filter_map(cadence);
@@ -163,34 +164,34 @@ pub(super) fn rhythms(
     let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
     let (mut rhythms, counted): (Vec<_>, Vec<_>) = found.into_iter().unzip();
     // A stream that continues with another frame_id has not ended.
-    let with_others = |(rhythm, own): &(Rhythm, Option<Bounds>)| {
+    let with_others = |(rhythm, own): &(Rhythm, Option<PartBounds>)| {
         let stream = &streams[rhythm.stream];
         let others = rhythms.iter().filter(|(other, _)| {
             other.stream != rhythm.stream && is_relabelled(stream, &streams[other.stream], streams)
         });
-        let all = others.filter_map(|(_, bounds)| *bounds).chain(*own).reduce(Bounds::join);
+        let all = others.filter_map(|(_, bounds)| *bounds).chain(*own).reduce(PartBounds::join);
         all.filter(|_| is_expected(stream))
     };
-    let bounds: Vec<Option<Bounds>> = rhythms.iter().map(with_others).collect();
-    let ends = Ends::of(&bounds);
+    let bounds: Vec<Option<PartBounds>> = rhythms.iter().map(with_others).collect();
+    let ends = SortedEnds::collect(&bounds);
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
-        rhythm.extent = extent(&bounds, &ends, index, &motion);
+        rhythm.extent = compare_extent(&bounds, &ends, index, &motion);
         let own = &streams[rhythm.stream];
-        let came = || {
+        let other_stamps = || {
             let others = streams.iter().enumerate().filter(|(other, _)| *other != rhythm.stream);
             let others = others.filter(|(_, other)| is_relabelled(own, other, streams));
-            let mut came: Vec<Stamp> = others
+            let mut other_stamps: Vec<Stamp> = others
                 .flat_map(|(other, _)| timing.clocks.rows(streams, other, 0))
                 .map(|(stamp, _)| stamp)
                 .collect();
-            came.sort_unstable();
-            came
+            other_stamps.sort_unstable();
+            other_stamps
         };
         if let (true, [only]) = (rhythm.has_relabelled(streams), rhythm.parts.as_mut_slice()) {
-            only.fill_holes(&came());
+            only.remove_filled(&other_stamps());
         }
         if let [only] = rhythm.parts.as_mut_slice() {
-            only.skipped = numbers::skipped(&counted, index);
+            only.skipped_numbers = sequence_numbers::count_skipped(&counted, index);
         }
     }
     rhythms.into_iter().map(|(rhythm, _)| rhythm).collect()
@@ -230,7 +231,7 @@ fn is_within_tf(stream: &Stream, streams: &[Stream]) -> bool {
 }
 
 /// Whether a transform of the TF topic is also a measured pose.
-fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) -> bool {
+fn is_separate_stream(part: &CadencePart<'_>, stream: &Stream, streams: &[Stream]) -> bool {
     streams.iter().any(|other| {
         matches!(other.role, Role::Pose | Role::Candidate { .. })
             && other.topic == stream.topic
@@ -238,11 +239,11 @@ fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) ->
     })
 }
 
-impl Part<'_> {
-    fn paced(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
+impl CadencePart<'_> {
+    fn measure_period(&self, clock: &StreamClock, motion: &ArmMotion) -> Cadence {
         let mut cadence = Cadence {
             rows: self.rows.len(),
-            stamped: clock.stamps == HeaderStamps::Sound,
+            has_header_stamps: clock.stamps == HeaderStamps::Sound,
             ..Cadence::default()
         };
         let stamped = |row: usize| Some((clock.stamp_of(self.times, row)?, self.times.log[row]));
@@ -251,23 +252,23 @@ impl Part<'_> {
         if !times.is_sorted() {
             times.sort_unstable();
         }
-        let coarse = Coarse::of(&times);
+        let coarse = CoarseClock::detect(&times);
         match &coarse {
-            Some(Coarse { finer: Some(finer), .. }) => times.clone_from(finer),
+            Some(CoarseClock { interpolated: Some(finer), .. }) => times.clone_from(finer),
             _ => times.dedup_by_key(|(stamp, _)| *stamp),
         }
-        let pace = Pace::of(&times);
+        let pace = RowPeriod::estimate(&times);
         cadence.period_s = pace.as_ref().map(|pace| pace.period_s);
         cadence.tick_s = coarse.as_ref().map(|coarse| coarse.tick_s);
         let is_blurred = coarse.is_some_and(|coarse| coarse.is_blurred);
         if let Some(pace) = &pace {
             cadence.is_regular = pace.is_regular && !is_blurred;
             let intervals = Intervals { times: &times, pace, motion };
-            cadence.holes = intervals.holes();
-            cadence.bunched = intervals.bunched();
-            cadence.lulls = intervals.lulls();
+            cadence.missing_rows = intervals.missing_rows();
+            cadence.bunched = intervals.count_bunched();
+            cadence.slow_spans = intervals.slow_spans();
         }
-        if cadence.stamped {
+        if cadence.has_header_stamps {
             let offset = match clock.clock {
                 Clock::Header => clock.alignment.map_or(0, |alignment| alignment.offset_nanos),
                 Clock::Log | Clock::Publish => 0,
@@ -277,18 +278,19 @@ impl Part<'_> {
         cadence
     }
 
-    fn cadence(&self, paced: &Cadence) -> Cadence {
-        let (repeats, conflicts) = if paced.stamped { self.repeated() } else { (0, 0) };
+    fn cadence(&self, base_cadences: &Cadence) -> Cadence {
+        let (repeats, conflicts) =
+            if base_cadences.has_header_stamps { self.count_repeated() } else { (0, 0) };
         Cadence {
             frame: self.frame.map(str::to_owned),
-            wanted: self.wanted,
+            is_audited: self.is_audited,
             repeats,
             conflicts,
-            ..paced.clone()
+            ..base_cadences.clone()
         }
     }
 
-    fn stamped(&self) -> impl Iterator<Item = (usize, i64)> {
+    fn stamped_rows(&self) -> impl Iterator<Item = (usize, i64)> {
         let rows = self.rows.iter().map(|row| (row, self.times.header[row]));
         rows.filter(|(_, stamp)| *stamp != 0)
     }
@@ -302,7 +304,7 @@ impl Part<'_> {
     fn steps_back(&self, offset_nanos: i64) -> Vec<(Stamp, f64)> {
         let mut steps = Vec::new();
         let mut before: Option<i64> = None;
-        for (_, stamp) in self.stamped() {
+        for (_, stamp) in self.stamped_rows() {
             if let Some(before) = before.filter(|before| stamp < *before) {
                 let at = Stamp::from_nanos(before.saturating_add(offset_nanos));
                 steps.push((at, seconds(before.saturating_sub(stamp))));
@@ -313,13 +315,13 @@ impl Part<'_> {
     }
 
     /// Rows that repeat a stamp, with the same and with different content.
-    fn repeated(&self) -> (usize, usize) {
-        if self.stamped().is_sorted_by(|a, b| a.1 < b.1) {
+    fn count_repeated(&self) -> (usize, usize) {
+        if self.stamped_rows().is_sorted_by(|a, b| a.1 < b.1) {
             return (0, 0);
         }
         let mut first: HashMap<i64, usize> = HashMap::new();
         let (mut same, mut other) = (0, 0);
-        for (row, stamp) in self.stamped() {
+        for (row, stamp) in self.stamped_rows() {
             match first.get(&stamp) {
                 Some(&earlier) if self.columns.is_same(earlier, row) => same += 1,
                 Some(_) => other += 1,

@@ -4,17 +4,17 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::run::arm::Arm;
-use crate::run::joints::{JointTopic, Samples};
+use crate::run::joints::{JointTopic, SortedSamples};
 use crate::time::Stamp;
 
-pub(super) struct Motion<'a> {
+pub(super) struct ArmMotion<'a> {
     pub joints: Vec<Positions<'a>>,
 }
 
 pub(super) type Positions<'a> = (Arc<[Stamp]>, Cow<'a, [f64]>);
 
-impl<'a> Motion<'a> {
-    pub(super) fn of(topics: &[JointTopic<'a>], arms: &[Arm]) -> Self {
+impl<'a> ArmMotion<'a> {
+    pub(super) fn new(topics: &[JointTopic<'a>], arms: &[Arm]) -> Self {
         let of_an_arm = |name: &str| {
             arms.is_empty()
                 || arms.iter().any(|arm| arm.joint_names.iter().any(|joint| joint == name))
@@ -28,7 +28,8 @@ impl<'a> Motion<'a> {
                     joints.push((Arc::clone(&stamps), Cow::Borrowed(joint.position.as_slice())));
                     continue;
                 }
-                let Samples { stamps, position, .. } = Samples::of(topic, &joint.name);
+                let SortedSamples { stamps, position, .. } =
+                    SortedSamples::from_topic(topic, &joint.name);
                 joints.push((stamps.into(), position.into()));
             }
         }
@@ -38,7 +39,7 @@ impl<'a> Motion<'a> {
     /// Whether a joint moved between two times; `None` if joint states cover less than half of the span.
     pub(super) fn moves(&self, start: Stamp, end: Stamp) -> Option<bool> {
         /// Minimum joint motion, rad or m: above noise, below 0.1 s of a working arm.
-        const MOVES: f64 = 5e-3;
+        const MIN_MOTION: f64 = 5e-3;
         let mut covered = false;
         for (stamps, position) in &self.joints {
             let from = stamps.partition_point(|&stamp| stamp <= start).saturating_sub(1);
@@ -53,7 +54,7 @@ impl<'a> Motion<'a> {
             let span = &position[from..=to];
             let low = span.iter().copied().fold(f64::INFINITY, f64::min);
             let high = span.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            if high - low > MOVES {
+            if high - low > MIN_MOTION {
                 return Some(true);
             }
         }

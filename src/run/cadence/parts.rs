@@ -4,27 +4,27 @@ use std::collections::HashSet;
 
 use crate::run::arm::Arm;
 use crate::run::role::is_detection_frame;
-use crate::run::tf_tree::without_slash;
+use crate::run::tf_tree::strip_slash;
 use crate::stream::{Columns, JointColumns, PoseColumns, Times};
 
-pub(super) struct Part<'a> {
+pub(super) struct CadencePart<'a> {
     /// Index of the stream's part.
     pub piece: usize,
     pub frame: Option<&'a str>,
-    pub wanted: bool,
+    pub is_audited: bool,
     pub times: &'a Times,
     /// Rows in receive order.
-    pub rows: Order,
-    pub columns: Piece<'a>,
+    pub rows: RowOrder,
+    pub columns: PartColumns<'a>,
 }
 
-pub(super) struct Order {
+pub(super) struct RowOrder {
     count: usize,
     /// `None` for all rows in log order, usually the receive order.
     rows: Option<Vec<usize>>,
 }
 
-impl Part<'_> {
+impl CadencePart<'_> {
     /// Whether both parts have the same times.
     pub fn has_times_of(&self, other: &Self) -> bool {
         self.rows.rows == other.rows.rows && self.times == other.times
@@ -34,25 +34,25 @@ impl Part<'_> {
     pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
         let (of_second, of_first): (Vec<usize>, Vec<usize>) =
             self.rows.iter().partition(|row| second.contains(row));
-        let other = Part {
-            rows: Order::of_receipt(self.times, of_second),
+        let other = CadencePart {
+            rows: RowOrder::by_receive_time(self.times, of_second),
             columns: self.columns.clone(),
             ..self
         };
-        [Part { rows: Order::of_receipt(self.times, of_first), ..self }, other]
+        [CadencePart { rows: RowOrder::by_receive_time(self.times, of_first), ..self }, other]
     }
 }
 
-impl Order {
-    fn of_all(times: &Times) -> Self {
+impl RowOrder {
+    fn all(times: &Times) -> Self {
         let count = times.len();
         match times.log.is_sorted() {
             true => Self { count, rows: None },
-            false => Self::of_receipt(times, (0..count).collect()),
+            false => Self::by_receive_time(times, (0..count).collect()),
         }
     }
 
-    fn of_receipt(times: &Times, mut rows: Vec<usize>) -> Self {
+    fn by_receive_time(times: &Times, mut rows: Vec<usize>) -> Self {
         rows.sort_by_key(|&row| times.log[row]);
         Self { count: rows.len(), rows: Some(rows) }
     }
@@ -68,71 +68,73 @@ impl Order {
 }
 
 #[derive(Clone)]
-pub(super) enum Piece<'a> {
+pub(super) enum PartColumns<'a> {
     Joints(&'a JointColumns),
     Poses(&'a PoseColumns),
     Numbers(Vec<&'a [[f64; 3]]>),
     Array(&'a [f64], usize),
 }
 
-impl Piece<'_> {
+impl PartColumns<'_> {
     /// Whether two rows have the same content.
     pub fn is_same(&self, a: usize, b: usize) -> bool {
         let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
         match self {
-            Piece::Joints(joints) => {
+            PartColumns::Joints(joints) => {
                 joints.joints.iter().all(|joint| same(joint.position[a], joint.position[b]))
             }
-            Piece::Poses(poses) => {
+            PartColumns::Poses(poses) => {
                 poses.xyz[a] == poses.xyz[b] && poses.q_xyzw[a] == poses.q_xyzw[b]
             }
-            Piece::Numbers(columns) => columns.iter().all(|column| column[a] == column[b]),
-            Piece::Array(values, width) => {
+            PartColumns::Numbers(columns) => columns.iter().all(|column| column[a] == column[b]),
+            PartColumns::Array(values, width) => {
                 values[a * width..(a + 1) * width] == values[b * width..(b + 1) * width]
             }
         }
     }
 }
 
-pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
-    let whole = |piece: usize, times: &'a Times, columns: Piece<'a>| Part {
+pub(super) fn split_parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<CadencePart<'a>> {
+    let whole = |piece: usize, times: &'a Times, columns: PartColumns<'a>| CadencePart {
         piece,
         frame: None,
-        wanted: true,
+        is_audited: true,
         times,
-        rows: Order::of_all(times),
+        rows: RowOrder::all(times),
         columns,
     };
     match columns {
         Columns::Joints(joints) if is_complete(joints) => {
-            vec![whole(0, &joints.times, Piece::Joints(joints))]
+            vec![whole(0, &joints.times, PartColumns::Joints(joints))]
         }
-        Columns::Joints(joints) => senders(joints)
+        Columns::Joints(joints) => rows_by_sender(joints)
             .into_iter()
-            .map(|rows| Part {
-                rows: Order::of_receipt(&joints.times, rows),
-                ..whole(0, &joints.times, Piece::Joints(joints))
+            .map(|rows| CadencePart {
+                rows: RowOrder::by_receive_time(&joints.times, rows),
+                ..whole(0, &joints.times, PartColumns::Joints(joints))
             })
             .collect(),
         Columns::Poses(poses) => {
             let poses = poses.iter().enumerate();
-            poses.map(|(piece, poses)| whole(piece, &poses.times, Piece::Poses(poses))).collect()
+            poses
+                .map(|(piece, poses)| whole(piece, &poses.times, PartColumns::Poses(poses)))
+                .collect()
         }
         Columns::Transforms(transforms) => {
             let transforms = transforms.iter().enumerate();
             transforms
-                .map(|(piece, poses)| Part {
-                    frame: Some(without_slash(&poses.child_frame_id)),
-                    wanted: is_of_an_arm(poses, arms),
-                    ..whole(piece, &poses.times, Piece::Poses(poses))
+                .map(|(piece, poses)| CadencePart {
+                    frame: Some(strip_slash(&poses.child_frame_id)),
+                    is_audited: is_of_an_arm(poses, arms),
+                    ..whole(piece, &poses.times, PartColumns::Poses(poses))
                 })
                 .collect()
         }
         Columns::Imu(imu) => {
-            vec![whole(0, &imu.times, Piece::Numbers(vec![&imu.gyro, &imu.accel]))]
+            vec![whole(0, &imu.times, PartColumns::Numbers(vec![&imu.gyro, &imu.accel]))]
         }
         Columns::Array(array) => {
-            vec![whole(0, &array.times, Piece::Array(&array.values, array.width))]
+            vec![whole(0, &array.times, PartColumns::Array(&array.values, array.width))]
         }
         Columns::Text(_) => Vec::new(),
     }
@@ -141,7 +143,7 @@ pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
 /// Whether a transform is between the arm's links; without an arm, whether it is no camera detection.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
-        (without_slash(&transform.frame_id), without_slash(&transform.child_frame_id));
+        (strip_slash(&transform.frame_id), strip_slash(&transform.child_frame_id));
     if arms.is_empty() {
         return !is_detection_frame(parent) && !is_detection_frame(child);
     }
@@ -153,7 +155,7 @@ fn is_complete(joints: &JointColumns) -> bool {
 }
 
 /// Groups rows by sender: joints that ever share a message have the same one.
-pub(super) fn senders(joints: &JointColumns) -> Vec<Vec<usize>> {
+pub(super) fn rows_by_sender(joints: &JointColumns) -> Vec<Vec<usize>> {
     let in_row = |row: usize| {
         let joints = joints.joints.iter().enumerate();
         joints.filter(move |(_, joint)| !joint.position[row].is_nan()).map(|(index, _)| index)

@@ -1,4 +1,4 @@
-use super::parts::senders;
+use super::parts::rows_by_sender;
 use super::*;
 use crate::run::Epoch;
 use crate::stream::{Columns, JointColumn, JointColumns, PoseColumns};
@@ -41,12 +41,12 @@ fn cadence(columns: &Columns) -> Cadence {
     let stamps: Vec<Stamp> =
         (0..1000).map(|row| Stamp::from_nanos((1_000_000 + 10 * row) * MS)).collect();
     let position: Vec<f64> = (0..1000).map(|row| 0.01 * f64::from(row.min(500))).collect();
-    let (parts, joints) = (parts(columns, &[]), vec![(stamps.into(), position.into())]);
-    parts[0].cadence(&parts[0].paced(&clock, &Motion { joints }))
+    let (parts, joints) = (split_parts(columns, &[]), vec![(stamps.into(), position.into())]);
+    parts[0].cadence(&parts[0].measure_period(&clock, &ArmMotion { joints }))
 }
 
 fn missing(cadence: &Cadence) -> usize {
-    cadence.holes.iter().map(|hole| hole.missing).sum()
+    cadence.missing_rows.iter().map(|hole| hole.count).sum()
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn a_steady_stream_has_its_period_and_nothing_else() {
         assert!(found.period_s.is_some_and(|period_s| (period_s - 0.01).abs() < 1e-4));
         assert_eq!((found.is_regular, found.bunched), (true, 0));
         assert_eq!((found.repeats, found.conflicts), (0, 0));
-        assert!(found.holes.is_empty() && found.lulls.is_empty(), "{found:?}");
+        assert!(found.missing_rows.is_empty() && found.slow_spans.is_empty(), "{found:?}");
         assert!(found.steps_back.is_empty(), "{found:?}");
     }
 }
@@ -68,11 +68,13 @@ fn silence_is_told_by_whether_the_arm_moves() {
         |from: i64| poses(move |row| (!(from..from + 60).contains(&row)).then(|| on_time(row)));
     for (from, moving) in [(200, true), (700, false)] {
         let found = cadence(&silent(from));
-        let [Hole { stretch, missing: 60, is_silent: true }] = found.holes.as_slice() else {
+        let [MissingRows { span: stretch, count: 60, is_silent: true }] =
+            found.missing_rows.as_slice()
+        else {
             panic!("{found:?}")
         };
         assert!((stretch.seconds() - 0.61).abs() < 1e-9, "{stretch:?}");
-        assert_eq!(stretch.moving, Some(moving));
+        assert_eq!(stretch.is_arm_moving, Some(moving));
     }
 }
 
@@ -83,7 +85,9 @@ fn a_clock_that_is_set_forward_is_no_silence() {
         Some((stamp + if row < 300 { 0 } else { 700 }, received))
     };
     let found = cadence(&poses(set));
-    let [Hole { is_silent: false, .. }] = found.holes.as_slice() else { panic!("{found:?}") };
+    let [MissingRows { is_silent: false, .. }] = found.missing_rows.as_slice() else {
+        panic!("{found:?}")
+    };
 }
 
 #[test]
@@ -114,20 +118,20 @@ fn a_loop_that_waits_between_its_rows_loses_none() {
     assert_eq!(missing(&waiting), 0, "{waiting:?}");
     let stalled =
         cadence(&poses(|row| Some((at(row) + 300 * i64::from(row >= 400), at(row) + 301))));
-    let [hole] = stalled.holes.as_slice() else { panic!("{stalled:?}") };
-    assert!((hole.stretch.seconds() - 0.31).abs() < 0.02, "{hole:?}");
+    let [hole] = stalled.missing_rows.as_slice() else { panic!("{stalled:?}") };
+    assert!((hole.span.seconds() - 0.31).abs() < 0.02, "{hole:?}");
 }
 
 #[test]
 fn a_lower_rate_over_seconds_is_a_lull() {
     let slow = |row: i64| (row < 600 || row % 4 == 0).then(|| on_time(row));
     let found = cadence(&poses(slow));
-    let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
+    let [stretch] = found.slow_spans.as_slice() else { panic!("{found:?}") };
     assert!((stretch.rate_hz - 25.0).abs() < 1.0 && stretch.seconds() > 3.5, "{stretch:?}");
     // Here every interval is long on its own.
     let crawls = |row: i64| (row < 700 || row % 20 == 0).then(|| on_time(row));
     let found = cadence(&poses(crawls));
-    let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
+    let [stretch] = found.slow_spans.as_slice() else { panic!("{found:?}") };
     assert!((stretch.rate_hz - 5.0).abs() < 0.5, "{stretch:?}");
 }
 
@@ -181,6 +185,6 @@ fn two_senders_on_one_topic_are_looked_at_apart() {
             joint.velocity.push(f64::NAN);
         }
     }
-    let rows: Vec<usize> = senders(&columns).iter().map(Vec::len).collect();
+    let rows: Vec<usize> = rows_by_sender(&columns).iter().map(Vec::len).collect();
     assert_eq!(rows, [100, 200]);
 }

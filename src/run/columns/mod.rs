@@ -92,9 +92,9 @@ impl<'a> ColumnSearch<'a> {
             _ => catalogue::entries().iter().collect(),
         };
         let arms = robots.into_iter().flat_map(|robot| {
-            let paths = skeleton::arms(robot, |_| true).into_iter();
+            let paths = skeleton::find_arm_paths(robot, |_| true).into_iter();
             paths.filter_map(|path| {
-                let tip = skeleton::tip(robot, path.end, robot.controller_tip.as_deref());
+                let tip = skeleton::select_tip(robot, path.end, robot.controller_tip.as_deref());
                 let chain = robot.chain(path.base, tip).ok()?;
                 let is_whole = chain.joint_names() == path.joints;
                 is_whole.then(|| ArmModel { name: robot.name.clone(), chain })

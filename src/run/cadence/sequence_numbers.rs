@@ -3,33 +3,34 @@
 //! ROS 1 numbers each publisher's messages; MCAP numbers messages as recorded, perhaps all topics together.
 //! So gaps count only if topics are numbered separately, and complete numbers prove nothing.
 
-const ENOUGH: usize = 20;
+const MIN_NUMBERS: usize = 20;
 /// Minimum share of steps of one, if the numbers count messages.
-const USUAL: f64 = 0.6;
+const MIN_STEP_OF_ONE_SHARE: f64 = 0.6;
 
 /// Rows missing from stream `index`; `None` if its numbers are unusable. `counted` has all streams' numbers
 /// in receive order.
-pub(super) fn skipped(counted: &[Vec<u32>], index: usize) -> Option<usize> {
+pub(super) fn count_skipped(counted: &[Vec<u32>], index: usize) -> Option<usize> {
     let own = counted.get(index).filter(|own| is_counted(own))?;
     let others = counted.iter().enumerate().filter(|(other, _)| *other != index);
     let mut others = others.map(|(_, other)| other).filter(|other| is_counted(other)).peekable();
     // A counter shared by two topics is useless for both.
     others.peek()?;
-    others.all(|other| are_apart(own, other)).then_some(())?;
+    others.all(|other| have_separate_counters(own, other)).then_some(())?;
     let steps = || own.windows(2).map(|pair| (pair[1] - pair[0]) as usize);
     let by_one = steps().filter(|step| *step == 1).count();
     let skipped: usize = steps().map(|step| step - 1).sum();
     // With more skipped than received, the sender restarted its counter.
-    (by_one as f64 > USUAL * own.len() as f64 && skipped < own.len()).then_some(skipped)
+    (by_one as f64 > MIN_STEP_OF_ONE_SHARE * own.len() as f64 && skipped < own.len())
+        .then_some(skipped)
 }
 
 fn is_counted(numbers: &[u32]) -> bool {
-    numbers.len() >= ENOUGH && numbers.windows(2).all(|pair| pair[0] < pair[1])
+    numbers.len() >= MIN_NUMBERS && numbers.windows(2).all(|pair| pair[0] < pair[1])
 }
 
 /// Whether two streams have separate counters. A shared one gives neither equal numbers nor disjoint
 /// ranges.
-fn are_apart(a: &[u32], b: &[u32]) -> bool {
+fn have_separate_counters(a: &[u32], b: &[u32]) -> bool {
     let (Some((a_first, a_last)), Some((b_first, b_last))) =
         (a.first().zip(a.last()), b.first().zip(b.last()))
     else {
@@ -51,29 +52,29 @@ mod tests {
     fn numbers_that_are_left_out_are_missing_rows() {
         let lossy = without(1..101, &[7, 8, 50]);
         let counted = [lossy, (1..201).collect(), (5000..5100).collect()];
-        let skipped: Vec<_> = (0..3).map(|index| skipped(&counted, index)).collect();
+        let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
         assert_eq!(skipped, [Some(3), Some(0), Some(0)]);
     }
 
     #[test]
     fn every_third_message_kept_says_nothing() {
         let counted = [without((0..300).step_by(3), &[30]), (1..201).collect()];
-        assert_eq!(skipped(&counted, 0), None);
+        assert_eq!(count_skipped(&counted, 0), None);
     }
 
     #[test]
     fn one_counter_for_two_topics_of_three_says_nothing_of_them() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
         let counted = [a, b, (1..201).collect()];
-        let skipped: Vec<_> = (0..3).map(|index| skipped(&counted, index)).collect();
+        let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
         assert_eq!(skipped, [None, None, Some(0)]);
     }
 
     #[test]
     fn one_counter_for_all_topics_says_nothing() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
-        assert_eq!([skipped(&[a, b], 0)], [None]);
-        assert_eq!(skipped(&[without(1..101, &[7])], 0), None);
+        assert_eq!([count_skipped(&[a, b], 0)], [None]);
+        assert_eq!(count_skipped(&[without(1..101, &[7])], 0), None);
     }
 
     #[test]
@@ -83,7 +84,7 @@ mod tests {
         let (square, anew) =
             ((1..100).map(|n| n * n).collect(), (1..60).chain(90_000..90_050).collect());
         for numbers in [none, back, square, anew] {
-            assert_eq!(skipped(&[numbers, other()], 0), None);
+            assert_eq!(count_skipped(&[numbers, other()], 0), None);
         }
     }
 }
