@@ -14,7 +14,7 @@ use poseaudit::boundary::catch_panic;
 use poseaudit::geometry::{Convention, Misinterpretation};
 use poseaudit::report::{Format, Report, Trouble, TroubleKind, Verdict};
 use poseaudit::run::{RobotSource, RunOptions};
-use poseaudit::synth::{Coding, Motion, ROBOT_DESCRIPTION, Scenario};
+use poseaudit::synth::{LoggedEncoding, Motion, ROBOT_DESCRIPTION, Scenario};
 use poseaudit::{Options, audit};
 
 #[path = "tables.rs"]
@@ -176,18 +176,18 @@ fn draw_scenario(draw: &mut ChoiceSource) -> Scenario {
     run.pose.timing.rate_hz = draw.choose(&[25.0, 50.0, 0.0]);
     run.tf.timing.rate_hz = draw.choose(&[12.5, 0.0, 50.0]);
     run.imu.timing.rate_hz = draw.choose(&[100.0, 0.0]);
-    run.description = draw.flag();
+    run.has_description = draw.flag();
     run.motion = if draw.flag() { Motion::Continuous } else { Motion::PickAndPlace };
     run.pose.timing.latency_s = draw.choose(&[0.0, 0.02]);
     run.joints.zero_offsets = vec![0.0, draw.choose(&[0.0, 0.02])];
     if draw.flag() {
         let misinterpretation =
             Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
-        run.pose.coding = Coding::Misread(misinterpretation);
+        run.pose.encoding = LoggedEncoding::Misinterpreted(misinterpretation);
     }
-    run.joints.in_degrees = draw.below(8) == 1;
-    run.pose.in_millimetres = draw.below(8) == 1;
-    run.pose.as_numbers = (draw.below(4) == 1).then_some(Convention::RotVec);
+    run.joints.is_in_degrees = draw.below(8) == 1;
+    run.pose.is_in_millimetres = draw.below(8) == 1;
+    run.pose.number_convention = (draw.below(4) == 1).then_some(Convention::RotVec);
     run.namespace = draw.choose(&["", "/left"]).to_owned();
     run
 }

@@ -23,7 +23,7 @@ fn rename_joints(run: Scenario, name: impl Fn(usize) -> String) -> Scenario {
         at.map_or(joint.to_owned(), &name)
     });
     let mut run = Scenario { robot: renamed.expect("distinct names"), ..run };
-    (run.description, run.tf.timing.rate_hz, run.tf.with_static) = (false, 0.0, false);
+    (run.has_description, run.tf.timing.rate_hz, run.tf.has_static) = (false, 0.0, false);
     run.imu.timing.rate_hz = 0.0;
     run.pose.frame_id = "cell".to_owned();
     run

@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use poseaudit::robot::Robot;
-use poseaudit::synth::{self, Camera, Gives, Giving, Scenario};
+use poseaudit::synth::{self, Camera, Scenario, SynthCompliance, SynthComplianceKind};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -126,25 +126,26 @@ impl Background {
         match self {
             Background::Ideal => {}
             Background::CoarseEncoders => {
-                run.joints.quantum = TAU / *choose(r, &[1024.0, 2048.0, 4096.0]);
+                run.joints.resolution = TAU / *choose(r, &[1024.0, 2048.0, 4096.0]);
             }
-            Background::Backlash => {
-                add_compliance(run, r, |r| (Giving::Play, r.random_range(0.02..0.1)))
-            }
+            Background::Backlash => add_compliance(run, r, |r| {
+                (SynthComplianceKind::Backlash, r.random_range(0.02..0.1))
+            }),
             Background::Sag => {
-                add_compliance(run, r, |r| (Giving::Sag, r.random_range(0.01..0.05)))
+                add_compliance(run, r, |r| (SynthComplianceKind::Sag, r.random_range(0.01..0.05)))
             }
             Background::Links => {
-                run.built = Some(build_with_deviations(run, r.random_range(0.05e-3..0.2e-3), r))
+                run.actual_robot =
+                    Some(build_with_deviations(run, r.random_range(0.05e-3..0.2e-3), r))
             }
             Background::Uncalibrated => {
                 let link_m = r.random_range(0.03e-3_f64.ln()..0.5e-3_f64.ln()).exp();
-                run.built = Some(build_with_deviations(run, link_m, r));
+                run.actual_robot = Some(build_with_deviations(run, link_m, r));
             }
-            Background::CoarseLinks => run.built = Some(build_with_deviations(run, 1e-3, r)),
+            Background::CoarseLinks => run.actual_robot = Some(build_with_deviations(run, 1e-3, r)),
             Background::RandomWalk => run.noise.pose_walk = (5e-5, 5e-5),
             Background::Camera => {
-                run.watch(*choose(r, &[Camera::InHand, Camera::InBase])).expect("a chain");
+                run.add_camera(*choose(r, &[Camera::InHand, Camera::InBase])).expect("a chain");
                 (run.noise.target_m, run.noise.target_rad) = (2e-4, 7e-4);
                 run.noise.far_m = 0.8;
             }
@@ -152,7 +153,7 @@ impl Background {
                 let plus_or_minus = |r: &mut Pcg64| r.random_range(-1.0..1.0);
                 run.imu.yaw_drift_rad_s = 0.1 * plus_or_minus(r) * DEGREE / 60.0;
                 run.imu.gyro_bias_rad_s = 0.05 * DEGREE * unit_vector(r);
-                run.imu.yaw_walk_rad_rt_s = 0.002 * DEGREE;
+                run.imu.yaw_walk_rad_per_sqrt_s = 0.002 * DEGREE;
                 run.imu.gyro_from_rate *= 1.0 + 0.01 * plus_or_minus(r);
             }
             Background::Pauses => {
@@ -179,11 +180,15 @@ pub fn gravity_loaded_joints(run: &Scenario) -> [usize; 2] {
 }
 
 /// Makes one or two joints compliant; `how` returns the kind and the magnitude in degrees.
-fn add_compliance(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, f64)) {
+fn add_compliance(
+    run: &mut Scenario,
+    r: &mut Pcg64,
+    how: impl Fn(&mut Pcg64) -> (SynthComplianceKind, f64),
+) {
     let [first, second] = gravity_loaded_joints(run);
     for joint in [Some(first), Some(second).filter(|_| r.random_bool(0.5))].into_iter().flatten() {
         let (how, by_deg) = how(r);
-        run.gives.push(Gives { joint, how, by_rad: by_deg * DEGREE });
+        run.compliance.push(SynthCompliance { joint, kind: how, amplitude_rad: by_deg * DEGREE });
     }
 }
 
@@ -192,7 +197,7 @@ fn is_beyond_calibration(run: &Scenario) -> bool {
     /// Limits of nominal kinematics, m and rad.
     const MAX_RMS_M_RAD: (f64, f64) = (10e-3, 0.5 * DEGREE);
     const CONFIGURATIONS: usize = 200;
-    let Some(built) = &run.built else { return false };
+    let Some(built) = &run.actual_robot else { return false };
     let nominal = chain(run);
     let built = chain(&Scenario { robot: built.clone(), ..run.clone() });
     let (mut m, mut rad) = (0.0, 0.0);

@@ -212,7 +212,7 @@ impl Case {
         let joints_hz = *choose(r, &rates);
         let pose_hz = if r.random_bool(0.7) { joints_hz } else { *choose(r, &rates) };
         run.joints.timing.rate_hz = joints_hz;
-        run.joints.with_velocity = r.random_bool(0.7);
+        run.joints.has_velocity = r.random_bool(0.7);
         run.pose.timing.rate_hz = pose_hz;
         run.pose.timing.phase_s = r.random_range(0.0..1.0 / pose_hz);
         if r.random_bool(0.3) {
@@ -402,7 +402,7 @@ fn repeated_value_latency(run: &Scenario) -> PlantedFault {
 
 /// Mean age of a pose, s.
 fn mean_age_s(run: &Scenario) -> f64 {
-    let Timing { rate_hz, new_hz, .. } = run.pose.timing;
+    let Timing { rate_hz, update_hz: new_hz, .. } = run.pose.timing;
     let rows = (run.duration_s * rate_hz) as u32;
     let ages = (0..rows).map(|row| {
         let sent_s = f64::from(row) / rate_hz;
@@ -424,7 +424,7 @@ impl fmt::Display for Case {
             self.motion,
             self.noise,
             run.joints.timing.rate_hz,
-            if run.joints.with_velocity { "" } else { " (no velocity)" },
+            if run.joints.has_velocity { "" } else { " (no velocity)" },
             run.pose.timing.rate_hz,
             run.duration_s,
             if run.tf.timing.phase_s == 0.0 { " tf=joints' stamps" } else { "" },

@@ -11,7 +11,10 @@ use poseaudit::geometry::{
     rotation_from_rotvec,
 };
 use poseaudit::robot::{Chain, JointKind};
-use poseaudit::synth::{self, Camera, Coding, Commands, Gives, Giving, Scenario, SecondPublisher};
+use poseaudit::synth::{
+    self, Camera, Commands, LoggedEncoding, Scenario, SecondPublisher, SynthCompliance,
+    SynthComplianceKind,
+};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -310,7 +313,7 @@ impl fmt::Display for PlantedFault {
     }
 }
 
-/// Plants one fault of `times` the first threshold, with a random sign.
+/// Plants one fault of `position_factor` the first threshold, with a random sign.
 pub fn plant(
     run: &mut Scenario,
     r: &mut Pcg64,
@@ -377,7 +380,7 @@ pub fn plant(
             };
             subject = Some(chain.joint_names()[joint].clone());
         }
-        FaultKind::Growth => run.pose.growth = amount,
+        FaultKind::Growth => run.pose.radial_scale_error = amount,
         FaultKind::Reference | FaultKind::Tool => {
             let (length_m, angle_rad) = match r.random_range(0..3) {
                 0 => (times * 1e-3, 0.0),
@@ -431,60 +434,64 @@ pub fn plant(
             let misinterpretation = *choose(r, &class.members);
             truth = TrueValue::Convention(misinterpretation);
             if kind == FaultKind::Misread {
-                run.pose.coding = Coding::Misread(misinterpretation);
+                run.pose.encoding = LoggedEncoding::Misinterpreted(misinterpretation);
             } else {
-                run.imu.coding = Coding::Misread(misinterpretation);
+                run.imu.encoding = LoggedEncoding::Misinterpreted(misinterpretation);
                 subject = imu_topic;
             }
         }
-        FaultKind::Wxyz => run.pose.coding = Coding::Slipped(quaternion_order_error(r)),
+        FaultKind::Wxyz => {
+            run.pose.encoding = LoggedEncoding::WrongQuaternionOrder(quaternion_order_error(r))
+        }
         FaultKind::ImuWxyz => {
-            run.imu.coding = Coding::Slipped(quaternion_order_error(r));
+            run.imu.encoding = LoggedEncoding::WrongQuaternionOrder(quaternion_order_error(r));
             subject = imu_topic;
         }
-        FaultKind::Transposed => run.pose.coding = Coding::Transposed,
-        FaultKind::Inverted => run.pose.coding = Coding::Inverted,
+        FaultKind::Transposed => run.pose.encoding = LoggedEncoding::Transposed,
+        FaultKind::Inverted => run.pose.encoding = LoggedEncoding::Inverted,
         FaultKind::ImuTransposed => {
-            run.imu.coding = Coding::Transposed;
+            run.imu.encoding = LoggedEncoding::Transposed;
             subject = imu_topic;
         }
         FaultKind::JointDegrees => {
-            run.joints.in_degrees = true;
+            run.joints.is_in_degrees = true;
             subject = joints_topic;
         }
         FaultKind::JointOrder => {
             run.joints.number_order = Some(wrong_joint_order(r, chain(run).dof()));
             subject = joints_topic;
         }
-        FaultKind::Millimetres => run.pose.in_millimetres = true,
-        FaultKind::LengthUnit => run.pose.times = *choose(r, &[100.0, 1.0 / 0.0254, 1e4, 10.0]),
+        FaultKind::Millimetres => run.pose.is_in_millimetres = true,
+        FaultKind::LengthUnit => {
+            run.pose.position_factor = *choose(r, &[100.0, 1.0 / 0.0254, 1e4, 10.0])
+        }
         FaultKind::Axes => run.pose.axes = Some(wrong_axes(r)),
-        FaultKind::Constant => run.pose.constant = Some((r.random_range(0..3), 0.0)),
+        FaultKind::Constant => run.pose.constant_coordinate = Some((r.random_range(0..3), 0.0)),
         FaultKind::Unset => {
-            run.pose.unset = Some(*choose(r, &[[0.0; 4], [0.0, 0.0, 0.0, 1.0]]));
+            run.pose.unset_quaternion = Some(*choose(r, &[[0.0; 4], [0.0, 0.0, 0.0, 1.0]]));
         }
         FaultKind::OwnFrame => run.pose.frame_id = run.tip.clone(),
         FaultKind::HeldPose => {
             let hz = run.pose.timing.rate_hz;
             let rows = *choose(r, &[2.0, 3.0, 5.0, 6.25]);
-            run.pose.timing.new_hz = hz / rows;
+            run.pose.timing.update_hz = hz / rows;
             (truth, times) = repeated_share(rows, &thresholds);
         }
         FaultKind::HeldJoints => {
             let hz = run.joints.timing.rate_hz;
             let rows = *choose(r, &[2.0, 4.0, 5.0]);
-            run.joints.timing.new_hz = hz / rows;
+            run.joints.timing.update_hz = hz / rows;
             (truth, times) = repeated_share(rows, &thresholds);
             subject = joints_topic;
         }
-        FaultKind::StuckPose => run.pose.stuck_s = Some(span_mid_run(run, r)),
+        FaultKind::StuckPose => run.pose.frozen_s = Some(span_mid_run(run, r)),
         FaultKind::StuckJoints => {
-            run.joints.stuck_s = Some(span_mid_run(run, r));
+            run.joints.frozen_s = Some(span_mid_run(run, r));
             subject = joints_topic;
         }
         FaultKind::ClockStep => {
             let by_s = sign * *choose(r, &[0.03, 0.08, 0.2, 0.5]);
-            run.pose.timing.step = Some((run.duration_s * r.random_range(0.3..0.7), by_s));
+            run.pose.timing.clock_step = Some((run.duration_s * r.random_range(0.3..0.7), by_s));
             has_no_value = true;
         }
         FaultKind::SecondTfDiffers => {
@@ -492,7 +499,7 @@ pub fn plant(
             let mut timing = run.tf.timing.clone();
             timing.rate_hz = *choose(r, &[timing.rate_hz, 30.0, 100.0]);
             timing.phase_s += 0.0041;
-            run.tf.second = Some(SecondPublisher { timing, moved: Some((joint, by)) });
+            run.tf.second = Some(SecondPublisher { timing, offset_joint: Some((joint, by)) });
             subject = None;
         }
         FaultKind::WrongArm => {
@@ -561,11 +568,11 @@ fn plant_change_or_other_stream(
                 let mut at_s = run.duration_s * r.random_range(0.1..0.2);
                 while at_s < 0.9 * run.duration_s {
                     let to_s = at_s + r.random_range(0.5..2.0);
-                    run.later.extend([(at_s, moved.clone()), (to_s, usual.clone())]);
+                    run.changes.extend([(at_s, moved.clone()), (to_s, usual.clone())]);
                     at_s = to_s + r.random_range(1.5..4.0);
                 }
             } else {
-                run.later = vec![(at_s, moved)];
+                run.changes = vec![(at_s, moved)];
             }
             TrueValue::Frame { length_m, angle_rad }
         }
@@ -593,36 +600,36 @@ fn plant_change_or_other_stream(
             TrueValue::Amount(1.0 / factor - 1.0)
         }
         FaultKind::GrowthChanges => {
-            change_from(run, at_s, |run| run.pose.growth += amount);
+            change_from(run, at_s, |run| run.pose.radial_scale_error += amount);
             TrueValue::Amount(amount)
         }
         FaultKind::OrderChanges => {
-            let coding = Coding::Slipped(quaternion_order_error(r));
-            change_from(run, at_s, |run| run.pose.coding = coding);
+            let coding = LoggedEncoding::WrongQuaternionOrder(quaternion_order_error(r));
+            change_from(run, at_s, |run| run.pose.encoding = coding);
             times = f64::INFINITY;
             TrueValue::NoValue
         }
         FaultKind::UnitChanges => {
-            change_from(run, at_s, |run| run.pose.in_millimetres = true);
+            change_from(run, at_s, |run| run.pose.is_in_millimetres = true);
             times = f64::INFINITY;
             TrueValue::NoValue
         }
         FaultKind::LatencyStep => {
-            run.pose.timing.ages = Some((at_s, at_s, amount));
+            run.pose.timing.latency_ramp = Some((at_s, at_s, amount));
             TrueValue::Amount(amount)
         }
         FaultKind::LatencyRamp => {
             let to_s = at_s + run.duration_s * r.random_range(0.1..0.25);
-            run.pose.timing.ages = Some((at_s, to_s, amount));
+            run.pose.timing.latency_ramp = Some((at_s, to_s, amount));
             TrueValue::Amount(amount.abs())
         }
         FaultKind::Play | FaultKind::Sag => {
             let (joint, how) = match kind {
-                FaultKind::Play => (joint, Giving::Play),
-                _ => (*choose(r, &gravity_loaded_joints(run)), Giving::Sag),
+                FaultKind::Play => (joint, SynthComplianceKind::Backlash),
+                _ => (*choose(r, &gravity_loaded_joints(run)), SynthComplianceKind::Sag),
             };
-            run.gives.retain(|gives| gives.joint != joint);
-            run.gives.push(Gives { joint, how, by_rad: amount.abs() });
+            run.compliance.retain(|gives| gives.joint != joint);
+            run.compliance.push(SynthCompliance { joint, kind: how, amplitude_rad: amount.abs() });
             subject = joint_name(joint);
             TrueValue::Amount(amount.abs())
         }
@@ -639,12 +646,16 @@ fn plant_change_or_other_stream(
             };
             let lever_m = (tip_at(1e-4) - tip_at(-1e-4)).norm() / 2e-4;
             let by_rad = 2_f64.sqrt() * amount.abs() / lever_m.max(0.05);
-            run.gives.retain(|gives| gives.joint != joint);
-            run.gives.push(Gives { joint, how: Giving::Vibrates(hz), by_rad });
+            run.compliance.retain(|gives| gives.joint != joint);
+            run.compliance.push(SynthCompliance {
+                joint,
+                kind: SynthComplianceKind::Vibration(hz),
+                amplitude_rad: by_rad,
+            });
             TrueValue::NoValue
         }
         FaultKind::VelocityScale => {
-            run.joints.with_velocity = true;
+            run.joints.has_velocity = true;
             let factor = match r.random_bool(0.5) {
                 true => 1.0 + amount,
                 false => {
@@ -663,8 +674,8 @@ fn plant_change_or_other_stream(
             TrueValue::Amount((factor - 1.0).abs())
         }
         FaultKind::VelocityLate => {
-            run.joints.with_velocity = true;
-            run.joints.velocity_late_s = *choose(r, &[0.08, 0.12, 0.2]);
+            run.joints.has_velocity = true;
+            run.joints.velocity_latency_s = *choose(r, &[0.08, 0.12, 0.2]);
             (subject, times) = (None, f64::INFINITY);
             TrueValue::NoValue
         }
@@ -679,19 +690,19 @@ fn plant_change_or_other_stream(
         FaultKind::TagSize => {
             if run.target.timing.rate_hz == 0.0 {
                 let camera = *choose(r, &[Camera::InHand, Camera::InBase]);
-                run.watch(camera).expect("a chain");
+                run.add_camera(camera).expect("a chain");
             }
             run.target.scale = *choose(r, &[0.5, 0.8, 0.9, 1.1, 1.25, 2.0]);
             (subject, times) = (target_topic, f64::INFINITY);
             TrueValue::NoValue
         }
         FaultKind::GyroDegrees => {
-            run.imu.gyro_times = 1_f64.to_degrees();
+            run.imu.gyro_factor = 1_f64.to_degrees();
             (subject, times) = (imu_topic, f64::INFINITY);
             TrueValue::NoValue
         }
         FaultKind::AccelInG => {
-            run.imu.force_times = *choose(r, &[1.0, 1e3]) / 9.80665;
+            run.imu.force_factor = *choose(r, &[1.0, 1e3]) / 9.80665;
             (subject, times) = (imu_topic, f64::INFINITY);
             TrueValue::NoValue
         }
@@ -704,7 +715,7 @@ fn plant_change_or_other_stream(
             times = times.max(5.0);
             let by_rad_s = amount.abs().max(times * thresholds[0].1);
             let tau_s = run.duration_s * r.random_range(0.1..0.25);
-            run.imu.gyro_warms_up = Some((by_rad_s * direction, tau_s));
+            run.imu.gyro_warm_up = Some((by_rad_s * direction, tau_s));
             subject = imu_topic;
             TrueValue::NoValue
         }
@@ -717,7 +728,7 @@ fn plant_change_or_other_stream(
         FaultKind::YawWarmsUp => {
             let by_rad = sign * times.max(2.0) * DEGREE;
             let tau_s = run.duration_s * r.random_range(0.1..0.25);
-            run.imu.yaw_warms_up = Some((by_rad, tau_s));
+            run.imu.yaw_warm_up = Some((by_rad, tau_s));
             (subject, times) = (imu_topic, f64::INFINITY);
             TrueValue::NoValue
         }
@@ -744,7 +755,7 @@ fn plant_change_or_other_stream(
 fn change_from(run: &mut Scenario, at_s: f64, other: impl Fn(&mut Scenario)) {
     let mut later = run.clone();
     other(&mut later);
-    run.later = vec![(at_s, later)];
+    run.changes = vec![(at_s, later)];
 }
 
 /// Share of repeated rows if each value is sent `rows` times, and its ratio to the threshold.

@@ -4,7 +4,7 @@
 use poseaudit::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject};
 use poseaudit::geometry::{Misinterpretation, misinterpretation_classes};
 use poseaudit::report::{self, Report};
-use poseaudit::synth::{self, Giving};
+use poseaudit::synth::{self, SynthComplianceKind};
 
 use crate::cases::Case;
 use crate::fault_kinds::{FaultKind, MIN_MAGNITUDE_TO_FIND, PlantedFault, TrueValue, chain};
@@ -307,14 +307,19 @@ fn true_value_without_fault(case: &Case, row: &CheckRow, is_jump: bool) -> f64 {
 
 /// Compliance of a row's joint, rad.
 fn true_compliance_rad(case: &Case, row: &CheckRow) -> Option<f64> {
-    let is_expected = |how: &Giving| {
-        matches!((row.code, how), ("MOT006", Giving::Play) | ("ZER003", Giving::Sag))
+    let is_expected = |how: &SynthComplianceKind| {
+        matches!(
+            (row.code, how),
+            ("MOT006", SynthComplianceKind::Backlash) | ("ZER003", SynthComplianceKind::Sag)
+        )
     };
     let joint = row.subject.joint.as_deref()?;
     let chain = chain(&case.scenario);
     let at = chain.joint_names().iter().position(|name| name == joint)?;
-    let mut gives = case.scenario.gives.iter();
-    gives.find(|gives| gives.joint == at && is_expected(&gives.how)).map(|gives| gives.by_rad)
+    let mut gives = case.scenario.compliance.iter();
+    gives
+        .find(|gives| gives.joint == at && is_expected(&gives.kind))
+        .map(|gives| gives.amplitude_rad)
 }
 
 /// Error and coverage of a row's interval, if both interval and truth are known.
@@ -353,7 +358,7 @@ pub fn check_intervals(case: &Case, row: &CheckRow) -> Vec<Interval> {
     // With a skew, the latency at mid-run is known only to milliseconds; with a change, it depends on the
     // part of the run.
     let timing = &case.scenario.pose.timing;
-    let has_varying_latency = timing.skew != 0.0 || timing.ages.is_some();
+    let has_varying_latency = timing.skew != 0.0 || timing.latency_ramp.is_some();
     if row.code == "LAT001"
         && has_varying_latency
         && row.subject.topic.as_deref() == Some(synth::POSE)

@@ -103,7 +103,7 @@ impl Derivatives {
         let step_s = run.duration_s / SAMPLES as f64;
         let times_s: Vec<f64> = (0..SAMPLES).map(|at| (at as f64 + 0.5) * step_s).collect();
         let rows = run.joints_at(&times_s).ok()?;
-        let quantum = run.joints.quantum * 0.3 + run.noise.joints;
+        let quantum = run.joints.resolution * 0.3 + run.noise.joints;
         let sigma_m = run.noise.pose_m.max(1e-6).hypot(quantum);
         let sigma_rad = run.noise.pose_rad.max(1e-6).hypot(quantum);
         let correlation = run.noise.correlation;

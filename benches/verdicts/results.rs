@@ -423,7 +423,7 @@ fn write_intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::R
             let how = if case.background.has_model_error() { ", model error" } else { "" };
             rows.entry((format!("{}{how}", one.code), planted.clone())).or_default().push(one);
             if verbose {
-                let velocity = case.scenario.joints.with_velocity;
+                let velocity = case.scenario.joints.has_velocity;
                 let velocity = if velocity { "with" } else { "without" };
                 for detail in [
                     format!("{}, {} noise", one.code, case.noise),

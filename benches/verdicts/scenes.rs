@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use poseaudit::geometry::{Convention, pose, rotation_from_rotvec};
 use poseaudit::robot::{Robot, catalogue};
-use poseaudit::synth::{self, Drive, Fold, Scenario, SecondPublisher, Timing};
+use poseaudit::synth::{self, JointWrapping, MovingBase, Scenario, SecondPublisher, Timing};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -246,7 +246,7 @@ impl Scene {
             }
             Scene::TwoNamespaces => {
                 run.tf.timing.rate_hz = 0.0;
-                run.tf.with_static = false;
+                run.tf.has_static = false;
                 run.imu.timing.rate_hz = 0.0;
                 let mut other = Scenario { seed: r.random(), ..run.clone() };
                 (run.namespace, other.namespace) = ("/left".to_owned(), "/right".to_owned());
@@ -262,12 +262,14 @@ impl Scene {
             }
             Scene::RailApart => {
                 start_joint_states_at(run, "rail_base");
-                run.joints.apart = Some((vec![0], "/rail/joint_states".to_owned()));
+                run.joints.separate_topic = Some((vec![0], "/rail/joint_states".to_owned()));
             }
             Scene::Waist => start_joint_states_at(run, "waist_base"),
             Scene::Folded => {
-                run.joints.fold = Some(*choose(r, &[Fold::PlusMinusPi, Fold::ZeroToTwoPi]));
-                let seam = if run.joints.fold == Some(Fold::PlusMinusPi) { PI } else { 0.0 };
+                run.joints.wrapping =
+                    Some(*choose(r, &[JointWrapping::PlusMinusPi, JointWrapping::ZeroToTwoPi]));
+                let seam =
+                    if run.joints.wrapping == Some(JointWrapping::PlusMinusPi) { PI } else { 0.0 };
                 let last_joint = run.home.len() - 1;
                 run.home[last_joint] = seam + r.random_range(-0.3..0.3);
             }
@@ -276,16 +278,21 @@ impl Scene {
                 let edge = Timing::every(*choose(r, &[30.0, 50.0]), 0.0061);
                 let frame_id = "odom".to_owned();
                 run.pose.frame_id = frame_id.clone();
-                run.drive = Some(Drive { frame_id, reach_m: 1.5, turn_rad: 0.8, edge });
+                run.moving_base = Some(MovingBase {
+                    frame_id,
+                    reach_m: 1.5,
+                    turn_rad: 0.8,
+                    transform_timing: edge,
+                });
             }
             Scene::TwoPublishers => {
                 let mut timing = run.tf.timing.clone();
                 timing.rate_hz = *choose(r, &[timing.rate_hz, 30.0, 100.0]);
                 timing.phase_s += 0.0037;
-                run.tf.second = Some(SecondPublisher { timing, moved: None });
+                run.tf.second = Some(SecondPublisher { timing, offset_joint: None });
             }
             Scene::Encoders => {
-                run.joints.quantum = 2.0 * PI / *choose(r, &[4096.0, 16384.0, 65536.0]);
+                run.joints.resolution = 2.0 * PI / *choose(r, &[4096.0, 16384.0, 65536.0]);
             }
             Scene::TrackerWorld | Scene::Marker => {
                 if self == Scene::Marker {
@@ -314,14 +321,14 @@ impl Scene {
                     (Convention::RPY, 1.0, false),
                 ];
                 let (convention, times, degrees) = *choose(r, &vendor_encodings);
-                run.pose.as_numbers = Some(convention);
-                (run.pose.times, run.pose.numbers_in_degrees) = (times, degrees);
+                run.pose.number_convention = Some(convention);
+                (run.pose.position_factor, run.pose.has_numbers_in_degrees) = (times, degrees);
             }
-            Scene::Catalogue => run.description = false,
+            Scene::Catalogue => run.has_description = false,
             Scene::CatalogueByPoses => {
-                run.description = false;
+                run.has_description = false;
                 run.tf.timing.rate_hz = 0.0;
-                run.tf.with_static = false;
+                run.tf.has_static = false;
                 run.imu.timing.rate_hz = 0.0;
             }
             Scene::ActiveTcp => {

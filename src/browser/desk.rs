@@ -3,8 +3,9 @@
 use std::io;
 
 use poseaudit::desk::{
-    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Style, Verdict, answer_as_json,
-    paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
+    DeskError, FrameCandidates, FrameNames, KnownEncoding, Pair, PoseText, ReconcileInput,
+    ReconcileVerdict, conversions_as_json, convert, parse_pose, reconcile, reconciliation_as_json,
+    write_conversions, write_reconciliation,
 };
 use poseaudit::report::Trouble;
 use poseaudit::run::load_robot;
@@ -28,40 +29,40 @@ pub struct PoseRequest {
 
 pub fn answer(request: &PoseRequest) -> Result<Answer, Trouble> {
     let style = |text: &Option<String>, place| {
-        let style: Option<Result<Style, DeskError>> = text.as_deref().map(str::parse);
+        let style: Option<Result<KnownEncoding, DeskError>> = text.as_deref().map(str::parse);
         style.transpose().map(Option::unwrap_or_default).map_err(trouble(place))
     };
     let coded = style(&request.coded, "how A is coded")?;
-    let a = paste(&request.pose).map_err(trouble("pose A"))?;
+    let a = parse_pose(&request.pose).map_err(trouble("pose A"))?;
     let Some(other) = &request.other else {
-        let sheets = sheet(&a, coded).map_err(trouble("pose A"))?;
-        let shown = write_text(|out| write_sheets(&sheets, &a, out));
+        let conversions = convert(&a, coded).map_err(trouble("pose A"))?;
+        let shown = write_text(|out| write_conversions(&conversions, &a, out));
         return Ok(Answer {
-            json: format!("{:#}", sheets_as_json(&sheets)),
+            json: format!("{:#}", conversions_as_json(&conversions)),
             shown,
             ..Answer::default()
         });
     };
-    let b = paste(other).map_err(trouble("pose B"))?;
+    let b = parse_pose(other).map_err(trouble("pose B"))?;
     let robot = request.robot.as_deref().map(load_robot).transpose()?;
-    let names = |of: &Pasted| FrameNames { parent: of.parent.clone(), child: of.child.clone() };
-    let question = Question {
-        is: coded,
-        but: style(&request.other_coded, "how B is coded")?,
-        frames: Corrections::of(robot.as_ref(), &names(&a), &names(&b)),
-        pairs: vec![Pair { is: a, but: b }],
+    let names = |of: &PoseText| FrameNames { parent: of.parent.clone(), child: of.child.clone() };
+    let question = ReconcileInput {
+        encoding_a: coded,
+        encoding_b: style(&request.other_coded, "how B is coded")?,
+        frames: FrameCandidates::from_robot(robot.as_ref(), &names(&a), &names(&b)),
+        pairs: vec![Pair { pose_a: a, pose_b: b }],
     };
     let answer = reconcile(&question).map_err(trouble("the poses"))?;
     Ok(Answer {
-        status: u8::from(answer.verdict == Verdict::Open),
+        status: u8::from(answer.verdict == ReconcileVerdict::Unexplained),
         error: None,
-        json: format!("{:#}", answer_as_json(&answer, 1)),
-        shown: write_text(|out| write_answer(&answer, 1, out)),
+        json: format!("{:#}", reconciliation_as_json(&answer, 1)),
+        shown: write_text(|out| write_reconciliation(&answer, 1, out)),
     })
 }
 
 fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
-    move |error| misuse(place, &error, error.advice())
+    move |error| misuse(place, &error, error.remedy())
 }
 
 fn write_text(write: impl FnOnce(&mut dyn io::Write) -> io::Result<()>) -> String {

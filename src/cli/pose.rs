@@ -5,8 +5,9 @@ use std::io::{self, Read};
 use std::path::PathBuf;
 
 use poseaudit::desk::{
-    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Style, Verdict, answer_as_json,
-    pairs_from_csv, paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
+    DeskError, FrameCandidates, FrameNames, KnownEncoding, Pair, PoseText, ReconcileInput,
+    ReconcileVerdict, conversions_as_json, convert, pairs_from_csv, parse_pose, reconcile,
+    reconciliation_as_json, write_conversions, write_reconciliation,
 };
 use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
@@ -119,8 +120,8 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         }
         ([pose], ..) => print_conventions(pose, args),
         ([_, _], ..) => {
-            let [is, but] = [0, 1].map(|at| paste(&poses[at]).map_err(trouble("POSE")));
-            reconcile_pairs(vec![Pair { is: is?, but: but? }], "POSE", args)
+            let [is, but] = [0, 1].map(|at| parse_pose(&poses[at]).map_err(trouble("POSE")));
+            reconcile_pairs(vec![Pair { pose_a: is?, pose_b: but? }], "POSE", args)
         }
         _ => {
             let place = if args.pairs.is_some() { "--pairs" } else { "--is, --but" };
@@ -139,11 +140,11 @@ fn pose_texts(args: &Args) -> Vec<String> {
 }
 
 fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
-    move |error| misuse(place, error.to_string(), error.advice())
+    move |error| misuse(place, error.to_string(), error.remedy())
 }
 
-fn style(option: &str, given: Option<&str>) -> Result<Style, Trouble> {
-    let style: Option<Result<Style, DeskError>> = given.map(str::parse);
+fn style(option: &str, given: Option<&str>) -> Result<KnownEncoding, Trouble> {
+    let style: Option<Result<KnownEncoding, DeskError>> = given.map(str::parse);
     style.transpose().map(Option::unwrap_or_default).map_err(trouble(option))
 }
 
@@ -169,19 +170,19 @@ fn print_conventions(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     let convention: Vec<&str> = args.from.as_deref().into_iter().chain(units).collect();
     let convention = (!convention.is_empty()).then(|| convention.join(","));
     let style = style("--from", convention.as_deref())?;
-    let pasted = paste(&text).map_err(trouble("POSE"))?;
-    let sheets = sheet(&pasted, style).map_err(trouble("POSE"))?;
+    let pose_text = parse_pose(&text).map_err(trouble("POSE"))?;
+    let conversions = convert(&pose_text, style).map_err(trouble("POSE"))?;
     output::emit(None, |out| match args.format {
-        Format::Json => writeln!(out, "{:#}", sheets_as_json(&sheets)),
-        Format::Text => write_sheets(&sheets, &pasted, out),
+        Format::Json => writeln!(out, "{:#}", conversions_as_json(&conversions)),
+        Format::Text => write_conversions(&conversions, &pose_text, out),
     })?;
     Ok(Outcome::Clean)
 }
 
 fn reconcile_pairs(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Trouble> {
-    let is: Vec<&Pasted> = pairs.iter().map(|pair| &pair.is).collect();
+    let is: Vec<&PoseText> = pairs.iter().map(|pair| &pair.pose_a).collect();
     let is = frame_names(&is, "--is-frames", args.is_frames.as_deref())?;
-    let but: Vec<&Pasted> = pairs.iter().map(|pair| &pair.but).collect();
+    let but: Vec<&PoseText> = pairs.iter().map(|pair| &pair.pose_b).collect();
     let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
     let robot = args.robot.as_deref().map(load_robot).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
@@ -193,32 +194,36 @@ fn reconcile_pairs(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome
             names.check(robot.as_ref()).map_err(trouble(option))?;
         }
     }
-    let question = Question {
-        is: style("--is-as", args.is_as.as_deref())?,
-        but: style("--but-as", args.but_as.as_deref())?,
-        frames: Corrections::of(robot.as_ref(), &is, &but),
+    let question = ReconcileInput {
+        encoding_a: style("--is-as", args.is_as.as_deref())?,
+        encoding_b: style("--but-as", args.but_as.as_deref())?,
+        frames: FrameCandidates::from_robot(robot.as_ref(), &is, &but),
         pairs,
     };
     let answer = reconcile(&question).map_err(trouble(place))?;
     output::emit(None, |out| match args.format {
-        Format::Text => write_answer(&answer, question.pairs.len(), out),
+        Format::Text => write_reconciliation(&answer, question.pairs.len(), out),
         Format::Json => {
-            writeln!(out, "{:#}", answer_as_json(&answer, question.pairs.len()))
+            writeln!(out, "{:#}", reconciliation_as_json(&answer, question.pairs.len()))
         }
     })?;
-    Ok(if answer.verdict == Verdict::Open { Outcome::Findings } else { Outcome::Clean })
+    Ok(if answer.verdict == ReconcileVerdict::Unexplained {
+        Outcome::Findings
+    } else {
+        Outcome::Clean
+    })
 }
 
 /// Frames given by `option`, otherwise of the pasted texts.
 fn frame_names(
-    pasted: &[&Pasted],
+    pose_text: &[&PoseText],
     option: &str,
     given: Option<&str>,
 ) -> Result<FrameNames, Trouble> {
     let Some(given) = given else {
-        let mut named = pasted.iter().map(|pasted| FrameNames {
-            parent: pasted.parent.clone(),
-            child: pasted.child.clone(),
+        let mut named = pose_text.iter().map(|pose_text| FrameNames {
+            parent: pose_text.parent.clone(),
+            child: pose_text.child.clone(),
         });
         let first = named.next().unwrap_or_default();
         if named.any(|other| other != first) {
@@ -254,8 +259,8 @@ fn read_pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
     }
     let pairs = args.is.iter().zip(&args.but).map(|(is, but)| {
         Ok(Pair {
-            is: paste(is).map_err(trouble("--is"))?,
-            but: paste(but).map_err(trouble("--but"))?,
+            pose_a: parse_pose(is).map_err(trouble("--is"))?,
+            pose_b: parse_pose(but).map_err(trouble("--but"))?,
         })
     });
     pairs.collect()

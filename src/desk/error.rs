@@ -19,18 +19,18 @@ pub enum DeskError {
     #[error("{count} numbers do not fit the form {form}")]
     CountOfForm { form: RotationEncoding, count: usize },
     #[error("{number:e} is too large for a pose")]
-    Beyond { number: f64 },
+    TooLarge { number: f64 },
     #[error("the poses have different lengths: {first} and {other} numbers")]
     Counts { first: usize, other: usize },
     #[error(
         "the matrix is not orthonormal: max |RᵀR − I| is {defect:.2e}; the nearest rotation is \
          x y z w {}",
-        digits(nearest_xyzw)
+        format_six_digits(nearest_xyzw)
     )]
     NotOrthonormal { defect: f64, nearest_xyzw: [f64; 4] },
     #[error("not a rotation matrix: its determinant is {determinant:.3}")]
     NoRotation { determinant: f64 },
-    #[error("the last row of the matrix is {}, not 0 0 0 1", digits(row))]
+    #[error("the last row of the matrix is {}, not 0 0 0 1", format_six_digits(row))]
     LastRow { row: [f64; 4] },
     #[error("the quaternion's norm is {norm:.4}, not 1")]
     Norm { norm: f64 },
@@ -41,7 +41,7 @@ pub enum DeskError {
     #[error("not a pose in YAML: {0}")]
     Yaml(String),
     #[error("the message has no {0}")]
-    Lacks(&'static str),
+    Missing(&'static str),
     #[error("the message contains {0} poses")]
     Several(usize),
     #[error("row {row}: {what}")]
@@ -52,7 +52,7 @@ pub enum DeskError {
 
 impl DeskError {
     /// Remedy as a short clause.
-    pub fn advice(&self) -> &'static str {
+    pub fn remedy(&self) -> &'static str {
         match self {
             Self::Form { .. } => {
                 "use rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns, axis-angle, \
@@ -66,7 +66,7 @@ impl DeskError {
                 "give 6 (position and three angles), 7 (and a quaternion), 9 (and two columns of the \
                  matrix), 12 or 16 (a matrix), or a rotation alone as 3, 4 or 9"
             }
-            Self::Beyond { .. } => "give lengths in m or mm and angles in rad or degrees",
+            Self::TooLarge { .. } => "give lengths in m or mm and angles in rad or degrees",
             Self::CountOfForm { .. } => "name the matching form, or omit it to have it inferred",
             Self::Counts { .. } => "use one form for all poses of a side",
             Self::NotOrthonormal { .. } => {
@@ -81,7 +81,7 @@ impl DeskError {
             }
             Self::Axis { .. } => "give a unit vector, then the angle",
             Self::Xml(_) => "paste the whole <origin …/>",
-            Self::Yaml(_) | Self::Lacks(_) => {
+            Self::Yaml(_) | Self::Missing(_) => {
                 "paste position and orientation as the topic prints them"
             }
             Self::Several(_) => "paste only one of them",
@@ -96,7 +96,7 @@ fn did_you_mean(nearest: &Option<String>) -> String {
 }
 
 /// Numbers with six digits, separated by spaces.
-fn digits(numbers: &[f64]) -> String {
+fn format_six_digits(numbers: &[f64]) -> String {
     let texts: Vec<String> = numbers.iter().map(|number| format!("{:.6}", number + 0.0)).collect();
     texts.join(" ")
 }

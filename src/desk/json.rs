@@ -1,6 +1,9 @@
 //! Pose desk results as JSON.
 
-use super::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
+use super::{
+    ConversionResult, EndTransform, Hypothesis, Inversion, NumberEncoding, ReconcileVerdict,
+    Reconciliation,
+};
 use crate::geometry::vendors::VendorUse;
 use crate::geometry::{Axes, Pose, xyz_of, xyzw_from_rotation};
 use serde_json::{Value, json};
@@ -16,12 +19,12 @@ fn pose_as_json(pose: &Pose) -> Value {
     })
 }
 
-fn reading_as_json(reading: &Reading) -> Value {
-    let angle = reading.form.has_angles().then(|| reading.angle.symbol());
+fn encoding_as_json(encoding: &NumberEncoding) -> Value {
+    let angle = encoding.rotation.has_angles().then(|| encoding.angle.symbol());
     json!({
-        "convention": reading.form.to_string(),
+        "convention": encoding.rotation.to_string(),
         "angles": angle,
-        "lengths": reading.has_position.then(|| reading.length.to_string()),
+        "lengths": encoding.has_position.then(|| encoding.length.to_string()),
     })
 }
 
@@ -39,43 +42,43 @@ fn uses_as_json(uses: &[&'static VendorUse]) -> Vec<Value> {
 }
 
 /// Converts the result for one pose.
-pub fn sheets_as_json(sheets: &Sheets) -> Value {
+pub fn conversions_as_json(conversions: &ConversionResult) -> Value {
     let schema = "poseaudit.pose/1";
-    match sheets {
-        Sheets::One(sheet) => {
-            let rows = sheet.rows.iter().map(|row| {
+    match conversions {
+        ConversionResult::Determined(conversions) => {
+            let rows = conversions.rows.iter().map(|row| {
                 let names = row
                     .names
                     .iter()
                     .map(|library| json!({"who": library.who, "name": library.name}));
                 json!({
-                    "convention": row.form.to_string(),
+                    "convention": row.rotation.to_string(),
                     "numbers": row.numbers,
                     "gimbal_margin_rad": row.gimbal_margin_rad,
                     "used_by": uses_as_json(&row.uses),
                     "called": names.collect::<Vec<_>>(),
                 })
             });
-            let worlds = sheet.worlds.iter().map(|(who, pose)| {
+            let worlds = conversions.worlds.iter().map(|(who, pose)| {
                 json!({"who": who, "xyz_m": xyz_of(pose), "xyzw": xyzw_from_rotation(&pose.rotation)})
             });
-            let code = sheet.code_of_numbers.iter().chain(&sheet.code_of_quaternion);
+            let code = conversions.numbers_code.iter().chain(&conversions.quaternion_code);
             let code = code.map(|line| json!({"library": line.library, "line": line.line}));
             json!({
                 "schema": schema,
-                "read_as": reading_as_json(&sheet.reading),
-                "notes": sheet.notes,
-                "has_position": sheet.has_position,
-                "pose": pose_as_json(&sheet.pose),
+                "read_as": encoding_as_json(&conversions.encoding),
+                "notes": conversions.notes,
+                "has_position": conversions.has_position,
+                "pose": pose_as_json(&conversions.pose),
                 "conventions": rows.collect::<Vec<_>>(),
                 "worlds": worlds.collect::<Vec<_>>(),
                 "code": code.collect::<Vec<_>>(),
             })
         }
-        Sheets::Several { candidates, notes } => {
+        ConversionResult::Ambiguous { candidates, notes } => {
             let candidates = candidates.iter().map(|candidate| {
                 json!({
-                    "read_as": reading_as_json(&candidate.reading),
+                    "read_as": encoding_as_json(&candidate.encoding),
                     "pose": pose_as_json(&candidate.pose),
                     "used_by": uses_as_json(&candidate.uses),
                 })
@@ -86,42 +89,42 @@ pub fn sheets_as_json(sheets: &Sheets) -> Value {
 }
 
 /// Converts the result for pairs of poses.
-pub fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
+pub fn reconciliation_as_json(answer: &Reconciliation, pairs: usize) -> Value {
     let hypotheses: Vec<Value> = answer.hypotheses.iter().map(hypothesis_as_json).collect();
-    let would_do = answer.would_do.as_ref().map(|would_do| {
+    let offsets = answer.single_pair_offsets.as_ref().map(|offsets| {
         json!({
-            "is_from_but": pose_as_json(&would_do.tool),
-            "but_from_is": pose_as_json(&would_do.base),
-            "is_translation": would_do.is_translation,
-            "apart": would_do.apart(),
+            "is_from_but": pose_as_json(&offsets.tool),
+            "but_from_is": pose_as_json(&offsets.base),
+            "is_translation": offsets.is_translation,
+            "apart": offsets.translation_text(),
         })
     });
     json!({
         "schema": "poseaudit.reconciled/1",
         "verdict": match answer.verdict {
-            Verdict::Reconciled => "reconciled",
-            Verdict::Ambiguous => "ambiguous",
-            Verdict::Open => "open",
+            ReconcileVerdict::Reconciled => "reconciled",
+            ReconcileVerdict::Ambiguous => "ambiguous",
+            ReconcileVerdict::Unexplained => "open",
         },
         "pairs": pairs,
-        "as_good": answer.as_good,
+        "as_good": answer.equally_good,
         "hypotheses": hypotheses,
-        "would_do": would_do,
+        "would_do": offsets,
         "tried": answer.tried,
-        "by_chance": answer.by_chance,
+        "by_chance": answer.expected_by_chance,
         "notes": answer.notes,
     })
 }
 
 /// `sense` is the key that gives the direction.
-fn end_as_json(end: &End, sense: &str) -> Value {
+fn end_as_json(end: &EndTransform, sense: &str) -> Value {
     let transform = pose_as_json(&end.transform());
     match end {
-        End::None => Value::Null,
-        End::Frames(frames) => {
-            json!({"is": frames.is, "but": frames.but, "arms": frames.arms, "also": frames.also, sense: transform})
+        EndTransform::None => Value::Null,
+        EndTransform::Frames(frames) => {
+            json!({"is": frames.frame_a, "but": frames.frame_b, "arms": frames.arms, "also": frames.also, sense: transform})
         }
-        End::Fitted(_) => json!({"fitted": true, sense: transform}),
+        EndTransform::Fitted(_) => json!({"fitted": true, sense: transform}),
     }
 }
 
@@ -129,18 +132,18 @@ fn hypothesis_as_json(hypothesis: &Hypothesis) -> Value {
     let equivalents = hypothesis
         .equivalents
         .iter()
-        .map(|[is, but]| json!({"is": reading_as_json(is), "but": reading_as_json(but)}));
+        .map(|[is, but]| json!({"is": encoding_as_json(is), "but": encoding_as_json(but)}));
     let residual = &hypothesis.residual;
     json!({
-        "is": reading_as_json(&hypothesis.is),
-        "but": reading_as_json(&hypothesis.but),
+        "is": encoding_as_json(&hypothesis.encoding_a),
+        "but": encoding_as_json(&hypothesis.encoding_b),
         "inversion": match hypothesis.inversion {
             Inversion::None => Value::Null,
             Inversion::Pose => "pose-inverse".into(),
             Inversion::Rotation => "transpose".into(),
         },
-        "misreading": hypothesis.misreading.map(|misreading| {
-            json!({"is": misreading.is.to_string(), "read_as": misreading.read_as.to_string()})
+        "misreading": hypothesis.misinterpretation.map(|misinterpretation| {
+            json!({"is": misinterpretation.is.to_string(), "read_as": misinterpretation.read_as.to_string()})
         }),
         "axes": (hypothesis.axes != Axes::STANDARD).then(|| hypothesis.axes.to_string()),
         "base": end_as_json(&hypothesis.base, "but_from_is"),
@@ -153,7 +156,7 @@ fn hypothesis_as_json(hypothesis: &Hypothesis) -> Value {
             "worst_rotation_rad": residual.worst_rotation_rad,
             "worst_position_m": residual.worst_position_m,
         },
-        "agrees": residual.agrees(),
+        "agrees": residual.is_agreement(),
         "score": hypothesis.score,
         "equivalents": equivalents.collect::<Vec<_>>(),
     })

@@ -1,30 +1,35 @@
-//! Pose desk: [`sheet()`] shows a pose in every convention; [`reconcile()`] explains the difference of two
+//! Pose desk: [`convert()`] shows a pose in every convention; [`reconcile()`] explains the difference of two
 //! poses.
 
-mod answer;
+mod conversions;
+mod encoding;
 mod error;
-mod fit;
-mod form;
-mod frames;
+mod fit_offsets;
+mod fixed_frames;
 mod json;
-mod labelled;
+mod labelled_numbers;
 mod pairs;
-mod paste;
+mod parse;
 mod reconcile;
+mod reconciliation;
 mod search;
-mod sheet;
 mod text;
 
 #[cfg(test)]
 mod tests;
 
-pub use answer::{Answer, End, Hypothesis, Inversion, Residual, Verdict, WouldDo};
+pub use conversions::{
+    ConventionRow, ConversionCandidate, ConversionResult, PoseConversions, convert,
+};
+pub use encoding::{KnownEncoding, NumberEncoding};
 pub use error::DeskError;
-pub use form::{Reading, Style};
-pub use frames::{Corrections, FixedFrame, FrameNames, World};
-pub use json::{answer_as_json, sheets_as_json};
+pub use fixed_frames::{FixedFrame, FrameCandidates, FrameNames, World};
+pub use json::{conversions_as_json, reconciliation_as_json};
 pub use pairs::{Pair, pairs_from_csv};
-pub use paste::{Pasted, paste};
-pub use reconcile::{Question, reconcile};
-pub use sheet::{Candidate, Row, Sheet, Sheets, sheet};
-pub use text::{write_answer, write_sheets};
+pub use parse::{PoseText, parse_pose};
+pub use reconcile::{ReconcileInput, reconcile};
+pub use reconciliation::{
+    EndTransform, Hypothesis, Inversion, ReconcileVerdict, Reconciliation, Residual,
+    SinglePairOffsets,
+};
+pub use text::{write_conversions, write_reconciliation};

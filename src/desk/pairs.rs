@@ -1,15 +1,15 @@
 //! Reads pairs of poses from CSV.
 
 use super::error::DeskError;
-use super::paste::{Pasted, paste};
+use super::parse::{PoseText, parse_pose};
 
 /// Two poses that should agree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
     /// Pose from one source.
-    pub is: Pasted,
+    pub pose_a: PoseText,
     /// Pose from the other source.
-    pub but: Pasted,
+    pub pose_b: PoseText,
 }
 
 /// Reads two columns with a pose each, with or without a header, or one column per number with names that
@@ -30,7 +30,7 @@ pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
         let of_row = |what: String| DeskError::Row { row, what };
         let record = record.map_err(|error| of_row(error.to_string()))?;
         if at == 0 {
-            sides = header(&record);
+            sides = header_columns(&record);
             if sides.is_some() {
                 continue;
             }
@@ -43,8 +43,9 @@ pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
             None if record.len() == 2 => [0, 1].map(|at| record[at].to_owned()),
             None => return Err(of_row(format!("it has {} columns", record.len()))),
         };
-        let [is, but] = cells.map(|cell| paste(&cell).map_err(|error| of_row(error.to_string())));
-        pairs.push(Pair { is: is?, but: but? });
+        let [is, but] =
+            cells.map(|cell| parse_pose(&cell).map_err(|error| of_row(error.to_string())));
+        pairs.push(Pair { pose_a: is?, pose_b: but? });
     }
     match pairs.is_empty() {
         true => Err(DeskError::NoPairs),
@@ -53,7 +54,7 @@ pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
 }
 
 /// Columns of each side.
-fn header(record: &csv::StringRecord) -> Option<[Vec<usize>; 2]> {
+fn header_columns(record: &csv::StringRecord) -> Option<[Vec<usize>; 2]> {
     let of = |side: &str| -> Vec<usize> {
         let names = record.iter().map(str::to_ascii_lowercase).enumerate();
         names.filter(|(_, name)| name.starts_with(side)).map(|(at, _)| at).collect()
@@ -67,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_cells_or_a_column_for_each_number() {
+    fn pairs_are_two_cells_or_one_column_per_number() {
         let quoted = "\"0 0 1 0 0 0 1\",\"p[0, 0, 1, 0, 0, 0]\"\n";
         let columns = "is_x,is_y,is_z,is_qx,is_qy,is_qz,is_qw,but_x,but_y,but_z,but_rx,but_ry,but_rz\n\
                        0,0,1,0,0,0,1,0,0,1,0,0,0\n";
@@ -75,13 +76,13 @@ mod tests {
         for text in [quoted, columns, &named] {
             let pairs = pairs_from_csv(text).unwrap();
             assert_eq!(pairs.len(), 1, "{text}");
-            assert_eq!(pairs[0].is.numbers, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-            assert_eq!(pairs[0].but.numbers, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+            assert_eq!(pairs[0].pose_a.numbers, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+            assert_eq!(pairs[0].pose_b.numbers, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
         }
     }
 
     #[test]
-    fn a_wrong_row_is_named() {
+    fn an_invalid_row_is_named() {
         let error =
             pairs_from_csv("is,but\n\"1 2 3\",\"1 2 3\"\n\"1 2 3\",\"1 x 3\"\n").unwrap_err();
         assert_eq!(error.to_string(), "row 3: `x` is not a number");

@@ -26,41 +26,52 @@ struct Asked<'a> {
 
 impl Asked<'_> {
     #[track_caller]
-    fn answer(&self) -> Answer {
-        answer(self, vec![Pair { is: paste(self.is).unwrap(), but: paste(self.but).unwrap() }])
+    fn answer(&self) -> Reconciliation {
+        answer(
+            self,
+            vec![Pair {
+                pose_a: parse_pose(self.is).unwrap(),
+                pose_b: parse_pose(self.but).unwrap(),
+            }],
+        )
     }
 }
 
 #[track_caller]
-fn answer(asked: &Asked, pairs: Vec<Pair>) -> Answer {
-    let style = |text: &str| match text {
-        "" => Style::default(),
+fn answer(asked: &Asked, pairs: Vec<Pair>) -> Reconciliation {
+    let known = |text: &str| match text {
+        "" => KnownEncoding::default(),
         text => text.parse().unwrap(),
     };
     let [a, b, c, d] = asked.frames.map(|name| (!name.is_empty()).then(|| name.to_owned()));
-    let frames = Corrections::of(
+    let frames = FrameCandidates::from_robot(
         catalogue::find(asked.robot),
         &FrameNames { parent: a, child: b },
         &FrameNames { parent: c, child: d },
     );
-    let question = Question { pairs, is: style(asked.is_as), but: style(asked.but_as), frames };
+    let question = ReconcileInput {
+        pairs,
+        encoding_a: known(asked.is_as),
+        encoding_b: known(asked.but_as),
+        frames,
+    };
     reconcile(&question).unwrap()
 }
 
-fn best(answer: &Answer) -> (String, String, Vec<String>) {
+fn best(answer: &Reconciliation) -> (String, String, Vec<String>) {
     let best = &answer.hypotheses[0];
-    (best.is.to_string(), best.but.to_string(), best.claims())
+    (best.encoding_a.to_string(), best.encoding_b.to_string(), best.claims())
 }
 
 #[track_caller]
-fn assert_read(answer: &Answer, is: &str, but: &str) {
+fn assert_read(answer: &Reconciliation, is: &str, but: &str) {
     let (found_is, found_but, claims) = best(answer);
     assert_eq!((found_is.as_str(), found_but.as_str()), (is, but), "{claims:?}");
 }
 
 #[track_caller]
-fn assert_plain(answer: &Answer) {
-    assert_eq!(answer.verdict, Verdict::Reconciled, "{:#?}", answer.hypotheses);
+fn assert_plain(answer: &Reconciliation) {
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled, "{:#?}", answer.hypotheses);
     assert!(best(answer).2.is_empty(), "{:?}", best(answer).2);
 }
 
@@ -75,12 +86,12 @@ fn ur10e_flange_against_the_pendant() {
     .answer();
     assert_read(&answer, "quat:xyzw, m", "euler:xyz, deg, mm");
     let first = &answer.hypotheses[0];
-    let End::Frames(tip) = &first.tip else { panic!("{:?}", first.claims()) };
-    assert_eq!((tip.is.as_str(), tip.but.as_str()), ("flange", "tool0"));
+    let EndTransform::Frames(tip) = &first.tip else { panic!("{:?}", first.claims()) };
+    assert_eq!((tip.frame_a.as_str(), tip.frame_b.as_str()), ("flange", "tool0"));
     assert!((first.residual.rotation_rad.to_degrees() - 0.22).abs() < 0.02, "{first:?}");
     assert!((first.residual.position_m.unwrap() - 0.0024).abs() < 0.0001, "{first:?}");
-    assert_eq!(answer.verdict, Verdict::Reconciled);
-    assert!(answer.hypotheses[1..].iter().all(|other| !other.residual.agrees()));
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
+    assert!(answer.hypotheses[1..].iter().all(|other| !other.residual.is_agreement()));
 }
 
 #[test]
@@ -131,7 +142,7 @@ fn abbs_quaternion_begins_with_w() {
     assert_read(&answer, "quat:xyzw, m", "quat:wxyz, mm");
     let same = Asked { but: asked.is, ..asked }.answer();
     assert_plain(&same);
-    let orders = same.hypotheses[0].equivalents[0].map(|reading| reading.form.to_string());
+    let orders = same.hypotheses[0].equivalents[0].map(|encoding| encoding.rotation.to_string());
     assert_eq!(orders, ["quat:wxyz", "quat:wxyz"]);
 }
 
@@ -146,10 +157,14 @@ fn fanucs_pendant_against_the_flange_of_ros_industrial() {
         ..Asked::default()
     }
     .answer();
-    let End::Frames(tip) = &answer.hypotheses[0].tip else { panic!("{:?}", best(&answer)) };
-    assert_eq!(tip.but, "tool0");
-    assert!(tip.is == "flange" || tip.also.iter().any(|also| also.starts_with("flange → tool0")));
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    let EndTransform::Frames(tip) = &answer.hypotheses[0].tip else {
+        panic!("{:?}", best(&answer))
+    };
+    assert_eq!(tip.frame_b, "tool0");
+    assert!(
+        tip.frame_a == "flange" || tip.also.iter().any(|also| also.starts_with("flange → tool0"))
+    );
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
 }
 
 #[test]
@@ -177,7 +192,7 @@ fn frankas_hand_stands_45_degrees_on_its_flange() {
     .answer();
     let claims = best(&answer).2;
     assert_eq!(claims, ["A is of fr3_link8, B of fr3_hand (Franka)"]);
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
 }
 
 #[test]
@@ -192,7 +207,7 @@ fn urs_base_is_turned_against_base_link() {
     };
     let answer = asked.answer();
     assert_eq!(best(&answer).2, ["A is in base_link, B in base (ur5e)"]);
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
     let unnamed = Asked { robot: "", frames: [""; 4], ..asked }.answer();
     let claim = &best(&unnamed).2[0];
     assert!(claim.starts_with("one is in ") && claim.contains("the other in "), "{claim}");
@@ -216,7 +231,7 @@ fn the_sample_of_jakas_sdk_against_forward_kinematics() {
 }
 
 #[test]
-fn an_inverse_is_told() {
+fn an_inverse_is_identified() {
     let answer = Asked {
         is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
         but: "-0.4368 0.5294 -0.6472 0.3762 0.0738 -0.7402 0.5524",
@@ -226,11 +241,11 @@ fn an_inverse_is_told() {
     }
     .answer();
     assert_eq!(answer.hypotheses[0].inversion, Inversion::Pose);
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
 }
 
 #[test]
-fn a_rotation_vector_that_was_read_as_euler_angles() {
+fn a_rotation_vector_interpreted_as_euler_angles_is_identified() {
     // As in mecheye_python_samples issue 44.
     let answer = Asked {
         is: "-0.0563 0.7802 0.5273 -0.3762 -0.0738 0.7402 0.5524",
@@ -240,37 +255,38 @@ fn a_rotation_vector_that_was_read_as_euler_angles() {
         ..Asked::default()
     }
     .answer();
-    let misreading = answer.hypotheses[0].misreading.expect("it is one");
-    let names = [misreading.is, misreading.read_as].map(|convention| convention.to_string());
+    let misinterpretation = answer.hypotheses[0].misinterpretation.expect("it is one");
+    let names =
+        [misinterpretation.is, misinterpretation.read_as].map(|convention| convention.to_string());
     assert_eq!(names, ["rotvec", "euler:ZYX"]);
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
 }
 
 #[test]
-fn several_pairs_find_a_tool_that_one_pair_only_suggests() {
+fn several_pairs_determine_a_tool_that_one_pair_suggests() {
     let asked = Asked { is_as: "ros", but_as: "ur", robot: "ur3e", ..Asked::default() };
     let pairs = pairs_from_csv(UR3E_WITH_TOOL).unwrap();
-    let alone = reconcile(&Question {
+    let alone = reconcile(&ReconcileInput {
         pairs: pairs[..1].to_vec(),
-        is: "ros".parse().unwrap(),
-        but: "ur".parse().unwrap(),
-        frames: Corrections::default(),
+        encoding_a: "ros".parse().unwrap(),
+        encoding_b: "ur".parse().unwrap(),
+        frames: FrameCandidates::default(),
     })
     .unwrap();
-    assert_eq!(alone.verdict, Verdict::Open);
-    assert!(alone.would_do.is_some());
+    assert_eq!(alone.verdict, ReconcileVerdict::Unexplained);
+    assert!(alone.single_pair_offsets.is_some());
 
     let answer = answer(&asked, pairs);
     let first = &answer.hypotheses[0];
-    let End::Fitted(tool) = &first.tip else { panic!("{:?}", first.claims()) };
+    let EndTransform::Fitted(tool) = &first.tip else { panic!("{:?}", first.claims()) };
     assert!((tool.translation.vector.norm() - 0.15156).abs() < 2e-4, "{tool}");
     assert!((tool.rotation.angle().to_degrees() - 30.0).abs() < 0.05, "{tool}");
-    assert_ne!(first.base, End::None, "{:?}", first.claims());
-    assert_eq!(answer.verdict, Verdict::Reconciled);
+    assert_ne!(first.base, EndTransform::None, "{:?}", first.claims());
+    assert_eq!(answer.verdict, ReconcileVerdict::Reconciled);
 }
 
 #[test]
-fn what_cannot_be_told_is_listed() {
+fn ambiguous_encodings_are_listed() {
     // About z, all Tait–Bryan orders and the rotation vector have one nonzero number.
     let answer = Asked {
         is: "0.3 0.1 0.5 0 0 0.7071 0.7071",
@@ -280,27 +296,27 @@ fn what_cannot_be_told_is_listed() {
     }
     .answer();
     let first = &answer.hypotheses[0];
-    assert_eq!(first.but.form.to_string(), "rotvec");
+    assert_eq!(first.encoding_b.rotation.to_string(), "rotvec");
     assert!(first.equivalents.len() >= 5, "{:?}", first.equivalents);
-    assert_eq!(answer.verdict, Verdict::Ambiguous);
+    assert_eq!(answer.verdict, ReconcileVerdict::Ambiguous);
 }
 
 #[test]
-fn a_second_pair_narrows_it() {
+fn a_second_pair_removes_the_ambiguity() {
     let text = "\
 0.3 0.1 0.5 0 0 0.7071 0.7071,300 100 500 90 0 0
 -0.3033 -0.1710 1.1298 -0.0208 0.0450 -0.9155 0.3992,-303.34 -170.99 1129.84 -132.88 -0.12 -5.68
 ";
     let pairs = pairs_from_csv(text).unwrap();
     let asked = Asked { is_as: "ros", ..Asked::default() };
-    assert_eq!(answer(&asked, pairs[..1].to_vec()).verdict, Verdict::Ambiguous);
+    assert_eq!(answer(&asked, pairs[..1].to_vec()).verdict, ReconcileVerdict::Ambiguous);
     let answer = answer(&asked, pairs);
     assert_plain(&answer);
     assert_read(&answer, "quat:xyzw, m", "euler:ZYX, deg, mm");
 }
 
 #[test]
-fn lock_and_rounding_are_said() {
+fn gimbal_lock_and_rounding_are_noted() {
     let answer = Asked {
         is: "0.5 0 0 0.13 0.6 -0.37 0.7",
         but: "500 0 0 10 88 20",
@@ -314,7 +330,7 @@ fn lock_and_rounding_are_said() {
 }
 
 #[test]
-fn units_that_the_numbers_contradict_are_said_in_the_reading() {
+fn unusual_units_are_stated_in_the_encoding() {
     let answer = Asked {
         is: "0.3 0.1 0.5 0 0 0.0436 0.9990",
         but: "0.3 0.1 0.5 0 0 5",
@@ -326,7 +342,7 @@ fn units_that_the_numbers_contradict_are_said_in_the_reading() {
 }
 
 #[test]
-fn one_pair_suggests_a_tool_and_claims_none() {
+fn one_pair_suggests_a_tool_without_claiming_it() {
     let answer = Asked {
         is: "0.246 -0.249 0.619 0 0.7071 0 0.7071",
         but: "0.436 -0.249 0.619 0 0.7071 0 0.7071",
@@ -335,15 +351,15 @@ fn one_pair_suggests_a_tool_and_claims_none() {
         ..Asked::default()
     }
     .answer();
-    assert_eq!(answer.verdict, Verdict::Open);
+    assert_eq!(answer.verdict, ReconcileVerdict::Unexplained);
     assert_read(&answer, "quat:xyzw, m", "quat:xyzw, m");
-    let would_do = answer.would_do.unwrap();
-    assert_eq!(would_do.apart().as_deref(), Some("190.0 mm along tool z or base x"));
+    let would_do = answer.single_pair_offsets.unwrap();
+    assert_eq!(would_do.translation_text().as_deref(), Some("190.0 mm along tool z or base x"));
     assert!((would_do.tool.translation.vector.z - 0.19).abs() < 1e-4, "{}", would_do.tool);
 }
 
 #[test]
-fn poses_that_have_nothing_in_common_stay_open() {
+fn unrelated_poses_stay_unexplained() {
     let answer = Asked {
         is: "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862",
         but: "0.8 0.1 0.2 0.51 0.13 0.61 0.59",
@@ -352,17 +368,17 @@ fn poses_that_have_nothing_in_common_stay_open() {
         ..Asked::default()
     }
     .answer();
-    assert_eq!(answer.verdict, Verdict::Open, "{:?}", answer.hypotheses[0]);
-    assert!(answer.would_do.is_some());
+    assert_eq!(answer.verdict, ReconcileVerdict::Unexplained, "{:?}", answer.hypotheses[0]);
+    assert!(answer.single_pair_offsets.is_some());
 }
 
 #[test]
-fn a_vendors_name_stands_for_its_form_and_units() {
-    let kuka: Style = "kuka".parse().unwrap();
-    assert_eq!(kuka.form.map(|form| form.to_string()).as_deref(), Some("euler:ZYX"));
+fn a_vendor_name_implies_encoding_and_units() {
+    let kuka: KnownEncoding = "kuka".parse().unwrap();
+    assert_eq!(kuka.rotation.map(|form| form.to_string()).as_deref(), Some("euler:ZYX"));
     let (mm, degrees) = (Some(LengthScale::MILLIMETRE), Some(AngleUnit::Degree));
     assert_eq!((kuka.units.length, kuka.units.angle), (mm, degrees));
-    assert!("kuka,rad,deg".parse::<Style>().is_err());
-    let in_radians: Style = "kuka,rad".parse().unwrap();
+    assert!("kuka,rad,deg".parse::<KnownEncoding>().is_err());
+    let in_radians: KnownEncoding = "kuka,rad".parse().unwrap();
     assert_eq!((in_radians.units.length, in_radians.units.angle), (mm, Some(AngleUnit::Radian)));
 }

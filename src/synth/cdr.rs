@@ -17,11 +17,11 @@ impl CdrWriter {
     }
 
     pub(super) fn u32(&mut self, value: u32) {
-        self.aligned(value.to_le_bytes());
+        self.push_aligned(value.to_le_bytes());
     }
 
     pub(super) fn f64(&mut self, value: f64) {
-        self.aligned(value.to_le_bytes());
+        self.push_aligned(value.to_le_bytes());
     }
 
     /// Array of fixed length, or consecutive fields.
@@ -32,19 +32,19 @@ impl CdrWriter {
     }
 
     pub(super) fn f64_sequence(&mut self, values: &[f64]) {
-        self.count(values.len());
+        self.sequence_length(values.len());
         for &value in values {
             self.f64(value);
         }
     }
 
     pub(super) fn string(&mut self, text: &str) {
-        self.count(text.len() + 1);
+        self.sequence_length(text.len() + 1);
         self.0.extend(text.as_bytes());
         self.0.push(0);
     }
 
-    pub(super) fn count(&mut self, count: usize) {
+    pub(super) fn sequence_length(&mut self, count: usize) {
         self.u32(u32::try_from(count).expect("a message has fewer than 2^32 elements"));
     }
 
@@ -57,7 +57,7 @@ impl CdrWriter {
         self.string(frame_id);
     }
 
-    fn aligned<const N: usize>(&mut self, bytes: [u8; N]) {
+    fn push_aligned<const N: usize>(&mut self, bytes: [u8; N]) {
         let body = self.0.len() - Self::ENCAPSULATION.len();
         self.0.resize(Self::ENCAPSULATION.len() + body.next_multiple_of(N), 0);
         self.0.extend(bytes);
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_stand_at_multiples_of_their_size() {
+    fn numbers_are_aligned_to_their_size() {
         let mut cdr = CdrWriter::new();
         cdr.string("ab");
         cdr.u32(7);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_sequence_is_its_count() {
+    fn an_empty_sequence_is_only_its_length() {
         let mut cdr = CdrWriter::new();
         cdr.f64_sequence(&[]);
         cdr.f64_sequence(&[]);

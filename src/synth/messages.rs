@@ -14,7 +14,7 @@ pub(super) enum Topic {
     RobotDescription,
     TfStatic,
     JointStates,
-    JointsApart,
+    SeparateJoints,
     Imu,
     Pose,
     Numbers,
@@ -31,7 +31,7 @@ impl Topic {
         match self {
             Self::RobotDescription => ROBOT_DESCRIPTION,
             Self::TfStatic => TF_STATIC,
-            Self::JointStates | Self::JointsApart => JOINT_STATES,
+            Self::JointStates | Self::SeparateJoints => JOINT_STATES,
             Self::Imu => IMU,
             Self::Pose | Self::Leader => POSE,
             Self::Numbers => NUMBERS,
@@ -47,7 +47,7 @@ impl Topic {
         match self {
             Self::RobotDescription => "std_msgs/msg/String",
             Self::TfStatic | Self::Tf => "tf2_msgs/msg/TFMessage",
-            Self::JointStates | Self::JointsApart | Self::CommandedJoints => {
+            Self::JointStates | Self::SeparateJoints | Self::CommandedJoints => {
                 "sensor_msgs/msg/JointState"
             }
             Self::Imu => "sensor_msgs/msg/Imu",
@@ -66,7 +66,7 @@ impl Topic {
                 "geometry_msgs/TransformStamped[] transforms\n",
                 &[TRANSFORM_STAMPED, HEADER, TIME, TRANSFORM, VECTOR3, QUATERNION],
             ),
-            Self::JointStates | Self::JointsApart | Self::CommandedJoints => (
+            Self::JointStates | Self::SeparateJoints | Self::CommandedJoints => (
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
                  float64[] effort\n",
                 &[HEADER, TIME],
@@ -153,7 +153,7 @@ pub(super) fn joint_state(
 ) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
     cdr.header(stamp, "");
-    cdr.count(names.len());
+    cdr.sequence_length(names.len());
     for name in names {
         cdr.string(name);
     }
@@ -174,15 +174,15 @@ pub(super) fn pose_stamped(stamp: Stamp, frame_id: &str, pose: LoggedPose) -> Ve
 /// `Float64MultiArray` without dimensions.
 pub(super) fn numbers(data: &[f64]) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
-    cdr.count(0);
-    cdr.count(0);
+    cdr.sequence_length(0);
+    cdr.sequence_length(0);
     cdr.f64_sequence(data);
     cdr.finish()
 }
 
 pub(super) fn tf_message(stamp: Stamp, transforms: &[LoggedTransform]) -> Vec<u8> {
     let mut cdr = CdrWriter::new();
-    cdr.count(transforms.len());
+    cdr.sequence_length(transforms.len());
     for transform in transforms {
         cdr.header(stamp, transform.parent);
         cdr.string(transform.child);

@@ -5,13 +5,13 @@
 //! in one does not change the others.
 
 mod cdr;
-mod gives;
+mod compliance;
 mod messages;
 mod motion;
 mod noise;
 mod path;
-mod recorded;
 mod reference;
+mod stream_settings;
 mod streams;
 mod structure;
 mod target;
@@ -31,15 +31,19 @@ use crate::geometry::{Convention, Misinterpretation, Pose, Vec3, pose, rotation_
 use crate::robot::{ChainError, Robot, catalogue};
 use crate::time::Stamp;
 
-pub use gives::{Gives, Giving};
+pub use compliance::{SynthCompliance, SynthComplianceKind};
 use messages::Topic;
 pub use motion::Motion;
 pub use noise::Noise;
-pub use path::Lines;
-pub use recorded::{Coding, ImuStream, JointStream, OtherTransform, PoseStream, TfStream, Timing};
+pub use path::LineMotion;
 pub use reference::{Commands, ReferenceStream};
-pub use structure::{Drive, Fold, LeaderStream, SecondPublisher, ToolSlip, write_cell};
-pub use target::{Camera, Swapped, TargetStream};
+pub use stream_settings::{
+    ImuStream, JointStream, LoggedEncoding, OtherTransform, PoseStream, TfStream, Timing,
+};
+pub use structure::{
+    JointWrapping, LeaderStream, MovingBase, SecondPublisher, ToolSlip, write_cell,
+};
+pub use target::{BodyAxesPart, Camera, TargetStream};
 pub use task::Task;
 use truth::Truth;
 pub use urdf::urdf_text;
@@ -107,11 +111,11 @@ pub struct Scenario {
     /// Extra rest at every fourth configuration, s.
     pub pause_s: f64,
     /// Final stop during a motion.
-    pub stop: Option<Stop>,
+    pub final_stop: Option<FinalStop>,
     /// Oscillation of a joint.
-    pub shake: Option<Shake>,
+    pub oscillation: Option<JointOscillation>,
     /// Joints with compliance.
-    pub gives: Vec<Gives>,
+    pub compliance: Vec<SynthCompliance>,
     /// Noise of the streams.
     pub noise: Noise,
     /// Joint states.
@@ -134,20 +138,20 @@ pub struct Scenario {
     /// base. `home`, offsets and orders count from it. Not in the IMU's motion.
     pub root: Option<String>,
     /// Motion of the root; not in the IMU's motion.
-    pub drive: Option<Drive>,
+    pub moving_base: Option<MovingBase>,
     /// Whether to log the URDF.
-    pub description: bool,
+    pub has_description: bool,
     /// Actual arm, if not the nominal `robot`; same links and joints. Pose stream, target and IMU use it;
     /// /tf and description do not.
-    pub built: Option<Robot>,
+    pub actual_robot: Option<Robot>,
     /// Changes of the stream contents: times, s after the start, in order, and the scenario from then on.
     /// Motion, noise and stamps stay.
-    pub later: Vec<(f64, Scenario)>,
+    pub changes: Vec<(f64, Scenario)>,
 }
 
 /// Stop during the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stop {
+pub struct FinalStop {
     /// When a joint is fastest within 3 s after this time, s after the start.
     pub after_s: f64,
     /// Deceleration of that joint, rad/s² or m/s².
@@ -156,7 +160,7 @@ pub struct Stop {
 
 /// Oscillation of a joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Shake {
+pub struct JointOscillation {
     /// Joint, from the base.
     pub joint: usize,
     /// In rad or m.
@@ -194,48 +198,48 @@ impl Scenario {
             amplitude: 1.2,
             speed: 1.2,
             pause_s: 0.0,
-            stop: None,
-            shake: None,
-            gives: Vec::new(),
+            final_stop: None,
+            oscillation: None,
+            compliance: Vec::new(),
             noise: Noise::default(),
             joints: JointStream {
                 timing: Timing::every(125.0, 0.0),
-                with_velocity: true,
-                velocity_late_s: 0.0,
+                has_velocity: true,
+                velocity_latency_s: 0.0,
                 velocity_scales: Vec::new(),
                 zero_offsets: Vec::new(),
                 scales: Vec::new(),
-                in_degrees: false,
+                is_in_degrees: false,
                 number_order: None,
-                fold: None,
-                quantum: 0.0,
-                apart: None,
-                stuck_s: None,
+                wrapping: None,
+                resolution: 0.0,
+                separate_topic: None,
+                frozen_s: None,
             },
             pose: PoseStream {
                 timing: Timing::every(125.0, 0.0037),
                 frame_id: base.to_owned(),
                 reference_from_stream: Pose::identity(),
                 tip_from_stream: Pose::identity(),
-                slip: None,
-                growth: 0.0,
-                coding: Coding::Faithful,
-                inverted: false,
-                in_millimetres: false,
-                times: 1.0,
+                tool_slip: None,
+                radial_scale_error: 0.0,
+                encoding: LoggedEncoding::Correct,
+                is_inverted: false,
+                is_in_millimetres: false,
+                position_factor: 1.0,
                 axes: None,
-                constant: None,
-                unset: None,
+                constant_coordinate: None,
+                unset_quaternion: None,
                 quaternion_norm: 1.0,
-                as_numbers: None,
-                numbers_in_degrees: false,
-                strays: Vec::new(),
-                stuck_s: None,
+                number_convention: None,
+                has_numbers_in_degrees: false,
+                outliers: Vec::new(),
+                frozen_s: None,
             },
             tf: TfStream {
                 timing: Timing::every(50.0, 0.0083),
-                coding: Coding::Faithful,
-                with_static: true,
+                encoding: LoggedEncoding::Correct,
+                has_static: true,
                 second: None,
                 others: Vec::new(),
             },
@@ -246,29 +250,29 @@ impl Scenario {
                     rotation_from_rotvec(Vec3::new(0.1, -0.2, 0.4)),
                 ),
                 mount_error: Pose::identity(),
-                with_orientation: true,
+                has_orientation: true,
                 world_yaw_rad: 0.6,
                 yaw_drift_rad_s: 0.0,
                 yaw_jumps: Vec::new(),
-                yaw_walk_rad_rt_s: 0.0,
+                yaw_walk_rad_per_sqrt_s: 0.0,
                 gyro_bias_rad_s: Vec3::zeros(),
                 gyro_from_rate: Matrix3::identity(),
-                gyro_warms_up: None,
-                yaw_warms_up: None,
+                gyro_warm_up: None,
+                yaw_warm_up: None,
                 yaw_by_heading: [(0.0, 0.0); 2],
-                gyro_times: 1.0,
-                force_times: 1.0,
-                coding: Coding::Faithful,
+                gyro_factor: 1.0,
+                force_factor: 1.0,
+                encoding: LoggedEncoding::Correct,
             },
-            target: TargetStream::none(),
-            reference: ReferenceStream::none(base),
-            leader: LeaderStream::none(),
+            target: TargetStream::disabled(),
+            reference: ReferenceStream::disabled(base),
+            leader: LeaderStream::disabled(),
             namespace: String::new(),
             root: None,
-            drive: None,
-            description: true,
-            built: None,
-            later: Vec::new(),
+            moving_base: None,
+            has_description: true,
+            actual_robot: None,
+            changes: Vec::new(),
         }
     }
 
@@ -286,7 +290,7 @@ impl Scenario {
     /// If there is no chain between `base` and `tip`, or `out` cannot be written.
     ///
     /// # Panics
-    /// If `motion` or `shake` names a joint outside the chain, or `number_order` is no permutation.
+    /// If `motion` or `oscillation` names a joint outside the chain, or `number_order` is no permutation.
     pub fn write_mcap(
         &self,
         out: impl Write + Seek,
@@ -304,15 +308,15 @@ impl Scenario {
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
-    fn at(&self, time_s: f64) -> &Scenario {
-        let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
-        begun.checked_sub(1).map_or(self, |last| &self.later[last].1)
+    fn scenario_at(&self, time_s: f64) -> &Scenario {
+        let begun = self.changes.partition_point(|(from_s, _)| *from_s <= time_s);
+        begun.checked_sub(1).map_or(self, |last| &self.changes[last].1)
     }
 
     fn name_of(&self, topic: Topic) -> String {
-        let own = match (topic, &self.joints.apart) {
+        let own = match (topic, &self.joints.separate_topic) {
             (Topic::Leader, _) => &self.leader.topic,
-            (Topic::JointsApart, Some((_, name))) => name,
+            (Topic::SeparateJoints, Some((_, name))) => name,
             _ => topic.name(),
         };
         match topic {
@@ -332,10 +336,10 @@ fn write(
         let truth = Truth::new(arm)?;
         let said = [
             streams::messages(arm, &truth),
-            target::sightings(arm, &truth),
-            reference::commands(arm, &truth),
-            structure::driving(arm),
-            structure::hand(arm, &truth),
+            target::target_messages(arm, &truth),
+            reference::command_messages(arm, &truth),
+            structure::moving_base_messages(arm),
+            structure::leader_messages(arm, &truth),
         ];
         let said = said.into_iter().flatten();
         messages.extend(said.map(|message| (arm.name_of(message.topic), message)));
@@ -380,8 +384,10 @@ fn add_channel<W: Write + Seek>(
 /// the zero of shoulder_lift_joint is off by 0.5°; the IMU's yaw drifts by 3 °/min.
 pub fn demo() -> Scenario {
     let mut run = Scenario::ur5e();
-    run.pose.coding =
-        Coding::Misread(Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY });
+    run.pose.encoding = LoggedEncoding::Misinterpreted(Misinterpretation {
+        is: Convention::RotVec,
+        read_as: Convention::RPY,
+    });
     run.pose.timing.latency_s = 0.022;
     run.joints.zero_offsets = vec![0.0, 0.5_f64.to_radians()];
     run.imu.yaw_drift_rad_s = 3.0_f64.to_radians() / 60.0;

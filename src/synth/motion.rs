@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 
 use super::Scenario;
 use super::noise::{Purpose, random};
-use super::path::{Lines, Path};
+use super::path::{LineMotion, LinePath};
 use super::task::Task;
 use crate::geometry::Pose;
 use crate::robot::{Chain, JointKind, Limits};
@@ -27,7 +27,7 @@ pub enum Motion {
     /// [`Motion::PickAndPlace`] of one joint, counted from the base.
     OneJoint(usize),
     /// Straight tip lines, with rests of 0.6 to 0.9 s.
-    Lines(Lines),
+    Lines(LineMotion),
     /// A task of the tip.
     Task(Task),
     /// Elbow swing of a seven-joint arm with the tip at rest.
@@ -41,7 +41,7 @@ pub enum Motion {
 }
 
 /// Share of a joint's range and speed limit.
-const COMFORT: f64 = 0.9;
+const MAX_RANGE_RATIO: f64 = 0.9;
 /// Prismatic travel equivalent to a radian, m.
 const METRES_PER_RADIAN: f64 = 0.25;
 
@@ -55,7 +55,7 @@ pub(super) enum Trajectory {
         home: Vec<f64>,
         sines: Vec<[Sine; 2]>,
     },
-    Path(Path),
+    Path(LinePath),
 }
 
 /// At a rest, possibly of zero duration.
@@ -75,7 +75,7 @@ pub(super) struct Sine {
 
 /// In rad and rad/s or m and m/s.
 #[derive(Debug, Clone, Copy)]
-struct Room {
+struct JointRoom {
     home: f64,
     amplitude: f64,
     speed: f64,
@@ -83,16 +83,16 @@ struct Room {
 
 impl Trajectory {
     pub(super) fn new(scenario: &Scenario, chain: &Chain) -> Self {
-        let rooms: Vec<Room> =
-            (0..chain.dof()).map(|joint| Room::new(scenario, chain, joint)).collect();
+        let rooms: Vec<JointRoom> =
+            (0..chain.dof()).map(|joint| JointRoom::new(scenario, chain, joint)).collect();
         match scenario.motion {
-            Motion::PickAndPlace => Self::knots(scenario, &rooms, anywhere),
+            Motion::PickAndPlace => Self::knots(scenario, &rooms, random_configuration),
             Motion::Tending => {
                 const POSTURES: usize = 3;
                 let mut postures: Vec<Vec<f64>> = Vec::new();
                 Self::knots(scenario, &rooms, |random, rooms, count| {
                     if count < POSTURES {
-                        postures.push(anywhere(random, rooms, count));
+                        postures.push(random_configuration(random, rooms, count));
                     }
                     postures[count % POSTURES].clone()
                 })
@@ -114,7 +114,7 @@ impl Trajectory {
                         room.amplitude = 0.0;
                     }
                 }
-                Self::knots(scenario, &held, anywhere)
+                Self::knots(scenario, &held, random_configuration)
             }
             Motion::Continuous => Self::sines(scenario, &rooms, |random| {
                 [random.random_range(0.08..0.15), random.random_range(0.2..0.3)]
@@ -124,15 +124,15 @@ impl Trajectory {
             }
             Motion::Lines(lines) => {
                 let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
-                Self::Path(Path::new(scenario, lines, chain, &home))
+                Self::Path(LinePath::new(scenario, lines, chain, &home))
             }
             Motion::Task(task) => {
                 let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
-                Self::Path(Path::of_task(scenario, task, chain, &home))
+                Self::Path(LinePath::from_task(scenario, task, chain, &home))
             }
             Motion::ElbowSwing => {
                 let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
-                Self::Path(Path::elbow_swing(scenario, chain, &home))
+                Self::Path(LinePath::elbow_swing(scenario, chain, &home))
             }
             Motion::AtRest => {
                 let q = rooms.iter().map(|room| room.home).collect();
@@ -144,24 +144,25 @@ impl Trajectory {
     /// `next` receives the number of previous configurations.
     fn knots(
         scenario: &Scenario,
-        rooms: &[Room],
-        mut next: impl FnMut(&mut Pcg64, &[Room], usize) -> Vec<f64>,
+        rooms: &[JointRoom],
+        mut next: impl FnMut(&mut Pcg64, &[JointRoom], usize) -> Vec<f64>,
     ) -> Self {
         /// Ratio of peak to mean speed in a blend.
-        const PEAK: f64 = 1.875;
+        const PEAK_SPEED_RATIO: f64 = 1.875;
         /// Peak acceleration of a blend over distance per time squared, and the maximum for normal motion,
         /// rad/s².
-        const BEND: f64 = 5.774;
-        const GENTLE: f64 = 18.0;
+        const PEAK_ACCELERATION_RATIO: f64 = 5.774;
+        const MAX_ACCELERATION: f64 = 18.0;
         let mut random = random(scenario.seed, Purpose::Motion);
         let mut knots: Vec<Knot> = Vec::new();
         let mut time_s = 0.0;
         while time_s < scenario.duration_s {
             let q = next(&mut random, rooms, knots.len() / 2);
             if let Some(last) = knots.last() {
-                let needed_s = |((to, from), room): ((&f64, &f64), &Room)| {
+                let needed_s = |((to, from), room): ((&f64, &f64), &JointRoom)| {
                     let way = (to - from).abs();
-                    (PEAK * way / room.speed).max((BEND * way / GENTLE).sqrt())
+                    (PEAK_SPEED_RATIO * way / room.speed)
+                        .max((PEAK_ACCELERATION_RATIO * way / MAX_ACCELERATION).sqrt())
                 };
                 time_s += q.iter().zip(&last.q).zip(rooms).map(needed_s).fold(0.2, f64::max);
             }
@@ -178,7 +179,7 @@ impl Trajectory {
     /// Two frequencies per joint from `rates_hz`.
     fn sines(
         scenario: &Scenario,
-        rooms: &[Room],
+        rooms: &[JointRoom],
         rates_hz: impl Fn(&mut Pcg64) -> [f64; 2],
     ) -> Self {
         let mut random = random(scenario.seed, Purpose::Motion);
@@ -200,13 +201,13 @@ impl Trajectory {
     }
 
     /// Positions and velocities, `time_s` after the start.
-    pub(super) fn at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+    pub(super) fn joints_at(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         match self {
             Self::Knots(knots) => {
                 let next = knots.partition_point(|knot| knot.time_s <= time_s);
                 match (next.checked_sub(1).map(|last| &knots[last]), knots.get(next)) {
-                    (Some(from), Some(to)) => between(from, to, time_s),
-                    (Some(knot), None) | (None, Some(knot)) => at_rest(knot),
+                    (Some(from), Some(to)) => interpolate_knots(from, to, time_s),
+                    (Some(knot), None) | (None, Some(knot)) => knot_at_rest(knot),
                     (None, None) => unreachable!("a trajectory has at least one knot"),
                 }
             }
@@ -221,14 +222,14 @@ impl Trajectory {
                     (home + position, velocity)
                 })
                 .unzip(),
-            Self::Path(path) => path.at(time_s),
+            Self::Path(path) => path.joints_at(time_s),
         }
     }
 
     /// `base_from_tip`, if it differs from the motion.
-    pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
+    pub(super) fn commanded_pose(&self, time_s: f64) -> Option<Pose> {
         match self {
-            Self::Path(path) => Some(path.commanded(time_s)),
+            Self::Path(path) => Some(path.commanded_pose(time_s)),
             Self::Knots(_) | Self::Sines { .. } => None,
         }
     }
@@ -246,17 +247,17 @@ impl Trajectory {
     }
 }
 
-fn anywhere(random: &mut Pcg64, rooms: &[Room], _count: usize) -> Vec<f64> {
-    let joint = |room: &Room| room.home + room.amplitude * random.random_range(-1.0..=1.0);
+fn random_configuration(random: &mut Pcg64, rooms: &[JointRoom], _count: usize) -> Vec<f64> {
+    let joint = |room: &JointRoom| room.home + room.amplitude * random.random_range(-1.0..=1.0);
     rooms.iter().map(joint).collect()
 }
 
-fn at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {
+fn knot_at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {
     (knot.q.clone(), vec![0.0; knot.q.len()])
 }
 
 /// Quintic: zero velocity and acceleration at both ends.
-fn between(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+fn interpolate_knots(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
     let length_s = to.time_s - from.time_s;
     let u = (time_s - from.time_s) / length_s;
     let blend = u * u * u * (10.0 + u * (-15.0 + 6.0 * u));
@@ -265,7 +266,7 @@ fn between(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
     pairs.map(|(from, to)| (from + blend * (to - from), speed * (to - from))).unzip()
 }
 
-impl Room {
+impl JointRoom {
     fn new(scenario: &Scenario, chain: &Chain, joint: usize) -> Self {
         let Limits { lower, upper, velocity } = chain.limits()[joint];
         let (unit, range) = match chain.joint_kinds()[joint] {
@@ -274,7 +275,7 @@ impl Room {
         };
         let (lower, upper) = (lower.unwrap_or(-range), upper.unwrap_or(range));
         let middle = (lower + upper) / 2.0;
-        let comfortable = COMFORT * (upper - lower).max(0.0) / 2.0;
+        let comfortable = MAX_RANGE_RATIO * (upper - lower).max(0.0) / 2.0;
         let amplitude = (scenario.amplitude * unit).min(comfortable);
         let most = comfortable - amplitude;
         let home = scenario.home.get(joint).copied().unwrap_or(middle);
@@ -282,7 +283,7 @@ impl Room {
         Self {
             home: home.clamp(middle - most, middle + most),
             amplitude,
-            speed: (scenario.speed * unit).min(COMFORT * limit),
+            speed: (scenario.speed * unit).min(MAX_RANGE_RATIO * limit),
         }
     }
 }

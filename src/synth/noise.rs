@@ -50,7 +50,7 @@ impl Noise {
         far_m: 0.0,
     };
 
-    pub(super) fn at_distance(&self, distance_m: f64) -> f64 {
+    pub(super) fn factor_at_distance(&self, distance_m: f64) -> f64 {
         if self.far_m > 0.0 { (distance_m / self.far_m).powi(2).max(1.0) } else { 1.0 }
     }
 }

@@ -4,7 +4,7 @@ use super::messages::{self, Topic};
 use super::noise::Purpose;
 use super::streams::Message;
 use super::truth::Truth;
-use super::{Coding, Scenario, Timing};
+use super::{LoggedEncoding, Scenario, Timing};
 use crate::geometry::Pose;
 
 /// Kind of commands.
@@ -28,30 +28,30 @@ pub struct ReferenceStream {
     /// Frame of commanded poses.
     pub frame_id: String,
     /// `q_commanded − q_true`, rad or m, per joint from base to tip; zero beyond the list.
-    pub short_by: Vec<f64>,
+    pub command_offset: Vec<f64>,
     /// Commanded point in the tip.
     pub tip_from_commanded: Pose,
 }
 
 impl ReferenceStream {
-    pub(super) fn none(base: &str) -> Self {
+    pub(super) fn disabled(base: &str) -> Self {
         Self {
             timing: Timing::every(0.0, 0.0029),
             commands: Commands::Poses,
             frame_id: base.to_owned(),
-            short_by: Vec::new(),
+            command_offset: Vec::new(),
             tip_from_commanded: Pose::identity(),
         }
     }
 
     fn joints(&self, truth: &Truth, time_s: f64) -> Vec<f64> {
-        let (mut q, _) = truth.encoders(time_s);
-        q.iter_mut().zip(&self.short_by).for_each(|(q, short)| *q += short);
+        let (mut q, _) = truth.encoder_joints(time_s);
+        q.iter_mut().zip(&self.command_offset).for_each(|(q, short)| *q += short);
         q
     }
 
     fn pose(&self, truth: &Truth, time_s: f64) -> Pose {
-        let line = truth.commanded(time_s).filter(|_| self.short_by.is_empty());
+        let line = truth.commanded_pose(time_s).filter(|_| self.command_offset.is_empty());
         let base_from_tip =
             line.unwrap_or_else(|| truth.chain.forward(&self.joints(truth, time_s)));
         base_from_tip * self.tip_from_commanded
@@ -59,7 +59,7 @@ impl ReferenceStream {
 
     fn message(&self, truth: &Truth, time_s: f64, stamp: crate::time::Stamp) -> (Topic, Vec<u8>) {
         let pose = || {
-            let logged = Coding::Faithful.logged(&self.pose(truth, time_s));
+            let logged = LoggedEncoding::Correct.encode(&self.pose(truth, time_s));
             messages::pose_stamped(stamp, &self.frame_id, logged)
         };
         match self.commands {
@@ -74,7 +74,7 @@ impl ReferenceStream {
     }
 }
 
-pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+pub(super) fn command_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.reference;
     if stream.timing.rate_hz <= 0.0 {
         return Vec::new();
@@ -92,7 +92,7 @@ pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     ways.map(|pair| {
         let ((arrived_s, leave_s), (arrive_s, _)) = (pair[0], pair[1]);
         let given_s = (leave_s - 0.1).max(0.5 * (arrived_s + leave_s));
-        let tick = scenario.moment(&stream.timing, given_s);
+        let tick = scenario.tick_at(&stream.timing, given_s);
         let (topic, cdr) = stream.message(truth, arrive_s, tick.stamp);
         tick.message(topic, cdr)
     })

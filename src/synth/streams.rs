@@ -4,9 +4,10 @@ use rand::RngExt;
 
 use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, add_noise, random, small_rotation};
-use super::truth::{GRAVITY, Truth};
+use super::truth::{GRAVITY_M_S2, Truth};
 use super::{
-    Coding, IMU_FRAME, ImuStream, JointStream, PoseStream, Scenario, Timing, ToolSlip, urdf_text,
+    IMU_FRAME, ImuStream, JointStream, LoggedEncoding, PoseStream, Scenario, Timing, ToolSlip,
+    urdf_text,
 };
 use crate::geometry::{
     Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_matrix_rows,
@@ -23,64 +24,64 @@ pub(super) struct Message {
 }
 
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
-    let mut messages = latched(scenario);
-    messages.extend(joint_states(scenario, truth));
-    messages.extend(poses(scenario, truth));
-    messages.extend(transforms(scenario, truth));
-    messages.extend(imu_samples(scenario, truth));
+    let mut messages = static_messages(scenario);
+    messages.extend(joint_state_messages(scenario, truth));
+    messages.extend(pose_messages(scenario, truth));
+    messages.extend(transform_messages(scenario, truth));
+    messages.extend(imu_messages(scenario, truth));
     messages
 }
 
-fn latched(scenario: &Scenario) -> Vec<Message> {
+fn static_messages(scenario: &Scenario) -> Vec<Message> {
     let robot = &scenario.robot;
     let fixed = robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed);
     let mut transforms: Vec<LoggedTransform> = fixed
         .map(|joint| {
-            logged_transform(robot, joint, Coding::Faithful.logged(&joint.parent_from_joint))
+            logged_transform(robot, joint, LoggedEncoding::Correct.encode(&joint.parent_from_joint))
         })
         .collect();
     if scenario.imu.timing.rate_hz > 0.0 {
         transforms.push(LoggedTransform {
             parent: &scenario.tip,
             child: IMU_FRAME,
-            parent_from_child: Coding::Faithful.logged(&scenario.imu.tip_from_imu),
+            parent_from_child: LoggedEncoding::Correct.encode(&scenario.imu.tip_from_imu),
         });
     }
     transforms.extend(scenario.target.frame(scenario));
     transforms.extend(scenario.tf.others.iter().map(|other| LoggedTransform {
         parent: &other.parent,
         child: &other.child,
-        parent_from_child: Coding::Faithful.logged(&other.parent_from_child),
+        parent_from_child: LoggedEncoding::Correct.encode(&other.parent_from_child),
     }));
-    let statics = scenario.tf.with_static.then(|| {
+    let statics = scenario.tf.has_static.then(|| {
         let cdr = messages::tf_message(scenario.start, &transforms);
         Message { topic: Topic::TfStatic, received: scenario.start, cdr }
     });
-    let description = scenario.description.then(|| {
+    let description = scenario.has_description.then(|| {
         let cdr = messages::string(&urdf_text(robot));
         Message { topic: Topic::RobotDescription, received: scenario.start, cdr }
     });
     statics.into_iter().chain(description).collect()
 }
 
-fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+fn joint_state_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.joints;
     let mut noise = scenario.unit_noise(Purpose::JointNoise, truth.chain.dof());
     let kinds = truth.chain.joint_kinds();
     let ticks = scenario.ticks(&stream.timing, Purpose::JointTransport);
-    let (mut last, mut stuck) = (None, None);
+    let (mut last, mut frozen) = (None, None);
     let mut messages = Vec::new();
     for tick in ticks {
-        let stream = &scenario.at(tick.time_s).joints;
+        let stream = &scenario.scenario_at(tick.time_s).joints;
         let fresh = {
-            let (mut positions, _) = truth.encoders(tick.time_s);
-            let (_, velocities) = truth.encoders(tick.time_s - stream.velocity_late_s);
+            let (mut positions, _) = truth.encoder_joints(tick.time_s);
+            let (_, velocities) = truth.encoder_joints(tick.time_s - stream.velocity_latency_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
             (stream.reported_positions(&positions, kinds), stream.reported_velocities(&velocities))
         };
         let mut said = if tick.is_new { fresh } else { last.unwrap_or(fresh) };
-        if stream.stuck_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
-            said = stuck.get_or_insert(said).clone();
+        if stream.frozen_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
+            said = frozen.get_or_insert(said).clone();
         }
         last = Some(said.clone());
         let names = truth.chain.joint_names();
@@ -93,10 +94,10 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let cdr = messages::joint_state(tick.stamp, &names, &pick(&said.0), &pick(&said.1));
             tick.message(topic, cdr)
         };
-        match &stream.apart {
+        match &stream.separate_topic {
             Some((apart, _)) => {
                 messages.push(of(&|at| !apart.contains(at), Topic::JointStates));
-                messages.push(of(&|at| apart.contains(at), Topic::JointsApart));
+                messages.push(of(&|at| apart.contains(at), Topic::SeparateJoints));
             }
             None => messages.push(of(&|_| true, Topic::JointStates)),
         }
@@ -104,89 +105,90 @@ fn joint_states(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-fn poses(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+fn pose_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let timing = &scenario.pose.timing;
-    let drive = scenario.drive.as_ref().filter(|drive| drive.frame_id == scenario.pose.frame_id);
+    let drive =
+        scenario.moving_base.as_ref().filter(|drive| drive.frame_id == scenario.pose.frame_id);
     let mut noise = scenario.unit_noise(Purpose::PoseNoise, 6);
     let mut walk = UnitNoise::new(random(scenario.seed, Purpose::PoseWalk), 6, 0.0);
-    let mut wandered = [0.0; 6];
+    let mut drifted = [0.0; 6];
     let ticks = scenario.ticks(timing, Purpose::PoseTransport);
-    let (mut stuck, mut last): (Option<Pose>, Option<Pose>) = (None, None);
+    let (mut frozen, mut last): (Option<Pose>, Option<Pose>) = (None, None);
     ticks
         .enumerate()
         .map(|(sample, tick)| {
             let reference_from_tip = match drive {
-                Some(drive) => drive.at(tick.time_s) * truth.first_from_tip(tick.time_s),
+                Some(drive) => drive.pose_at(tick.time_s) * truth.first_from_tip(tick.time_s),
                 None => truth.base_from_tip(tick.time_s),
             };
-            let stream = &scenario.at(tick.time_s).pose;
+            let stream = &scenario.scenario_at(tick.time_s).pose;
             let stream_from_reference = stream.reference_from_stream.inverse();
             let mut pose = stream_from_reference * reference_from_tip * stream.tip_from_stream;
             let slipped = |slip: &&ToolSlip| (slip.from_s..slip.to_s).contains(&tick.time_s);
-            if let Some(slip) = stream.slip.as_ref().filter(slipped) {
+            if let Some(slip) = stream.tool_slip.as_ref().filter(slipped) {
                 pose *= slip.tool_from_slipped;
             }
-            let far = scenario.noise.at_distance(pose.translation.vector.norm());
+            let far = scenario.noise.factor_at_distance(pose.translation.vector.norm());
             let noise = noise.next();
-            for (wandered, step) in wandered.iter_mut().zip(walk.next()) {
-                *wandered += step / timing.rate_hz.sqrt();
+            for (drifted, step) in drifted.iter_mut().zip(walk.next()) {
+                *drifted += step / timing.rate_hz.sqrt();
             }
             let (walk_m, walk_rad) = scenario.noise.pose_walk;
-            pose.translation.vector *= 1.0 + stream.growth;
+            pose.translation.vector *= 1.0 + stream.radial_scale_error;
             pose.translation.vector +=
                 far * scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
-            pose.translation.vector += walk_m * Vec3::from_column_slice(&wandered[..3]);
+            pose.translation.vector += walk_m * Vec3::from_column_slice(&drifted[..3]);
             pose.rotation *= small_rotation(&noise[3..], far * scenario.noise.pose_rad);
-            pose.rotation *= small_rotation(&wandered[3..], walk_rad);
+            pose.rotation *= small_rotation(&drifted[3..], walk_rad);
             if !tick.is_new {
                 pose = last.unwrap_or(pose);
             }
             last = Some(pose);
-            for (_, by) in stream.strays.iter().filter(|(stray, _)| *stray == sample) {
+            for (_, by) in stream.outliers.iter().filter(|(stray, _)| *stray == sample) {
                 pose.translation.vector += by;
             }
-            if stream.stuck_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
-                pose = *stuck.get_or_insert(pose);
+            if stream.frozen_s.is_some_and(|(from, to)| (from..to).contains(&tick.time_s)) {
+                pose = *frozen.get_or_insert(pose);
             }
-            if stream.inverted {
+            if stream.is_inverted {
                 pose = pose.inverse();
             }
             let pose = stream.in_axes(&pose);
-            let mut logged = stream.coding.logged(&pose);
-            if stream.in_millimetres {
+            let mut logged = stream.encoding.encode(&pose);
+            if stream.is_in_millimetres {
                 logged.xyz = logged.xyz.map(|metres| 1000.0 * metres);
             }
-            logged.xyz = logged.xyz.map(|length| stream.times * length);
-            if let Some((axis, value)) = stream.constant {
+            logged.xyz = logged.xyz.map(|length| stream.position_factor * length);
+            if let Some((axis, value)) = stream.constant_coordinate {
                 logged.xyz[axis] = value;
             }
-            if let Some(convention) = stream.as_numbers {
-                let unit = if stream.numbers_in_degrees { 1_f64.to_degrees() } else { 1.0 };
+            if let Some(convention) = stream.number_convention {
+                let unit = if stream.has_numbers_in_degrees { 1_f64.to_degrees() } else { 1.0 };
                 let [a, b, c] = convention.numbers(&pose.rotation).map(|angle| unit * angle);
                 let [x, y, z] = logged.xyz;
                 return tick.message(Topic::Numbers, messages::numbers(&[x, y, z, a, b, c]));
             }
             logged.xyzw = logged.xyzw.map(|component| stream.quaternion_norm * component);
-            logged.xyzw = stream.unset.unwrap_or(logged.xyzw);
+            logged.xyzw = stream.unset_quaternion.unwrap_or(logged.xyzw);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Pose, cdr)
         })
         .collect()
 }
 
-fn transforms(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+fn transform_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.tf;
     let of =
-        |timing: &Timing, transport, moved| published(scenario, truth, timing, transport, moved);
+        |timing: &Timing, transport, moved| tf_messages(scenario, truth, timing, transport, moved);
     let mut messages = of(&stream.timing, Purpose::TfTransport, &None);
     if let Some(second) = &stream.second {
-        messages.extend(of(&second.timing, Purpose::SecondTfTransport, &second.moved));
+        messages.extend(of(&second.timing, Purpose::SecondTfTransport, &second.offset_joint));
     }
     messages
 }
 
-/// `moved` offsets one joint's transform.
-fn published(
+/// `offset_joint` offsets one joint's transform.
+fn tf_messages(
     scenario: &Scenario,
     truth: &Truth,
     timing: &Timing,
@@ -202,9 +204,9 @@ fn published(
     let ticks = scenario.ticks(timing, transport);
     ticks
         .map(|tick| {
-            let (mut positions, _) = truth.encoders(tick.time_s);
+            let (mut positions, _) = truth.encoder_joints(tick.time_s);
             add_noise(&mut positions, noise.next(), scenario.noise.joints);
-            let now = scenario.at(tick.time_s);
+            let now = scenario.scenario_at(tick.time_s);
             let mut believed = now.joints.reported_positions(&positions, truth.chain.joint_kinds());
             if let Some(last) = last.as_ref().filter(|_| !tick.is_new) {
                 believed.clone_from(last);
@@ -219,8 +221,8 @@ fn published(
                     if let Some((_, by)) = moved.filter(|(joint, _)| *joint == at) {
                         origin *= by;
                     }
-                    let parent_from_child = origin * motion(joint, position);
-                    logged_transform(robot, joint, now.tf.coding.logged(&parent_from_child))
+                    let parent_from_child = origin * joint_transform(joint, position);
+                    logged_transform(robot, joint, now.tf.encoding.encode(&parent_from_child))
                 })
                 .collect();
             tick.message(Topic::Tf, messages::tf_message(tick.stamp, &transforms))
@@ -228,11 +230,11 @@ fn published(
         .collect()
 }
 
-fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+fn imu_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.imu;
     let mut noise = scenario.unit_noise(Purpose::ImuNoise, 9);
     let mut walk = UnitNoise::new(random(scenario.seed, Purpose::ImuWalk), 1, 0.0);
-    let step_rad = stream.yaw_walk_rad_rt_s / stream.timing.rate_hz.sqrt();
+    let step_rad = stream.yaw_walk_rad_per_sqrt_s / stream.timing.rate_hz.sqrt();
     let mut wandered_rad = 0.0;
     let mut last: Option<LoggedImu> = None;
     let ticks = scenario.ticks(&stream.timing, Purpose::ImuTransport);
@@ -240,7 +242,7 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .map(|tick| {
             let noise = noise.next();
             wandered_rad += step_rad * walk.next()[0];
-            let stream = &scenario.at(tick.time_s).imu;
+            let stream = &scenario.scenario_at(tick.time_s).imu;
             let tip_from_imu = stream.tip_from_imu * stream.mount_error;
             let scaled =
                 |at: usize, sigma: f64| sigma * Vec3::from_column_slice(&noise[at..at + 3]);
@@ -250,21 +252,21 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let ahead = base_from_imu * Vec3::x();
             let heading_rad = ahead.y.atan2(ahead.x) + stream.world_yaw_rad;
             let yaw_rad =
-                stream.yaw_rad(tick.time_s) + stream.yaw_off_rad(heading_rad) + wandered_rad;
+                stream.yaw_rad(tick.time_s) + stream.heading_error_rad(heading_rad) + wandered_rad;
             let world_from_base = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world_from_imu = world_from_base
                 * base_from_imu
                 * small_rotation(&noise[..3], scenario.noise.imu_rad);
-            let orientation = stream.coding.logged(&pose([0.0; 3], world_from_imu));
+            let orientation = stream.encoding.encode(&pose([0.0; 3], world_from_imu));
             let sample = LoggedImu {
-                orientation_xyzw: stream.with_orientation.then_some(orientation.xyzw),
-                gyro: stream.gyro_times
+                orientation_xyzw: stream.has_orientation.then_some(orientation.xyzw),
+                gyro: stream.gyro_factor
                     * (stream.gyro_from_rate
                         * (imu_from_base * truth.angular_velocity(tick.time_s))
                         + stream.bias_rad_s(tick.time_s)
                         + scaled(3, scenario.noise.gyro_rad_s)),
-                specific_force: stream.force_times
-                    * (imu_from_base * (acceleration + GRAVITY * Vec3::z())
+                specific_force: stream.force_factor
+                    * (imu_from_base * (acceleration + GRAVITY_M_S2 * Vec3::z())
                         + scaled(6, scenario.noise.accel_m_s2)),
             };
             let sample = last.filter(|_| !tick.is_new).unwrap_or(sample);
@@ -293,7 +295,7 @@ impl Scenario {
     pub(super) fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
         const TRANSPORT_S: std::ops::Range<f64> = 0.1e-3..2e-3;
         let mut random = random(self.seed, transport);
-        let Timing { rate_hz, phase_s, new_hz, .. } = *timing;
+        let Timing { rate_hz, phase_s, update_hz: new_hz, .. } = *timing;
         let count = ((self.duration_s - phase_s) * rate_hz).ceil().max(0.0) as usize;
         let start = self.start;
         let mut received = start;
@@ -302,7 +304,7 @@ impl Scenario {
             let sent_s = phase_s + index as f64 / rate_hz;
             received = received.max(start.shifted(sent_s + random.random_range(TRANSPORT_S)));
             let stamp = timing.stamp(start, sent_s, self.duration_s / 2.0);
-            let age_s = timing.age_s(sent_s);
+            let age_s = timing.content_age_s(sent_s);
             if new_hz <= 0.0 {
                 return (sent_s, Tick { time_s: sent_s - age_s, is_new: true, stamp, received });
             }
@@ -317,7 +319,7 @@ impl Scenario {
     }
 
     /// Message received 1 ms later.
-    pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
+    pub(super) fn tick_at(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
         let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
         let received = self.start.shifted(time_s + TRANSPORT_S);
@@ -331,8 +333,8 @@ impl Scenario {
 
 impl Timing {
     /// Age of the content, s.
-    fn age_s(&self, sent_s: f64) -> f64 {
-        let Some((from_s, to_s, by_s)) = self.ages else { return 0.0 };
+    fn content_age_s(&self, sent_s: f64) -> f64 {
+        let Some((from_s, to_s, by_s)) = self.latency_ramp else { return 0.0 };
         match sent_s {
             sent_s if sent_s >= to_s => by_s,
             sent_s if sent_s <= from_s => 0.0,
@@ -342,11 +344,11 @@ impl Timing {
 
     /// Solves `time = stamp − latency − skew · (stamp − middle)`.
     fn stamp(&self, start: Stamp, time_s: f64, middle_s: f64) -> Stamp {
-        if !self.stamped {
+        if !self.has_stamps {
             return Stamp::default();
         }
         let stamp_s = (time_s + self.latency_s - self.skew * middle_s) / (1.0 - self.skew);
-        let stepped = self.step.filter(|(at_s, _)| time_s >= *at_s);
+        let stepped = self.clock_step.filter(|(at_s, _)| time_s >= *at_s);
         let stamp_s = stamp_s + stepped.map_or(0.0, |(_, by_s)| by_s);
         start.shifted(self.clock_offset_s).shifted(stamp_s)
     }
@@ -359,25 +361,25 @@ impl JointStream {
         let said: Vec<f64> = said
             .map(|(joint, ((q, offset), kind))| {
                 let scaled = self.scale(joint) * (q - offset);
-                let folded = self.fold.map_or(scaled, |fold| fold.folded(scaled, *kind));
-                match self.quantum > 0.0 {
-                    true => (folded / self.quantum).round() * self.quantum,
-                    false => folded,
+                let wrapped = self.wrapping.map_or(scaled, |fold| fold.wrap(scaled, *kind));
+                match self.resolution > 0.0 {
+                    true => (wrapped / self.resolution).round() * self.resolution,
+                    false => wrapped,
                 }
             })
             .collect();
-        self.reported(&said)
+        self.order_and_convert(&said)
     }
 
     /// Empty if not logged.
     fn reported_velocities(&self, velocities: &[f64]) -> Vec<f64> {
-        if !self.with_velocity {
+        if !self.has_velocity {
             return Vec::new();
         }
         let own = |joint: usize| self.velocity_scales.get(joint).copied().unwrap_or(1.0);
         let said = velocities.iter().enumerate();
         let said = said.map(|(joint, rate)| own(joint) * self.scale(joint) * rate);
-        self.reported(&said.collect::<Vec<f64>>())
+        self.order_and_convert(&said.collect::<Vec<f64>>())
     }
 
     fn scale(&self, joint: usize) -> f64 {
@@ -385,8 +387,8 @@ impl JointStream {
     }
 
     /// In the order and unit of the log.
-    fn reported(&self, numbers: &[f64]) -> Vec<f64> {
-        let unit = if self.in_degrees { 1_f64.to_degrees() } else { 1.0 };
+    fn order_and_convert(&self, numbers: &[f64]) -> Vec<f64> {
+        let unit = if self.is_in_degrees { 1_f64.to_degrees() } else { 1.0 };
         let in_unit = |at: usize| unit * numbers[at];
         match &self.number_order {
             Some(order) if !numbers.is_empty() => {
@@ -416,30 +418,30 @@ impl ImuStream {
         let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
         self.world_yaw_rad
             + self.yaw_drift_rad_s * time_s
-            + self.yaw_warms_up.map_or(0.0, |(by, tau_s)| by * (1.0 - (-time_s / tau_s).exp()))
+            + self.yaw_warm_up.map_or(0.0, |(by, tau_s)| by * (1.0 - (-time_s / tau_s).exp()))
             + jumped.map(|(_, size_rad)| size_rad).sum::<f64>()
     }
 
-    fn yaw_off_rad(&self, heading_rad: f64) -> f64 {
+    fn heading_error_rad(&self, heading_rad: f64) -> f64 {
         let [once, twice] = self.yaw_by_heading;
         once.0 * (heading_rad + once.1).sin() + twice.0 * (2.0 * heading_rad + twice.1).sin()
     }
 
     fn bias_rad_s(&self, time_s: f64) -> Vec3 {
-        let settling = self.gyro_warms_up.map(|(by, tau_s)| by * (-time_s / tau_s).exp());
+        let settling = self.gyro_warm_up.map(|(by, tau_s)| by * (-time_s / tau_s).exp());
         self.gyro_bias_rad_s + settling.unwrap_or_default()
     }
 }
 
-impl Coding {
-    pub(super) fn logged(self, pose: &Pose) -> LoggedPose {
+impl LoggedEncoding {
+    pub(super) fn encode(self, pose: &Pose) -> LoggedPose {
         let (pose, xyzw) = match self {
-            Self::Faithful => (*pose, xyzw_from_rotation(&pose.rotation)),
-            Self::Misread(reading) => {
+            Self::Correct => (*pose, xyzw_from_rotation(&pose.rotation)),
+            Self::Misinterpreted(reading) => {
                 let misread = reading.read_as.rotation(reading.is.numbers(&pose.rotation));
                 (*pose, xyzw_from_rotation(&misread))
             }
-            Self::Slipped(slip) => {
+            Self::WrongQuaternionOrder(slip) => {
                 // The inverse of one slip is the other.
                 let other = match slip {
                     QuaternionOrderError::WxyzReadAsXyzw => QuaternionOrderError::XyzwReadAsWxyz,
@@ -470,7 +472,7 @@ fn logged_transform<'a>(
 }
 
 /// Joint transform at `position`, rad or m.
-fn motion(joint: &Joint, position: f64) -> Pose {
+fn joint_transform(joint: &Joint, position: f64) -> Pose {
     let along = joint.axis * position;
     match joint.kind {
         JointKind::Prismatic => pose(along.into(), Rotation::identity()),

@@ -10,13 +10,13 @@ use super::messages::{self, LoggedTransform, Topic};
 use super::noise::{Purpose, small_rotation};
 use super::streams::Message;
 use super::truth::Truth;
-use super::{Coding, Scenario, SynthError, Timing, write};
+use super::{LoggedEncoding, Scenario, SynthError, Timing, write};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::JointKind;
 
 /// Moving base, and its transform on /tf.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Drive {
+pub struct MovingBase {
     /// Fixed frame; a stream in it contains the poses of the moving arm.
     pub frame_id: String,
     /// Maximum distance from the start, m.
@@ -24,12 +24,12 @@ pub struct Drive {
     /// Maximum angle to either side, rad.
     pub turn_rad: f64,
     /// Timing of the transform to the robot's root; a rate of 0 omits it.
-    pub edge: Timing,
+    pub transform_timing: Timing,
 }
 
-impl Drive {
+impl MovingBase {
     /// Root in the fixed frame.
-    pub(super) fn at(&self, time_s: f64) -> Pose {
+    pub(super) fn pose_at(&self, time_s: f64) -> Pose {
         const PERIODS_S: [f64; 3] = [17.0, 23.0, 13.0];
         let [x, y, turn] = PERIODS_S.map(|period_s| (TAU * time_s / period_s).sin());
         let turn = rotation_from_rotvec(self.turn_rad * turn * Vec3::z());
@@ -43,7 +43,7 @@ pub struct SecondPublisher {
     /// With the first publisher's timing, stamps are equal.
     pub timing: Timing,
     /// Offset of one joint's transform, counted from the root.
-    pub moved: Option<(usize, Pose)>,
+    pub offset_joint: Option<(usize, Pose)>,
 }
 
 /// Poses of a hand that the arm follows.
@@ -64,7 +64,7 @@ pub struct LeaderStream {
 }
 
 impl LeaderStream {
-    pub(super) fn none() -> Self {
+    pub(super) fn disabled() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0053),
             topic: "/hand/pose".to_owned(),
@@ -78,16 +78,16 @@ impl LeaderStream {
 
 /// Wrapping of continuous joints into one turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fold {
+pub enum JointWrapping {
     /// Into −π to π.
     PlusMinusPi,
     /// Into 0 to 2π.
     ZeroToTwoPi,
 }
 
-impl Fold {
+impl JointWrapping {
     /// Other joints are unchanged.
-    pub(super) fn folded(self, q: f64, kind: JointKind) -> f64 {
+    pub(super) fn wrap(self, q: f64, kind: JointKind) -> f64 {
         match (self, kind) {
             (Self::PlusMinusPi, JointKind::Continuous) => (q + PI).rem_euclid(TAU) - PI,
             (Self::ZeroToTwoPi, JointKind::Continuous) => q.rem_euclid(TAU),
@@ -107,7 +107,7 @@ pub struct ToolSlip {
     pub tool_from_slipped: Pose,
 }
 
-pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+pub(super) fn leader_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.leader;
     let mut noise = scenario.unit_noise(Purpose::LeaderNoise, 6);
     let ticks = scenario.ticks(&stream.timing, Purpose::LeaderTransport);
@@ -118,23 +118,23 @@ pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let noise = noise.next();
             hand.translation.vector += scenario.noise.pose_m * Vec3::from_column_slice(&noise[..3]);
             hand.rotation *= small_rotation(&noise[3..], scenario.noise.pose_rad);
-            let logged = Coding::Faithful.logged(&hand);
+            let logged = LoggedEncoding::Correct.encode(&hand);
             let cdr = messages::pose_stamped(tick.stamp, &stream.frame_id, logged);
             tick.message(Topic::Leader, cdr)
         })
         .collect()
 }
 
-pub(super) fn driving(scenario: &Scenario) -> Vec<Message> {
-    let Some(drive) = &scenario.drive else { return Vec::new() };
+pub(super) fn moving_base_messages(scenario: &Scenario) -> Vec<Message> {
+    let Some(drive) = &scenario.moving_base else { return Vec::new() };
     let root = scenario.robot.link_name(scenario.robot.root());
-    let ticks = scenario.ticks(&drive.edge, Purpose::DriveTransport);
+    let ticks = scenario.ticks(&drive.transform_timing, Purpose::DriveTransport);
     ticks
         .map(|tick| {
             let transform = LoggedTransform {
                 parent: &drive.frame_id,
                 child: root,
-                parent_from_child: Coding::Faithful.logged(&drive.at(tick.time_s)),
+                parent_from_child: LoggedEncoding::Correct.encode(&drive.pose_at(tick.time_s)),
             };
             tick.message(Topic::Tf, messages::tf_message(tick.stamp, &[transform]))
         })

@@ -6,7 +6,7 @@ use super::messages::{self, LoggedTransform, Topic};
 use super::noise::{Purpose, small_rotation};
 use super::streams::Message;
 use super::truth::Truth;
-use super::{Coding, Scenario, SynthError, Timing};
+use super::{LoggedEncoding, Scenario, SynthError, Timing};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_rpy};
 
 /// Mounting of the camera.
@@ -20,9 +20,9 @@ pub enum Camera {
 
 /// Part of a pose in body axes (x forward, z up) instead of optical (z forward, x right).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Swapped {
+pub enum BodyAxesPart {
     /// None.
-    Nothing,
+    None,
     /// Whole pose.
     Whole,
     /// Position.
@@ -43,42 +43,42 @@ pub struct TargetStream {
     /// True mount in the published one: `camera_as_published_from_camera`.
     pub mount_error: Pose,
     /// Whether /tf_static contains the camera.
-    pub with_frame: bool,
+    pub has_frame: bool,
     /// `base_from_target` or `tip_from_target`.
     pub target: Pose,
     /// Time, s after the start, and `target_from_slipped`.
-    pub slip: Option<(f64, Pose)>,
+    pub target_slip: Option<(f64, Pose)>,
     /// Logged over true distances, as with a wrong target size.
     pub scale: f64,
     /// Part in other axes.
-    pub swapped: Swapped,
+    pub in_body_axes: BodyAxesPart,
     /// Encoding of the logged pose.
-    pub coding: Coding,
+    pub encoding: LoggedEncoding,
     /// Target frame if published on /tf.
-    pub in_tf: Option<String>,
+    pub tf_frame: Option<String>,
 }
 
 impl TargetStream {
-    pub(super) fn none() -> Self {
+    pub(super) fn disabled() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0047),
             frame_id: "camera_optical_frame".to_owned(),
             camera: Camera::InHand,
             mount: Pose::identity(),
             mount_error: Pose::identity(),
-            with_frame: true,
+            has_frame: true,
             target: Pose::identity(),
-            slip: None,
+            target_slip: None,
             scale: 1.0,
-            swapped: Swapped::Nothing,
-            coding: Coding::Faithful,
-            in_tf: None,
+            in_body_axes: BodyAxesPart::None,
+            encoding: LoggedEncoding::Correct,
+            tf_frame: None,
         }
     }
 
     fn camera_from_target(&self, base_from_tip: &Pose, time_s: f64) -> Pose {
         let mount = self.mount * self.mount_error;
-        let slipped = self.slip.filter(|(at_s, _)| time_s > *at_s);
+        let slipped = self.target_slip.filter(|(at_s, _)| time_s > *at_s);
         let target = slipped.map_or(self.target, |(_, slip)| self.target * slip);
         match self.camera {
             Camera::InHand => (base_from_tip * mount).inverse() * target,
@@ -86,17 +86,17 @@ impl TargetStream {
         }
     }
 
-    fn swapped(&self, seen: &Pose) -> Pose {
+    fn swap_axes(&self, seen: &Pose) -> Pose {
         let body_from_optical = rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2]);
         let body = pose([0.0; 3], body_from_optical) * seen;
-        match self.swapped {
-            Swapped::Nothing => *seen,
-            Swapped::Whole => body,
-            Swapped::Position => Pose::from_parts(body.translation, seen.rotation),
+        match self.in_body_axes {
+            BodyAxesPart::None => *seen,
+            BodyAxesPart::Whole => body,
+            BodyAxesPart::Position => Pose::from_parts(body.translation, seen.rotation),
         }
     }
 
-    fn carrier<'a>(&self, scenario: &'a Scenario) -> &'a str {
+    fn mount_link<'a>(&self, scenario: &'a Scenario) -> &'a str {
         match self.camera {
             Camera::InHand => &scenario.tip,
             Camera::InBase => &scenario.base,
@@ -105,10 +105,10 @@ impl TargetStream {
 
     /// Camera frame, if /tf_static contains it.
     pub(super) fn frame<'a>(&'a self, scenario: &'a Scenario) -> Option<LoggedTransform<'a>> {
-        (self.timing.rate_hz > 0.0 && self.with_frame).then(|| LoggedTransform {
-            parent: self.carrier(scenario),
+        (self.timing.rate_hz > 0.0 && self.has_frame).then(|| LoggedTransform {
+            parent: self.mount_link(scenario),
             child: &self.frame_id,
-            parent_from_child: Coding::Faithful.logged(&self.mount),
+            parent_from_child: LoggedEncoding::Correct.encode(&self.mount),
         })
     }
 }
@@ -118,7 +118,7 @@ impl Scenario {
     ///
     /// # Errors
     /// If there is no chain between `base` and `tip`.
-    pub fn watch(&mut self, camera: Camera) -> Result<(), SynthError> {
+    pub fn add_camera(&mut self, camera: Camera) -> Result<(), SynthError> {
         let truth = Truth::new(self)?;
         let mut home = self.home.clone();
         home.resize(truth.chain.dof(), 0.0);
@@ -143,24 +143,24 @@ impl Scenario {
     }
 }
 
-pub(super) fn sightings(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
+pub(super) fn target_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.target;
     let mut noise = scenario.unit_noise(Purpose::TargetNoise, 6);
     let ticks = scenario.ticks(&stream.timing, Purpose::TargetTransport);
     ticks
         .map(|tick| {
-            let stream = &scenario.at(tick.time_s).target;
+            let stream = &scenario.scenario_at(tick.time_s).target;
             let base_from_tip = truth.base_from_tip(tick.time_s);
             let mut seen = stream.camera_from_target(&base_from_tip, tick.time_s);
             let noise = noise.next();
             let shift = Vec3::from_column_slice(&noise[..3]);
-            let far = scenario.noise.at_distance(seen.translation.vector.norm());
+            let far = scenario.noise.factor_at_distance(seen.translation.vector.norm());
             seen.translation.vector += far * scenario.noise.target_m * shift;
             seen.rotation *= small_rotation(&noise[3..], far * scenario.noise.target_rad);
             seen.translation.vector *= stream.scale;
-            let logged = stream.coding.logged(&stream.swapped(&seen));
+            let logged = stream.encoding.encode(&stream.swap_axes(&seen));
             let parent = stream.frame_id.as_str();
-            match &stream.in_tf {
+            match &stream.tf_frame {
                 Some(child) => {
                     let transform = LoggedTransform { parent, child, parent_from_child: logged };
                     tick.message(Topic::Tf, messages::tf_message(tick.stamp, &[transform]))

@@ -54,17 +54,17 @@ impl Leg {
 }
 
 /// Descent, m.
-const LIFT: Vec3 = Vec3::new(0.0, 0.0, 0.08);
+const DESCENT_M: Vec3 = Vec3::new(0.0, 0.0, 0.08);
 
-fn go(legs: &mut Vec<Leg>, shift_m: Vec3, turn_rad: Vec3, speed_m_s: f64, rest_s: f64) {
+fn add_leg(legs: &mut Vec<Leg>, shift_m: Vec3, turn_rad: Vec3, speed_m_s: f64, rest_s: f64) {
     legs.push(Leg { shift_m, turn_rad, speed_m_s, rest_s });
 }
 
 /// Descends, rests and retracts.
-fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s: f64) {
-    go(legs, at_m + LIFT, turn_rad, speed_m_s, 0.0);
-    go(legs, at_m, turn_rad, 0.5 * speed_m_s, rest_s);
-    go(legs, at_m + LIFT, turn_rad, 0.5 * speed_m_s, 0.0);
+fn add_visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s: f64) {
+    add_leg(legs, at_m + DESCENT_M, turn_rad, speed_m_s, 0.0);
+    add_leg(legs, at_m, turn_rad, 0.5 * speed_m_s, rest_s);
+    add_leg(legs, at_m + DESCENT_M, turn_rad, 0.5 * speed_m_s, 0.0);
 }
 
 impl Task {
@@ -83,13 +83,13 @@ impl Task {
         // Half of the picking cells rotate the part.
         let yaw_rad = if random.random_bool(0.5) { 0.6 } else { 1e-9 };
         let (start, level_turn) = (Vec3::zeros(), Vec3::zeros());
-        go(&mut legs, start, if self == Task::Welding { tilt } else { level_turn }, 0.1, 0.4);
+        add_leg(&mut legs, start, if self == Task::Welding { tilt } else { level_turn }, 0.1, 0.4);
         let mut cycle = 0;
         while legs.len() < count {
             match self {
                 Task::Picking => {
                     let turn = random.random_range(-yaw_rad..yaw_rad) * Vec3::z();
-                    visit(
+                    add_visit(
                         &mut legs,
                         speed_m_s,
                         level(random, WIDTH_M),
@@ -100,49 +100,49 @@ impl Task {
                 Task::Palletising => {
                     let place = [cycle % 3, cycle / 3 % 3, cycle / 9 % 3].map(f64::from);
                     let place = Vec3::new(0.05 * place[0], 0.05 * place[1], 0.02 * place[2]);
-                    visit(&mut legs, speed_m_s, -WIDTH_M * across, level_turn, 0.4);
-                    visit(&mut legs, speed_m_s, place, level_turn, 0.3);
+                    add_visit(&mut legs, speed_m_s, -WIDTH_M * across, level_turn, 0.4);
+                    add_visit(&mut legs, speed_m_s, place, level_turn, 0.3);
                 }
                 Task::Welding => {
                     let seam = level(random, 0.5 * WIDTH_M);
-                    go(&mut legs, seam + 0.5 * LIFT, tilt, speed_m_s, 0.0);
+                    add_leg(&mut legs, seam + 0.5 * DESCENT_M, tilt, speed_m_s, 0.0);
                     for step in 0..16 {
                         let weave_m = if step % 2 == 0 { 0.003 } else { -0.003 };
                         let at = seam + 0.005 * f64::from(step) * along + weave_m * across;
-                        go(&mut legs, at, tilt, 0.02, 0.0);
+                        add_leg(&mut legs, at, tilt, 0.02, 0.0);
                     }
-                    go(&mut legs, seam + 0.08 * along + 0.5 * LIFT, tilt, speed_m_s, 0.0);
+                    add_leg(&mut legs, seam + 0.08 * along + 0.5 * DESCENT_M, tilt, speed_m_s, 0.0);
                 }
                 Task::Spraying => {
                     let side = if cycle % 2 == 0 { 1.0 } else { -1.0 };
                     let lane = f64::from(cycle % 8 - 4) * 0.02 * across;
-                    go(&mut legs, lane - side * WIDTH_M * along, side * tilt, speed_m_s, 0.0);
-                    go(&mut legs, lane + side * WIDTH_M * along, -side * tilt, speed_m_s, 0.0);
+                    add_leg(&mut legs, lane - side * WIDTH_M * along, side * tilt, speed_m_s, 0.0);
+                    add_leg(&mut legs, lane + side * WIDTH_M * along, -side * tilt, speed_m_s, 0.0);
                 }
                 Task::Screwdriving => {
                     let [x, y] = [cycle % 2, cycle / 2 % 2].map(|side| f64::from(2 * side - 1));
                     let hole = 0.8 * WIDTH_M * (x * along + y * across);
-                    visit(&mut legs, speed_m_s, hole, level_turn, 0.0);
-                    go(&mut legs, hole, level_turn, speed_m_s, 0.0);
-                    go(&mut legs, hole - 0.05 * LIFT, 1.2 * Vec3::z(), 0.1, 0.3);
-                    go(&mut legs, hole + LIFT, level_turn, speed_m_s, 0.0);
+                    add_visit(&mut legs, speed_m_s, hole, level_turn, 0.0);
+                    add_leg(&mut legs, hole, level_turn, speed_m_s, 0.0);
+                    add_leg(&mut legs, hole - 0.05 * DESCENT_M, 1.2 * Vec3::z(), 0.1, 0.3);
+                    add_leg(&mut legs, hole + DESCENT_M, level_turn, speed_m_s, 0.0);
                 }
                 Task::BinPicking => {
                     let turn = level(random, 0.4) + random.random_range(-0.6..0.6) * Vec3::z();
-                    visit(&mut legs, speed_m_s, level(random, WIDTH_M), turn, 0.4);
-                    visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
+                    add_visit(&mut legs, speed_m_s, level(random, WIDTH_M), turn, 0.4);
+                    add_visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
                 }
                 Task::Teleoperation => {
                     let up = random.random_range(-0.04..0.04) * Vec3::z();
                     let turn = level(random, 0.06) + random.random_range(-0.15..0.15) * Vec3::z();
                     let rest_s =
                         if random.random_bool(0.2) { random.random_range(0.2..1.0) } else { 0.0 };
-                    go(&mut legs, level(random, 0.05) + up, turn, 0.5 * speed_m_s, rest_s);
+                    add_leg(&mut legs, level(random, 0.05) + up, turn, 0.5 * speed_m_s, rest_s);
                 }
                 Task::Servoing => {
                     let up = random.random_range(-0.03..0.03) * Vec3::z();
                     let turn = level(random, 0.03) + random.random_range(-0.06..0.06) * Vec3::z();
-                    go(
+                    add_leg(
                         &mut legs,
                         level(random, 0.06) + up,
                         turn,
@@ -154,20 +154,20 @@ impl Task {
                     let lane = random.random_range(-0.04..0.04) * across;
                     let turn = random.random_range(-0.4..0.4) * Vec3::z();
                     let belt = |part: f64| lane + 0.05 * part * along;
-                    go(&mut legs, belt(-1.0) + LIFT, turn, speed_m_s, 0.0);
-                    go(&mut legs, belt(0.0), turn, 0.08, 0.0);
-                    go(&mut legs, belt(0.5), turn, 0.08, 0.0);
-                    go(&mut legs, belt(1.5) + LIFT, turn, 0.08, 0.0);
-                    visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
+                    add_leg(&mut legs, belt(-1.0) + DESCENT_M, turn, speed_m_s, 0.0);
+                    add_leg(&mut legs, belt(0.0), turn, 0.08, 0.0);
+                    add_leg(&mut legs, belt(0.5), turn, 0.08, 0.0);
+                    add_leg(&mut legs, belt(1.5) + DESCENT_M, turn, 0.08, 0.0);
+                    add_visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
                 }
                 Task::Drawer => {
                     let rest_s = random.random_range(0.3..0.8);
-                    go(&mut legs, -0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
-                    go(&mut legs, 0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
+                    add_leg(&mut legs, -0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
+                    add_leg(&mut legs, 0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
                 }
                 Task::Calibration => {
                     let turn = level(random, 0.45) + random.random_range(-0.8..0.8) * Vec3::z();
-                    go(
+                    add_leg(
                         &mut legs,
                         level(random, 0.6 * WIDTH_M),
                         turn,

@@ -1,6 +1,6 @@
 //! Compares generated logs with the true motion.
 
-mod lately;
+mod changes;
 mod motion;
 mod structure;
 
@@ -86,7 +86,7 @@ struct LoggedImuSample {
 struct Log(Vec<u8>);
 
 impl Log {
-    fn of(run: &Scenario) -> Self {
+    fn write(run: &Scenario) -> Self {
         let mut bytes = Vec::new();
         run.write_mcap(Cursor::new(&mut bytes), None).unwrap();
         Self(bytes)
@@ -150,16 +150,16 @@ fn quiet_run() -> Scenario {
     run
 }
 
-fn assert_same(a: &Pose, b: &Pose) {
+fn assert_same_pose(a: &Pose, b: &Pose) {
     assert!((a.translation.vector - b.translation.vector).norm() < 1e-9, "{a} is not {b}");
     assert!(angle_between(&a.rotation, &b.rotation) < 1e-8, "{a} is not {b}");
 }
 
 #[test]
-fn without_faults_every_stream_says_the_truth_at_its_stamp() {
+fn without_faults_every_stream_is_true_at_its_stamp() {
     let run = quiet_run();
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
 
     for joints in log.joints() {
         let (q, q_dot) = truth.joints(joints.stamp_s);
@@ -168,7 +168,7 @@ fn without_faults_every_stream_says_the_truth_at_its_stamp() {
         assert!(joints.velocities.iter().zip(q_dot).all(|(a, b)| (a - b).abs() < 1e-8));
     }
     for (stamp_s, logged) in log.poses() {
-        assert_same(&logged, &truth.base_from_tip(stamp_s));
+        assert_same_pose(&logged, &truth.base_from_tip(stamp_s));
     }
     for imu in log.imu() {
         let base_from_tip = truth.base_from_tip(imu.stamp_s).rotation;
@@ -183,7 +183,7 @@ fn without_faults_every_stream_says_the_truth_at_its_stamp() {
 fn the_tf_tree_leads_from_the_root_to_the_tool() {
     let run = quiet_run();
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     let (moving, fixed) = (log.transforms(TF), log.transforms(TF_STATIC));
     let first: Vec<&LoggedTf> =
         moving.iter().filter(|tf| tf.stamp_s == moving[0].stamp_s).chain(&fixed).collect();
@@ -198,16 +198,16 @@ fn the_tf_tree_leads_from_the_root_to_the_tool() {
         root_from_link
     };
     let base_from_tool = root_from("base").inverse() * root_from("tool0");
-    assert_same(&base_from_tool, &truth.base_from_tip(moving[0].stamp_s));
-    assert_same(&root_from("imu_link"), &(root_from("tool0") * run.imu.tip_from_imu));
+    assert_same_pose(&base_from_tool, &truth.base_from_tip(moving[0].stamp_s));
+    assert_same_pose(&root_from("imu_link"), &(root_from("tool0") * run.imu.tip_from_imu));
 }
 
 #[test]
-fn the_gyro_turns_one_orientation_into_the_next() {
+fn gyro_rates_integrate_to_the_orientations() {
     let mut run = quiet_run();
     run.imu.timing.rate_hz = 1000.0;
     run.imu.mount_error = pose([0.0; 3], rotation_from_rpy([0.0, 0.1, 0.0]));
-    let log = Log::of(&run).imu();
+    let log = Log::write(&run).imu();
     for pair in log.windows(3) {
         let turned = pair[0].world_from_imu.inverse() * pair[2].world_from_imu;
         let rate = rotvec_from_rotation(&turned) / (pair[2].stamp_s - pair[0].stamp_s);
@@ -216,23 +216,23 @@ fn the_gyro_turns_one_orientation_into_the_next() {
 }
 
 #[test]
-fn an_imu_at_rest_feels_the_ground_push_up() {
+fn an_imu_at_rest_measures_gravity_upwards() {
     let run = Scenario { motion: Motion::AtRest, ..quiet_run() };
-    for imu in Log::of(&run).imu() {
+    for imu in Log::write(&run).imu() {
         let up = imu.world_from_imu * imu.specific_force;
-        assert!((up - Vec3::z() * truth::GRAVITY).norm() < 1e-6);
+        assert!((up - Vec3::z() * truth::GRAVITY_M_S2).norm() < 1e-6);
         assert_eq!(imu.gyro, Vec3::zeros());
     }
 }
 
 #[test]
-fn an_imu_on_a_turning_base_feels_the_pull_inwards() {
+fn an_imu_on_a_rotating_base_measures_centripetal_acceleration() {
     let mut run = quiet_run();
     run.motion = Motion::OneJoint(0);
     run.imu.tip_from_imu = Pose::identity();
     let truth = Truth::new(&run).unwrap();
     let fastest =
-        Log::of(&run).imu().into_iter().max_by(|a, b| a.gyro.norm().total_cmp(&b.gyro.norm()));
+        Log::write(&run).imu().into_iter().max_by(|a, b| a.gyro.norm().total_cmp(&b.gyro.norm()));
     let imu = fastest.unwrap();
     let base_from_tip = truth.base_from_tip(imu.stamp_s);
     let felt = base_from_tip.rotation * imu.specific_force;
@@ -244,15 +244,15 @@ fn an_imu_on_a_turning_base_feels_the_pull_inwards() {
 }
 
 #[test]
-fn a_late_stream_says_what_was_true_before() {
+fn a_late_stream_has_earlier_content() {
     for latency_s in [0.022, -0.015] {
         let mut run = quiet_run();
         run.pose.timing.latency_s = latency_s;
         run.joints.timing.latency_s = latency_s;
         let truth = Truth::new(&run).unwrap();
-        let log = Log::of(&run);
+        let log = Log::write(&run);
         for (stamp_s, logged) in log.poses() {
-            assert_same(&logged, &truth.base_from_tip(stamp_s - latency_s));
+            assert_same_pose(&logged, &truth.base_from_tip(stamp_s - latency_s));
         }
         for joints in log.joints() {
             let (q, _) = truth.joints(joints.stamp_s - latency_s);
@@ -262,22 +262,22 @@ fn a_late_stream_says_what_was_true_before() {
 }
 
 #[test]
-fn a_skewed_stream_grows_late_about_the_middle_of_the_run() {
+fn skew_changes_the_latency_about_mid_run() {
     let mut run = quiet_run();
     (run.pose.timing.latency_s, run.pose.timing.skew) = (0.010, 0.002);
     let truth = Truth::new(&run).unwrap();
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let latency_s = 0.010 + 0.002 * (stamp_s - 2.0);
-        assert_same(&logged, &truth.base_from_tip(stamp_s - latency_s));
+        assert_same_pose(&logged, &truth.base_from_tip(stamp_s - latency_s));
     }
 }
 
 #[test]
-fn a_foreign_clock_and_missing_stamps_leave_the_times_of_receipt() {
+fn other_clocks_and_missing_stamps_keep_receive_times() {
     let mut run = quiet_run();
     run.imu.timing.clock_offset_s = -1000.0;
-    run.pose.timing.stamped = false;
-    let log = Log::of(&run);
+    run.pose.timing.has_stamps = false;
+    let log = Log::write(&run);
     assert!((log.imu()[0].stamp_s + 1000.0 - run.imu.timing.phase_s).abs() < 1e-8);
     assert_eq!(log.poses()[0].0, seconds(-START.nanos()));
     for message in mcap::MessageStream::new(&log.0).unwrap() {
@@ -287,19 +287,19 @@ fn a_foreign_clock_and_missing_stamps_leave_the_times_of_receipt() {
 }
 
 #[test]
-fn what_is_reported_and_the_zero_offset_make_the_truth() {
+fn reported_positions_plus_zero_offset_are_true() {
     let offset_rad = 0.6_f64.to_radians();
     let mut run = quiet_run();
     run.joints.zero_offsets = vec![0.0, 0.0, offset_rad];
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     for joints in log.joints() {
         let (q_true, _) = truth.joints(joints.stamp_s);
         assert!((joints.positions[2] + offset_rad - q_true[2]).abs() < 1e-8);
         assert!((joints.positions[1] - q_true[1]).abs() < 1e-8);
     }
     for (stamp_s, logged) in log.poses() {
-        assert_same(&logged, &truth.base_from_tip(stamp_s));
+        assert_same_pose(&logged, &truth.base_from_tip(stamp_s));
     }
     for tf in log.transforms(TF).iter().filter(|tf| tf.child == "forearm_link") {
         let angle = rotvec_from_rotation(&tf.parent_from_child.rotation).z;
@@ -310,12 +310,12 @@ fn what_is_reported_and_the_zero_offset_make_the_truth() {
 }
 
 #[test]
-fn degrees_and_shuffled_numbers_are_what_tf_believes() {
+fn tf_uses_degrees_and_permuted_positions() {
     let mut run = quiet_run();
     run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
-    run.joints.in_degrees = true;
+    run.joints.is_in_degrees = true;
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     for joints in log.joints() {
         let (q, _) = truth.joints(joints.stamp_s);
         assert!((joints.positions[0] - q[2].to_degrees()).abs() < 1e-6);
@@ -329,12 +329,12 @@ fn degrees_and_shuffled_numbers_are_what_tf_believes() {
 }
 
 #[test]
-fn the_yaw_drifts_ahead_about_up() {
+fn yaw_drift_is_positive_about_up() {
     let drift_rad_s = 3_f64.to_radians() / 60.0;
     let clean = quiet_run();
     let mut drifting = clean.clone();
     drifting.imu.yaw_drift_rad_s = drift_rad_s;
-    for (clean, drifting) in Log::of(&clean).imu().iter().zip(Log::of(&drifting).imu()) {
+    for (clean, drifting) in Log::write(&clean).imu().iter().zip(Log::write(&drifting).imu()) {
         let ahead = drifting.world_from_imu * clean.world_from_imu.inverse();
         let expected = Vec3::z() * drift_rad_s * clean.stamp_s;
         assert!((rotvec_from_rotation(&ahead) - expected).norm() < 1e-8);
@@ -342,55 +342,57 @@ fn the_yaw_drifts_ahead_about_up() {
 }
 
 #[test]
-fn frames_and_growth_are_what_was_planted() {
+fn frames_and_radial_scale_are_as_planted() {
     let mut run = quiet_run();
     run.pose.reference_from_stream = pose([0.1, 0.2, 0.0], rotation_from_rpy([0.0, 0.0, PI]));
     run.pose.tip_from_stream = pose([0.0, 0.0, 0.14], rotation_from_rpy([0.0, 0.0, FRAC_PI_2]));
     let truth = Truth::new(&run).unwrap();
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let expected = truth.base_from_tip(stamp_s) * run.pose.tip_from_stream;
-        assert_same(&(run.pose.reference_from_stream * logged), &expected);
+        assert_same_pose(&(run.pose.reference_from_stream * logged), &expected);
     }
 
     let mut run = quiet_run();
-    run.pose.growth = 0.01;
-    run.pose.in_millimetres = true;
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    run.pose.radial_scale_error = 0.01;
+    run.pose.is_in_millimetres = true;
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let expected = truth.base_from_tip(stamp_s).translation.vector * 1010.0;
         assert!((logged.translation.vector - expected).norm() < 1e-5);
     }
 }
 
 #[test]
-fn what_was_coded_can_be_undone() {
+fn encodings_can_be_inverted() {
     let truth = Truth::new(&quiet_run()).unwrap();
     let base_from_tip = truth.base_from_tip(1.7);
-    let truth_xyzw = |coding: Coding| coding.logged(&base_from_tip).xyzw;
+    let truth_xyzw = |encoding: LoggedEncoding| encoding.encode(&base_from_tip).xyzw;
     let rotation_of = |xyzw| rotation_from_xyzw(xyzw).unwrap();
 
     let reading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
-    let numbers = Convention::RPY.numbers(&rotation_of(truth_xyzw(Coding::Misread(reading))));
+    let numbers =
+        Convention::RPY.numbers(&rotation_of(truth_xyzw(LoggedEncoding::Misinterpreted(reading))));
     let mut shown = Vec::new();
     reading.true_rotations(&Convention::RPY.rotation(numbers), &mut shown);
     assert!(shown.iter().any(|found| angle_between(found, &base_from_tip.rotation) < 1e-9));
 
     for slip in [QuaternionOrderError::WxyzReadAsXyzw, QuaternionOrderError::XyzwReadAsWxyz] {
-        let undone = rotation_of(slip.true_xyzw(truth_xyzw(Coding::Slipped(slip))));
+        let undone =
+            rotation_of(slip.true_xyzw(truth_xyzw(LoggedEncoding::WrongQuaternionOrder(slip))));
         assert!(angle_between(&undone, &base_from_tip.rotation) < 1e-12);
     }
 
-    let inverted = Coding::Inverted.logged(&base_from_tip);
+    let inverted = LoggedEncoding::Inverted.encode(&base_from_tip);
     let inverse = pose(inverted.xyz, rotation_of(inverted.xyzw));
-    assert_same(&(inverse * base_from_tip), &Pose::identity());
+    assert_same_pose(&(inverse * base_from_tip), &Pose::identity());
 
-    let transposed = Coding::Transposed.logged(&base_from_tip);
+    let transposed = LoggedEncoding::Transposed.encode(&base_from_tip);
     assert_eq!(transposed.xyz, crate::geometry::xyz_of(&base_from_tip));
     let product = rotation_of(transposed.xyzw) * base_from_tip.rotation;
     assert!(angle_between(&product, &Rotation::identity()) < 1e-12);
 }
 
 #[test]
-fn the_same_scenario_gives_the_same_bytes_and_another_seed_others() {
+fn bytes_depend_only_on_scenario_and_seed() {
     let run = Scenario { duration_s: 2.0, ..demo() };
     let bytes = |run: &Scenario| {
         let mut bytes = Vec::new();
@@ -402,31 +404,31 @@ fn the_same_scenario_gives_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
-fn a_fault_in_one_stream_leaves_the_others_as_they_were() {
+fn a_fault_in_one_stream_does_not_change_others() {
     let clean = Scenario { duration_s: 2.0, ..Scenario::ur5e() };
     let mut faulty = clean.clone();
     faulty.pose.timing.latency_s = 0.022;
     faulty.imu.timing.rate_hz = 0.0;
-    let (clean, faulty) = (Log::of(&clean), Log::of(&faulty));
+    let (clean, faulty) = (Log::write(&clean), Log::write(&faulty));
     let positions = |log: &Log| log.joints().into_iter().map(|j| j.positions).collect::<Vec<_>>();
     assert_eq!(positions(&clean), positions(&faulty));
     assert!(faulty.imu().is_empty());
 }
 
 #[test]
-fn an_imu_without_orientation_says_so() {
+fn an_imu_without_orientation_is_marked() {
     let mut run = quiet_run();
-    run.imu.with_orientation = false;
+    run.imu.has_orientation = false;
     run.imu.gyro_bias_rad_s = Vec3::new(0.01, 0.0, -0.02);
     run.motion = Motion::AtRest;
-    for imu in Log::of(&run).imu() {
+    for imu in Log::write(&run).imu() {
         assert!(imu.orientation_is_absent);
         assert_eq!(imu.gyro, run.imu.gyro_bias_rad_s);
     }
 }
 
 #[test]
-fn noise_has_the_size_and_colour_asked_for() {
+fn noise_has_the_requested_size_and_correlation() {
     let mut noise = noise::UnitNoise::new(noise::random(1, noise::Purpose::PoseNoise), 1, 0.9);
     let samples: Vec<f64> = (0..200_000).map(|_| noise.next()[0]).collect();
     let mean_of =
@@ -438,7 +440,7 @@ fn noise_has_the_size_and_colour_asked_for() {
 }
 
 #[test]
-fn a_tip_that_is_not_there_is_named() {
+fn an_unknown_tip_is_named() {
     let error = Scenario { tip: "tool".into(), ..Scenario::ur5e() }
         .write_mcap(Cursor::new(Vec::new()), None)
         .unwrap_err();

@@ -2,27 +2,27 @@
 
 use std::f64::consts::TAU;
 
-use super::gives::Bends;
+use super::compliance::ComplianceMotion;
 use super::motion::Trajectory;
-use super::{Scenario, Shake, Stop, SynthError};
+use super::{FinalStop, JointOscillation, Scenario, SynthError};
 use crate::geometry::{Pose, Vec3};
 use crate::robot::Chain;
 
 /// In m/s².
-pub(super) const GRAVITY: f64 = 9.80665;
+pub(super) const GRAVITY_M_S2: f64 = 9.80665;
 
 /// Times are seconds after the start.
 pub(super) struct Truth {
     /// Root to tip.
     pub(super) chain: Chain,
     /// Root to base, if there are joints between them.
-    above: Option<Chain>,
+    root_to_base: Option<Chain>,
     /// First link to tip.
-    whole: Chain,
+    first_to_tip: Chain,
     trajectory: Trajectory,
     brake: Option<Brake>,
-    shake: Option<Shake>,
-    bends: Bends,
+    oscillation: Option<JointOscillation>,
+    compliance: ComplianceMotion,
 }
 
 struct Brake {
@@ -32,12 +32,12 @@ struct Brake {
 
 impl Brake {
     /// At the highest speed within 3 s after the given time.
-    fn new(stop: &Stop, trajectory: &Trajectory) -> Self {
-        const STEPS: u32 = 3000;
+    fn new(stop: &FinalStop, trajectory: &Trajectory) -> Self {
+        const SEARCH_STEPS: u32 = 3000;
         let speed = |time_s: f64| {
-            trajectory.at(time_s).1.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()))
+            trajectory.joints_at(time_s).1.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()))
         };
-        let times = (0..STEPS).map(|step| stop.after_s + f64::from(step) * 1e-3);
+        let times = (0..SEARCH_STEPS).map(|step| stop.after_s + f64::from(step) * 1e-3);
         let fastest =
             times.map(|time_s| (time_s, speed(time_s))).max_by(|a, b| a.1.total_cmp(&b.1));
         let (from_s, speed) = fastest.unwrap_or_default();
@@ -45,7 +45,7 @@ impl Brake {
     }
 
     /// Path parameter (time along the original motion, s) and its rate.
-    fn along(&self, time_s: f64) -> (f64, f64) {
+    fn path_time(&self, time_s: f64) -> (f64, f64) {
         let since_s = time_s - self.from_s;
         if since_s <= 0.0 {
             (time_s, 1.0)
@@ -60,7 +60,7 @@ impl Brake {
 
 impl Truth {
     pub(super) fn new(scenario: &Scenario) -> Result<Self, SynthError> {
-        let robot = scenario.built.as_ref().unwrap_or(&scenario.robot);
+        let robot = scenario.actual_robot.as_ref().unwrap_or(&scenario.robot);
         let base = robot.link_or_nearest(&scenario.base)?;
         let tip = robot.link_or_nearest(&scenario.tip)?;
         let root = scenario.root.as_deref().map(|root| robot.link_or_nearest(root)).transpose()?;
@@ -68,26 +68,35 @@ impl Truth {
         let above = root.map(|root| robot.chain(root, base)).transpose()?;
         let whole = robot.chain(robot.root(), tip)?;
         let trajectory = Trajectory::new(scenario, &chain);
-        let brake = scenario.stop.as_ref().map(|stop| Brake::new(stop, &trajectory));
-        let shake = scenario.shake;
-        let bends = Bends::new(&scenario.gives, &trajectory, &chain, scenario.duration_s);
-        Ok(Self { chain, above, whole, trajectory, brake, shake, bends })
+        let brake = scenario.final_stop.as_ref().map(|stop| Brake::new(stop, &trajectory));
+        let shake = scenario.oscillation;
+        let deflections =
+            ComplianceMotion::new(&scenario.compliance, &trajectory, &chain, scenario.duration_s);
+        Ok(Self {
+            chain,
+            root_to_base: above,
+            first_to_tip: whole,
+            trajectory,
+            brake,
+            oscillation: shake,
+            compliance: deflections,
+        })
     }
 
     /// Joint positions and velocities, with compliance.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
-        let (mut positions, mut velocities) = self.encoders(time_s);
-        self.bends.add(time_s, &mut positions, &mut velocities);
+        let (mut positions, mut velocities) = self.encoder_joints(time_s);
+        self.compliance.add(time_s, &mut positions, &mut velocities);
         (positions, velocities)
     }
 
-    pub(super) fn encoders(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
+    pub(super) fn encoder_joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let unbraked = || (time_s, 1.0);
         let (along_s, rate) =
-            self.brake.as_ref().map_or_else(unbraked, |brake| brake.along(time_s));
-        let (mut positions, mut velocities) = self.trajectory.at(along_s);
+            self.brake.as_ref().map_or_else(unbraked, |brake| brake.path_time(time_s));
+        let (mut positions, mut velocities) = self.trajectory.joints_at(along_s);
         velocities.iter_mut().for_each(|velocity| *velocity *= rate);
-        if let Some(Shake { joint, amplitude, frequency_hz }) = self.shake {
+        if let Some(JointOscillation { joint, amplitude, frequency_hz }) = self.oscillation {
             let rate_rad_s = TAU * frequency_hz;
             positions[joint] += amplitude * (rate_rad_s * time_s).sin();
             velocities[joint] += amplitude * rate_rad_s * (rate_rad_s * time_s).cos();
@@ -96,8 +105,8 @@ impl Truth {
     }
 
     /// `base_from_tip`, for motion along lines.
-    pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
-        self.trajectory.commanded(time_s)
+    pub(super) fn commanded_pose(&self, time_s: f64) -> Option<Pose> {
+        self.trajectory.commanded_pose(time_s)
     }
 
     /// Arrival and departure, s.
@@ -108,7 +117,7 @@ impl Truth {
     pub(super) fn base_from_tip(&self, time_s: f64) -> Pose {
         let q = self.joints(time_s).0;
         let root_from_tip = self.chain.forward(&q);
-        match &self.above {
+        match &self.root_to_base {
             Some(above) => above.forward(&q[..above.dof()]).inverse() * root_from_tip,
             None => root_from_tip,
         }
@@ -116,7 +125,7 @@ impl Truth {
 
     /// Tip pose in the first link, which moves with the base.
     pub(super) fn first_from_tip(&self, time_s: f64) -> Pose {
-        self.whole.forward(&self.joints(time_s).0)
+        self.first_to_tip.forward(&self.joints(time_s).0)
     }
 
     /// Angular velocity of the tip in the base, rad/s.

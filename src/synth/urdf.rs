@@ -5,9 +5,10 @@ use crate::robot::{Joint, Limits, Mimic, Robot};
 
 /// `robot` as URDF: links, joints, limits and mimic joints, without shapes and masses.
 pub fn urdf_text(robot: &Robot) -> String {
-    let mut text = format!("<?xml version=\"1.0\"?>\n<robot name={}>\n", quoted(&robot.name));
+    let mut text =
+        format!("<?xml version=\"1.0\"?>\n<robot name={}>\n", xml_attribute(&robot.name));
     for link in robot.links() {
-        text += &format!("  <link name={}/>\n", quoted(robot.link_name(link)));
+        text += &format!("  <link name={}/>\n", xml_attribute(robot.link_name(link)));
     }
     for joint in robot.joints() {
         text += &joint_text(robot, joint);
@@ -21,10 +22,10 @@ fn joint_text(robot: &Robot, joint: &Joint) -> String {
     let mut text = format!(
         "  <joint name={} type=\"{}\">\n    <parent link={}/>\n    <child link={}/>\n    \
          <origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>\n",
-        quoted(&joint.name),
+        xml_attribute(&joint.name),
         joint.kind.name(),
-        quoted(robot.link_name(joint.parent)),
-        quoted(robot.link_name(joint.child)),
+        xml_attribute(robot.link_name(joint.parent)),
+        xml_attribute(robot.link_name(joint.child)),
     );
     if joint.kind.has_position() {
         let [x, y, z]: [f64; 3] = joint.axis.into();
@@ -32,7 +33,7 @@ fn joint_text(robot: &Robot, joint: &Joint) -> String {
         text += &limit_text(&joint.limits);
     }
     if let Some(Mimic { joint, multiplier, offset }) = &joint.mimic {
-        let joint = quoted(joint);
+        let joint = xml_attribute(joint);
         text += &format!(
             "    <mimic joint={joint} multiplier=\"{multiplier}\" offset=\"{offset}\"/>\n"
         );
@@ -54,7 +55,7 @@ fn limit_text(limits: &Limits) -> String {
     format!("    <limit effort=\"0\"{attributes}/>\n")
 }
 
-fn quoted(name: &str) -> String {
+fn xml_attribute(name: &str) -> String {
     let escaped = name.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
     format!("\"{escaped}\"")
 }
@@ -66,7 +67,7 @@ mod tests {
     use crate::robot::catalogue;
 
     #[test]
-    fn every_catalogue_arm_is_read_back_as_it_was() {
+    fn every_catalogue_arm_round_trips() {
         for robot in catalogue::entries() {
             let read = Robot::from_urdf(&urdf_text(robot), "written").unwrap();
             assert_eq!(read.name, robot.name);
@@ -89,6 +90,6 @@ mod tests {
 
     #[test]
     fn names_are_escaped() {
-        assert_eq!(quoted("a<b & \"c\""), "\"a&lt;b &amp; &quot;c&quot;\"");
+        assert_eq!(xml_attribute("a<b & \"c\""), "\"a&lt;b &amp; &quot;c&quot;\"");
     }
 }

@@ -3,7 +3,7 @@
 use poseaudit::geometry::QuaternionOrderError;
 use poseaudit::report::Report;
 use poseaudit::robot::catalogue;
-use poseaudit::synth::{self, Coding, IMU, JOINT_STATES, POSE, Scenario};
+use poseaudit::synth::{self, IMU, JOINT_STATES, LoggedEncoding, POSE, Scenario};
 
 use crate::checks::case::ExpectedEstimate::{
     Amount, Degrees, DegreesPerMinute, Frame, IsReadAs, Order,
@@ -24,7 +24,7 @@ fn assert_found(report: &Report, expected: &[(&str, &str, ExpectedEstimate)]) {
 fn the_four_faults_of_the_demo() {
     let mut log = Log::fault_free();
     let demo = synth::demo();
-    log.run.pose.coding = demo.pose.coding;
+    log.run.pose.encoding = demo.pose.encoding;
     log.run.pose.timing.latency_s = demo.pose.timing.latency_s;
     log.run.joints.zero_offsets = demo.joints.zero_offsets;
     log.run.imu.yaw_drift_rad_s = demo.imu.yaw_drift_rad_s;
@@ -56,8 +56,8 @@ fn a_reversed_last_joint_and_a_zero_offset() {
 fn joints_in_degrees_and_a_clock_set_back() {
     let report = Log::modified(|log| {
         log.run.duration_s = 20.0;
-        log.run.joints.in_degrees = true;
-        log.run.pose.timing.step = Some((9.0, -0.2));
+        log.run.joints.is_in_degrees = true;
+        log.run.pose.timing.clock_step = Some((9.0, -0.2));
     })
     .report();
     single_finding(&report, "ORD004", JOINT_STATES);
@@ -108,7 +108,8 @@ fn zero_offsets_of_neighbouring_joints() {
 #[test]
 fn a_wrong_quaternion_order_and_a_latency() {
     let report = Log::modified(|log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.pose.encoding =
+            LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
         log.run.pose.timing.latency_s = 0.015;
     })
     .report();
@@ -124,7 +125,7 @@ fn a_wrong_quaternion_order_and_a_latency() {
 #[test]
 fn millimetres_and_a_zero_offset() {
     let report = Log::modified(|log| {
-        log.run.pose.in_millimetres = true;
+        log.run.pose.is_in_millimetres = true;
         log.run.joints.zero_offsets = zero_offset(2, 0.6);
     })
     .report();
@@ -137,7 +138,7 @@ fn millimetres_and_a_zero_offset() {
 #[test]
 fn joints_in_degrees_and_in_the_wrong_order_and_a_latency() {
     let report = Log::modified(|log| {
-        log.run.joints.in_degrees = true;
+        log.run.joints.is_in_degrees = true;
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
         log.run.pose.timing.latency_s = 0.015;
     })
@@ -154,7 +155,7 @@ fn joints_in_degrees_and_in_the_wrong_order_and_a_latency() {
 fn sag_and_joints_in_the_wrong_order() {
     let report = Log::modified(|log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
-        crate::checks::mot::set_compliance(log, &[(1, synth::Giving::Sag, 0.6)]);
+        crate::checks::mot::set_compliance(log, &[(1, synth::SynthComplianceKind::Sag, 0.6)]);
     })
     .report();
     let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
@@ -185,7 +186,7 @@ fn a_rotated_base_a_tool_offset_and_a_zero_offset() {
 #[test]
 fn an_inverted_pose_a_zero_offset_and_a_latency() {
     let report = Log::modified(|log| {
-        log.run.pose.coding = Coding::Inverted;
+        log.run.pose.encoding = LoggedEncoding::Inverted;
         log.run.joints.zero_offsets = zero_offset(2, 0.6);
         log.run.pose.timing.latency_s = -0.012;
     })

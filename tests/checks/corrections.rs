@@ -8,7 +8,7 @@ use poseaudit::finding::Finding;
 use poseaudit::geometry::{Pose, QuaternionOrderError};
 use poseaudit::report::Report;
 use poseaudit::robot::Robot;
-use poseaudit::synth::{self, Camera, Coding, IMU, JOINT_STATES, POSE, TF, urdf_text};
+use poseaudit::synth::{self, Camera, IMU, JOINT_STATES, LoggedEncoding, POSE, TF, urdf_text};
 use tempfile::TempDir;
 
 use crate::checks::case::{Log, single_finding, summary};
@@ -67,7 +67,7 @@ impl CorrectedLog {
 fn the_demos_faults_are_corrected_except_the_yaw_drift() {
     let demo = synth::demo();
     let corrected = CorrectedLog::audit(|log| {
-        log.run.pose.coding = demo.pose.coding;
+        log.run.pose.encoding = demo.pose.encoding;
         log.run.pose.timing.latency_s = demo.pose.timing.latency_s;
         log.run.joints.zero_offsets = demo.joints.zero_offsets.clone();
         log.run.imu.yaw_drift_rad_s = demo.imu.yaw_drift_rad_s;
@@ -97,41 +97,44 @@ fn misinterpreted_rotations_are_corrected() {
         ("euler:ZYZ", "euler:xyz"),
         ("euler:xzy@axes", "euler:xyz"),
     ] {
-        let corrected = CorrectedLog::audit(|log| log.run.pose.coding = misread(is, read_as));
+        let corrected = CorrectedLog::audit(|log| log.run.pose.encoding = misread(is, read_as));
         corrected.assert_corrects(&["ORD001"], &[]);
     }
     let corrected =
-        CorrectedLog::audit(|log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz"));
+        CorrectedLog::audit(|log| log.run.imu.encoding = misread("euler:ZYX", "euler:xyz"));
     corrected.assert_corrects(&["ORD001"], &[]);
 }
 
 #[test]
 fn quaternion_orders_and_inverses_are_corrected() {
     for (code, coding) in [
-        ("ORD002", Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw)),
-        ("ORD002", Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz)),
-        ("ORD003", Coding::Inverted),
-        ("ORD003", Coding::Transposed),
+        ("ORD002", LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw)),
+        ("ORD002", LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz)),
+        ("ORD003", LoggedEncoding::Inverted),
+        ("ORD003", LoggedEncoding::Transposed),
     ] {
-        CorrectedLog::audit(|log| log.run.pose.coding = coding).assert_corrects(&[code], &[]);
+        CorrectedLog::audit(|log| log.run.pose.encoding = coding).assert_corrects(&[code], &[]);
     }
     let both = CorrectedLog::audit(|log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
-        log.run.pose.inverted = true;
+        log.run.pose.encoding =
+            LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.pose.is_inverted = true;
     });
     both.assert_corrects(&["ORD002", "ORD003"], &[]);
-    let imu = CorrectedLog::audit(|log| log.run.imu.coding = Coding::Transposed);
+    let imu = CorrectedLog::audit(|log| log.run.imu.encoding = LoggedEncoding::Transposed);
     imu.assert_corrects(&["ORD003"], &[]);
 }
 
 #[test]
 fn units_and_joint_orders_are_corrected() {
-    CorrectedLog::audit(|log| log.run.joints.in_degrees = true).assert_corrects(&["ORD004"], &[]);
+    CorrectedLog::audit(|log| log.run.joints.is_in_degrees = true)
+        .assert_corrects(&["ORD004"], &[]);
     let order = || Some(vec![5, 0, 1, 2, 3, 4]);
     let corrected = CorrectedLog::audit(|log| log.run.joints.number_order = order());
     corrected.assert_corrects(&["ORD005"], &[]);
     assert!(corrected.text("conventions.md").contains("wrist_3_joint, shoulder_pan_joint, "));
-    CorrectedLog::audit(|log| log.run.pose.in_millimetres = true).assert_corrects(&["ORD008"], &[]);
+    CorrectedLog::audit(|log| log.run.pose.is_in_millimetres = true)
+        .assert_corrects(&["ORD008"], &[]);
     CorrectedLog::audit(|log| {
         log.edit = Some(|messages| crate::checks::ord::convert_unit(messages, 0.0254))
     })
@@ -146,7 +149,7 @@ fn units_and_joint_orders_are_corrected() {
     corrected.assert_corrects(&["ORD010"], &[]);
     assert!(corrected.text("corrections.toml").contains(unity));
     let all = CorrectedLog::audit(|log| {
-        log.run.joints.in_degrees = true;
+        log.run.joints.is_in_degrees = true;
         log.run.joints.number_order = order();
         log.run.pose.timing.latency_s = 0.015;
     });
@@ -263,7 +266,7 @@ fn frames_are_corrected() {
     assert!(base.text("fixed_joints.xml").contains("<parent link=\"base\"/>"));
     let tool = CorrectedLog::audit(|log| {
         log.run.pose.tip_from_stream = crate::checks::frm::tool_offset();
-        log.run.pose.coding = misread("rotvec", "euler:xyz");
+        log.run.pose.encoding = misread("rotvec", "euler:xyz");
         log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
     });
     tool.assert_corrects(&["FRM002", "FRM003", "ORD001"], &[]);
@@ -318,7 +321,7 @@ fn corrections_of_one_log_are_always_the_same_bytes() {
         let log = Log::modified(|log| {
             log.run.joints.zero_offsets = zero_offset(2, 0.6);
             log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
-            log.run.pose.coding = misread("rotvec", "euler:xyz");
+            log.run.pose.encoding = misread("rotvec", "euler:xyz");
             log.fix = Some(folder.path().to_owned());
         });
         log.report();

@@ -5,7 +5,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use poseaudit::finding::{Estimate, Severity};
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use poseaudit::synth::{
-    COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, Lines, Motion, POSE, TF, TF_STATIC, ToolSlip,
+    COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, LineMotion, Motion, POSE, TF, TF_STATIC,
+    ToolSlip,
 };
 use serde_json::Value;
 
@@ -56,7 +57,7 @@ cases! {
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(0, 0.6);
     } => OnlyOtherFinding("ZER001");
     FRM002 a_tool_offset_is_not_reported_as_base_offset: |log| log.run.pose.tip_from_stream = tool_offset() => OnlyOtherFinding("FRM003");
-    FRM002 millimetres_are_not_reported_as_base_offset: |log| log.run.pose.in_millimetres = true
+    FRM002 millimetres_are_not_reported_as_base_offset: |log| log.run.pose.is_in_millimetres = true
         => OnlyOtherFinding("ORD008");
     FRM002 a_late_pose_is_not_reported_as_base_offset: |log| log.run.pose.timing.latency_s = 0.022
         => OnlyOtherFinding("LAT001");
@@ -79,7 +80,7 @@ cases! {
     } => info(TIP, Frame([0.14, 0.1e-3], [90.0, 0.02]));
     FRM003 switching_between_two_markers: |log| {
         let tool_from_slipped = pose([0.03, 0.0, 0.04], rotation_from_rotvec(Vec3::z() * 2.0));
-        log.run.pose.slip = Some(ToolSlip { from_s: 3.0, to_s: 5.0, tool_from_slipped });
+        log.run.pose.tool_slip = Some(ToolSlip { from_s: 3.0, to_s: 5.0, tool_from_slipped });
     } => error(TIP, Frame([0.05, 4e-3], [2_f64.to_degrees(), 1.0]));
     FRM003 a_tool_offset_of_2_millimetres: |log| {
         log.options.run.tip = Some("tool0".to_owned());
@@ -97,7 +98,7 @@ cases! {
         log.options.run.tip = Some("tool0".to_owned());
         log.run.pose.reference_from_stream = base_rotated_by_180_degrees();
     } => OnlyOtherFinding("FRM002");
-    FRM003 a_misread_rotation_is_not_reported_as_tool_offset: |log| log.run.pose.coding = crate::checks::ord::misread_as_rpy()
+    FRM003 a_misread_rotation_is_not_reported_as_tool_offset: |log| log.run.pose.encoding = crate::checks::ord::misread_as_rpy()
         => OnlyOtherFinding("ORD001");
     FRM003 at_rest_a_tool_offset_is_not_observable: |log| log.run.motion = Motion::AtRest
         => Inconclusive("turn the wrist");
@@ -145,7 +146,7 @@ cases! {
     } => OnlyOtherFinding("FRM001");
     FRM004 no_frames: |log| {
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.tf.with_static = false;
+        log.run.tf.has_static = false;
     } => Skipped("no /tf");
 
     FRM005 quaternions_of_norm_below_one: |log| {
@@ -160,12 +161,12 @@ cases! {
         log.edit = Some(|messages| scale_quaternions(messages, POSE, |row| 1.0 + 1e-7 * (row % 3) as f64));
     } => NoFindings;
     FRM005 components_in_another_order_are_of_unit_norm: |log| {
-        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
+        log.run.pose.encoding = crate::checks::ord::misread_as_rpy();
     } => OnlyOtherFinding("ORD001");
     FRM005 no_stream_with_quaternions: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.tf.with_static = false;
+        log.run.tf.has_static = false;
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with quaternions");
 
@@ -229,7 +230,7 @@ cases! {
     } => OnlyOtherFinding("FRM002");
     FRM006 a_misread_pose_reaches_its_goals: |log| {
         follow_commands(log, Commands::Goals, 0.0);
-        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
+        log.run.pose.encoding = crate::checks::ord::misread_as_rpy();
     } => OnlyOtherFinding("ORD001");
     FRM006 an_arm_that_never_rests: |log| {
         follow_commands(log, Commands::Poses, 0.0);
@@ -244,10 +245,11 @@ cases! {
 
 /// The arm follows commanded lines; its last joint stays short by `short_by_degrees`.
 fn follow_commands(log: &mut Log, commands: Commands, short_by_degrees: f64) {
-    crate::checks::mot::follow_lines(log, Lines::default());
+    crate::checks::mot::follow_lines(log, LineMotion::default());
     log.run.reference.commands = commands;
     if short_by_degrees > 0.0 {
-        log.run.reference.short_by = vec![0.0, 0.0, 0.0, 0.0, 0.0, short_by_degrees.to_radians()];
+        log.run.reference.command_offset =
+            vec![0.0, 0.0, 0.0, 0.0, 0.0, short_by_degrees.to_radians()];
     }
 }
 
@@ -255,7 +257,7 @@ fn follow_commands(log: &mut Log, commands: Commands, short_by_degrees: f64) {
 fn an_elbow_that_stops_short_is_not_reported_as_tool_offset() {
     let report = Log::modified(|log| {
         follow_commands(log, Commands::Poses, 0.0);
-        log.run.reference.short_by = vec![0.0, 0.0, 0.3_f64.to_radians()];
+        log.run.reference.command_offset = vec![0.0, 0.0, 0.3_f64.to_radians()];
     })
     .report();
     let found = single_finding(&report, "FRM006", COMMANDED_POSE);

@@ -3,7 +3,7 @@
 use poseaudit::finding::{Finding, Status};
 use poseaudit::geometry::{Pose, QuaternionOrderError, Vec3, pose, rotation_from_rotvec};
 use poseaudit::report::Report;
-use poseaudit::synth::{Camera, Coding, Motion, Swapped, TARGET, TF};
+use poseaudit::synth::{BodyAxesPart, Camera, LoggedEncoding, Motion, TARGET, TF};
 
 use crate::checks::case::ExpectedEstimate::{
     AmountWithoutInterval, Frame, IsReadAs, ResidualBetween,
@@ -19,11 +19,11 @@ const BODY: &str = "x forward, z up";
 cases! {
     HEC001 a_target_that_slips: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
+        log.run.target.target_slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
     } => warning(Topic(TARGET), ResidualBetween(0.0025, 0.0045));
     HEC001 a_target_in_the_hand_that_slips: |log| {
         watch_target(log, Camera::InBase);
-        log.run.target.slip = Some((4.0, Pose::translation(0.0, 0.03, 0.0)));
+        log.run.target.target_slip = Some((4.0, Pose::translation(0.0, 0.03, 0.0)));
     } => error(Topic(TARGET), ResidualBetween(0.010, 0.017));
     HEC001 a_camera_that_contradicts_its_transforms: |log| {
         watch_target(log, Camera::InHand);
@@ -39,19 +39,19 @@ cases! {
     } => error(Topic(TARGET), ResidualBetween(0.002, 0.05));
     HEC001 a_transposed_target: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.coding = Coding::Transposed;
+        log.run.target.encoding = LoggedEncoding::Transposed;
     } => error(Topic(TARGET), ResidualBetween(0.002, 0.5));
     HEC001 a_target_with_the_scalar_first: |log| {
         watch_target(log, Camera::InBase);
-        log.run.target.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.target.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(TARGET), ResidualBetween(0.002, 1.0));
     HEC001 a_misread_target: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.coding = crate::checks::ord::misread("rotvec", "euler:xyz");
+        log.run.target.encoding = crate::checks::ord::misread("rotvec", "euler:xyz");
     } => error(Topic(TARGET), ResidualBetween(0.0, 0.5));
     HEC001 inverted_poses: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.coding = Coding::Inverted;
+        log.run.target.encoding = LoggedEncoding::Inverted;
     } => error(Topic(TARGET), Frame([0.0, 1e-3], [0.0, 0.1]));
 
     HEC001 a_camera_in_the_hand: |log| watch_target(log, Camera::InHand) => NoFindings;
@@ -75,7 +75,7 @@ cases! {
     } => NoFindings;
     HEC001 a_tag_on_tf: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.in_tf = Some("tag_3".to_owned());
+        log.run.target.tf_frame = Some("tag_3".to_owned());
     } => NoFindings;
     HEC001 without_a_model: |log| {
         watch_target(log, Camera::InHand);
@@ -86,12 +86,12 @@ cases! {
         remove_arm(log);
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 50.0;
-        log.run.target.in_tf = Some("tag_3".to_owned());
+        log.run.target.tf_frame = Some("tag_3".to_owned());
     } => NoFindings;
     HEC001 a_tag_that_slips_on_tf: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.in_tf = Some("tag_3".to_owned());
-        log.run.target.slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
+        log.run.target.tf_frame = Some("tag_3".to_owned());
+        log.run.target.target_slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
     } => warning(OnFrame(TF, "tag_3"), ResidualBetween(0.0025, 0.0045));
 
     HEC001 a_joint_zero_offset_is_not_reported_as_handeye_error: |log| {
@@ -104,7 +104,7 @@ cases! {
     } => OnlyOtherFinding("LAT001");
     HEC001 a_misread_tool_pose_is_not_reported_as_handeye_error: |log| {
         watch_target(log, Camera::InBase);
-        log.run.pose.coding = crate::checks::ord::misread("rotvec", "euler:xyz");
+        log.run.pose.encoding = crate::checks::ord::misread("rotvec", "euler:xyz");
     } => OnlyOtherFinding("ORD001");
     HEC001 another_forearm_is_not_reported_as_handeye_error: |log| {
         watch_target(log, Camera::InHand);
@@ -112,7 +112,7 @@ cases! {
     } => OtherFindingAndInconclusive("MDL001", "check the model");
     HEC001 swapped_axes_are_not_reported_as_handeye_error: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.swapped = Swapped::Position;
+        log.run.target.in_body_axes = BodyAxesPart::Position;
     } => OnlyOtherFinding("HEC003");
     HEC001 no_target: |_| {} => Skipped("no camera-to-target poses");
     HEC001 a_target_with_unrelated_motion: |log| {
@@ -131,7 +131,7 @@ cases! {
     HEC002 sufficient_rotations: |log| watch_target(log, Camera::InHand) => NoFindings;
     HEC002 a_slip_is_not_reported_as_too_little_rotation: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
+        log.run.target.target_slip = Some((4.0, Pose::translation(0.008, 0.0, 0.0)));
     } => OnlyOtherFinding("HEC001");
     HEC002 target_visible_for_one_second: |log| {
         watch_target(log, Camera::InHand);
@@ -141,26 +141,26 @@ cases! {
 
     HEC003 body_axes_under_an_optical_frame: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.swapped = Swapped::Whole;
+        log.run.target.in_body_axes = BodyAxesPart::Whole;
     } => error(Topic(TARGET), IsReadAs(BODY, OPTICAL));
     HEC003 body_axes_under_an_optical_name: |log| {
         watch_target(log, Camera::InBase);
-        log.run.target.swapped = Swapped::Whole;
-        log.run.target.with_frame = false;
+        log.run.target.in_body_axes = BodyAxesPart::Whole;
+        log.run.target.has_frame = false;
     } => error(Topic(TARGET), IsReadAs(BODY, OPTICAL));
     HEC003 a_position_in_body_axes: |log| {
         watch_target(log, Camera::InHand);
-        log.run.target.swapped = Swapped::Position;
-        log.run.target.with_frame = false;
+        log.run.target.in_body_axes = BodyAxesPart::Position;
+        log.run.target.has_frame = false;
     } => error(Topic(TARGET), IsReadAs(BODY, OPTICAL));
     HEC003 a_position_in_body_axes_of_a_fixed_camera: |log| {
         watch_target(log, Camera::InBase);
-        log.run.target.swapped = Swapped::Position;
+        log.run.target.in_body_axes = BodyAxesPart::Position;
     } => error(Topic(TARGET), IsReadAs(BODY, OPTICAL));
     HEC003 axes_as_the_frames_say: |log| watch_target(log, Camera::InHand) => NoFindings;
     HEC003 axes_as_the_name_says: |log| {
         watch_target(log, Camera::InBase);
-        log.run.target.with_frame = false;
+        log.run.target.has_frame = false;
     } => NoFindings;
     HEC003 a_tilted_camera_is_not_reported_as_axis_convention: |log| {
         watch_target(log, Camera::InHand);
@@ -170,18 +170,18 @@ cases! {
     HEC003 unknown_camera_axes: |log| {
         watch_target(log, Camera::InHand);
         log.run.target.frame_id = "cam".to_owned();
-        log.run.target.with_frame = false;
+        log.run.target.has_frame = false;
     } => Skipped("camera axis convention unknown");
 }
 
 /// Adds a camera to the log.
 pub fn add_camera(log: &mut Log) {
-    log.run.watch(Camera::InHand).expect("the arm has a tip");
+    log.run.add_camera(Camera::InHand).expect("the arm has a tip");
 }
 
 /// Adds a camera, and a motion that keeps the target in its view.
 pub fn watch_target(log: &mut Log, camera: Camera) {
-    log.run.watch(camera).expect("the arm has a tip");
+    log.run.add_camera(camera).expect("the arm has a tip");
     log.run.amplitude = 0.45;
 }
 
@@ -202,7 +202,7 @@ fn remove_arm(log: &mut Log) {
     log.run.joints.timing.rate_hz = 0.0;
     log.run.tf.timing.rate_hz = 0.0;
     log.run.imu.timing.rate_hz = 0.0;
-    log.run.description = false;
+    log.run.has_description = false;
 }
 
 fn tilted_mount(degrees: f64) -> Pose {
@@ -220,7 +220,7 @@ fn evidence_holds_the_camera_pose_and_the_time_offset() {
         let log = Log::modified(|log| {
             watch_target(log, camera);
             log.run.target.timing.latency_s = 0.035;
-            log.run.target.with_frame = false;
+            log.run.target.has_frame = false;
         });
         let report = log.report();
         let evidence = &row(&report, "HEC001").evidence;
@@ -262,15 +262,17 @@ fn a_wrong_tag_size_is_distinguished_from_a_wrong_focal_length() {
 
 #[test]
 fn the_message_names_the_correction_of_target_rotations() {
-    let message_with = |coding: Coding| {
+    let message_with = |coding: LoggedEncoding| {
         let log = Log::modified(|log| {
             watch_target(log, Camera::InHand);
-            log.run.target.coding = coding;
+            log.run.target.encoding = coding;
         });
         let report = log.report();
         single_finding(&report, "HEC001", TARGET).message.clone()
     };
-    assert!(message_with(Coding::Transposed).ends_with("if target rotations are transposed"));
+    assert!(
+        message_with(LoggedEncoding::Transposed).ends_with("if target rotations are transposed")
+    );
     let misread = message_with(crate::checks::ord::misread("rotvec", "euler:xyz"));
     assert!(misread.contains("target rotations are rotvec, not euler:xyz"), "{misread}");
 }

@@ -20,15 +20,15 @@ cases! {
     ORD004 a_gyro_in_degrees: |log| log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees))
         => error(Topic(IMU), IsReadAs("deg", "rad"));
     ORD004 a_gyro_in_degrees_without_orientation_or_frame: |log| {
-        log.run.imu.with_orientation = false;
-        log.run.tf.with_static = false;
+        log.run.imu.has_orientation = false;
+        log.run.tf.has_static = false;
         log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
     } => error(Topic(IMU), IsReadAs("deg", "rad"));
     YAW004 a_gyro_in_degrees_is_not_reported_as_bias: |log| {
         log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
     } => OnlyOtherFinding("ORD004");
     LAT001 a_gyro_in_degrees_is_not_reported_as_latency: |log| {
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
         log.edit = Some(|messages| edit_imu(messages, gyro_to_degrees));
     } => OnlyOtherFinding("ORD004");
 
@@ -212,7 +212,7 @@ fn an_imu_slip_is_reported_with_both_values_and_its_time() {
     let report = report_of_16_s(|log| log.edit = Some(|messages| edit_imu(messages, slip_mount)));
     assert_changes(single_finding(&report, "YAW003", IMU), 0.0, to, 4e-3);
     let gyro_alone = report_of_16_s(|log| {
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
         log.edit = Some(|messages| edit_imu(messages, slip_mount));
     });
     assert_changes(single_finding(&gyro_alone, "YAW003", IMU), 0.0, to, 1e-2);

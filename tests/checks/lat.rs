@@ -15,7 +15,7 @@ cases! {
     LAT001 a_late_pose: |log| log.run.pose.timing.latency_s = 0.015
         => error(Topic(POSE), Amount(0.015, 0.2e-3));
     LAT001 backlash_is_not_reported_as_latency: |log| {
-        crate::checks::mot::set_compliance(log, &[(1, poseaudit::synth::Giving::Play, 1.0)]);
+        crate::checks::mot::set_compliance(log, &[(1, poseaudit::synth::SynthComplianceKind::Backlash, 1.0)]);
     } => OnlyOtherFinding("MOT006");
     LAT001 an_early_pose: |log| log.run.pose.timing.latency_s = -0.006
         => warning(Topic(POSE), Amount(-0.006, 0.2e-3));
@@ -27,12 +27,12 @@ cases! {
         => error(Topic(IMU), Amount(0.012, 0.3e-3));
     LAT001 a_late_imu_without_orientation: |log| {
         log.run.imu.timing.latency_s = 0.012;
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => error(Topic(IMU), Amount(0.012, 0.5e-3));
     LAT001 late_joint_states: |log| log.run.joints.timing.latency_s = 0.012
         => error(Topic(JOINT_STATES), Amount(0.012, 0.2e-3));
     LAT001 a_late_pose_without_velocities: |log| {
-        log.run.joints.with_velocity = false;
+        log.run.joints.has_velocity = false;
         log.run.pose.timing.latency_s = 0.015;
     } => error(Topic(POSE), Amount(0.015, 0.2e-3));
     LAT001 a_late_pose_of_one_moving_wrist: |log| {
@@ -51,10 +51,10 @@ cases! {
 
     LAT001 half_a_millisecond_passes: |log| log.run.pose.timing.latency_s = 0.5e-3 => NoFindings;
 
-    LAT001 a_misread_rotation_is_not_reported_as_latency: |log| log.run.pose.coding = crate::checks::ord::misread_as_rpy()
+    LAT001 a_misread_rotation_is_not_reported_as_latency: |log| log.run.pose.encoding = crate::checks::ord::misread_as_rpy()
         => OnlyOtherFinding("ORD001");
     LAT001 an_inverted_pose_is_not_reported_as_latency: |log| {
-        log.run.pose.coding = poseaudit::synth::Coding::Inverted;
+        log.run.pose.encoding = poseaudit::synth::LoggedEncoding::Inverted;
     } => OnlyOtherFinding("ORD003");
     LAT001 a_zero_offset_is_not_reported_as_latency: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
         => OnlyOtherFinding("ZER001");
@@ -85,12 +85,12 @@ cases! {
         => OnlyOtherFinding("LAT001");
     LAT002 a_drifting_imu_is_not_reported_as_clock_skew: |log| log.run.imu.yaw_drift_rad_s = 1e-3
         => OnlyOtherFinding("YAW001");
-    LAT002 radial_scale_is_not_reported_as_clock_skew: |log| log.run.pose.growth = 0.01 => OnlyOtherFinding("ZER002");
+    LAT002 radial_scale_is_not_reported_as_clock_skew: |log| log.run.pose.radial_scale_error = 0.01 => OnlyOtherFinding("ZER002");
     LAT002 an_imu_on_a_fast_clock: |log| log.run.imu.timing.skew = 800e-6
         => error(Topic(IMU), Amount(800e-6, 30e-6));
     LAT002 an_imu_on_a_slow_clock_without_orientation: |log| {
         log.run.imu.timing.skew = -2e-3;
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => error(Topic(IMU), Amount(-2e-3, 0.1e-3));
     LAT002 a_late_imu_is_not_reported_as_clock_skew: |log| log.run.imu.timing.latency_s = 0.16
         => OnlyOtherFinding("LAT001");
@@ -115,7 +115,7 @@ cases! {
     } => error(Topic(IMU), Amount(0.025, 1e-3));
     LAT003 a_latency_step_of_an_imu_without_orientation: |log| {
         log.run.duration_s = 16.0;
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
         log.edit = Some(|messages| shift_stamps(messages, IMU, 9.0, f64::MAX, 0.040));
     } => error(Topic(IMU), Amount(0.040, 3e-3));
     LAT003 a_latency_step_of_joint_states: |log| {
@@ -130,7 +130,7 @@ cases! {
     LAT003 clock_skew_is_not_reported_as_latency_step: |log| log.run.pose.timing.skew = 400e-6 => OnlyOtherFinding("LAT002");
     LAT003 a_zero_offset_is_not_reported_as_latency_step: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
         => OnlyOtherFinding("ZER001");
-    LAT003 radial_scale_is_not_reported_as_latency_step: |log| log.run.pose.growth = 0.01 => OnlyOtherFinding("ZER002");
+    LAT003 radial_scale_is_not_reported_as_latency_step: |log| log.run.pose.radial_scale_error = 0.01 => OnlyOtherFinding("ZER002");
     LAT003 no_stream_for_latency_steps: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;

@@ -9,7 +9,7 @@ use poseaudit::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_
 use poseaudit::report::Verdict;
 use poseaudit::robot::Robot;
 use poseaudit::run::CalibrationSource;
-use poseaudit::synth::{Coding, Noise, POSE, Scenario, urdf_text};
+use poseaudit::synth::{LoggedEncoding, Noise, POSE, Scenario, urdf_text};
 
 use crate::checks::case::ExpectedEstimate::{Frame, ResidualBetween};
 use crate::checks::case::ExpectedSubject::Topic;
@@ -34,7 +34,7 @@ cases! {
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(1, 0.8);
     } => OnlyOtherFinding("ZER001");
     MDL001 a_misread_rotation_leaves_no_residual: |log| {
-        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
+        log.run.pose.encoding = crate::checks::ord::misread_as_rpy();
     } => OnlyOtherFinding("ORD001");
     MDL001 a_late_pose_leaves_no_residual: |log| log.run.pose.timing.latency_s = 0.05
         => OnlyOtherFinding("LAT001");
@@ -42,7 +42,7 @@ cases! {
         log.run.pose.reference_from_stream = crate::checks::frm::base_shifted_and_tilted();
     } => OnlyOtherFinding("FRM002");
 
-    MDL001 radial_scale_leaves_no_residual: |log| log.run.pose.growth = 0.01
+    MDL001 radial_scale_leaves_no_residual: |log| log.run.pose.radial_scale_error = 0.01
         => OnlyOtherFinding("ZER002");
 
     MDL001 only_joint_states: |log| remove_other_streams(&mut log.run)
@@ -130,7 +130,7 @@ fn a_nominal_model_is_found_with_a_late_inverted_pose() {
     let report = Log::modified(|log| {
         add_link_deviations(&mut log.run);
         log.run.pose.timing.latency_s = 0.02;
-        log.run.pose.coding = Coding::Inverted;
+        log.run.pose.encoding = LoggedEncoding::Inverted;
     })
     .report();
     let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
@@ -142,8 +142,8 @@ fn with_a_noisy_tracker_tool_offset_and_radial_scale_are_not_reported_as_nominal
     let report = Log::modified(|log| {
         log.run.noise = Noise { pose_m: 2e-4, pose_rad: 4e-4, ..log.run.noise };
         log.run.pose.tip_from_stream = Pose::translation(0.0, 0.003, -0.002);
-        log.run.pose.growth = 0.004;
-        log.run.pose.coding = Coding::Inverted;
+        log.run.pose.radial_scale_error = 0.004;
+        log.run.pose.encoding = LoggedEncoding::Inverted;
         log.run.pose.timing.rate_hz = 50.0;
     })
     .report();
@@ -218,6 +218,6 @@ pub fn move_joint_origin(run: &mut Scenario, joint: &str, by: [f64; 6]) {
         "{before}<joint name=\"{joint}\"{head}<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"{rest}"
     );
     run.robot = Robot::from_urdf(&changed_urdf, "an altered arm").expect("a robot");
-    run.description = false;
+    run.has_description = false;
     run.tf.timing.rate_hz = 0.0;
 }

@@ -8,7 +8,7 @@ use poseaudit::geometry::{
     Pose, QuaternionOrderError, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
 };
 use poseaudit::report::{Report, Verdict};
-use poseaudit::synth::{Coding, JOINT_STATES, POSE, ToolSlip};
+use poseaudit::synth::{JOINT_STATES, LoggedEncoding, POSE, ToolSlip};
 use serde_json::Value;
 
 use crate::checks::case::{Log, single_finding, summary};
@@ -22,7 +22,7 @@ fn a_tool_slip_is_reported_with_both_offsets_and_its_time() {
     let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         let tool_from_slipped = Pose::translation(0.0, 0.03, 0.04);
-        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 60.0, tool_from_slipped });
+        log.run.pose.tool_slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 60.0, tool_from_slipped });
     })
     .report();
     assert_change(&report, "FRM003", POSE, 0.05, 1e-4);
@@ -38,7 +38,7 @@ fn a_temporary_tool_slip_is_only_a_tool_finding() {
     let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
         let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
-        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
+        log.run.pose.tool_slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
     })
     .report();
     assert_eq!(codes(&report), ["FRM003"].into(), "{}", summary(&report.findings));
@@ -51,9 +51,9 @@ fn a_temporary_tool_slip_is_only_a_tool_finding() {
 fn a_temporary_tool_slip_has_the_same_size_with_poses_in_millimetres() {
     let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.pose.in_millimetres = true;
+        log.run.pose.is_in_millimetres = true;
         let tool_from_slipped = Pose::translation(0.0, 0.0, 0.02);
-        log.run.pose.slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
+        log.run.pose.tool_slip = Some(ToolSlip { from_s: CHANGE_S, to_s: 6.0, tool_from_slipped });
     })
     .report();
     assert_eq!(codes(&report), ["FRM003", "ORD008"].into(), "{}", summary(&report.findings));
@@ -148,7 +148,8 @@ fn clock_skew_is_found_with_a_unit_that_changes_mid_run() {
 fn a_unit_change_is_found_with_a_wrong_quaternion_order() {
     let report = Log::modified(|log| {
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.pose.encoding =
+            LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
         log.edit = Some(|messages| millimetres_after_change(messages));
     })
     .report();

@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::Convention;
 use poseaudit::synth::{
-    COMMANDED_POSE, Commands, Gives, Giving, JOINT_STATES, Lines, Motion, POSE, Shake, Stop,
+    COMMANDED_POSE, Commands, FinalStop, JOINT_STATES, JointOscillation, LineMotion, Motion, POSE,
+    SynthCompliance, SynthComplianceKind,
 };
 
 use crate::checks::case::ExpectedEstimate::{Amount, AmountWithoutInterval, Degrees, Frame};
@@ -36,7 +37,7 @@ cases! {
     MOT002 an_abrupt_stop_at_30_rad_per_s2: |log| stop_abruptly(log, 30.0)
         => warning(Joint("shoulder_lift_joint"), Amount(30.0, 3.0));
     MOT002 a_stop_at_10_rad_per_s2_passes: |log| stop_abruptly(log, 10.0) => NoFindings;
-    MOT002 joints_in_degrees_are_not_reported_as_abrupt_stop: |log| log.run.joints.in_degrees = true
+    MOT002 joints_in_degrees_are_not_reported_as_abrupt_stop: |log| log.run.joints.is_in_degrees = true
         => OtherFindingAndInconclusive("ORD004", "correct them first");
     MOT002 a_zero_offset_is_not_reported_as_abrupt_stop: |log| log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6)
         => OnlyOtherFinding("ZER001");
@@ -48,7 +49,7 @@ cases! {
         => info(Joint("wrist_3_joint"), AmountWithoutInterval(0.05, 2e-3));
     MOT003 a_turn_within_the_limits_passes: |log| add_extra_turn(log, -0.3) => NoFindings;
     MOT003 an_encoder_step_is_not_reported_as_speed: |log| use_coarse_encoders(log) => NoFindings;
-    MOT003 joints_in_degrees_are_not_reported_as_beyond_the_limits: |log| log.run.joints.in_degrees = true
+    MOT003 joints_in_degrees_are_not_reported_as_beyond_the_limits: |log| log.run.joints.is_in_degrees = true
         => OtherFindingAndInconclusive("ORD004", "correct them first");
     MOT003 a_zero_offset_is_not_reported_as_beyond_the_limits: |log| {
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6);
@@ -81,56 +82,56 @@ cases! {
         log.run.tf.timing.rate_hz = 0.0;
     } => Skipped("no joint states, tool poses or transforms");
 
-    MOT006 a_shoulder_with_backlash: |log| set_compliance(log, &[(1, Giving::Play, 1.0)])
+    MOT006 a_shoulder_with_backlash: |log| set_compliance(log, &[(1, SynthComplianceKind::Backlash, 1.0)])
         => error(Joint("shoulder_lift_joint"), Degrees(1.0, 0.03));
-    MOT006 an_elbow_with_some_backlash: |log| set_compliance(log, &[(2, Giving::Play, 0.3)])
+    MOT006 an_elbow_with_some_backlash: |log| set_compliance(log, &[(2, SynthComplianceKind::Backlash, 0.3)])
         => warning(Joint("elbow_joint"), Degrees(0.3, 0.02));
-    MOT006 a_shoulder_pushed_through_its_backlash: |log| set_compliance(log, &[(1, Giving::PushedPlay, 1.0)])
+    MOT006 a_shoulder_pushed_through_its_backlash: |log| set_compliance(log, &[(1, SynthComplianceKind::LoadedBacklash, 1.0)])
         => error(Joint("shoulder_lift_joint"), Degrees(1.0, 0.01));
-    MOT006 a_wrist_pushed_through_its_backlash: |log| set_compliance(log, &[(3, Giving::PushedPlay, 0.3)])
+    MOT006 a_wrist_pushed_through_its_backlash: |log| set_compliance(log, &[(3, SynthComplianceKind::LoadedBacklash, 0.3)])
         => warning(Joint("wrist_1_joint"), Degrees(0.3, 0.01));
-    MOT006 backlash_of_healthy_gears_passes: |log| set_compliance(log, &[(1, Giving::Play, 0.05)]) => NoFindings;
+    MOT006 backlash_of_healthy_gears_passes: |log| set_compliance(log, &[(1, SynthComplianceKind::Backlash, 0.05)]) => NoFindings;
     MOT006 a_late_pose_is_not_reported_as_backlash: |log| log.run.pose.timing.latency_s = 0.022
         => OnlyOtherFinding("LAT001");
     MOT006 a_zero_offset_is_not_reported_as_backlash: |log| {
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6);
     } => OnlyOtherFinding("ZER001");
-    MOT006 sag_is_not_reported_as_backlash: |log| set_compliance(log, &[(1, Giving::Sag, 0.6)]) => OnlyOtherFinding("ZER003");
-    MOT006 eccentric_gears_are_not_reported_as_backlash: |log| set_compliance(log, &[(1, Giving::Eccentric(2), 0.8)])
+    MOT006 sag_is_not_reported_as_backlash: |log| set_compliance(log, &[(1, SynthComplianceKind::Sag, 0.6)]) => OnlyOtherFinding("ZER003");
+    MOT006 eccentric_gears_are_not_reported_as_backlash: |log| set_compliance(log, &[(1, SynthComplianceKind::Eccentricity(2), 0.8)])
         => OnlyOtherFinding("MDL001");
     MOT006 backlash_is_not_observable_at_rest: |log| log.run.motion = Motion::AtRest => Inconclusive("barely moves");
     MOT006 only_encoders: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
 
-    MOT004 a_bowed_line: |log| follow_lines(log, Lines { bow_m: 3e-3, ..Lines::default() })
+    MOT004 a_bowed_line: |log| follow_lines(log, LineMotion { bow_m: 3e-3, ..LineMotion::default() })
         => warning(ExpectedSubject::Topic(COMMANDED_POSE), Frame([3e-3, 0.2e-3], [0.0, 0.1]));
-    MOT004 a_strongly_bowed_line: |log| follow_lines(log, Lines { bow_m: 8e-3, ..Lines::default() })
+    MOT004 a_strongly_bowed_line: |log| follow_lines(log, LineMotion { bow_m: 8e-3, ..LineMotion::default() })
         => error(ExpectedSubject::Topic(COMMANDED_POSE), Frame([8e-3, 0.4e-3], [0.0, 0.1]));
-    MOT004 straight_lines: |log| follow_lines(log, Lines::default()) => NoFindings;
-    MOT004 a_bow_of_half_a_millimetre_passes: |log| follow_lines(log, Lines { bow_m: 0.5e-3, ..Lines::default() })
+    MOT004 straight_lines: |log| follow_lines(log, LineMotion::default()) => NoFindings;
+    MOT004 a_bow_of_half_a_millimetre_passes: |log| follow_lines(log, LineMotion { bow_m: 0.5e-3, ..LineMotion::default() })
         => NoFindings;
     MOT004 noise_is_not_reported_as_a_bow: |log| {
-        follow_lines(log, Lines::default());
+        follow_lines(log, LineMotion::default());
         log.run.noise.joints = 5e-4;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (3e-4, 1e-3);
     } => NoFindings;
     MOT004 a_late_pose_is_not_reported_as_a_bow: |log| {
-        follow_lines(log, Lines::default());
+        follow_lines(log, LineMotion::default());
         log.run.pose.timing.latency_s = 0.05;
     } => OnlyOtherFinding("LAT001");
     MOT004 a_misread_pose_is_not_reported_as_a_bow: |log| {
-        follow_lines(log, Lines::default());
-        log.run.pose.coding = crate::checks::ord::misread_as_rpy();
+        follow_lines(log, LineMotion::default());
+        log.run.pose.encoding = crate::checks::ord::misread_as_rpy();
     } => OnlyOtherFinding("ORD001");
     MOT004 a_zero_offset_is_not_reported_as_a_bow: |log| {
-        follow_lines(log, Lines::default());
+        follow_lines(log, LineMotion::default());
         log.run.joints.zero_offsets = crate::checks::zer::zero_offset(2, 0.6);
     } => OnlyOtherFinding("ZER001");
     MOT004 goals_are_not_checked_as_lines: |log| {
-        follow_lines(log, Lines::default());
+        follow_lines(log, LineMotion::default());
         log.run.reference.commands = Commands::Goals;
     } => Skipped("goals, not a streamed path");
     MOT004 arcs_are_not_checked_as_lines: |log| {
-        follow_lines(log, Lines::default());
+        follow_lines(log, LineMotion::default());
         log.run.motion = Motion::PickAndPlace;
     } => Skipped("no commanded path in this log is straight");
     MOT004 no_commands: |_| {} => Skipped("no commanded poses");
@@ -149,8 +150,8 @@ fn encoder_steps_may_hide_vibration() {
 fn use_coarse_encoders(log: &mut Log) {
     (log.run.motion, log.run.amplitude) = (Motion::Continuous, 0.9);
     log.run.joints.timing.rate_hz = 1000.0;
-    log.run.joints.quantum = TAU / 512.0;
-    log.run.joints.with_velocity = false;
+    log.run.joints.resolution = TAU / 512.0;
+    log.run.joints.has_velocity = false;
 }
 
 #[test]
@@ -169,7 +170,7 @@ fn fifteen_samples_are_too_few_for_outliers() {
 }
 
 /// The arm follows lines that are streamed to it 40 ms ahead.
-pub fn follow_lines(log: &mut Log, lines: Lines) {
+pub fn follow_lines(log: &mut Log, lines: LineMotion) {
     log.run.motion = Motion::Lines(lines);
     log.run.duration_s = 12.0;
     log.run.pose.timing.rate_hz = 50.0;
@@ -180,7 +181,10 @@ pub fn follow_lines(log: &mut Log, lines: Lines) {
 #[test]
 fn interpolated_euler_angles_are_reported_with_their_convention() {
     let log = Log::modified(|log| {
-        follow_lines(log, Lines { turned_by: Some(Convention::RPY), ..Lines::default() });
+        follow_lines(
+            log,
+            LineMotion { interpolated_as: Some(Convention::RPY), ..LineMotion::default() },
+        );
     });
     let report = log.report();
     let found = single_finding(&report, "MOT004", COMMANDED_POSE);
@@ -192,13 +196,11 @@ fn interpolated_euler_angles_are_reported_with_their_convention() {
 }
 
 /// Joint compliance, as index, kind and magnitude in degrees.
-pub fn set_compliance(log: &mut Log, compliance: &[(usize, Giving, f64)]) {
-    let compliance_of = |&(joint, how, degrees): &(usize, Giving, f64)| Gives {
-        joint,
-        how,
-        by_rad: degrees.to_radians(),
+pub fn set_compliance(log: &mut Log, compliance: &[(usize, SynthComplianceKind, f64)]) {
+    let compliance_of = |&(joint, how, degrees): &(usize, SynthComplianceKind, f64)| {
+        SynthCompliance { joint, kind: how, amplitude_rad: degrees.to_radians() }
     };
-    log.run.gives = compliance.iter().map(compliance_of).collect();
+    log.run.compliance = compliance.iter().map(compliance_of).collect();
     log.run.duration_s = 15.0;
     log.run.joints.timing.rate_hz = 125.0;
     log.run.pose.timing.rate_hz = 50.0;
@@ -209,7 +211,11 @@ fn backlash_of_two_joints_is_distinguished_from_sag_and_latency() {
     let report = Log::modified(|log| {
         set_compliance(
             log,
-            &[(1, Giving::Play, 0.8), (2, Giving::Sag, 0.7), (4, Giving::Play, 0.5)],
+            &[
+                (1, SynthComplianceKind::Backlash, 0.8),
+                (2, SynthComplianceKind::Sag, 0.7),
+                (4, SynthComplianceKind::Backlash, 0.5),
+            ],
         );
         log.run.pose.timing.latency_s = 0.015;
     })
@@ -234,7 +240,8 @@ fn backlash_of_two_joints_is_distinguished_from_sag_and_latency() {
 
 #[test]
 fn an_eccentric_gear_is_named_with_the_residual() {
-    let log = Log::modified(|log| set_compliance(log, &[(1, Giving::Eccentric(2), 0.8)]));
+    let log =
+        Log::modified(|log| set_compliance(log, &[(1, SynthComplianceKind::Eccentricity(2), 0.8)]));
     let report = log.report();
     let message = &single_finding(&report, "MDL001", POSE).message;
     let expected =
@@ -248,7 +255,7 @@ fn an_eccentric_gear_is_named_with_the_residual() {
 fn vibrate(log: &mut Log, amplitude: f64, frequency_hz: f64) {
     log.run.motion = Motion::AtRest;
     log.run.joints.timing.rate_hz = 200.0;
-    log.run.shake = Some(Shake { joint: 0, amplitude, frequency_hz });
+    log.run.oscillation = Some(JointOscillation { joint: 0, amplitude, frequency_hz });
 }
 
 /// One joint moves at up to 1 rad/s and stops with this deceleration, rad/s².
@@ -256,7 +263,7 @@ fn stop_abruptly(log: &mut Log, deceleration: f64) {
     log.run.motion = Motion::OneJoint(1);
     log.run.speed = 1.0;
     log.run.joints.timing.rate_hz = 500.0;
-    log.run.stop = Some(Stop { after_s: 3.0, deceleration });
+    log.run.final_stop = Some(FinalStop { after_s: 3.0, deceleration });
 }
 
 /// The last joint rests at `past_rad`, one turn too far, which does not move the tool.

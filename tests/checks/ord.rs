@@ -10,7 +10,7 @@ use poseaudit::geometry::{
     xyzw_from_rotation,
 };
 use poseaudit::report::Report;
-use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
+use poseaudit::synth::{IMU, JOINT_STATES, LoggedEncoding, Motion, POSE};
 
 use crate::checks::case::ExpectedEstimate::{self, Degrees, IsReadAs, Order};
 use crate::checks::case::ExpectedSubject::{self, JointOf, Topic};
@@ -22,21 +22,21 @@ use Expected::{Inconclusive, NoFindings, OnlyOtherFinding, OtherFindingAndInconc
 const NUMBERS: &str = "/arm/tool_vector";
 
 cases! {
-    ORD001 a_rotation_vector_read_as_rpy: |log| log.run.pose.coding = misread_as_rpy()
+    ORD001 a_rotation_vector_read_as_rpy: |log| log.run.pose.encoding = misread_as_rpy()
         => error(Topic(POSE), IsReadAs("rotvec", "euler:xyz"));
-    ORD001 intrinsic_angles_read_as_extrinsic: |log| log.run.pose.coding = misread("euler:xyz", "euler:XYZ")
+    ORD001 intrinsic_angles_read_as_extrinsic: |log| log.run.pose.encoding = misread("euler:xyz", "euler:XYZ")
         => error(Topic(POSE), IsReadAs("euler:xyz", "euler:XYZ"));
-    ORD001 zyz_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYZ", "euler:xyz")
+    ORD001 zyz_read_as_rpy: |log| log.run.pose.encoding = misread("euler:ZYZ", "euler:xyz")
         => error(Topic(POSE), IsReadAs("euler:ZYZ", "euler:xyz"));
-    ORD001 zyx_read_as_rpy: |log| log.run.pose.coding = misread("euler:ZYX", "euler:xyz")
+    ORD001 zyx_read_as_rpy: |log| log.run.pose.encoding = misread("euler:ZYX", "euler:xyz")
         => error(Topic(POSE), IsReadAs("euler:ZYX", "euler:xyz"));
     ORD001 rpy_read_as_a_rotation_vector: |log| {
-        log.run.pose.coding = misread("euler:xyz", "rotvec");
+        log.run.pose.encoding = misread("euler:xyz", "rotvec");
     } => error(Topic(POSE), IsReadAs("euler:xyz", "rotvec"));
     ORD001 euler_angles_in_another_axis_order: |log| {
-        log.run.pose.coding = misread("euler:xzy@axes", "euler:xyz");
+        log.run.pose.encoding = misread("euler:xzy@axes", "euler:xyz");
     } => error(Topic(POSE), IsReadAs("euler:xzy@axes", "euler:xyz"));
-    ORD001 a_misread_imu: |log| log.run.imu.coding = misread("euler:ZYX", "euler:xyz")
+    ORD001 a_misread_imu: |log| log.run.imu.encoding = misread("euler:ZYX", "euler:xyz")
         => error(Topic(IMU), IsReadAs("euler:ZYX", "euler:xyz"));
 
     ORD001 rotations_beyond_180_degrees_pass: |log| {
@@ -46,9 +46,9 @@ cases! {
     } => NoFindings;
 
     ORD001 a_wrong_quaternion_order_is_not_reported_as_rotation_encoding: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.pose.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
     } => OnlyOtherFinding("ORD002");
-    ORD001 a_transpose_is_not_reported_as_rotation_encoding: |log| log.run.pose.coding = Coding::Transposed
+    ORD001 a_transpose_is_not_reported_as_rotation_encoding: |log| log.run.pose.encoding = LoggedEncoding::Transposed
         => OnlyOtherFinding("ORD003");
     ORD001 a_rotated_base_is_not_reported_as_rotation_encoding: |log| {
         log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
@@ -59,22 +59,22 @@ cases! {
     ORD001 no_orientations: |log| {
         log.run.pose.timing.rate_hz = 0.0;
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => Skipped("no");
 
     ORD002 w_first_read_as_w_last: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.pose.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(POSE), IsReadAs("quat:wxyz", "quat:xyzw"));
     ORD002 w_last_read_as_w_first: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
+        log.run.pose.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz);
     } => error(Topic(POSE), IsReadAs("quat:xyzw", "quat:wxyz"));
     ORD002 an_imu_with_w_first: |log| {
-        log.run.imu.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
+        log.run.imu.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(IMU), IsReadAs("quat:wxyz", "quat:xyzw"));
     ORD002 quaternions_of_either_sign_pass: |log| log.edit = Some(|messages| flip_quaternion_signs(messages)) => NoFindings;
-    ORD002 a_misread_rotation_is_not_reported_as_quaternion_order: |log| log.run.pose.coding = misread_as_rpy()
+    ORD002 a_misread_rotation_is_not_reported_as_quaternion_order: |log| log.run.pose.encoding = misread_as_rpy()
         => OnlyOtherFinding("ORD001");
-    ORD002 an_inverse_is_not_reported_as_quaternion_order: |log| log.run.pose.coding = Coding::Inverted
+    ORD002 an_inverse_is_not_reported_as_quaternion_order: |log| log.run.pose.encoding = LoggedEncoding::Inverted
         => OnlyOtherFinding("ORD003");
     ORD002 no_quaternions: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -82,18 +82,18 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with orientations");
 
-    ORD003 an_inverted_pose: |log| log.run.pose.coding = Coding::Inverted
+    ORD003 an_inverted_pose: |log| log.run.pose.encoding = LoggedEncoding::Inverted
         => error(Topic(POSE), IsReadAs("pose-inverse", "pose"));
-    ORD003 a_transposed_rotation: |log| log.run.pose.coding = Coding::Transposed
+    ORD003 a_transposed_rotation: |log| log.run.pose.encoding = LoggedEncoding::Transposed
         => error(Topic(POSE), IsReadAs("transpose", "pose"));
-    ORD003 an_inverted_imu: |log| log.run.imu.coding = Coding::Transposed
+    ORD003 an_inverted_imu: |log| log.run.imu.encoding = LoggedEncoding::Transposed
         => error(Topic(IMU), IsReadAs("transpose", "pose"));
     ORD003 a_shifted_base_passes: |log| log.run.imu.world_yaw_rad = 2.9 => NoFindings;
     ORD003 a_misread_rotation_is_not_reported_as_inverse: |log| {
-        log.run.pose.coding = misread("euler:ZYX", "euler:xyz");
+        log.run.pose.encoding = misread("euler:ZYX", "euler:xyz");
     } => OnlyOtherFinding("ORD001");
     ORD003 a_wrong_quaternion_order_is_not_reported_as_inverse: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
+        log.run.pose.encoding = LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz);
     } => OnlyOtherFinding("ORD002");
     ORD003 a_tool_offset_is_not_reported_as_inverse: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool_offset()
         => OnlyOtherFinding("FRM003");
@@ -103,7 +103,7 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no stream with orientations");
 
-    ORD004 joints_in_degrees: |log| log.run.joints.in_degrees = true
+    ORD004 joints_in_degrees: |log| log.run.joints.is_in_degrees = true
         => error(Topic(JOINT_STATES), IsReadAs("deg", "rad"));
     ORD004 joints_near_zero_pass: |log| {
         log.run.home = vec![0.0; 6];
@@ -112,10 +112,10 @@ cases! {
     ORD004 joints_in_another_order_are_not_reported_as_degrees: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
     } => OnlyOtherFinding("ORD005");
-    ORD004 millimetres_are_not_reported_as_degrees: |log| log.run.pose.in_millimetres = true
+    ORD004 millimetres_are_not_reported_as_degrees: |log| log.run.pose.is_in_millimetres = true
         => OnlyOtherFinding("ORD008");
     ORD004 joints_in_degrees_at_rest: |log| {
-        (log.run.joints.in_degrees, log.run.motion) = (true, Motion::AtRest);
+        (log.run.joints.is_in_degrees, log.run.motion) = (true, Motion::AtRest);
     } => error(Topic(JOINT_STATES), IsReadAs("deg", "rad"));
     ORD004 correct_joints_at_rest_pass: |log| log.run.motion = Motion::AtRest => NoFindings;
     ORD004 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
@@ -140,7 +140,7 @@ cases! {
     ORD005 names_and_positions_in_the_same_order_pass: |log| {
         log.edit = Some(|messages| reorder_joints(messages, [2, 1, 0, 3, 4, 5]));
     } => NoFindings;
-    ORD005 joints_in_degrees_are_not_reported_as_joint_order: |log| log.run.joints.in_degrees = true => OnlyOtherFinding("ORD004");
+    ORD005 joints_in_degrees_are_not_reported_as_joint_order: |log| log.run.joints.is_in_degrees = true => OnlyOtherFinding("ORD004");
     ORD005 zero_offsets_are_not_reported_as_joint_order: |log| {
         log.run.joints.zero_offsets = vec![0.0, 0.0, 0.0, 0.05];
     } => OnlyOtherFinding("ZER001");
@@ -182,7 +182,7 @@ cases! {
     } => OnlyOtherFinding("ZER001");
     ORD007 a_misread_rotation_is_not_reported_as_dh_convention: |log| {
         use_dh_table(log, "standard", [""; 2]);
-        log.run.pose.coding = misread_as_rpy();
+        log.run.pose.encoding = misread_as_rpy();
     } => OnlyOtherFinding("ORD001");
     ORD007 a_shifted_base_is_not_reported_as_dh_convention: |log| {
         use_dh_table(log, "standard", [""; 2]);
@@ -197,7 +197,7 @@ cases! {
         log.run.pose.timing.rate_hz = 0.0;
     } => Skipped("no pose stream");
 
-    ORD008 positions_in_millimetres: |log| log.run.pose.in_millimetres = true
+    ORD008 positions_in_millimetres: |log| log.run.pose.is_in_millimetres = true
         => error(Topic(POSE), IsReadAs("mm", "m"));
     ORD008 positions_in_centimetres: |log| log.edit = Some(|messages| convert_unit(messages, 1e-2))
         => error(Topic(POSE), IsReadAs("cm", "m"));
@@ -213,8 +213,8 @@ cases! {
     } => error(Topic(POSE), IsReadAs("0.004300 m", "m"));
     ORD008 mirrored_axes_are_not_reported_as_unit: |log| log.edit = Some(|messages| convert_axes(messages, UNITY, UNITY))
         => OnlyOtherFinding("ORD010");
-    ORD008 a_scale_of_one_percent_is_not_reported_as_unit: |log| log.run.pose.growth = 0.3e-3 => NoFindings;
-    ORD008 joints_in_degrees_are_not_reported_as_millimetres: |log| log.run.joints.in_degrees = true
+    ORD008 a_scale_of_one_percent_is_not_reported_as_unit: |log| log.run.pose.radial_scale_error = 0.3e-3 => NoFindings;
+    ORD008 joints_in_degrees_are_not_reported_as_millimetres: |log| log.run.joints.is_in_degrees = true
         => OnlyOtherFinding("ORD004");
     ORD008 a_distant_frame_is_not_reported_as_unit: |log| {
         log.run.pose.reference_from_stream = crate::checks::frm::distant_world();
@@ -234,7 +234,7 @@ cases! {
         => error(JointOf(JOINT_STATES, "shoulder_lift_joint"), ExpectedEstimate::Amount(2.0, 2e-3));
     ORD009 positions_in_encoder_ticks: |log| log.run.joints.scales = vec![4096.0 / TAU; 6]
         => error(Topic(JOINT_STATES), ExpectedEstimate::Amount(TAU / 4096.0, 1e-6));
-    ORD009 joints_in_degrees_are_not_reported_as_joint_scale: |log| log.run.joints.in_degrees = true
+    ORD009 joints_in_degrees_are_not_reported_as_joint_scale: |log| log.run.joints.is_in_degrees = true
         => OnlyOtherFinding("ORD004");
     ORD009 joints_in_another_order_are_not_reported_as_joint_scale: |log| {
         log.run.joints.number_order = Some(vec![2, 1, 0, 3, 4, 5]);
@@ -267,7 +267,7 @@ cases! {
     ORD010 a_rotated_base_is_not_reported_as_axis_convention: |log| {
         log.run.pose.reference_from_stream = crate::checks::frm::base_rotated_by_180_degrees();
     } => OnlyOtherFinding("FRM002");
-    ORD010 an_inverse_is_not_reported_as_axis_convention: |log| log.run.pose.coding = Coding::Inverted
+    ORD010 an_inverse_is_not_reported_as_axis_convention: |log| log.run.pose.encoding = LoggedEncoding::Inverted
         => OnlyOtherFinding("ORD003");
     ORD010 no_poses_with_axes: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -289,7 +289,7 @@ cases! {
             drop_messages(messages, POSE, 1.0, 9.0);
         });
     } => OnlyOtherFinding("FRM007");
-    ORD011 millimetres_are_not_reported_as_constant_coordinate: |log| log.run.pose.in_millimetres = true
+    ORD011 millimetres_are_not_reported_as_constant_coordinate: |log| log.run.pose.is_in_millimetres = true
         => OnlyOtherFinding("ORD008");
     ORD011 no_poses_with_coordinates: |log| {
         log.run.pose.timing.rate_hz = 0.0;
@@ -300,12 +300,17 @@ cases! {
 #[test]
 fn an_inverted_pose_is_found_together_with_a_misread_rotation() {
     for (coding, code, is, read_as) in [
-        (Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw), "ORD002", "quat:wxyz", "quat:xyzw"),
+        (
+            LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw),
+            "ORD002",
+            "quat:wxyz",
+            "quat:xyzw",
+        ),
         (misread_as_rpy(), "ORD001", "rotvec", "euler:xyz"),
     ] {
         let report = Log::modified(|log| {
-            log.run.pose.coding = coding;
-            log.run.pose.inverted = true;
+            log.run.pose.encoding = coding;
+            log.run.pose.is_inverted = true;
         });
         let report = report.report();
         IsReadAs(is, read_as).assert_matches(single_finding(&report, code, POSE).estimate.as_ref());
@@ -440,13 +445,19 @@ fn at_rest_an_encoding_passes_only_if_no_frame_is_a_confounder() {
     }
 }
 
-pub fn misread(is: &str, read_as: &str) -> Coding {
+pub fn misread(is: &str, read_as: &str) -> LoggedEncoding {
     let convention = |name: &str| name.parse().expect("a convention's name");
-    Coding::Misread(Misinterpretation { is: convention(is), read_as: convention(read_as) })
+    LoggedEncoding::Misinterpreted(Misinterpretation {
+        is: convention(is),
+        read_as: convention(read_as),
+    })
 }
 
-pub fn misread_as_rpy() -> Coding {
-    Coding::Misread(Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY })
+pub fn misread_as_rpy() -> LoggedEncoding {
+    LoggedEncoding::Misinterpreted(Misinterpretation {
+        is: Convention::RotVec,
+        read_as: Convention::RPY,
+    })
 }
 
 /// Axes by name.

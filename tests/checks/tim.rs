@@ -148,7 +148,7 @@ cases! {
         log.run.motion = Motion::PickAndPlace;
         (log.run.noise.pose_m, log.run.noise.pose_rad) = (0.0, 0.0);
         log.run.noise.joints = 2e-4;
-        log.run.joints.in_degrees = true;
+        log.run.joints.is_in_degrees = true;
     } => OnlyOtherFinding("ORD004");
     TIM007 a_late_pose_is_not_reported_as_frozen: |log| log.run.pose.timing.latency_s = 1.5
         => OnlyOtherFinding("LAT001");
@@ -177,21 +177,21 @@ cases! {
     TIM003 one_second_is_not_reported_as_another_clock: |log| set_clock_offset(&mut log.run, 1.0) => NoFindings;
     TIM003 a_late_pose_is_on_the_same_clock: |log| log.run.pose.timing.latency_s = 1.5
         => OnlyOtherFinding("LAT001");
-    TIM003 zero_stamps_are_not_reported_as_another_clock: |log| log.run.pose.timing.stamped = false
+    TIM003 zero_stamps_are_not_reported_as_another_clock: |log| log.run.pose.timing.has_stamps = false
         => OnlyOtherFinding("TIM005");
     TIM003 no_stream_with_a_clock: |log| remove_streams(&mut log.run) => Skipped("no stamped stream");
 
-    TIM005 a_pose_without_stamps: |log| log.run.pose.timing.stamped = false
+    TIM005 a_pose_without_stamps: |log| log.run.pose.timing.has_stamps = false
         => warning(Topic(POSE), ExpectedEstimate::None);
-    TIM005 an_imu_without_stamps: |log| log.run.imu.timing.stamped = false
+    TIM005 an_imu_without_stamps: |log| log.run.imu.timing.has_stamps = false
         => warning(Topic(IMU), ExpectedEstimate::None);
     TIM005 a_tracker_without_stamps_in_a_log_without_joints: |log| {
         log.run.joints.timing.rate_hz = 0.0;
-        log.run.pose.timing.stamped = false;
+        log.run.pose.timing.has_stamps = false;
         log.edit = Some(|messages| rename_topic(messages, POSE, TRACKER));
     } => warning(Topic(TRACKER), ExpectedEstimate::None);
     TIM005 commands_stamped_zero_pass: |log| {
-        log.run.pose.timing.stamped = false;
+        log.run.pose.timing.has_stamps = false;
         log.edit = Some(|messages| rename_topic(messages, POSE, "/goal_pose"));
     } => info(Topic("/goal_pose"), ExpectedEstimate::None);
     TIM005 constant_stamps: |log| {

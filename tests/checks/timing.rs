@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use poseaudit::finding::{Estimate, Status};
 use poseaudit::geometry::Vec3;
 use poseaudit::report::Report;
-use poseaudit::synth::{Giving, IMU, JOINT_STATES, POSE, Scenario};
+use poseaudit::synth::{IMU, JOINT_STATES, POSE, Scenario, SynthComplianceKind};
 
 use crate::checks::case::{Log, single_finding, summary};
 use crate::checks::recording::{Field, Message, read, write};
@@ -265,8 +265,12 @@ const LOADED_S: f64 = 9.0;
 
 fn set_sag(run: &mut Scenario, degrees: f64) {
     use_high_rates(run);
-    let by_rad = degrees.to_radians();
-    run.gives = vec![poseaudit::synth::Gives { joint: 1, how: Giving::Sag, by_rad }];
+    let amplitude_rad = degrees.to_radians();
+    run.compliance = vec![poseaudit::synth::SynthCompliance {
+        joint: 1,
+        kind: SynthComplianceKind::Sag,
+        amplitude_rad,
+    }];
 }
 
 #[test]

@@ -20,21 +20,21 @@ cases! {
     VEL001 velocities_that_are_always_zero: |log| scale_velocities(log, &[0.0; 6])
         => error(Topic(JOINT_STATES), Amount(1.0, 0.01));
     VEL001 correct_velocities: |_| {} => NoFindings;
-    VEL001 velocities_three_milliseconds_late_pass: |log| log.run.joints.velocity_late_s = 3e-3 => NoFindings;
-    VEL001 velocities_from_14_bit_encoders_pass: |log| log.run.joints.quantum = TAU / 16384.0 => NoFindings;
+    VEL001 velocities_three_milliseconds_late_pass: |log| log.run.joints.velocity_latency_s = 3e-3 => NoFindings;
+    VEL001 velocities_from_14_bit_encoders_pass: |log| log.run.joints.resolution = TAU / 16384.0 => NoFindings;
     VEL001 velocities_with_noisy_positions_pass: |log| log.run.noise.joints = 1e-4 => NoFindings;
     VEL001 a_late_pose_is_not_reported_as_velocities: |log| log.run.pose.timing.latency_s = 0.022
         => OnlyOtherFinding("LAT001");
     VEL001 a_zero_offset_is_not_reported_as_velocities: |log| log.run.joints.zero_offsets = vec![0.0, 0.0, 0.02]
         => OnlyOtherFinding("ZER001");
-    VEL001 joints_in_degrees_are_not_reported_as_velocities: |log| log.run.joints.in_degrees = true
+    VEL001 joints_in_degrees_are_not_reported_as_velocities: |log| log.run.joints.is_in_degrees = true
         => OnlyOtherFinding("ORD004");
     // Its velocities have the right sign, but its positions do not.
     VEL001 a_reversed_joint_is_not_reported_as_velocities: |log| {
         log.run.joints.scales = vec![1.0, 1.0, -1.0];
         scale_velocities(log, &[1.0, 1.0, -1.0]);
     } => OnlyOtherFinding("ORD009");
-    VEL001 no_velocities: |log| log.run.joints.with_velocity = false
+    VEL001 no_velocities: |log| log.run.joints.has_velocity = false
         => Skipped("no velocities");
 
     LAT004 joints_followed_late: |log| set_command_lead(log, Commands::Joints, 0.14)
@@ -67,7 +67,7 @@ fn set_command_lead(log: &mut Log, commands: Commands, ahead_s: f64) {
 
 #[test]
 fn late_velocities_are_reported_with_their_delay() {
-    let report = Log::modified(|log| log.run.joints.velocity_late_s = 0.06).report();
+    let report = Log::modified(|log| log.run.joints.velocity_latency_s = 0.06).report();
     assert!(
         report.findings.iter().all(|found| found.code == "VEL001"),
         "{}",

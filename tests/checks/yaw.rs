@@ -35,7 +35,7 @@ cases! {
     } => NoFindings;
     YAW001 a_yaw_with_a_random_walk: |log| {
         log.run.duration_s = 20.0;
-        log.run.imu.yaw_walk_rad_rt_s = 0.2_f64.to_radians();
+        log.run.imu.yaw_walk_rad_per_sqrt_s = 0.2_f64.to_radians();
     } => Inconclusive("the yaw wanders by 0.");
 
     YAW001 a_yaw_that_is_constant_passes: |log| log.run.imu.world_yaw_rad = -2.2 => NoFindings;
@@ -53,11 +53,11 @@ cases! {
     YAW001 a_rotated_mount_is_not_reported_as_yaw_drift: |log| log.run.imu.mount_error = rotated_mount(20.0)
         => OnlyOtherFinding("YAW003");
     YAW001 a_misread_imu_is_not_reported_as_yaw_drift: |log| {
-        log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
+        log.run.imu.encoding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
     } => OnlyOtherFinding("ORD001");
 
     YAW001 no_imu: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
-    YAW001 no_orientation: |log| log.run.imu.with_orientation = false
+    YAW001 no_orientation: |log| log.run.imu.has_orientation = false
         => Skipped("no orientation");
     YAW001 one_second_of_yaw: |log| log.run.duration_s = 1.2 => Inconclusive("exceeds the limit of ±0.2 °/min");
 
@@ -79,7 +79,7 @@ cases! {
     YAW002 a_late_imu_is_not_reported_as_tilt: |log| log.run.imu.timing.latency_s = 0.02
         => OnlyOtherFinding("LAT001");
     YAW002 no_imu_for_tilt: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
-    YAW002 no_roll_and_pitch: |log| log.run.imu.with_orientation = false
+    YAW002 no_roll_and_pitch: |log| log.run.imu.has_orientation = false
         => Skipped("no orientation");
 
     YAW003 a_mount_off_by_90_degrees: |log| log.run.imu.mount_error = rotated_mount(90.0)
@@ -88,28 +88,28 @@ cases! {
         => warning(Topic(IMU), Degrees(3.0, 0.1));
     YAW003 a_mount_off_by_90_degrees_without_orientation: |log| {
         log.run.imu.mount_error = rotated_mount(90.0);
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => error(Topic(IMU), Degrees(90.0, 0.5));
     YAW003 a_mount_off_by_a_twentieth_of_a_degree_passes: |log| log.run.imu.mount_error = rotated_mount(0.05)
         => NoFindings;
     YAW003 a_wrist_zero_offset_is_not_reported_as_mount_error: |log| log.run.joints.zero_offsets = crate::checks::zer::zero_offset(4, 2.0)
         => OnlyOtherFinding("ZER001");
     YAW003 a_misread_imu_is_not_reported_as_mount_error: |log| {
-        log.run.imu.coding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
+        log.run.imu.encoding = crate::checks::ord::misread("euler:ZYX", "euler:xyz");
     } => OnlyOtherFinding("ORD001");
     YAW003 a_jump_of_yaw_is_not_reported_as_mount_error: |log| {
         log.run.imu.yaw_jumps = vec![(5.1, -10_f64.to_radians())];
     } => OnlyOtherFinding("YAW001");
     YAW003 a_misread_imu_is_not_reported_as_mount_error_and_tilt: |log| {
-        log.run.imu.coding = crate::checks::ord::misread("euler:zyz", "euler:yzy");
+        log.run.imu.encoding = crate::checks::ord::misread("euler:zyz", "euler:yzy");
     } => OnlyOtherFinding("ORD001");
     YAW003 a_gyros_scale_is_not_reported_as_mount_error: |log| {
         log.run.imu.gyro_from_rate = misaligned_gyro();
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => NoFindings;
     YAW003 two_percent_of_scale_is_not_reported_as_mount_error: |log| {
         log.run.imu.gyro_from_rate = Matrix3::from_diagonal_element(1.02);
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => NoFindings;
     YAW003 an_imu_with_unrelated_motion: |log| log.edit = Some(|messages| reverse_contents(messages, IMU))
         => Inconclusive("does not follow the arm");
@@ -118,7 +118,7 @@ cases! {
     YAW003 a_gyros_bias_is_not_reported_as_mount_error: |log| log.run.imu.gyro_bias_rad_s = gyro_bias()
         => OnlyOtherFinding("YAW004");
     YAW003 no_imu_for_a_mount: |log| log.run.imu.timing.rate_hz = 0.0 => Skipped("no IMU");
-    YAW003 no_frame_of_the_imu: |log| log.run.tf.with_static = false => Skipped("no transform from the arm to the IMU");
+    YAW003 no_frame_of_the_imu: |log| log.run.tf.has_static = false => Skipped("no transform from the arm to the IMU");
 
     YAW004 a_gyro_bias: |log| log.run.imu.gyro_bias_rad_s = gyro_bias()
         => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
@@ -126,7 +126,7 @@ cases! {
         => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 0.5e-3));
     YAW004 a_gyro_bias_without_orientation: |log| {
         log.run.imu.gyro_bias_rad_s = gyro_bias();
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
     YAW004 a_bias_of_a_hundredth_of_a_degree_per_second_passes: |log| {
         log.run.imu.gyro_bias_rad_s = Vec3::new(0.0, 0.0, 2e-4);
@@ -141,11 +141,11 @@ cases! {
     } => error(Topic(IMU), Amount(BIAS_RAD_S, 0.5e-3));
     YAW004 a_growing_latency_is_not_reported_as_gyro_bias: |log| {
         log.run.imu.timing.skew = 2e-3;
-        log.run.imu.with_orientation = false;
+        log.run.imu.has_orientation = false;
     } => OnlyOtherFinding("LAT002");
     YAW004 a_gyro_with_noisy_joints: |log| {
         log.run.duration_s = 20.0;
-        (log.run.noise.joints, log.run.joints.with_velocity) = (5e-4, false);
+        (log.run.noise.joints, log.run.joints.has_velocity) = (5e-4, false);
         log.run.imu.gyro_bias_rad_s = gyro_bias() * 0.2;
     } => warning(Topic(IMU), Amount(0.2 * BIAS_RAD_S, 1e-3));
     YAW004 a_late_imu_is_not_reported_as_gyro_bias: |log| log.run.imu.timing.latency_s = 0.02
@@ -291,7 +291,7 @@ fn a_yaw_random_walk_is_reported_with_its_density() {
     let density = 0.3_f64.to_radians();
     let report = Log::modified(|log| {
         log.run.duration_s = 30.0;
-        log.run.imu.yaw_walk_rad_rt_s = density;
+        log.run.imu.yaw_walk_rad_per_sqrt_s = density;
     })
     .report();
     assert!(report.findings.is_empty(), "{}", summary(&report.findings));

@@ -1,7 +1,7 @@
 //! ZER: zero offsets.
 
 use poseaudit::robot::Robot;
-use poseaudit::synth::{Giving, Motion, POSE, Scenario, urdf_text};
+use poseaudit::synth::{Motion, POSE, Scenario, SynthComplianceKind, urdf_text};
 
 use crate::checks::case::ExpectedEstimate::{Amount, Degrees};
 use crate::checks::case::ExpectedSubject::{Joint, Topic};
@@ -43,7 +43,7 @@ cases! {
     } => OnlyOtherFinding("FRM002");
     ZER001 a_tool_offset_is_not_reported_as_zero_offset: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool_offset()
         => OnlyOtherFinding("FRM003");
-    ZER001 radial_scale_is_not_reported_as_zero_offset: |log| log.run.pose.growth = 0.01 => OnlyOtherFinding("ZER002");
+    ZER001 radial_scale_is_not_reported_as_zero_offset: |log| log.run.pose.radial_scale_error = 0.01 => OnlyOtherFinding("ZER002");
     ZER001 nominal_kinematics_are_not_reported_as_zero_offset: |log| crate::checks::mdl::add_link_deviations(&mut log.run)
         => OtherFindingAndInconclusive("MDL001", "calibrat");
     ZER001 one_large_link_deviation_is_not_reported_as_zero_offset: |log| add_large_link_deviation(&mut log.run)
@@ -55,33 +55,33 @@ cases! {
     ZER001 zero_offsets_are_not_observable_at_rest: |log| log.run.motion = Motion::AtRest => Inconclusive("");
     ZER001 zero_offsets_are_not_observable_with_one_moving_joint: |log| log.run.motion = Motion::OneJoint(1) => Inconclusive("");
 
-    ZER003 sag_of_a_shoulder: |log| set_compliance(log, &[(1, Giving::Sag, 0.6)])
+    ZER003 sag_of_a_shoulder: |log| set_compliance(log, &[(1, SynthComplianceKind::Sag, 0.6)])
         => error(Joint("shoulder_lift_joint"), Degrees(0.6, 0.06));
-    ZER003 a_small_sag_of_an_elbow: |log| set_compliance(log, &[(2, Giving::Sag, 0.25)])
+    ZER003 a_small_sag_of_an_elbow: |log| set_compliance(log, &[(2, SynthComplianceKind::Sag, 0.25)])
         => warning(Joint("elbow_joint"), Degrees(0.25, 0.04));
-    ZER003 sag_of_healthy_gears_passes: |log| set_compliance(log, &[(1, Giving::Sag, 0.03)]) => NoFindings;
+    ZER003 sag_of_healthy_gears_passes: |log| set_compliance(log, &[(1, SynthComplianceKind::Sag, 0.03)]) => NoFindings;
     ZER003 a_zero_offset_is_not_reported_as_sag: |log| {
         set_compliance(log, &[]);
         log.run.joints.zero_offsets = zero_offset(1, 0.6);
     } => OnlyOtherFinding("ZER001");
-    ZER003 backlash_is_not_reported_as_sag: |log| set_compliance(log, &[(1, Giving::Play, 1.0)]) => OnlyOtherFinding("MOT006");
+    ZER003 backlash_is_not_reported_as_sag: |log| set_compliance(log, &[(1, SynthComplianceKind::Backlash, 1.0)]) => OnlyOtherFinding("MOT006");
     ZER003 nominal_kinematics_are_not_reported_as_sag: |log| crate::checks::mdl::add_link_deviations(&mut log.run)
         => OnlyOtherFinding("MDL001");
     ZER003 sag_is_not_observable_at_rest: |log| log.run.motion = Motion::AtRest => Inconclusive("barely moves");
     ZER003 no_pose_stream_for_sag: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
 
-    ZER001 sag_is_not_reported_as_zero_offset: |log| set_compliance(log, &[(1, Giving::Sag, 0.6)]) => OnlyOtherFinding("ZER003");
+    ZER001 sag_is_not_reported_as_zero_offset: |log| set_compliance(log, &[(1, SynthComplianceKind::Sag, 0.6)]) => OnlyOtherFinding("ZER003");
 
-    ZER002 positions_too_far_out: |log| log.run.pose.growth = 0.01
+    ZER002 positions_too_far_out: |log| log.run.pose.radial_scale_error = 0.01
         => error(Topic(POSE), Amount(0.01, 0.1e-3));
-    ZER002 positions_too_near: |log| log.run.pose.growth = -0.002
+    ZER002 positions_too_near: |log| log.run.pose.radial_scale_error = -0.002
         => warning(Topic(POSE), Amount(-0.002, 0.1e-3));
-    ZER002 a_radial_scale_of_a_ten_thousandth_passes: |log| log.run.pose.growth = 1e-4 => NoFindings;
+    ZER002 a_radial_scale_of_a_ten_thousandth_passes: |log| log.run.pose.radial_scale_error = 1e-4 => NoFindings;
     ZER002 a_zero_offset_is_not_reported_as_radial_scale: |log| log.run.joints.zero_offsets = zero_offset(2, 0.6)
         => OnlyOtherFinding("ZER001");
     ZER002 a_tool_offset_is_not_reported_as_radial_scale: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool_offset()
         => OnlyOtherFinding("FRM003");
-    ZER002 millimetres_are_not_reported_as_radial_scale: |log| log.run.pose.in_millimetres = true
+    ZER002 millimetres_are_not_reported_as_radial_scale: |log| log.run.pose.is_in_millimetres = true
         => OnlyOtherFinding("ORD008");
     ZER002 nominal_kinematics_are_not_reported_as_radial_scale: |log| crate::checks::mdl::add_link_deviations(&mut log.run)
         => OtherFindingAndInconclusive("MDL001", "calibrat");

@@ -1,7 +1,8 @@
 //! Pairs of poses in two conventions, computed by other programs: `riddles.csv`, from `make.py`.
 
 use poseaudit::desk::{
-    Answer, Corrections, FrameNames, Pair, Question, Style, Verdict, paste, reconcile,
+    FrameCandidates, FrameNames, KnownEncoding, Pair, ReconcileInput, ReconcileVerdict,
+    Reconciliation, parse_pose, reconcile,
 };
 use serde::Deserialize;
 
@@ -19,15 +20,15 @@ struct Row {
     but: String,
 }
 
-fn reconcile_pairs(rows: &[Row]) -> Answer {
-    let pasted = |text: &str| paste(text).expect("a pose");
-    let pair = |row: &Row| Pair { is: pasted(&row.is), but: pasted(&row.but) };
+fn reconcile_pairs(rows: &[Row]) -> Reconciliation {
+    let pasted = |text: &str| parse_pose(text).expect("a pose");
+    let pair = |row: &Row| Pair { pose_a: pasted(&row.is), pose_b: pasted(&row.but) };
     let names = FrameNames::default();
-    let question = Question {
+    let question = ReconcileInput {
         pairs: rows.iter().map(pair).collect(),
-        is: Style::default(),
-        but: Style::default(),
-        frames: Corrections::of(None, &names, &names),
+        encoding_a: KnownEncoding::default(),
+        encoding_b: KnownEncoding::default(),
+        frames: FrameCandidates::from_robot(None, &names, &names),
     };
     reconcile(&question).expect("poses")
 }
@@ -42,9 +43,13 @@ fn describe_mismatch(rows: &[Row], count: usize) -> Option<String> {
         "" => claims.is_empty() || row.riddle.starts_with("Eigen"),
         claim => claims.iter().chain(&best.also).any(|text| text.contains(claim)),
     };
-    let is_reconciled = answer.verdict == Verdict::Reconciled && best.but.to_string() == row.read;
+    let is_reconciled =
+        answer.verdict == ReconcileVerdict::Reconciled && best.encoding_b.to_string() == row.read;
     (!is_reconciled || !is_claimed).then(|| {
-        format!("{} from {count}: {:?}, {}, {claims:?}", row.riddle, answer.verdict, best.but)
+        format!(
+            "{} from {count}: {:?}, {}, {claims:?}",
+            row.riddle, answer.verdict, best.encoding_b
+        )
     })
 }
 
@@ -72,7 +77,7 @@ fn one_pair_determines_neither_tool_nor_base() {
     let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("the table");
     for riddle in rows.chunk_by(|a, b| a.riddle == b.riddle).filter(|riddle| riddle[0].pairs > 1) {
         let answer = reconcile_pairs(&riddle[..1]);
-        assert_eq!(answer.verdict, Verdict::Open, "{}", riddle[0].riddle);
-        assert!(answer.would_do.is_some(), "{}", riddle[0].riddle);
+        assert_eq!(answer.verdict, ReconcileVerdict::Unexplained, "{}", riddle[0].riddle);
+        assert!(answer.single_pair_offsets.is_some(), "{}", riddle[0].riddle);
     }
 }

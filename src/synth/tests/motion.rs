@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn every_motion_of_every_arm_keeps_to_its_limits_and_is_smooth() {
+fn every_motion_of_every_arm_is_smooth_and_within_limits() {
     let motions = [
         Motion::PickAndPlace,
         Motion::Continuous,
@@ -37,14 +37,14 @@ fn every_motion_of_every_arm_keeps_to_its_limits_and_is_smooth() {
 }
 
 #[test]
-fn lines_are_straight_and_the_joints_follow_them() {
-    let lines = Lines { bow_m: 0.004, turned_by: None };
+fn line_motions_are_straight_and_joints_follow() {
+    let lines = LineMotion { bow_m: 0.004, interpolated_as: None };
     let run = Scenario { motion: Motion::Lines(lines), ..quiet_run() };
     let truth = Truth::new(&run).unwrap();
     let rests = truth.rests();
     assert!(rests.len() > 2);
     let (leave_s, arrive_s) = (rests[0].1, rests[1].0);
-    let [start, end] = [leave_s, arrive_s].map(|time_s| truth.commanded(time_s).unwrap());
+    let [start, end] = [leave_s, arrive_s].map(|time_s| truth.commanded_pose(time_s).unwrap());
     let chord = end.translation.vector - start.translation.vector;
     let mut farthest_m = 0.0_f64;
     for step in 0..=100 {
@@ -53,7 +53,7 @@ fn lines_are_straight_and_the_joints_follow_them() {
         let off = |pose: &Pose| {
             (pose.translation.vector - start.translation.vector).cross(&chord).norm() / chord.norm()
         };
-        assert!(off(&truth.commanded(time_s).unwrap()) < 1e-9);
+        assert!(off(&truth.commanded_pose(time_s).unwrap()) < 1e-9);
         farthest_m = farthest_m.max(off(&truth.base_from_tip(time_s)));
         let (_, q_dot) = truth.joints(time_s);
         let [(before, _), (after, _)] = [-H, H].map(|h| truth.joints(time_s + h));
@@ -63,15 +63,15 @@ fn lines_are_straight_and_the_joints_follow_them() {
         }
     }
     assert!((farthest_m - 0.004).abs() < 2e-5, "{farthest_m}");
-    assert_same(&truth.base_from_tip(leave_s - 0.3), &start);
+    assert_same_pose(&truth.base_from_tip(leave_s - 0.3), &start);
 }
 
 #[test]
-fn a_goal_is_given_once_before_the_arm_leaves_for_it() {
-    let mut run = Scenario { motion: Motion::Lines(Lines::default()), ..quiet_run() };
+fn a_goal_is_sent_once_before_the_motion() {
+    let mut run = Scenario { motion: Motion::Lines(LineMotion::default()), ..quiet_run() };
     (run.reference.timing.rate_hz, run.reference.commands) = (1.0, Commands::Goals);
     let truth = Truth::new(&run).unwrap();
-    let goals = Log::of(&run).read(GOAL, |cdr| (cdr.header().0, cdr.pose()));
+    let goals = Log::write(&run).read(GOAL, |cdr| (cdr.header().0, cdr.pose()));
     let rests = truth.rests();
     assert!(!goals.is_empty());
     for ((stamp_s, goal), rest) in goals.iter().zip(rests.windows(2)) {
@@ -82,12 +82,12 @@ fn a_goal_is_given_once_before_the_arm_leaves_for_it() {
 }
 
 #[test]
-fn joints_stay_short_of_what_they_are_told() {
+fn joints_lag_their_commands_by_the_offset() {
     let mut run = quiet_run();
     (run.reference.timing.rate_hz, run.reference.commands) = (25.0, Commands::Joints);
-    run.reference.short_by = vec![0.0, 0.01];
+    run.reference.command_offset = vec![0.0, 0.01];
     let truth = Truth::new(&run).unwrap();
-    let told = Log::of(&run).read(COMMANDED_JOINTS, |cdr| {
+    let told = Log::write(&run).read(COMMANDED_JOINTS, |cdr| {
         let stamp_s = cdr.header().0;
         let names = cdr.u32();
         (0..names).for_each(|_| drop(cdr.string()));
@@ -101,7 +101,7 @@ fn joints_stay_short_of_what_they_are_told() {
 }
 
 #[test]
-fn each_motion_is_what_its_name_says() {
+fn each_motion_matches_its_name() {
     let moves = |motion| {
         let truth = Truth::new(&Scenario { motion, ..Scenario::ur5e() }).unwrap();
         let speeds = (0..400).map(|step| truth.joints(0.05 * f64::from(step)).1);
@@ -123,14 +123,14 @@ fn each_motion_is_what_its_name_says() {
 }
 
 #[test]
-fn a_sliding_joint_is_moved_and_told_in_metres() {
+fn a_prismatic_joint_is_in_metres() {
     const RAIL: &str = r#"<robot name="rail"><link name="a"/><link name="b"/><link name="c"/>
         <joint name="slide" type="prismatic"><parent link="a"/><child link="b"/>
         <axis xyz="0 1 0"/><limit lower="0" upper="1.5" effort="0" velocity="1"/></joint>
         <joint name="turn" type="continuous"><parent link="b"/><child link="c"/></joint></robot>"#;
     let robot = Robot::from_urdf(RAIL, "rail").unwrap();
     let run = Scenario { noise: Noise::NONE, ..Scenario::new(robot, "a", "c") };
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     let truth = Truth::new(&run).unwrap();
     let slides = log.transforms(TF).into_iter().filter(|tf| tf.child == "b");
     let mut most = f64::MIN;
@@ -143,7 +143,7 @@ fn a_sliding_joint_is_moved_and_told_in_metres() {
 }
 
 #[test]
-fn tasks_follow_their_lines_as_slowly_as_the_joints_need() {
+fn tasks_follow_lines_within_joint_limits() {
     use Task::*;
     let tasks = [
         Picking,
@@ -164,7 +164,7 @@ fn tasks_follow_their_lines_as_slowly_as_the_joints_need() {
         let mut moved = 0.0_f64;
         for step in 0..100 {
             let time_s = 0.01 * run.duration_s * f64::from(step);
-            assert_same(&truth.base_from_tip(time_s), &truth.commanded(time_s).unwrap());
+            assert_same_pose(&truth.base_from_tip(time_s), &truth.commanded_pose(time_s).unwrap());
             let (_, q_dot) = truth.joints(time_s);
             for (speed, limits) in q_dot.iter().zip(truth.chain.limits()) {
                 assert!(limits.velocity.is_none_or(|limit| speed.abs() <= limit), "{task:?}");
@@ -176,7 +176,7 @@ fn tasks_follow_their_lines_as_slowly_as_the_joints_need() {
 }
 
 #[test]
-fn a_swinging_elbow_leaves_the_tip_where_it_is() {
+fn an_elbow_swing_keeps_the_tip_fixed() {
     let arm = catalogue::find("kuka_lbr_iiwa14").unwrap().clone();
     let home = vec![0.0, 0.5, 0.0, -1.4, 0.0, 1.0, 0.0];
     let motion = Motion::ElbowSwing;
@@ -186,7 +186,7 @@ fn a_swinging_elbow_leaves_the_tip_where_it_is() {
     let mut moved = 0.0_f64;
     for step in 0..40 {
         let time_s = 0.5 * f64::from(step);
-        assert_same(&truth.base_from_tip(time_s), &truth.base_from_tip(0.0));
+        assert_same_pose(&truth.base_from_tip(time_s), &truth.base_from_tip(0.0));
         moved = moved.max((truth.joints(time_s).0[2] - start[2]).abs());
     }
     assert!(moved > 0.1, "{moved}");

@@ -13,11 +13,11 @@ fn joints_of(log: &Log, topic: &str) -> Vec<(f64, Vec<String>, Vec<f64>)> {
 }
 
 #[test]
-fn held_values_are_repeated_under_new_stamps_until_they_are_new() {
+fn values_are_repeated_under_new_stamps_until_updated() {
     let mut run = quiet_run();
-    run.joints.timing.new_hz = 5.0;
+    run.joints.timing.update_hz = 5.0;
     let truth = Truth::new(&run).unwrap();
-    let joints = Log::of(&run).joints();
+    let joints = Log::write(&run).joints();
     for (index, joints) in joints.iter().enumerate() {
         assert!((joints.stamp_s - index as f64 / 25.0).abs() < 1e-9);
         let (q, _) = truth.joints((index / 5) as f64 / 5.0);
@@ -26,13 +26,13 @@ fn held_values_are_repeated_under_new_stamps_until_they_are_new() {
 }
 
 #[test]
-fn scales_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
+fn scale_wrapping_and_resolution_affect_joints_and_tf() {
     let mut run = quiet_run();
     run.home = vec![0.0, -1.5, 1.5, -1.5, -1.5, PI];
     run.joints.scales = vec![1.0, -1.0];
-    run.joints.fold = Some(Fold::PlusMinusPi);
+    run.joints.wrapping = Some(JointWrapping::PlusMinusPi);
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     for joints in log.joints() {
         let (q, q_dot) = truth.joints(joints.stamp_s);
         assert!((joints.positions[1] + q[1]).abs() < 1e-9);
@@ -40,12 +40,12 @@ fn scales_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
         // Not wrapped: it has limits.
         assert!((joints.positions[5] - q[5]).abs() < 1e-9);
     }
-    for fold in [Fold::PlusMinusPi, Fold::ZeroToTwoPi] {
-        let folded = fold.folded(7.0, JointKind::Continuous);
-        assert!((folded - 7.0 + TAU).abs() < 1e-12 && fold.folded(7.0, JointKind::Revolute) == 7.0);
+    for fold in [JointWrapping::PlusMinusPi, JointWrapping::ZeroToTwoPi] {
+        let folded = fold.wrap(7.0, JointKind::Continuous);
+        assert!((folded - 7.0 + TAU).abs() < 1e-12 && fold.wrap(7.0, JointKind::Revolute) == 7.0);
     }
-    run.joints = JointStream { scales: Vec::new(), fold: None, quantum: 0.01, ..run.joints };
-    for joints in Log::of(&run).joints() {
+    run.joints = JointStream { scales: Vec::new(), wrapping: None, resolution: 0.01, ..run.joints };
+    for joints in Log::write(&run).joints() {
         for (said, q) in joints.positions.iter().zip(truth.joints(joints.stamp_s).0) {
             assert!((said / 0.01).fract().abs() < 1e-6 || (said / 0.01).fract().abs() > 1.0 - 1e-6);
             assert!((said - q).abs() < 0.0051);
@@ -54,11 +54,11 @@ fn scales_folds_and_encoders_change_what_the_joints_say_and_what_tf_believes() {
 }
 
 #[test]
-fn joints_apart_and_namespaces_have_topics_of_their_own() {
+fn separate_joints_and_namespaces_have_own_topics() {
     let mut run = quiet_run();
     run.namespace = "/left".to_owned();
-    run.joints.apart = Some((vec![0], "/rail/joint_states".to_owned()));
-    let log = Log::of(&run);
+    run.joints.separate_topic = Some((vec![0], "/rail/joint_states".to_owned()));
+    let log = Log::write(&run);
     let rest = joints_of(&log, "/left/joint_states");
     let apart = joints_of(&log, "/left/rail/joint_states");
     assert_eq!((rest.len(), apart.len()), (100, 100));
@@ -80,24 +80,29 @@ fn several_arms_are_one_log() {
 }
 
 #[test]
-fn poses_of_a_driven_arm_are_in_the_frame_that_stands_still() {
+fn poses_of_an_arm_on_a_moving_base_are_in_the_fixed_frame() {
     let mut run = quiet_run();
     let edge = Timing::every(25.0, 0.0);
-    run.drive = Some(Drive { frame_id: "odom".to_owned(), reach_m: 1.0, turn_rad: 0.5, edge });
+    run.moving_base = Some(MovingBase {
+        frame_id: "odom".to_owned(),
+        reach_m: 1.0,
+        turn_rad: 0.5,
+        transform_timing: edge,
+    });
     run.pose.frame_id = "odom".to_owned();
     run.pose.timing.phase_s = 0.0;
     let truth = Truth::new(&run).unwrap();
-    let log = Log::of(&run);
+    let log = Log::write(&run);
     let edges: Vec<LoggedTf> =
         log.transforms(TF).into_iter().filter(|tf| tf.parent == "odom").collect();
     assert_eq!(edges.len(), 100);
     for ((stamp_s, logged), edge) in log.poses().into_iter().zip(edges) {
-        assert_same(&logged, &(edge.parent_from_child * truth.first_from_tip(stamp_s)));
+        assert_same_pose(&logged, &(edge.parent_from_child * truth.first_from_tip(stamp_s)));
     }
 }
 
 #[test]
-fn a_rail_carries_the_base_that_poses_are_in() {
+fn a_rail_moves_the_base_of_the_poses() {
     let rail = "  <link name=\"rail_base\"/>\n  <joint name=\"rail_joint\" type=\"prismatic\">\n    \
                 <parent link=\"rail_base\"/>\n    <child link=\"base_link\"/>\n    \
                 <axis xyz=\"1 0 0\"/>\n    \
@@ -109,21 +114,21 @@ fn a_rail_carries_the_base_that_poses_are_in() {
     run.home.insert(0, 0.0);
     let truth = Truth::new(&run).unwrap();
     assert_eq!(truth.chain.dof(), 7);
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let (q, _) = truth.joints(stamp_s);
         let mut on_rail = truth.first_from_tip(stamp_s);
         on_rail.translation.vector.x -= q[0];
-        assert_same(&logged, &on_rail);
+        assert_same_pose(&logged, &on_rail);
     }
 }
 
 #[test]
-fn a_second_publisher_says_the_same_but_for_the_transform_that_is_moved() {
+fn a_second_publisher_differs_only_in_the_offset_transform() {
     let mut run = quiet_run();
     let moved = pose([0.005, 0.0, 0.0], Rotation::identity());
     let timing = run.tf.timing.clone();
-    run.tf.second = Some(SecondPublisher { timing, moved: Some((2, moved)) });
-    let transforms = Log::of(&run).transforms(TF);
+    run.tf.second = Some(SecondPublisher { timing, offset_joint: Some((2, moved)) });
+    let transforms = Log::write(&run).transforms(TF);
     assert_eq!(transforms.len(), 2 * 100 * 6);
     let elbow: Vec<&LoggedTf> = transforms.iter().filter(|tf| tf.child == "forearm_link").collect();
     for pair in elbow.chunks(2).filter(|pair| pair[0].stamp_s == pair[1].stamp_s) {
@@ -133,29 +138,29 @@ fn a_second_publisher_says_the_same_but_for_the_transform_that_is_moved() {
 }
 
 #[test]
-fn a_hand_leads_the_arm_in_a_world_of_its_own() {
+fn a_hand_leads_the_arm_in_another_world() {
     let mut run = quiet_run();
     run.leader.timing = Timing::every(25.0, 0.0);
     run.leader.lead_s = 0.2;
     let truth = Truth::new(&run).unwrap();
-    let hand = Log::of(&run).read("/hand/pose", |cdr| (cdr.header(), cdr.pose()));
+    let hand = Log::write(&run).read("/hand/pose", |cdr| (cdr.header(), cdr.pose()));
     for ((stamp_s, frame), logged) in hand {
         assert_eq!(frame, "hand_world");
         let expected = run.leader.frame_from_base
             * truth.base_from_tip(stamp_s + 0.2)
             * run.leader.tip_from_hand;
-        assert_same(&logged, &expected);
+        assert_same_pose(&logged, &expected);
     }
 }
 
 #[test]
-fn positions_may_be_in_other_units_and_axes_constant_or_slipped() {
+fn positions_may_have_other_units_axes_constants_and_slips() {
     let mut run = quiet_run();
     let truth = Truth::new(&run).unwrap();
     let (times, axes) = (100.0, Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0));
-    run.pose.times = times;
+    run.pose.position_factor = times;
     run.pose.axes = Some(axes);
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let truth = truth.base_from_tip(stamp_s);
         let expected = times * (axes * truth.translation.vector);
         assert!((logged.translation.vector - expected).norm() < 1e-7);
@@ -164,10 +169,10 @@ fn positions_may_be_in_other_units_and_axes_constant_or_slipped() {
         assert!((logged.matrix() - turned).norm() < 1e-9);
     }
     let slip = pose([0.0, 0.0, 0.07], Rotation::identity());
-    run.pose = PoseStream { times: 1.0, axes: None, ..run.pose };
-    run.pose.constant = Some((1, 0.25));
-    run.pose.slip = Some(ToolSlip { from_s: 2.0, to_s: 3.0, tool_from_slipped: slip });
-    for (stamp_s, logged) in Log::of(&run).poses() {
+    run.pose = PoseStream { position_factor: 1.0, axes: None, ..run.pose };
+    run.pose.constant_coordinate = Some((1, 0.25));
+    run.pose.tool_slip = Some(ToolSlip { from_s: 2.0, to_s: 3.0, tool_from_slipped: slip });
+    for (stamp_s, logged) in Log::write(&run).poses() {
         let tool = if (2.0..3.0).contains(&stamp_s) { slip } else { Pose::identity() };
         let expected = (truth.base_from_tip(stamp_s) * tool).translation;
         assert!((logged.translation.x - expected.x).abs() < 1e-9 && logged.translation.y == 0.25);
@@ -175,10 +180,11 @@ fn positions_may_be_in_other_units_and_axes_constant_or_slipped() {
 }
 
 #[test]
-fn the_clock_of_a_stream_may_step() {
+fn a_stream_clock_may_step() {
     let mut run = quiet_run();
-    run.pose.timing.step = Some((2.0, 0.3));
-    let stamps: Vec<f64> = Log::of(&run).poses().into_iter().map(|(stamp_s, _)| stamp_s).collect();
+    run.pose.timing.clock_step = Some((2.0, 0.3));
+    let stamps: Vec<f64> =
+        Log::write(&run).poses().into_iter().map(|(stamp_s, _)| stamp_s).collect();
     let longest = stamps.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
     assert!((longest - 0.34).abs() < 1e-9);
 }

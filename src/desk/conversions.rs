@@ -5,17 +5,20 @@ use crate::geometry::{
     code_of_numbers, code_of_quaternion, xyzw_from_rotation,
 };
 
+use super::encoding::{
+    GIMBAL_LOCK_RAD, KnownEncoding, MIN_NOTED_DEFECT, NumberEncoding, possible_encodings,
+    rotation_defect,
+};
 use super::error::DeskError;
-use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, readings};
-use super::frames::worlds;
-use super::paste::Pasted;
+use super::fixed_frames::worlds;
+use super::parse::PoseText;
 use crate::geometry::vendors::{LibraryName, VendorUse, library_names, uses_of};
 
 /// Pose in one convention.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub struct ConventionRow {
     /// The convention.
-    pub form: RotationEncoding,
+    pub rotation: RotationEncoding,
     /// Rotation, angles in rad; nine for a matrix.
     pub numbers: Vec<f64>,
     /// Distance to gimbal lock, rad; `None` without one.
@@ -26,49 +29,49 @@ pub struct Row {
     pub names: Vec<LibraryName>,
 }
 
-impl Row {
-    fn of(form: RotationEncoding, numbers: Vec<f64>) -> Self {
+impl ConventionRow {
+    fn new(form: RotationEncoding, numbers: Vec<f64>) -> Self {
         Self {
             gimbal_margin_rad: None,
             uses: uses_of(form).collect(),
             names: library_names(form),
-            form,
+            rotation: form,
             numbers,
         }
     }
 
     /// Whether within 5° of gimbal lock.
-    pub fn is_near_lock(&self) -> bool {
-        self.gimbal_margin_rad.is_some_and(|margin_rad| margin_rad < LOCK_RAD)
+    pub fn is_near_gimbal_lock(&self) -> bool {
+        self.gimbal_margin_rad.is_some_and(|margin_rad| margin_rad < GIMBAL_LOCK_RAD)
     }
 }
 
 /// Pose in every convention.
 #[derive(Clone, Debug)]
-pub struct Sheet {
+pub struct PoseConversions {
     /// Encoding of the input.
-    pub reading: Reading,
+    pub encoding: NumberEncoding,
     /// The pose.
     pub pose: Pose,
     /// Whether the input has a position.
     pub has_position: bool,
     /// Quaternions, rotation vector, matrix, then Euler orders, most common first.
-    pub rows: Vec<Row>,
+    pub rows: Vec<ConventionRow>,
     /// The pose in other axis conventions.
     pub worlds: Vec<(&'static str, Pose)>,
     /// Code for the given numbers, if three.
-    pub code_of_numbers: Vec<CodeLine>,
+    pub numbers_code: Vec<CodeLine>,
     /// Code for the quaternion.
-    pub code_of_quaternion: Vec<CodeLine>,
+    pub quaternion_code: Vec<CodeLine>,
     /// Assumptions and warnings.
     pub notes: Vec<String>,
 }
 
 /// Pose in one of several possible conventions.
 #[derive(Clone, Debug)]
-pub struct Candidate {
+pub struct ConversionCandidate {
     /// The convention.
-    pub reading: Reading,
+    pub encoding: NumberEncoding,
     /// The resulting pose.
     pub pose: Pose,
     /// Users of the convention.
@@ -77,63 +80,67 @@ pub struct Candidate {
 
 /// Result for one text.
 #[derive(Clone, Debug)]
-pub enum Sheets {
+pub enum ConversionResult {
     /// The encoding is determined.
-    One(Box<Sheet>),
+    Determined(Box<PoseConversions>),
     /// Ambiguous among conventions with known users.
-    Several {
+    Ambiguous {
         /// Candidates, most common first.
-        candidates: Vec<Candidate>,
+        candidates: Vec<ConversionCandidate>,
         /// Assumptions.
         notes: Vec<String>,
     },
 }
 
-/// Interprets `pasted`; `style` overrides its own.
+/// Interprets `pose_text`; `encoding` overrides its own.
 ///
 /// # Errors
 /// If the numbers are not a pose in that style.
-pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
-    let known = style.or(pasted.style);
-    let readings = readings(&[&pasted.numbers], known)?;
-    let mut usual: Vec<Reading> = Vec::new();
-    for reading in readings.into_iter().filter(|reading| reading.odd_units() == 0) {
-        let is_used = known.form.is_some() || uses_of(reading.form).next().is_some();
+pub fn convert(pose_text: &PoseText, known: KnownEncoding) -> Result<ConversionResult, DeskError> {
+    let known = known.or(pose_text.encoding);
+    let encodings = possible_encodings(&[&pose_text.numbers], known)?;
+    let mut usual: Vec<NumberEncoding> = Vec::new();
+    for encoding in encodings.into_iter().filter(|encoding| encoding.count_unusual_units() == 0) {
+        let is_used = known.rotation.is_some() || uses_of(encoding.rotation).next().is_some();
         if is_used {
-            usual.push(reading);
+            usual.push(encoding);
         }
     }
     let mut notes = Vec::new();
-    let count = pasted.numbers.len();
+    let count = pose_text.numbers.len();
     if let Some(first) = usual.first() {
         notes.extend(unit_notes(first, known));
     }
     if count == 9
-        && usual.first().is_some_and(|first| first.form == RotationEncoding::Rows)
-        && known.form.is_none()
+        && usual.first().is_some_and(|first| first.rotation == RotationEncoding::Rows)
+        && known.rotation.is_none()
     {
         notes.push("row-major assumed; for column-major use --from matrix:columns".to_owned());
     }
     match usual.as_slice() {
-        [reading] => {
-            let sheet = one(*reading, pasted, notes)?;
-            Ok(Sheets::One(Box::new(sheet)))
+        [encoding] => {
+            let conversions = convert_determined(*encoding, pose_text, notes)?;
+            Ok(ConversionResult::Determined(Box::new(conversions)))
         }
         several => {
-            let candidates = several.iter().map(|reading| {
-                let pose = reading.pose(&pasted.numbers)?;
-                Ok(Candidate { reading: *reading, pose, uses: uses_of(reading.form).collect() })
+            let candidates = several.iter().map(|encoding| {
+                let pose = encoding.pose(&pose_text.numbers)?;
+                Ok(ConversionCandidate {
+                    encoding: *encoding,
+                    pose,
+                    uses: uses_of(encoding.rotation).collect(),
+                })
             });
             let candidates = candidates.collect::<Result<Vec<_>, DeskError>>()?;
-            Ok(Sheets::Several { candidates, notes })
+            Ok(ConversionResult::Ambiguous { candidates, notes })
         }
     }
 }
 
-fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
+fn unit_notes(encoding: &NumberEncoding, known: KnownEncoding) -> Vec<String> {
     let mut notes = Vec::new();
-    if reading.has_position && known.units.length.is_none() {
-        let length = reading.length;
+    if encoding.has_position && known.units.length.is_none() {
+        let length = encoding.length;
         notes.push(match length {
             LengthScale::METRE => {
                 "metres assumed: no length exceeds 10; override with --mm".to_owned()
@@ -147,8 +154,8 @@ fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
             ),
         });
     }
-    if reading.form.has_angles() && known.units.angle.is_none() {
-        notes.push(match reading.angle {
+    if encoding.rotation.has_angles() && known.units.angle.is_none() {
+        notes.push(match encoding.angle {
             AngleUnit::Radian => {
                 "radians assumed: no angle exceeds 6.9; override with --deg".to_owned()
             }
@@ -166,11 +173,15 @@ fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
     notes
 }
 
-fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Sheet, DeskError> {
-    let pose = reading.pose(&pasted.numbers)?;
-    let missed = defect(reading.form, &pasted.numbers);
-    if missed > SAID_DEFECT {
-        notes.push(match reading.form {
+fn convert_determined(
+    encoding: NumberEncoding,
+    pose_text: &PoseText,
+    mut notes: Vec<String>,
+) -> Result<PoseConversions, DeskError> {
+    let pose = encoding.pose(&pose_text.numbers)?;
+    let missed = rotation_defect(encoding.rotation, &pose_text.numbers);
+    if missed > MIN_NOTED_DEFECT {
+        notes.push(match encoding.rotation {
             form if form.is_matrix() => {
                 format!(
                     "the matrix is not exactly orthonormal (max |RᵀR − I| {missed:.1e}); using the \
@@ -186,47 +197,47 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let by_rows: Vec<f64> = matrix.matrix().transpose().iter().map(|c| c + 0.0).collect();
     let by_columns: Vec<f64> = matrix.matrix().iter().map(|c| c + 0.0).collect();
     let mut rows = vec![
-        Row::of(RotationEncoding::Xyzw, vec![x, y, z, w]),
-        Row::of(RotationEncoding::Wxyz, vec![w, x, y, z]),
-        Row::of(RotationEncoding::Rows, by_rows.clone()),
-        Row::of(RotationEncoding::TwoColumns, by_columns[..6].to_vec()),
-        Row::of(RotationEncoding::TwoRows, by_rows[..6].to_vec()),
-        Row::of(RotationEncoding::Columns, by_columns),
-        Row::of(RotationEncoding::AxisAngle, axis_angle(rotation)),
+        ConventionRow::new(RotationEncoding::Xyzw, vec![x, y, z, w]),
+        ConventionRow::new(RotationEncoding::Wxyz, vec![w, x, y, z]),
+        ConventionRow::new(RotationEncoding::Rows, by_rows.clone()),
+        ConventionRow::new(RotationEncoding::TwoColumns, by_columns[..6].to_vec()),
+        ConventionRow::new(RotationEncoding::TwoRows, by_rows[..6].to_vec()),
+        ConventionRow::new(RotationEncoding::Columns, by_columns),
+        ConventionRow::new(RotationEncoding::AxisAngle, axis_angle(rotation)),
     ];
     rows.extend(Convention::all().iter().map(|&convention| {
         let numbers = convention.numbers(rotation);
-        let mut row = Row::of(RotationEncoding::Three(convention), numbers.to_vec());
+        let mut row = ConventionRow::new(RotationEncoding::Three(convention), numbers.to_vec());
         row.gimbal_margin_rad = convention.gimbal_margin(numbers);
         row
     }));
-    let own = rows.iter().find(|row| row.form == reading.form);
+    let own = rows.iter().find(|row| row.rotation == encoding.rotation);
     if let Some((row, margin_rad)) = own.and_then(|row| Some((row, row.gimbal_margin_rad?)))
-        && row.is_near_lock()
+        && row.is_near_gimbal_lock()
     {
         notes.push(format!(
             "{:.2}° from gimbal lock of {}: the outer angles are nearly degenerate",
             margin_rad.to_degrees(),
-            row.form
+            row.rotation
         ));
     }
-    let code_of_numbers = match reading.form {
+    let code_of_numbers = match encoding.rotation {
         RotationEncoding::Three(convention) => {
-            let given = &pasted.numbers[pasted.numbers.len() - 3..];
-            let numbers = [0, 1, 2].map(|at| literal(given[at] * reading.angle.in_rad()));
+            let given = &pose_text.numbers[pose_text.numbers.len() - 3..];
+            let numbers = [0, 1, 2].map(|at| float_literal(given[at] * encoding.angle.in_rad()));
             code_of_numbers(convention, numbers)
         }
         _ => Vec::new(),
     };
-    Ok(Sheet {
-        has_position: reading.has_position,
+    Ok(PoseConversions {
+        has_position: encoding.has_position,
         worlds: worlds()
             .iter()
             .map(|world| (world.who.as_str(), world.axes.pose_from_standard(&pose)))
             .collect(),
-        code_of_numbers,
-        code_of_quaternion: code_of_quaternion(xyzw_from_rotation(rotation).map(literal)),
-        reading,
+        numbers_code: code_of_numbers,
+        quaternion_code: code_of_quaternion(xyzw_from_rotation(rotation).map(float_literal)),
+        encoding,
         pose,
         rows,
         notes,
@@ -240,27 +251,28 @@ fn axis_angle(rotation: &Rotation) -> Vec<f64> {
 }
 
 /// Rounded to 1e-9; a float literal in every language.
-fn literal(value: f64) -> String {
+fn float_literal(value: f64) -> String {
     format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::desk::paste;
+    use crate::desk::parse_pose;
     use crate::geometry::{angle_between, rotation_from_xyzw, xyz_of};
 
-    fn one(text: &str, style: &str) -> Sheet {
-        let style = if style.is_empty() { Style::default() } else { style.parse().unwrap() };
-        match sheet(&paste(text).unwrap(), style).unwrap() {
-            Sheets::One(sheet) => *sheet,
-            Sheets::Several { candidates, .. } => panic!("{candidates:?}"),
+    fn one(text: &str, known: &str) -> PoseConversions {
+        let known =
+            if known.is_empty() { KnownEncoding::default() } else { known.parse().unwrap() };
+        match convert(&parse_pose(text).unwrap(), known).unwrap() {
+            ConversionResult::Determined(conversions) => *conversions,
+            ConversionResult::Ambiguous { candidates, .. } => panic!("{candidates:?}"),
         }
     }
 
-    fn numbers(sheet: &Sheet, form: &str) -> Vec<f64> {
+    fn numbers(conversions: &PoseConversions, form: &str) -> Vec<f64> {
         let form: RotationEncoding = form.parse().unwrap();
-        sheet.rows.iter().find(|row| row.form == form).unwrap().numbers.clone()
+        conversions.rows.iter().find(|row| row.rotation == form).unwrap().numbers.clone()
     }
 
     #[track_caller]
@@ -271,34 +283,39 @@ mod tests {
     }
 
     #[test]
-    fn the_sample_of_aubos_sdk_is_its_quaternion() {
+    fn the_pose_of_aubos_sdk_has_its_quaternion() {
         // Vendor's example: rpy, rad, and quaternion w, x, y, z.
-        let sheet = one("0.611 0.785 0.960", "aubo");
+        let conversions = one("0.611 0.785 0.960", "aubo");
         let expected = [0.834722, 0.078043, 0.451893, 0.304864];
-        assert_near(&numbers(&sheet, "quat:wxyz"), &expected, 1e-6);
+        assert_near(&numbers(&conversions, "quat:wxyz"), &expected, 1e-6);
     }
 
     #[test]
-    fn a_pendants_pose_is_said_in_every_convention() {
-        let sheet = one("243.69 -249.04 618.32 149.49 -12.78 72.64", "euler:xyz,deg,mm");
-        assert_near(&xyz_of(&sheet.pose), &[0.24369, -0.24904, 0.61832], 1e-12);
-        assert_eq!(sheet.rows.len(), 7 + 29);
+    fn a_pendant_pose_is_converted_to_every_convention() {
+        let conversions = one("243.69 -249.04 618.32 149.49 -12.78 72.64", "euler:xyz,deg,mm");
+        assert_near(&xyz_of(&conversions.pose), &[0.24369, -0.24904, 0.61832], 1e-12);
+        assert_eq!(conversions.rows.len(), 7 + 29);
         assert_near(
-            &numbers(&sheet, "euler:ZYX"),
+            &numbers(&conversions, "euler:ZYX"),
             &[72.64, -12.78, 149.49].map(f64::to_radians),
             1e-12,
         );
-        for row in &sheet.rows {
-            let reading = Reading { form: row.form, ..one("0 0 0", "rotvec,rad,m").reading };
-            let again = reading.pose(&row.numbers).unwrap();
-            assert!(angle_between(&again.rotation, &sheet.pose.rotation) < 1e-9, "{}", row.form);
+        for row in &conversions.rows {
+            let encoding =
+                NumberEncoding { rotation: row.rotation, ..one("0 0 0", "rotvec,rad,m").encoding };
+            let again = encoding.pose(&row.numbers).unwrap();
+            assert!(
+                angle_between(&again.rotation, &conversions.pose.rotation) < 1e-9,
+                "{}",
+                row.rotation
+            );
         }
     }
 
     #[test]
-    fn what_text_says_needs_no_flag() {
+    fn an_encoding_stated_by_the_text_needs_no_flag() {
         let literal = one("p[0.1, 0.2, 0.3, 0, 3.14, 0]", "");
-        assert_eq!(literal.reading.form.to_string(), "rotvec");
+        assert_eq!(literal.encoding.rotation.to_string(), "rotvec");
         let origin = one(r#"<origin xyz="0 0 0" rpy="1.570796327 0 1.570796327"/>"#, "");
         assert_near(&numbers(&origin, "quat:xyzw"), &[0.5, 0.5, 0.5, 0.5], 1e-9);
     }
@@ -307,32 +324,39 @@ mod tests {
     fn frankas_matrix_goes_by_columns_and_rokaes_by_rows() {
         let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
         let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
-        assert_eq!(columns.reading.form, RotationEncoding::Columns);
-        assert_eq!(rows.reading.form, RotationEncoding::Rows);
+        assert_eq!(columns.encoding.rotation, RotationEncoding::Columns);
+        assert_eq!(rows.encoding.rotation, RotationEncoding::Rows);
         assert_eq!(columns.pose, rows.pose);
         let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
-        assert_eq!((columns.reading.form, columns.pose), (RotationEncoding::Columns, rows.pose));
+        assert_eq!(
+            (columns.encoding.rotation, columns.pose),
+            (RotationEncoding::Columns, rows.pose)
+        );
         let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");
-        assert_eq!((short.reading.form, short.pose), (RotationEncoding::Rows, rows.pose));
+        assert_eq!((short.encoding.rotation, short.pose), (RotationEncoding::Rows, rows.pose));
     }
 
     #[test]
-    fn a_bare_order_is_left_open() {
-        let pasted = paste("243.69 -249.04 618.32 149.49 -12.78 72.64").unwrap();
-        let Sheets::Several { candidates, notes } = sheet(&pasted, Style::default()).unwrap()
+    fn bare_quaternions_stay_ambiguous() {
+        let pose_text = parse_pose("243.69 -249.04 618.32 149.49 -12.78 72.64").unwrap();
+        let ConversionResult::Ambiguous { candidates, notes } =
+            convert(&pose_text, KnownEncoding::default()).unwrap()
         else {
             panic!("it was settled");
         };
         let names: Vec<String> =
-            candidates.iter().map(|candidate| candidate.reading.form.to_string()).collect();
+            candidates.iter().map(|candidate| candidate.encoding.rotation.to_string()).collect();
         assert_eq!(names[..3], ["rotvec", "euler:xyz", "euler:ZYX"]);
         assert!(notes.iter().any(|note| note.starts_with("millimetres")));
-        let pasted = paste("0 0 1 0.1 0.2 0.3 0.927").unwrap();
-        assert!(matches!(sheet(&pasted, Style::default()), Ok(Sheets::Several { .. })));
+        let pose_text = parse_pose("0 0 1 0.1 0.2 0.3 0.927").unwrap();
+        assert!(matches!(
+            convert(&pose_text, KnownEncoding::default()),
+            Ok(ConversionResult::Ambiguous { .. })
+        ));
     }
 
     #[test]
-    fn lock_is_warned_of() {
+    fn gimbal_lock_is_noted() {
         let locked = one("0 0 0 10 88 20", "euler:xyz,deg,m");
         assert!(locked.notes.iter().any(|note| note.starts_with("2.00° from gimbal lock")));
         let free = one("0 0 0 10 60 20", "euler:xyz,deg,m");
@@ -340,8 +364,9 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_is_none_is_refused_with_the_nearest_rotation() {
-        let refused = |text: &str| sheet(&paste(text).unwrap(), Style::default()).unwrap_err();
+    fn an_invalid_matrix_is_rejected_with_the_nearest_rotation() {
+        let refused =
+            |text: &str| convert(&parse_pose(text).unwrap(), KnownEncoding::default()).unwrap_err();
         let error = refused("1 0 0  0 0.9 0  0 0 1");
         let DeskError::NotOrthonormal { defect, nearest_xyzw } = error else { panic!("{error}") };
         assert!((defect - 0.19).abs() < 1e-12);

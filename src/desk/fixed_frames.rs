@@ -11,7 +11,7 @@ use crate::robot::{LinkId, Robot, catalogue, nearest};
 use super::error::DeskError;
 
 /// Tolerance, m and rad.
-const SAME: f64 = 1e-6;
+const TOLERANCE: f64 = 1e-6;
 
 /// Declared frames of a pose.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -35,7 +35,7 @@ impl FrameNames {
         let links =
             || robots.iter().flat_map(|robot| robot.links().map(|link| robot.link_name(link)));
         for name in [&self.parent, &self.child].into_iter().flatten() {
-            if links().any(|link| meets(name, link)) {
+            if links().any(|link| is_same_name(name, link)) {
                 continue;
             }
             let nearest = nearest(name, links()).first().map(|&near| near.to_owned());
@@ -46,22 +46,22 @@ impl FrameNames {
 }
 
 /// Whether the names match apart from a prefix.
-fn meets(given: &str, frame: &str) -> bool {
+fn is_same_name(given: &str, frame: &str) -> bool {
     let prefix = given.strip_suffix(frame);
     prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
-    frames: Vec<Entry>,
-    turns: Vec<Turn>,
+struct FrameTable {
+    frames: Vec<FramePairEntry>,
+    turns: Vec<AxesEntry>,
     worlds: Vec<World>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Entry {
+struct FramePairEntry {
     end: String,
     arm: String,
     arms: String,
@@ -71,7 +71,7 @@ struct Entry {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Turn {
+struct AxesEntry {
     ends: Vec<String>,
     who: String,
     from: String,
@@ -87,11 +87,11 @@ pub struct World {
     /// Its user.
     pub who: String,
     /// In terms of ROS axes (REP 103).
-    #[serde(deserialize_with = "axes")]
+    #[serde(deserialize_with = "deserialize_axes")]
     pub axes: Axes,
 }
 
-fn axes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
+fn deserialize_axes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
     String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
 }
 
@@ -105,7 +105,7 @@ struct FixedPair {
     from_to: Pose,
 }
 
-static TABLE: LazyLock<File> = LazyLock::new(|| {
+static TABLE: LazyLock<FrameTable> = LazyLock::new(|| {
     toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid")
 });
 
@@ -131,7 +131,7 @@ static PAIRS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
 });
 
 static TURNS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
-    let turned = |turn: &'static Turn| {
+    let turned = |turn: &'static AxesEntry| {
         let axes: Axes = turn.axes.parse().expect("the embedded table names axes");
         turn.ends.iter().map(move |end| FixedPair {
             is_base: end == "base",
@@ -148,15 +148,15 @@ static TURNS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedFrame {
     /// Frame of the first pose.
-    pub is: String,
+    pub frame_a: String,
     /// Frame of the other pose.
-    pub but: String,
+    pub frame_b: String,
     /// Makers of such arms.
     pub arms: String,
     /// At the base `but_from_is`, at the tip `is_from_but`.
     pub transform: Pose,
     /// Whether the caller named both.
-    pub is_named: bool,
+    pub is_declared: bool,
     /// Whether this changes axes (world, camera, body) instead of arm frames.
     pub is_turn: bool,
     /// Frames with the same transform, such as `tool0 → flange of Universal Robots`.
@@ -166,22 +166,22 @@ pub struct FixedFrame {
 impl FixedFrame {
     /// Whether the transform is its own inverse and the frames are not named.
     pub fn is_either_way(&self) -> bool {
-        !self.is_named && is_same(&(self.transform * self.transform), &Pose::identity())
+        !self.is_declared && is_same(&(self.transform * self.transform), &Pose::identity())
     }
 }
 
 /// Candidate constant transforms between two poses of one arm.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Corrections {
+pub struct FrameCandidates {
     /// Frames at the base.
     pub base: Vec<FixedFrame>,
     /// Frames at the tip.
     pub tip: Vec<FixedFrame>,
 }
 
-impl Corrections {
+impl FrameCandidates {
     /// Candidates for `robot`, or for common arms; `is` and `but` are the declared frames.
-    pub fn of(robot: Option<&Robot>, is: &FrameNames, but: &FrameNames) -> Self {
+    pub fn from_robot(robot: Option<&Robot>, is: &FrameNames, but: &FrameNames) -> Self {
         let mut found = Self::default();
         match robot {
             Some(robot) => {
@@ -199,8 +199,8 @@ impl Corrections {
                 found.push(&PAIRS, false);
             }
         }
-        settle(&mut found.base, [is.parent.as_deref(), but.parent.as_deref()]);
-        settle(&mut found.tip, [is.child.as_deref(), but.child.as_deref()]);
+        merge_equal_frames(&mut found.base, [is.parent.as_deref(), but.parent.as_deref()]);
+        merge_equal_frames(&mut found.tip, [is.child.as_deref(), but.child.as_deref()]);
         found
     }
 
@@ -243,11 +243,11 @@ fn push_both(
     for (first, second, transform) in [(from, to, from_to), (to, from, from_to.inverse())] {
         let (is, but) = if is_base { (second, first) } else { (first, second) };
         found.push(FixedFrame {
-            is: is.to_owned(),
-            but: but.to_owned(),
+            frame_a: is.to_owned(),
+            frame_b: but.to_owned(),
             arms: arms.to_owned(),
             transform,
-            is_named: false,
+            is_declared: false,
             is_turn,
             also: Vec::new(),
         });
@@ -255,22 +255,23 @@ fn push_both(
 }
 
 /// Marks named frames, drops identities, and merges equal transforms.
-fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
-    let meets = |given: Option<&str>, frame: &str| given.is_some_and(|given| meets(given, frame));
+fn merge_equal_frames(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
+    let meets =
+        |given: Option<&str>, frame: &str| given.is_some_and(|given| is_same_name(given, frame));
     for frame in frames.iter_mut() {
-        frame.is_named = meets(is, &frame.is) && meets(but, &frame.but);
+        frame.is_declared = meets(is, &frame.frame_a) && meets(but, &frame.frame_b);
     }
     // Stable: other frames keep their order.
-    frames.sort_by_key(|frame| !frame.is_named);
+    frames.sort_by_key(|frame| !frame.is_declared);
     let mut kept: Vec<FixedFrame> = Vec::new();
     for frame in frames.drain(..) {
         match kept.iter_mut().find(|known| is_same(&known.transform, &frame.transform)) {
             // Its own inverse: listed in one direction only.
-            Some(known) if known.is == frame.but && known.but == frame.is => {}
+            Some(known) if known.frame_a == frame.frame_b && known.frame_b == frame.frame_a => {}
             Some(known) => {
                 let told = |is: &str, but: &str| format!("{is} → {but} ({})", frame.arms);
-                if !known.also.contains(&told(&frame.but, &frame.is)) {
-                    known.also.push(told(&frame.is, &frame.but));
+                if !known.also.contains(&told(&frame.frame_b, &frame.frame_a)) {
+                    known.also.push(told(&frame.frame_a, &frame.frame_b));
                 }
             }
             None if is_same(&frame.transform, &Pose::identity()) => {}
@@ -281,8 +282,8 @@ fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
 }
 
 fn is_same(a: &Pose, b: &Pose) -> bool {
-    (a.translation.vector - b.translation.vector).norm() < SAME
-        && angle_between(&a.rotation, &b.rotation) < SAME
+    (a.translation.vector - b.translation.vector).norm() < TOLERANCE
+        && angle_between(&a.rotation, &b.rotation) < TOLERANCE
 }
 
 #[cfg(test)]
@@ -296,20 +297,23 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_the_call_names_come_first() {
+    fn declared_frames_come_first() {
         let robot = catalogue::find("ur10e").unwrap();
-        let found =
-            Corrections::of(Some(robot), &names("base", "flange"), &names("base_link", "l/tool0"));
+        let found = FrameCandidates::from_robot(
+            Some(robot),
+            &names("base", "flange"),
+            &names("base_link", "l/tool0"),
+        );
         let half_turn = pose([0.0; 3], rotation_from_rpy([0.0, 0.0, PI]));
-        assert!(found.base[0].is_named && is_same(&found.base[0].transform, &half_turn));
+        assert!(found.base[0].is_declared && is_same(&found.base[0].transform, &half_turn));
         let flange_from_tool0 = pose([0.0; 3], rotation_from_rpy([FRAC_PI_2, 0.0, FRAC_PI_2]));
         let tip = &found.tip[0];
-        assert!(tip.is_named && is_same(&tip.transform, &flange_from_tool0), "{tip:?}");
-        assert_eq!((tip.is.as_str(), tip.but.as_str()), ("flange", "tool0"));
+        assert!(tip.is_declared && is_same(&tip.transform, &flange_from_tool0), "{tip:?}");
+        assert_eq!((tip.frame_a.as_str(), tip.frame_b.as_str()), ("flange", "tool0"));
     }
 
     #[test]
-    fn a_frame_that_is_no_link_is_refused_with_the_nearest() {
+    fn unknown_frames_are_rejected_with_the_nearest_link() {
         let robot = catalogue::find("ur10e");
         assert_eq!(names("base", "left_tool0").check(robot), Ok(()));
         assert_eq!(names("base_link", "fr3_link8").check(None), Ok(()));
@@ -319,12 +323,13 @@ mod tests {
     }
 
     #[test]
-    fn without_an_arm_the_usual_frames_are_tried_both_ways() {
-        let found = Corrections::of(None, &FrameNames::default(), &FrameNames::default());
+    fn without_an_arm_common_frames_are_tried_in_both_directions() {
+        let found =
+            FrameCandidates::from_robot(None, &FrameNames::default(), &FrameNames::default());
         assert_eq!(found.base.iter().filter(|base| !base.is_turn).count(), 1);
         let is_tried = |is: &str, but: &str, arms: &str| {
             found.tip.iter().any(|tip| {
-                (tip.is.as_str(), tip.but.as_str(), tip.arms.as_str()) == (is, but, arms)
+                (tip.frame_a.as_str(), tip.frame_b.as_str(), tip.arms.as_str()) == (is, but, arms)
             })
         };
         assert!(is_tried("flange", "tool0", "Universal Robots"));

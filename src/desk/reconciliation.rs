@@ -1,21 +1,21 @@
 //! Result of the search for what reconciles pairs of poses.
 
-use super::form::Reading;
-use super::frames::{FixedFrame, worlds};
+use super::encoding::NumberEncoding;
+use super::fixed_frames::{FixedFrame, worlds};
 use crate::geometry::{Axes, Convention, Misinterpretation, Pose, Vec3, angle_between};
 
 /// From rounding and a nominal model: rad and m.
-pub(super) const AGREES_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
-pub(super) const AGREES_M: f64 = 0.010;
+pub(super) const MAX_AGREEING_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
+pub(super) const MAX_AGREEING_M: f64 = 0.010;
 
 /// One unit of the score, rad and m; the floor is this share.
-const STEP_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-const STEP_M: f64 = 0.005;
-const NO_STEP: f64 = 0.3;
+const SCORE_UNIT_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const SCORE_UNIT_M: f64 = 0.005;
+const SCORE_FLOOR_RATIO: f64 = 0.3;
 
 // Unit: halvings of the residual.
-const INVERSE: f64 = 2.0;
-const TRANSPOSE: f64 = 2.5;
+const INVERSE_PENALTY: f64 = 2.0;
+const TRANSPOSE_PENALTY: f64 = 2.5;
 
 /// Inverted part of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub enum Inversion {
 impl Inversion {
     pub(super) const ALL: [Self; 3] = [Self::None, Self::Pose, Self::Rotation];
 
-    pub(super) fn of(self, pose: &Pose) -> Pose {
+    pub(super) fn apply(self, pose: &Pose) -> Pose {
         match self {
             Self::None => *pose,
             Self::Pose => pose.inverse(),
@@ -39,18 +39,18 @@ impl Inversion {
         }
     }
 
-    pub(super) fn cost(self) -> f64 {
+    pub(super) fn penalty(self) -> f64 {
         match self {
             Self::None => 0.0,
-            Self::Pose => INVERSE,
-            Self::Rotation => TRANSPOSE,
+            Self::Pose => INVERSE_PENALTY,
+            Self::Rotation => TRANSPOSE_PENALTY,
         }
     }
 }
 
 /// Transform between the two poses at one end.
 #[derive(Clone, Debug, PartialEq)]
-pub enum End {
+pub enum EndTransform {
     /// None.
     None,
     /// Fixed frames: at the base `but_from_is`, at the tip `is_from_but`.
@@ -59,7 +59,7 @@ pub enum End {
     Fitted(Pose),
 }
 
-impl End {
+impl EndTransform {
     /// The transform, or identity.
     pub fn transform(&self) -> Pose {
         match self {
@@ -74,7 +74,7 @@ impl End {
             Self::None => None,
             Self::Fitted(_) => Some(fitted.to_owned()),
             Self::Frames(frames) => {
-                let FixedFrame { is, but, arms, .. } = frames;
+                let FixedFrame { frame_a: is, frame_b: but, arms, .. } = frames;
                 Some(match frames.is_either_way() {
                     true => format!("one is {relation} {is}, the other {relation} {but} ({arms})"),
                     false => format!("A is {relation} {is}, B {relation} {but} ({arms})"),
@@ -99,15 +99,15 @@ pub struct Residual {
 
 impl Residual {
     /// Whether within rounding and nominal model errors: 1° and 10 mm.
-    pub fn agrees(&self) -> bool {
-        self.rotation_rad <= AGREES_RAD && self.position_m.is_none_or(|m| m <= AGREES_M)
+    pub fn is_agreement(&self) -> bool {
+        self.rotation_rad <= MAX_AGREEING_RAD && self.position_m.is_none_or(|m| m <= MAX_AGREEING_M)
     }
 
-    pub(super) fn of(gaps: &[Gap], has_position: bool) -> Self {
-        let mean = |square: &dyn Fn(&Gap) -> f64| {
+    pub(super) fn from_differences(gaps: &[PoseDifference], has_position: bool) -> Self {
+        let mean = |square: &dyn Fn(&PoseDifference) -> f64| {
             (gaps.iter().map(square).sum::<f64>() / gaps.len() as f64).sqrt()
         };
-        let worst = |of: &dyn Fn(&Gap) -> f64| gaps.iter().map(of).fold(0.0, f64::max);
+        let worst = |of: &dyn Fn(&PoseDifference) -> f64| gaps.iter().map(of).fold(0.0, f64::max);
         Self {
             rotation_rad: mean(&|gap| gap.rad * gap.rad),
             worst_rotation_rad: worst(&|gap| gap.rad),
@@ -117,20 +117,20 @@ impl Residual {
     }
 
     /// Logarithmic, base 2.
-    pub(super) fn size(&self) -> f64 {
-        let doublings = |amount: f64, step: f64| (NO_STEP + amount / step).log2();
-        doublings(self.rotation_rad, STEP_RAD)
-            + self.position_m.map_or(0.0, |m| doublings(m, STEP_M))
+    pub(super) fn score(&self) -> f64 {
+        let doublings = |amount: f64, step: f64| (SCORE_FLOOR_RATIO + amount / step).log2();
+        doublings(self.rotation_rad, SCORE_UNIT_RAD)
+            + self.position_m.map_or(0.0, |m| doublings(m, SCORE_UNIT_M))
     }
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Gap {
+pub(super) struct PoseDifference {
     pub(super) rad: f64,
     pub(super) m: f64,
 }
 
-impl Gap {
+impl PoseDifference {
     pub(super) fn between(a: &Pose, b: &Pose) -> Self {
         Self {
             rad: angle_between(&a.rotation, &b.rotation),
@@ -141,7 +141,7 @@ impl Gap {
 
 /// Transforms that would remove a single pair's residual; unconfirmed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WouldDo {
+pub struct SinglePairOffsets {
     /// Tool offset, after the other steps: `is_from_but`.
     pub tool: Pose,
     /// Base offset: `but_from_is`.
@@ -150,16 +150,16 @@ pub struct WouldDo {
     pub is_translation: bool,
 }
 
-impl WouldDo {
+impl SinglePairOffsets {
     /// Distance and axis, such as `150.0 mm along tool z`; `None` if the rotations differ.
-    pub fn apart(&self) -> Option<String> {
+    pub fn translation_text(&self) -> Option<String> {
         /// Minimum share of the distance along one axis.
-        const ALONG: f64 = 0.995;
+        const MIN_AXIS_SHARE: f64 = 0.995;
         let shift = self.tool.translation.vector;
         let along = |vector: Vec3, end: &str| {
             let axis = vector.iamax();
             let sign = if vector[axis] < 0.0 { "-" } else { "" };
-            let is_along = vector[axis].abs() >= ALONG * vector.norm();
+            let is_along = vector[axis].abs() >= MIN_AXIS_SHARE * vector.norm();
             is_along.then(|| format!("{end} {sign}{}", ["x", "y", "z"][axis]))
         };
         let ends = [along(shift, "tool"), along(self.base.translation.vector, "base")];
@@ -176,25 +176,25 @@ impl WouldDo {
 #[derive(Clone, Debug)]
 pub struct Hypothesis {
     /// Encoding of side A.
-    pub is: Reading,
+    pub encoding_a: NumberEncoding,
     /// Encoding of side B.
-    pub but: Reading,
+    pub encoding_b: NumberEncoding,
     /// Inversion applied to A first.
     pub inversion: Inversion,
     /// Axes of B's world in terms of A's.
     pub axes: Axes,
     /// Frames at the base.
-    pub base: End,
+    pub base: EndTransform,
     /// Frames at the tip.
-    pub tip: End,
+    pub tip: EndTransform,
     /// The same three numbers read in two conventions.
-    pub misreading: Option<Misinterpretation>,
+    pub misinterpretation: Option<Misinterpretation>,
     /// Residual.
     pub residual: Residual,
     /// Residual and penalties, logarithmic, base 2; lower is better.
     pub score: f64,
     /// Other encodings with the same residual.
-    pub equivalents: Vec<[Reading; 2]>,
+    pub equivalents: Vec<[NumberEncoding; 2]>,
     /// Other names for the same transformation.
     pub also: Vec<String>,
 }
@@ -203,11 +203,11 @@ impl Hypothesis {
     /// Its assertions.
     pub fn claims(&self) -> Vec<String> {
         let mut claims = Vec::new();
-        if let Some(Misinterpretation { is, read_as }) = self.misreading {
+        if let Some(Misinterpretation { is, read_as }) = self.misinterpretation {
             claims.push(format!(
                 "A interprets three numbers as {}, B interprets the same numbers as {}",
-                spelt(is),
-                spelt(read_as)
+                convention_text(is),
+                convention_text(read_as)
             ));
         }
         match self.inversion {
@@ -218,26 +218,27 @@ impl Hypothesis {
                 claims.push("the rotation of one is the transpose of the other's".to_owned());
             }
         }
-        claims.extend(said_of_axes(self.axes));
+        claims.extend(axes_claim(self.axes));
         claims.extend(self.base.claim("in", "a constant base offset between them"));
         claims.extend(self.tip.claim("of", "a constant tool offset between them"));
         claims
     }
 
     /// Whether all equivalent encodings change both sides equally, which determines the difference.
-    pub(super) fn tells_the_change(&self) -> bool {
-        let is_alike = |[is, but]: &[Reading; 2]| is.form == but.form;
+    pub(super) fn determines_difference(&self) -> bool {
+        let is_alike = |[is, but]: &[NumberEncoding; 2]| is.rotation == but.rotation;
         self.equivalents.is_empty()
-            || self.is.form == self.but.form && self.equivalents.iter().all(is_alike)
+            || self.encoding_a.rotation == self.encoding_b.rotation
+                && self.equivalents.iter().all(is_alike)
     }
 
     pub(super) fn expected(&self, is: &Pose) -> Pose {
-        let axes = self.axes.pose_from_standard(&self.inversion.of(is));
+        let axes = self.axes.pose_from_standard(&self.inversion.apply(is));
         self.base.transform() * axes * self.tip.transform()
     }
 }
 
-fn spelt(convention: Convention) -> String {
+fn convention_text(convention: Convention) -> String {
     match convention {
         Convention::RotVec => "a rotation vector".to_owned(),
         Convention::RPY => "roll, pitch, yaw (euler:xyz)".to_owned(),
@@ -245,7 +246,7 @@ fn spelt(convention: Convention) -> String {
     }
 }
 
-fn said_of_axes(axes: Axes) -> Option<String> {
+fn axes_claim(axes: Axes) -> Option<String> {
     if axes == Axes::STANDARD {
         return None;
     }
@@ -265,30 +266,30 @@ fn said_of_axes(axes: Axes) -> Option<String> {
 
 /// Verdict on the pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum ReconcileVerdict {
     /// One agrees, and no other is as good.
     Reconciled,
     /// Several agree, or one with several conventions.
     Ambiguous,
     /// None agrees.
-    Open,
+    Unexplained,
 }
 
 /// Result of the search.
 #[derive(Clone, Debug)]
-pub struct Answer {
+pub struct Reconciliation {
     /// Verdict.
-    pub verdict: Verdict,
+    pub verdict: ReconcileVerdict,
     /// Explanations, best first.
     pub hypotheses: Vec<Hypothesis>,
     /// Number as good as the first, including it.
-    pub as_good: usize,
+    pub equally_good: usize,
     /// Possible correction of a single pair.
-    pub would_do: Option<WouldDo>,
+    pub single_pair_offsets: Option<SinglePairOffsets>,
     /// Encodings tried for the two rotations.
     pub tried: usize,
     /// Expected matches this close among that many random rotations; for a single pair.
-    pub by_chance: Option<f64>,
+    pub expected_by_chance: Option<f64>,
     /// Warnings.
     pub notes: Vec<String>,
 }

@@ -1,8 +1,8 @@
 //! Parses poses whose numbers have names or units, as printed by controllers.
 
+use super::encoding::KnownEncoding;
 use super::error::DeskError;
-use super::form::Style;
-use super::paste::Pasted;
+use super::parse::PoseText;
 use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units, vendors};
 
 enum Token<'a> {
@@ -11,46 +11,51 @@ enum Token<'a> {
     Mark(char),
 }
 
-struct Names {
+struct NumberNames {
     names: &'static [&'static str],
-    coding: Option<RotationEncoding>,
+    rotation: Option<RotationEncoding>,
     /// Name in the table of conventions.
-    maker: Option<&'static str>,
+    vendor: Option<&'static str>,
     kind: &'static str,
 }
 
-const NAMES: [Names; 8] = [
-    named(&["qx", "qy", "qz", "qw"], Some(RotationEncoding::Xyzw), None, "numbers with names"),
-    named(&["q1", "q2", "q3", "q4"], None, Some("abb"), "ABB's numbers with names"),
-    named(
+const NUMBER_NAMES: [NumberNames; 8] = [
+    number_names(
+        &["qx", "qy", "qz", "qw"],
+        Some(RotationEncoding::Xyzw),
+        None,
+        "numbers with names",
+    ),
+    number_names(&["q1", "q2", "q3", "q4"], None, Some("abb"), "ABB's numbers with names"),
+    number_names(
         &["roll", "pitch", "yaw"],
         Some(RotationEncoding::Three(Convention::RPY)),
         None,
         "roll, pitch, yaw",
     ),
-    named(&["a", "b", "c"], None, Some("kuka"), "X, Y, Z, A, B, C"),
-    named(&["w", "p", "r"], None, Some("fanuc"), "FANUC's X, Y, Z, W, P, R"),
-    named(&["u", "v", "w"], None, Some("epson"), "Epson's X, Y, Z, U, V, W"),
-    named(&["o", "a", "t"], None, Some("kawasaki"), "Kawasaki's X, Y, Z, O, A, T"),
-    named(&["rx", "ry", "rz"], None, None, "numbers with names"),
+    number_names(&["a", "b", "c"], None, Some("kuka"), "X, Y, Z, A, B, C"),
+    number_names(&["w", "p", "r"], None, Some("fanuc"), "FANUC's X, Y, Z, W, P, R"),
+    number_names(&["u", "v", "w"], None, Some("epson"), "Epson's X, Y, Z, U, V, W"),
+    number_names(&["o", "a", "t"], None, Some("kawasaki"), "Kawasaki's X, Y, Z, O, A, T"),
+    number_names(&["rx", "ry", "rz"], None, None, "numbers with names"),
 ];
 
-const fn named(
+const fn number_names(
     names: &'static [&'static str],
     coding: Option<RotationEncoding>,
-    maker: Option<&'static str>,
+    vendor: Option<&'static str>,
     kind: &'static str,
-) -> Names {
-    Names { names, coding, maker, kind }
+) -> NumberNames {
+    NumberNames { names, rotation: coding, vendor, kind }
 }
 
 /// `None` if the numbers have neither names nor units.
 ///
 /// # Errors
 /// If a name occurs twice.
-pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
-    let tokens = tokens(text);
-    let units = units(&tokens);
+pub(super) fn parse_labelled(text: &str) -> Result<Option<PoseText>, DeskError> {
+    let tokens = tokenize(text);
+    let units = units_in(&tokens);
     let mut found: Vec<(String, f64)> = Vec::new();
     let mut name = None;
     for token in &tokens {
@@ -64,8 +69,10 @@ pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
     let value = |name: &str| found.iter().find(|(known, _)| known == name).map(|(_, value)| *value);
     let values =
         |names: &[&str]| names.iter().map(|name| value(name)).collect::<Option<Vec<f64>>>();
-    let rotation = NAMES.iter().find_map(|set| Some((set, values(set.names)?)));
-    let Some((set, rotation)) = rotation else { return Ok(with_units(&tokens, units)) };
+    let rotation = NUMBER_NAMES.iter().find_map(|set| Some((set, values(set.names)?)));
+    let Some((set, rotation)) = rotation else {
+        return Ok(parse_numbers_with_units(&tokens, units));
+    };
     let position = values(&["x", "y", "z"]).unwrap_or_default();
     if let Some(twice) =
         set.names.iter().find(|name| found.iter().filter(|(known, _)| known == *name).count() > 1)
@@ -74,18 +81,18 @@ pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
         return Err(DeskError::Several(count));
     }
     // Mitsubishi also uses A, B and C, about x, y and z; only KUKA encloses them in braces.
-    let is_told = set.maker != Some("kuka") || text.contains('{');
-    let maker = set.maker.filter(|_| is_told).and_then(vendors::find);
-    let style = Style {
-        form: set.coding.or(maker.map(|maker| maker.coding)),
-        units: units.or(maker.map_or_else(Units::default, |maker| maker.units)),
+    let is_told = set.vendor != Some("kuka") || text.contains('{');
+    let vendor = set.vendor.filter(|_| is_told).and_then(vendors::find);
+    let known = KnownEncoding {
+        rotation: set.rotation.or(vendor.map(|vendor| vendor.coding)),
+        units: units.or(vendor.map_or_else(Units::default, |vendor| vendor.units)),
     };
-    Ok(Some(Pasted::new([position, rotation].concat(), style, set.kind)))
+    Ok(Some(PoseText::new([position, rotation].concat(), known, set.kind)))
 }
 
-fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
+fn parse_numbers_with_units(tokens: &[Token], units: Units) -> Option<PoseText> {
     let words = tokens.iter().filter(|token| matches!(token, Token::Word(_))).count();
-    let of_units = tokens.iter().filter(|token| unit(token).is_some()).count();
+    let of_units = tokens.iter().filter(|token| unit_of(token).is_some()).count();
     if words == 0 || words != of_units {
         return None;
     }
@@ -93,20 +100,20 @@ fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
         Token::Number(number) => Some(*number),
         _ => None,
     });
-    let style = Style { form: None, units };
-    Some(Pasted::new(numbers.collect(), style, "numbers with units"))
+    let known = KnownEncoding { rotation: None, units };
+    Some(PoseText::new(numbers.collect(), known, "numbers with units"))
 }
 
 /// The first if there are several.
-fn units(tokens: &[Token]) -> Units {
+fn units_in(tokens: &[Token]) -> Units {
     let mut units = Units::default();
-    for found in tokens.iter().filter_map(unit) {
+    for found in tokens.iter().filter_map(unit_of) {
         units = units.or(found);
     }
     units
 }
 
-fn unit(token: &Token) -> Option<Units> {
+fn unit_of(token: &Token) -> Option<Units> {
     let Token::Word(word) = token else { return None };
     let length = |length: LengthScale| Units { length: Some(length), angle: None };
     let angle = |angle: AngleUnit| Units { length: None, angle: Some(angle) };
@@ -122,7 +129,7 @@ fn unit(token: &Token) -> Option<Units> {
     })
 }
 
-fn tokens(text: &str) -> Vec<Token<'_>> {
+fn tokenize(text: &str) -> Vec<Token<'_>> {
     let mut tokens = Vec::new();
     let mut rest = text.trim_start();
     while let Some(first) = rest.chars().next() {
@@ -167,7 +174,7 @@ fn word_length(text: &str) -> usize {
 }
 
 /// Innermost bracketed groups, as nested in RAPID and VAL3.
-pub(super) fn groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
+pub(super) fn bracketed_groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
     let mut groups = Vec::new();
     let mut inner = None;
     for (at, c) in text.char_indices() {
@@ -176,7 +183,7 @@ pub(super) fn groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
         } else if c == close
             && let Some(from) = inner.take()
         {
-            let numbers = tokens(&text[from..at]).into_iter().map(|token| match token {
+            let numbers = tokenize(&text[from..at]).into_iter().map(|token| match token {
                 Token::Number(number) => Some(Some(number)),
                 Token::Mark(',') => Some(None),
                 _ => None,

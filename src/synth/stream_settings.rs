@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix3;
 
-use super::structure::{Fold, SecondPublisher, ToolSlip};
+use super::structure::{JointWrapping, SecondPublisher, ToolSlip};
 use crate::geometry::{Convention, Misinterpretation, Pose, QuaternionOrderError, Vec3};
 
 /// Timing of a stream's messages.
@@ -19,13 +19,13 @@ pub struct Timing {
     /// Stamps' clock minus the recorder's, s, besides latency and skew.
     pub clock_offset_s: f64,
     /// Otherwise header stamps are zero.
-    pub stamped: bool,
+    pub has_stamps: bool,
     /// Rate of new content, Hz, repeated under new stamps; 0: always new.
-    pub new_hz: f64,
+    pub update_hz: f64,
     /// Clock step: time, s after the start, and size, s.
-    pub step: Option<(f64, f64)>,
+    pub clock_step: Option<(f64, f64)>,
     /// Latency ramp: start and end, s after the start, and size, s; a step if both are equal.
-    pub ages: Option<(f64, f64, f64)>,
+    pub latency_ramp: Option<(f64, f64, f64)>,
     /// Not recorded: start and end, s after the start.
     pub gap_s: Option<(f64, f64)>,
 }
@@ -36,9 +36,9 @@ pub struct JointStream {
     /// Timing.
     pub timing: Timing,
     /// Whether velocities are logged.
-    pub with_velocity: bool,
+    pub has_velocity: bool,
     /// Delay after the positions, s.
-    pub velocity_late_s: f64,
+    pub velocity_latency_s: f64,
     /// Per joint, velocities only; 1 beyond the list.
     pub velocity_scales: Vec<f64>,
     /// `q_true − q_reported`, rad or m, from base to tip; zero beyond the list. Pose stream and IMU use the
@@ -47,17 +47,17 @@ pub struct JointStream {
     /// Per joint, after the offset, of positions, velocities and /tf; 1 beyond the list.
     pub scales: Vec<f64>,
     /// Whether values are degrees; /tf reads them as radians.
-    pub in_degrees: bool,
+    pub is_in_degrees: bool,
     /// Joint indices from the base in the order of the values, if it differs from the names' (used by /tf).
     pub number_order: Option<Vec<usize>>,
     /// Wrapping of continuous joints into one turn.
-    pub fold: Option<Fold>,
+    pub wrapping: Option<JointWrapping>,
     /// Encoder resolution, rad or m; 0 for none.
-    pub quantum: f64,
+    pub resolution: f64,
     /// Joints, from the root, on a separate topic.
-    pub apart: Option<(Vec<usize>, String)>,
+    pub separate_topic: Option<(Vec<usize>, String)>,
     /// Frozen values: start and end, s after the start.
-    pub stuck_s: Option<(f64, f64)>,
+    pub frozen_s: Option<(f64, f64)>,
 }
 
 /// Tool poses: `reference_from_stream⁻¹ · base_from_tip · tip_from_stream`, then scaled radially, then
@@ -73,34 +73,34 @@ pub struct PoseStream {
     /// Actual tool frame in the tip.
     pub tip_from_stream: Pose,
     /// Logged over true position, minus 1.
-    pub growth: f64,
+    pub radial_scale_error: f64,
     /// Encoding of the logged pose.
-    pub coding: Coding,
+    pub encoding: LoggedEncoding,
     /// Inverts the pose before encoding.
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Whether positions are in mm.
-    pub in_millimetres: bool,
+    pub is_in_millimetres: bool,
     /// Factor of the positions: 100 for cm.
-    pub times: f64,
+    pub position_factor: f64,
     /// Axes of the numbers in the right ones; mirrored if the determinant is −1.
     pub axes: Option<Matrix3<f64>>,
     /// Coordinate that never changes: index and value, m.
-    pub constant: Option<(usize, f64)>,
+    pub constant_coordinate: Option<(usize, f64)>,
     /// Quaternion that is never set: x, y, z, w.
-    pub unset: Option<[f64; 4]>,
+    pub unset_quaternion: Option<[f64; 4]>,
     /// Temporary slip of the tool.
-    pub slip: Option<ToolSlip>,
+    pub tool_slip: Option<ToolSlip>,
     /// Norm of the quaternions.
     pub quaternion_norm: f64,
     /// Publishes on [`NUMBERS`](super::NUMBERS) position in m and rotation in this convention, rad, without
     /// stamp and frame.
-    pub as_numbers: Option<Convention>,
+    pub number_convention: Option<Convention>,
     /// Whether its rotation is in degrees.
-    pub numbers_in_degrees: bool,
+    pub has_numbers_in_degrees: bool,
     /// Outliers: sample and offset, m.
-    pub strays: Vec<(usize, Vec3)>,
+    pub outliers: Vec<(usize, Vec3)>,
     /// Frozen values: start and end, s after the start.
-    pub stuck_s: Option<(f64, f64)>,
+    pub frozen_s: Option<(f64, f64)>,
 }
 
 /// The arm's transforms from the joint states, and static transforms.
@@ -109,9 +109,9 @@ pub struct TfStream {
     /// Stamps are copies with the joint states' phase, and their rate or a fraction.
     pub timing: Timing,
     /// Encoding of the logged transforms.
-    pub coding: Coding,
+    pub encoding: LoggedEncoding,
     /// Logs /tf_static.
-    pub with_static: bool,
+    pub has_static: bool,
     /// Second publisher of these transforms.
     pub second: Option<SecondPublisher>,
     /// More transforms in /tf_static.
@@ -139,7 +139,7 @@ pub struct ImuStream {
     /// True mount in the published one: `imu_as_published_from_imu`.
     pub mount_error: Pose,
     /// Otherwise its covariance marks it as absent (REP 145).
-    pub with_orientation: bool,
+    pub has_orientation: bool,
     /// Yaw of the base in the IMU's world, rad; not a fault.
     pub world_yaw_rad: f64,
     /// In rad/s about the base's z axis.
@@ -147,36 +147,36 @@ pub struct ImuStream {
     /// Time, s after the start, and size, rad.
     pub yaw_jumps: Vec<(f64, f64)>,
     /// Yaw random walk, rad/√s.
-    pub yaw_walk_rad_rt_s: f64,
+    pub yaw_walk_rad_per_sqrt_s: f64,
     /// In the sensor frame, rad/s.
     pub gyro_bias_rad_s: Vec3,
     /// From true to gyro rates before the bias: scale on the diagonal, misalignment off it.
     pub gyro_from_rate: Matrix3<f64>,
     /// Decaying gyro bias: at first, rad/s in the sensor frame, and time constant, s.
-    pub gyro_warms_up: Option<(Vec3, f64)>,
+    pub gyro_warm_up: Option<(Vec3, f64)>,
     /// Decaying yaw drift: final error, rad, and time constant, s.
-    pub yaw_warms_up: Option<(f64, f64)>,
+    pub yaw_warm_up: Option<(f64, f64)>,
     /// Yaw error by heading of the IMU's x axis (hard and soft iron): amplitude and phase, rad, of two
     /// harmonics.
     pub yaw_by_heading: [(f64, f64); 2],
     /// Factor of the rates: 180/π for °/s.
-    pub gyro_times: f64,
+    pub gyro_factor: f64,
     /// Factor of the specific force: 1/9.80665 for g.
-    pub force_times: f64,
+    pub force_factor: f64,
     /// Encoding of the logged orientation.
-    pub coding: Coding,
+    pub encoding: LoggedEncoding,
 }
 
 /// Encoding of a logged pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Coding {
+pub enum LoggedEncoding {
     /// Correct.
     #[default]
-    Faithful,
+    Correct,
     /// Three rotation numbers, interpreted in another convention.
-    Misread(Misinterpretation),
+    Misinterpreted(Misinterpretation),
     /// Quaternion in the wrong order.
-    Slipped(QuaternionOrderError),
+    WrongQuaternionOrder(QuaternionOrderError),
     /// Rotation only.
     Transposed,
     /// The whole pose.
@@ -192,10 +192,10 @@ impl Timing {
             latency_s: 0.0,
             skew: 0.0,
             clock_offset_s: 0.0,
-            stamped: true,
-            new_hz: 0.0,
-            step: None,
-            ages: None,
+            has_stamps: true,
+            update_hz: 0.0,
+            clock_step: None,
+            latency_ramp: None,
             gap_s: None,
         }
     }

@@ -13,24 +13,24 @@ use crate::geometry::{
 use super::error::DeskError;
 
 /// `max |RᵀR − I|` of a matrix, or ten times the deviation of a quaternion's norm.
-const REFUSED_DEFECT: f64 = 1e-2;
+const MAX_DEFECT: f64 = 1e-2;
 
 /// Larger deviations are noted.
-pub(super) const SAID_DEFECT: f64 = 1e-3;
+pub(super) const MIN_NOTED_DEFECT: f64 = 1e-3;
 
 /// Same angle as in ORD006, rad.
-pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+pub(super) const GIMBAL_LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Largest plausible lengths, each in its unit.
-const LONGEST_M: f64 = 10.0;
-const LONGEST_CM: f64 = 1e3;
-const LONGEST_MM: f64 = 1e4;
+const MAX_LENGTH_M: f64 = 10.0;
+const MAX_LENGTH_CM: f64 = 1e3;
+const MAX_LENGTH_MM: f64 = 1e4;
 
 /// Largest plausible angles, each in its unit.
-const WIDEST_RAD: f64 = 1.1 * TAU;
-const WIDEST_DEG: f64 = 1e3;
+const MAX_ANGLE_RAD: f64 = 1.1 * TAU;
+const MAX_ANGLE_DEG: f64 = 1e3;
 
-fn takes(form: RotationEncoding, count: usize) -> bool {
+fn accepts_count(form: RotationEncoding, count: usize) -> bool {
     match form {
         RotationEncoding::Three(_) => matches!(count, 3 | 6),
         RotationEncoding::Xyzw | RotationEncoding::Wxyz | RotationEncoding::AxisAngle => {
@@ -52,51 +52,51 @@ fn has_position(form: RotationEncoding, count: usize) -> bool {
 
 /// Known part of an encoding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Style {
+pub struct KnownEncoding {
     /// Form of the rotation.
-    pub form: Option<RotationEncoding>,
+    pub rotation: Option<RotationEncoding>,
     /// Units.
     pub units: Units,
 }
 
-impl Style {
+impl KnownEncoding {
     /// Fills missing parts from `other`.
     pub fn or(self, other: Self) -> Self {
-        Self { form: self.form.or(other.form), units: self.units.or(other.units) }
+        Self { rotation: self.rotation.or(other.rotation), units: self.units.or(other.units) }
     }
 }
 
 /// `FORM` or a maker's `NAME`, and units, as `euler:ZYX,deg,mm`, `kuka`, `mm`.
-impl FromStr for Style {
+impl FromStr for KnownEncoding {
     type Err = DeskError;
 
     fn from_str(text: &str) -> Result<Self, DeskError> {
-        let mut style = Self::default();
+        let mut known = Self::default();
         let mut of_vendor = Self::default();
         for part in text.split(',').map(str::trim) {
-            match (style.units.set_symbol(part), vendors::find(part)) {
+            match (known.units.set_symbol(part), vendors::find(part)) {
                 (Ok(()), _) => {}
                 (Err(UnitError::Contradiction), _) => {
                     return Err(DeskError::Contradiction { unit: part.to_owned() });
                 }
                 (Err(UnitError::Unknown), Some(vendor)) => {
-                    of_vendor = Self { form: Some(vendor.coding), units: vendor.units };
+                    of_vendor = Self { rotation: Some(vendor.coding), units: vendor.units };
                 }
                 (Err(UnitError::Unknown), None) => {
                     let form = part.parse().map_err(|source| DeskError::Form { source })?;
-                    style.form = Some(form);
+                    known.rotation = Some(form);
                 }
             }
         }
-        Ok(style.or(of_vendor))
+        Ok(known.or(of_vendor))
     }
 }
 
 /// Encoding of a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct NumberEncoding {
     /// Form of the rotation.
-    pub form: RotationEncoding,
+    pub rotation: RotationEncoding,
     /// Unit of the position.
     pub length: LengthScale,
     /// Unit of the angles, if any.
@@ -104,18 +104,18 @@ pub struct Reading {
     /// Whether there is a position.
     pub has_position: bool,
     /// Whether the position's unit is unusual for its size.
-    pub has_odd_length: bool,
+    pub has_unusual_length: bool,
     /// Whether the angles' unit is unusual for their size.
-    pub has_odd_angle: bool,
+    pub has_unusual_angle: bool,
 }
 
 /// Limit in any unit.
-const FARTHEST: f64 = 1e9;
+const MAX_NUMBER: f64 = 1e9;
 
-impl Reading {
+impl NumberEncoding {
     /// Number of unusual units.
-    pub fn odd_units(&self) -> u8 {
-        u8::from(self.has_odd_length) + u8::from(self.has_odd_angle)
+    pub fn count_unusual_units(&self) -> u8 {
+        u8::from(self.has_unusual_length) + u8::from(self.has_unusual_angle)
     }
 
     /// Decodes `numbers`; a missing position is zero.
@@ -123,42 +123,42 @@ impl Reading {
     /// # Errors
     /// If the count does not fit the form, or the numbers are not a rotation.
     pub fn pose(&self, numbers: &[f64]) -> Result<Pose, DeskError> {
-        let form = self.form;
-        if !takes(form, numbers.len()) {
+        let form = self.rotation;
+        if !accepts_count(form, numbers.len()) {
             return Err(DeskError::CountOfForm { form, count: numbers.len() });
         }
-        let is_beyond = |number: &&f64| !number.is_finite() || number.abs() > FARTHEST;
+        let is_beyond = |number: &&f64| !number.is_finite() || number.abs() > MAX_NUMBER;
         if let Some(&number) = numbers.iter().find(is_beyond) {
-            return Err(DeskError::Beyond { number });
+            return Err(DeskError::TooLarge { number });
         }
         let (xyz, rotation) = match form {
             RotationEncoding::Three(convention) => {
-                let (xyz, three) = before_last::<3>(numbers);
+                let (xyz, three) = split_last::<3>(numbers);
                 (xyz, convention.rotation(three.map(|angle| angle * self.angle.in_rad())))
             }
             RotationEncoding::Xyzw | RotationEncoding::Wxyz => {
-                let (xyz, four) = before_last::<4>(numbers);
+                let (xyz, four) = split_last::<4>(numbers);
                 let [a, b, c, d] = four;
                 let q_xyzw = if form == RotationEncoding::Wxyz { [b, c, d, a] } else { four };
                 (xyz, unit_quaternion(q_xyzw)?)
             }
             RotationEncoding::AxisAngle => {
-                let (xyz, [x, y, z, angle]) = before_last::<4>(numbers);
-                (xyz, about([x, y, z], angle * self.angle.in_rad())?)
+                let (xyz, [x, y, z, angle]) = split_last::<4>(numbers);
+                (xyz, rotation_about([x, y, z], angle * self.angle.in_rad())?)
             }
             _ => {
-                let (xyz, rows) = matrix(form, numbers)?;
-                (xyz, orthonormal(rows)?)
+                let (xyz, rows) = matrix_rows(form, numbers)?;
+                (xyz, rotation_from_rows(rows)?)
             }
         };
         Ok(pose(xyz.map(|length| length * self.length.in_m()), rotation))
     }
 }
 
-impl fmt::Display for Reading {
+impl fmt::Display for NumberEncoding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.form)?;
-        if self.form.has_angles() {
+        write!(f, "{}", self.rotation)?;
+        if self.rotation.has_angles() {
             write!(f, ", {}", self.angle.symbol())?;
         }
         if self.has_position {
@@ -169,35 +169,38 @@ impl fmt::Display for Reading {
 }
 
 /// The last `N` numbers, and the three before, or zeros.
-fn before_last<const N: usize>(numbers: &[f64]) -> ([f64; 3], [f64; N]) {
+fn split_last<const N: usize>(numbers: &[f64]) -> ([f64; 3], [f64; N]) {
     let (xyz, last) = numbers.split_at(numbers.len() - N);
     let mut rotation = [0.0; N];
     rotation.copy_from_slice(last);
-    (three(xyz), rotation)
+    (first_three(xyz), rotation)
 }
 
-fn three(numbers: &[f64]) -> [f64; 3] {
+fn first_three(numbers: &[f64]) -> [f64; 3] {
     match *numbers {
         [x, y, z] => [x, y, z],
         _ => [0.0; 3],
     }
 }
 
-fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
+fn rotation_about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
     let axis = Vec3::from(axis);
-    match (axis.norm() - 1.0).abs() <= REFUSED_DEFECT {
+    match (axis.norm() - 1.0).abs() <= MAX_DEFECT {
         true => Ok(rotation_from_rotvec(axis.normalize() * angle)),
         false => Err(DeskError::Axis { norm: axis.norm() }),
     }
 }
 
 /// Position and rotation rows.
-fn matrix(form: RotationEncoding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
+fn matrix_rows(
+    form: RotationEncoding,
+    numbers: &[f64],
+) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
     if matches!(form, RotationEncoding::TwoColumns | RotationEncoding::TwoRows) {
-        let (xyz, [a, b, c, d, e, f]) = before_last::<6>(numbers);
+        let (xyz, [a, b, c, d, e, f]) = split_last::<6>(numbers);
         let (first, second) = (Vec3::new(a, b, c), Vec3::new(d, e, f));
         let rows = [first, second, first.cross(&second)].map(Into::into);
-        return Ok((xyz, if form == RotationEncoding::TwoRows { rows } else { transposed(rows) }));
+        return Ok((xyz, if form == RotationEncoding::TwoRows { rows } else { transpose(rows) }));
     }
     let by_column = form == RotationEncoding::Columns;
     let (width, height) = match numbers.len() {
@@ -226,19 +229,19 @@ fn matrix(form: RotationEncoding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3
 /// Orthonormal with determinant −1.
 fn is_mirrored(numbers: &[f64]) -> bool {
     let matrix =
-        |numbers: &[f64]| matrix(RotationEncoding::Rows, numbers).ok().map(|(_, rows)| rows);
+        |numbers: &[f64]| matrix_rows(RotationEncoding::Rows, numbers).ok().map(|(_, rows)| rows);
     let mirrored = (numbers.len() == 9).then(|| numbers.iter().map(|c| -c).collect::<Vec<f64>>());
     let rows = mirrored.and_then(|numbers| matrix(&numbers));
-    rows.is_some_and(|rows| orthonormal(rows).is_ok())
+    rows.is_some_and(|rows| rotation_from_rows(rows).is_ok())
 }
 
-fn transposed(rows: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+fn transpose(rows: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|column| rows.map(|row| row[column]))
 }
 
-fn orthonormal(rows: [[f64; 3]; 3]) -> Result<Rotation, DeskError> {
+fn rotation_from_rows(rows: [[f64; 3]; 3]) -> Result<Rotation, DeskError> {
     match rotation_from_matrix_rows(rows) {
-        Some((rotation, defect)) if defect <= REFUSED_DEFECT => Ok(rotation),
+        Some((rotation, defect)) if defect <= MAX_DEFECT => Ok(rotation),
         Some((nearest, defect)) => {
             Err(DeskError::NotOrthonormal { defect, nearest_xyzw: xyzw_from_rotation(&nearest) })
         }
@@ -252,24 +255,24 @@ fn determinant([a, b, c]: [[f64; 3]; 3]) -> f64 {
 }
 
 fn unit_quaternion(q_xyzw: [f64; 4]) -> Result<Rotation, DeskError> {
-    let norm = norm_of(q_xyzw);
+    let norm = norm(q_xyzw);
     rotation_from_xyzw(q_xyzw)
-        .filter(|_| (norm - 1.0).abs() <= 10.0 * REFUSED_DEFECT)
+        .filter(|_| (norm - 1.0).abs() <= 10.0 * MAX_DEFECT)
         .ok_or(DeskError::Norm { norm })
 }
 
-fn norm_of(q: [f64; 4]) -> f64 {
+fn norm(q: [f64; 4]) -> f64 {
     q.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
 /// `max |RᵀR − I|` of a matrix, or a quaternion's norm minus 1; otherwise zero.
-pub(super) fn defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
+pub(super) fn rotation_defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
     match form {
         RotationEncoding::Three(_) | RotationEncoding::AxisAngle => 0.0,
         RotationEncoding::Xyzw | RotationEncoding::Wxyz => {
-            (norm_of(before_last::<4>(numbers).1) - 1.0).abs()
+            (norm(split_last::<4>(numbers).1) - 1.0).abs()
         }
-        _ => matrix(form, numbers)
+        _ => matrix_rows(form, numbers)
             .ok()
             .and_then(|(_, rows)| rotation_from_matrix_rows(rows))
             .map_or(0.0, |(_, defect)| defect),
@@ -277,17 +280,17 @@ pub(super) fn defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
 }
 
 /// In rad; `None` if the form has no lock.
-pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
-    match reading.form {
+pub(super) fn gimbal_margin(encoding: &NumberEncoding, numbers: &[f64]) -> Option<f64> {
+    match encoding.rotation {
         RotationEncoding::Three(convention) if numbers.len() >= 3 => {
-            let (_, three) = before_last::<3>(numbers);
-            convention.gimbal_margin(three.map(|angle| angle * reading.angle.in_rad()))
+            let (_, three) = split_last::<3>(numbers);
+            convention.gimbal_margin(three.map(|angle| angle * encoding.angle.in_rad()))
         }
         _ => None,
     }
 }
 
-/// Encodings of `samples` (of equal length) compatible with `style`, most likely first.
+/// Encodings of `samples` (of equal length) compatible with `known`, most likely first.
 ///
 /// Lengths above 10 are millimetres and above 10,000 micrometres; angles above 1.1 turns are degrees and
 /// above 1,000 fractions of degrees. Below that, metres and radians come first; other units are marked as
@@ -295,9 +298,12 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
 ///
 /// # Errors
 /// If there is none: the reason for the most likely one.
-pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>, DeskError> {
+pub(super) fn possible_encodings(
+    samples: &[&[f64]],
+    known: KnownEncoding,
+) -> Result<Vec<NumberEncoding>, DeskError> {
     let count = samples.first().map_or(0, |numbers| numbers.len());
-    let forms: Vec<RotationEncoding> = match (style.form, count) {
+    let forms: Vec<RotationEncoding> = match (known.rotation, count) {
         (Some(form), _) => vec![form],
         (None, 3 | 6) => {
             Convention::all().iter().map(|&three| RotationEncoding::Three(three)).collect()
@@ -311,7 +317,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         (None, 12 | 16) => vec![RotationEncoding::Rows, RotationEncoding::Columns],
         _ => return Err(DeskError::Count { count }),
     };
-    let mut found: Vec<Reading> = Vec::new();
+    let mut found: Vec<NumberEncoding> = Vec::new();
     let mut refusal = None;
     for form in forms {
         // A complete rotation is not interpreted as a partial one.
@@ -319,18 +325,19 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             form,
             RotationEncoding::AxisAngle | RotationEncoding::TwoColumns | RotationEncoding::TwoRows
         );
-        let is_whole =
-            |known: &Reading| matches!(known.form, RotationEncoding::Xyzw | RotationEncoding::Rows);
+        let is_whole = |known: &NumberEncoding| {
+            matches!(known.rotation, RotationEncoding::Xyzw | RotationEncoding::Rows)
+        };
         if is_partial && (found.iter().any(is_whole) || samples.iter().all(|n| is_mirrored(n))) {
             continue;
         }
-        let plain = Reading {
-            form,
+        let plain = NumberEncoding {
+            rotation: form,
             length: LengthScale::METRE,
             angle: AngleUnit::Radian,
             has_position: has_position(form, count),
-            has_odd_length: false,
-            has_odd_angle: false,
+            has_unusual_length: false,
+            has_unusual_angle: false,
         };
         let poses: Result<Vec<Pose>, DeskError> =
             samples.iter().map(|numbers| plain.pose(numbers)).collect();
@@ -346,8 +353,8 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             }
         };
         // A symmetric matrix is the same pose in row-major and column-major order.
-        let is_known = |known: &Reading| {
-            matches!((known.form, form), (RotationEncoding::Rows, RotationEncoding::Columns))
+        let is_known = |known: &NumberEncoding| {
+            matches!((known.rotation, form), (RotationEncoding::Rows, RotationEncoding::Columns))
                 && samples.iter().zip(&poses).all(|(numbers, pose)| {
                     known.pose(numbers).is_ok_and(|known| {
                         (known.to_homogeneous() - pose.to_homogeneous()).amax() < 1e-9
@@ -369,11 +376,18 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             _ => 0.0,
         };
         let lengths =
-            style.units.length.map_or_else(|| lengths(longest), |unit| vec![(unit, false)]);
-        let angles = style.units.angle.map_or_else(|| angles(widest), |unit| vec![(unit, false)]);
+            known.units.length.map_or_else(|| length_units(longest), |unit| vec![(unit, false)]);
+        let angles =
+            known.units.angle.map_or_else(|| angle_units(widest), |unit| vec![(unit, false)]);
         for &(length, has_odd_length) in &lengths {
             for &(angle, has_odd_angle) in &angles {
-                found.push(Reading { length, angle, has_odd_length, has_odd_angle, ..plain });
+                found.push(NumberEncoding {
+                    length,
+                    angle,
+                    has_unusual_length: has_odd_length,
+                    has_unusual_angle: has_odd_angle,
+                    ..plain
+                });
             }
         }
     }
@@ -381,33 +395,35 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         (true, Some(refusal)) => Err(refusal),
         (true, None) => Err(DeskError::Count { count }),
         (false, _) => {
-            found.sort_by_key(|reading| (reading.odd_units(), reading.form.usual_rank()));
+            found.sort_by_key(|encoding| {
+                (encoding.count_unusual_units(), encoding.rotation.usual_rank())
+            });
             Ok(found)
         }
     }
 }
 
 /// Each with whether it is unusual for that size.
-fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
+fn length_units(longest: f64) -> Vec<(LengthScale, bool)> {
     let [metre, millimetre] = [LengthScale::METRE, LengthScale::MILLIMETRE];
     let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::from_m);
     match longest {
         0.0 => vec![(metre, false)],
-        longest if longest > LONGEST_MM => vec![(micrometre, false), (millimetre, true)],
-        longest if longest > LONGEST_CM => vec![(millimetre, false)],
-        longest if longest > LONGEST_M => vec![(millimetre, false), (centimetre, true)],
+        longest if longest > MAX_LENGTH_MM => vec![(micrometre, false), (millimetre, true)],
+        longest if longest > MAX_LENGTH_CM => vec![(millimetre, false)],
+        longest if longest > MAX_LENGTH_M => vec![(millimetre, false), (centimetre, true)],
         _ => vec![(metre, false), (millimetre, true), (centimetre, true)],
     }
 }
 
-/// Analogous to [`lengths`].
-fn angles(widest: f64) -> Vec<(AngleUnit, bool)> {
+/// Analogous to [`length_units`].
+fn angle_units(widest: f64) -> Vec<(AngleUnit, bool)> {
     match widest {
         0.0 => vec![(AngleUnit::Radian, false)],
-        widest if widest > WIDEST_DEG => {
+        widest if widest > MAX_ANGLE_DEG => {
             vec![(AngleUnit::TenthMillidegree, false), (AngleUnit::Millidegree, false)]
         }
-        widest if widest > WIDEST_RAD => vec![(AngleUnit::Degree, false)],
+        widest if widest > MAX_ANGLE_RAD => vec![(AngleUnit::Degree, false)],
         _ => vec![(AngleUnit::Radian, false), (AngleUnit::Degree, true)],
     }
 }

@@ -1,6 +1,6 @@
 //! Fits constant transforms between pairs of poses.
 
-use super::answer::AGREES_RAD;
+use super::reconciliation::MAX_AGREEING_RAD;
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, rotation_by_wahba, rotation_from_rotvec,
     rotvec_from_rotation, xyz_of,
@@ -8,27 +8,27 @@ use crate::geometry::{
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Largest angle between two pairs' transforms, rad.
-const HOPELESS_RAD: f64 = 20.0 * AGREES_RAD;
+const MAX_PAIR_ANGLE_RAD: f64 = 20.0 * MAX_AGREEING_RAD;
 
 /// Poses to fit base and tool: 1.5 times as many values as unknowns.
-const ENOUGH: usize = 3;
+const MIN_POSES: usize = 3;
 
 /// Smallest rotation that defines an axis, rad.
-const LEAST_TURN_RAD: f64 = 0.05;
+const MIN_ROTATION_RAD: f64 = 0.05;
 
 /// `before_from_after` in `after = before · tip`.
-pub(super) fn tip(before: &[Pose], after: &[Pose]) -> Option<Pose> {
-    mean(before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect())
+pub(super) fn fit_tip(before: &[Pose], after: &[Pose]) -> Option<Pose> {
+    mean_pose(before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect())
 }
 
 /// `after_from_before` in `after = base · before`.
-pub(super) fn base(before: &[Pose], after: &[Pose]) -> Option<Pose> {
-    mean(before.iter().zip(after).map(|(before, after)| after * before.inverse()).collect())
+pub(super) fn fit_base(before: &[Pose], after: &[Pose]) -> Option<Pose> {
+    mean_pose(before.iter().zip(after).map(|(before, after)| after * before.inverse()).collect())
 }
 
-fn mean(poses: Vec<Pose>) -> Option<Pose> {
+fn mean_pose(poses: Vec<Pose>) -> Option<Pose> {
     let mut rotation = poses.first()?.rotation;
-    if poses.iter().any(|pose| angle_between(&pose.rotation, &rotation) > HOPELESS_RAD) {
+    if poses.iter().any(|pose| angle_between(&pose.rotation, &rotation) > MAX_PAIR_ANGLE_RAD) {
         return None;
     }
     for _ in 0..5 {
@@ -44,8 +44,8 @@ fn mean(poses: Vec<Pose>) -> Option<Pose> {
 ///
 /// Rotations follow Park and Martin (*Robot sensor calibration: solving AX = XB on the Euclidean group*,
 /// IEEE Trans. Robotics and Automation 10, 1994), translations from least squares.
-pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
-    if before.len() < ENOUGH {
+pub(super) fn fit_base_and_tip(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
+    if before.len() < MIN_POSES {
         return None;
     }
     let turn = |poses: &[Pose], at: usize| {
@@ -55,11 +55,11 @@ pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
     let mut axes = Matrix3::zeros();
     for at in 1..before.len() {
         let [a, b] = [turn(before, at), turn(after, at)];
-        if (a.norm() - b.norm()).abs() > HOPELESS_RAD {
+        if (a.norm() - b.norm()).abs() > MAX_PAIR_ANGLE_RAD {
             return None;
         }
         // The axis of a half turn is ambiguous in sign.
-        if a.norm() > LEAST_TURN_RAD && a.norm() < std::f64::consts::PI - LEAST_TURN_RAD {
+        if a.norm() > MIN_ROTATION_RAD && a.norm() < std::f64::consts::PI - MIN_ROTATION_RAD {
             moment += a * b.transpose();
             axes += a.normalize() * a.normalize().transpose();
         }
@@ -70,9 +70,9 @@ pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
         return None;
     }
     let tip_rotation = rotation_by_wahba(&moment);
-    let base_rotation = base(
-        &before.iter().map(|pose| turned(pose.rotation * tip_rotation)).collect::<Vec<_>>(),
-        &after.iter().map(|pose| turned(pose.rotation)).collect::<Vec<_>>(),
+    let base_rotation = fit_base(
+        &before.iter().map(|pose| pure_rotation(pose.rotation * tip_rotation)).collect::<Vec<_>>(),
+        &after.iter().map(|pose| pure_rotation(pose.rotation)).collect::<Vec<_>>(),
     )?
     .rotation;
     // t_after = R_base t_before + R_base R_before t_tip + t_base.
@@ -91,7 +91,7 @@ pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
     Some((crate::geometry::pose(base.0, base.1), crate::geometry::pose(tip.0, tip.1)))
 }
 
-fn turned(rotation: Rotation) -> Pose {
+fn pure_rotation(rotation: Rotation) -> Pose {
     crate::geometry::pose([0.0; 3], rotation)
 }
 
@@ -118,10 +118,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_stands_at_both_ends_is_found(all in poses()) {
+        fn offsets_at_both_ends_are_recovered(all in poses()) {
             let (base_pose, tip_pose, before) = (all[0], all[1], &all[2..]);
             let after: Vec<Pose> = before.iter().map(|is| base_pose * is * tip_pose).collect();
-            let Some((base, tip)) = both(before, &after) else { return Ok(()) };
+            let Some((base, tip)) = fit_base_and_tip(before, &after) else { return Ok(()) };
             for (found, planted) in [(base, base_pose), (tip, tip_pose)] {
                 prop_assert!(angle_between(&found.rotation, &planted.rotation) < 1e-6);
                 prop_assert!((found.translation.vector - planted.translation.vector).norm() < 1e-6);

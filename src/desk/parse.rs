@@ -4,18 +4,18 @@ use serde_json::Value;
 
 use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units, vendors};
 
+use super::encoding::KnownEncoding;
 use super::error::DeskError;
-use super::form::Style;
-use super::labelled::{groups, labelled};
+use super::labelled_numbers::{bracketed_groups, parse_labelled};
 use crate::robot::xml_document;
 
 /// Numbers of a pose, with the encoding shown by the text.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pasted {
+pub struct PoseText {
     /// In order: 6, 7, 12 or 16, or 3, 4 or 9 for a rotation alone.
     pub numbers: Vec<f64>,
     /// Form and units, as far as shown.
-    pub style: Style,
+    pub encoding: KnownEncoding,
     /// Kind of text.
     pub kind: &'static str,
     /// Reference frame, if given.
@@ -28,35 +28,37 @@ pub struct Pasted {
 ///
 /// # Errors
 /// If it is not a pose.
-pub fn paste(text: &str) -> Result<Pasted, DeskError> {
+pub fn parse_pose(text: &str) -> Result<PoseText, DeskError> {
     let text = text.trim();
     if text.contains("xyz=") || text.contains("rpy=") || text.starts_with('<') {
-        return urdf(text);
+        return parse_urdf_origin(text);
     }
     if text.contains("Translation:") && text.contains("Quaternion") {
-        return tf2_echo(text);
+        return parse_tf2_echo(text);
     }
     if ["position", "orientation", "translation", "rotation"].iter().any(|key| text.contains(key)) {
-        return message(text);
+        return parse_message(text);
     }
-    if let Some(pasted) = ur_literal(text)? {
-        return Ok(pasted);
+    if let Some(pose_text) = parse_ur_literal(text)? {
+        return Ok(pose_text);
     }
-    if let Some(pasted) = nested(text) {
-        return Ok(pasted);
+    if let Some(pose_text) = parse_nested(text) {
+        return Ok(pose_text);
     }
-    if let Some(pasted) = labelled(text)? {
-        return Ok(pasted);
+    if let Some(pose_text) = parse_labelled(text)? {
+        return Ok(pose_text);
     }
-    let numbers = bare(text)?;
+    let numbers = parse_bare_numbers(text)?;
     match numbers.len() {
-        3 | 4 | 6 | 7 | 9 | 12 | 16 => Ok(Pasted::new(numbers, Style::default(), "numbers")),
+        3 | 4 | 6 | 7 | 9 | 12 | 16 => {
+            Ok(PoseText::new(numbers, KnownEncoding::default(), "numbers"))
+        }
         count => Err(DeskError::Count { count }),
     }
 }
 
 /// `p[…]`, alone or in URScript.
-fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
+fn parse_ur_literal(text: &str) -> Result<Option<PoseText>, DeskError> {
     let begins = |(at, _): &(usize, &str)| {
         !text[..*at].ends_with(|before: char| before.is_alphanumeric() || before == '_')
     };
@@ -68,22 +70,22 @@ fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
         several => return Err(DeskError::Several(several.len())),
     };
     let inner = text[from..].split(']').next().unwrap_or_default();
-    let numbers = bare(inner)?;
+    let numbers = parse_bare_numbers(inner)?;
     let form = RotationEncoding::Three(Convention::RotVec);
     match numbers.len() {
-        6 => Ok(Some(Pasted::new(numbers, si(form), "UR pose p[…]"))),
+        6 => Ok(Some(PoseText::new(numbers, si_encoding(form), "UR pose p[…]"))),
         count => Err(DeskError::CountOfForm { form, count }),
     }
 }
 
 /// RAPID robtarget, `[[x,y,z],[q1,q2,q3,q4],[…],[…]]`, or VAL3 point, `{{x,y,z,rx,ry,rz},{…}}`.
-fn nested(text: &str) -> Option<Pasted> {
-    let of_maker = |numbers: Vec<f64>, maker: &str, kind: &'static str| {
-        let maker = vendors::find(maker)?;
-        let style = Style { form: Some(maker.coding), units: maker.units };
-        Some(Pasted::new(numbers, style, kind))
+fn parse_nested(text: &str) -> Option<PoseText> {
+    let of_maker = |numbers: Vec<f64>, vendor: &str, kind: &'static str| {
+        let vendor = vendors::find(vendor)?;
+        let known = KnownEncoding { rotation: Some(vendor.coding), units: vendor.units };
+        Some(PoseText::new(numbers, known, kind))
     };
-    let square = groups(text, ['[', ']']);
+    let square = bracketed_groups(text, ['[', ']']);
     let is_rapid = text.contains("robtarget") || text.contains("pose") || square.len() >= 3;
     if let [xyz, wxyz, ..] = square.as_slice()
         && (xyz.len(), wxyz.len()) == (3, 4)
@@ -91,25 +93,25 @@ fn nested(text: &str) -> Option<Pasted> {
     {
         return of_maker([xyz.as_slice(), wxyz].concat(), "abb", "RAPID robtarget or pose");
     }
-    match groups(text, ['{', '}']).as_slice() {
+    match bracketed_groups(text, ['{', '}']).as_slice() {
         [six, _, ..] if six.len() == 6 => of_maker(six.clone(), "staubli", "VAL3 point"),
         _ => None,
     }
 }
 
-fn si(form: RotationEncoding) -> Style {
+fn si_encoding(form: RotationEncoding) -> KnownEncoding {
     let units = Units { length: Some(LengthScale::METRE), angle: Some(AngleUnit::Radian) };
-    Style { form: Some(form), units }
+    KnownEncoding { rotation: Some(form), units }
 }
 
-impl Pasted {
-    pub(super) fn new(numbers: Vec<f64>, style: Style, kind: &'static str) -> Self {
-        Self { numbers, style, kind, parent: None, child: None }
+impl PoseText {
+    pub(super) fn new(numbers: Vec<f64>, known: KnownEncoding, kind: &'static str) -> Self {
+        Self { numbers, encoding: known, kind, parent: None, child: None }
     }
 }
 
 /// Separated by spaces, commas, semicolons, brackets or degree signs.
-fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
+fn parse_bare_numbers(text: &str) -> Result<Vec<f64>, DeskError> {
     let text = text.replace('−', "-");
     let is_between = |c: char| c.is_whitespace() || ",;[](){}|°".contains(c);
     let words = text.split(is_between).filter(|word| !word.is_empty());
@@ -122,7 +124,7 @@ fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
 }
 
 /// `<origin xyz="…" rpy="…"/>`, or its attributes.
-fn urdf(text: &str) -> Result<Pasted, DeskError> {
+fn parse_urdf_origin(text: &str) -> Result<PoseText, DeskError> {
     let attributes = text.trim_start_matches("<origin").trim_end_matches('>').trim_end_matches('/');
     let element = match text.starts_with('<') && !text.starts_with("<origin") {
         true => text.to_owned(),
@@ -130,49 +132,49 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
     };
     let xml = xml_document(&element).map_err(|(_, problem)| DeskError::Xml(problem.to_string()))?;
     let mut origins = xml.descendants().filter(|node| node.has_tag_name("origin"));
-    let origin = origins.next().ok_or(DeskError::Lacks("origin"))?;
+    let origin = origins.next().ok_or(DeskError::Missing("origin"))?;
     if let more @ 1.. = origins.count() {
         return Err(DeskError::Several(1 + more));
     }
     let mut numbers = Vec::new();
     for name in ["xyz", "rpy"] {
         // Missing attributes are zero in URDF.
-        let found = bare(origin.attribute(name).unwrap_or("0 0 0"))?;
+        let found = parse_bare_numbers(origin.attribute(name).unwrap_or("0 0 0"))?;
         if found.len() != 3 {
             return Err(DeskError::Count { count: found.len() });
         }
         numbers.extend(found);
     }
-    Ok(Pasted::new(numbers, si(RotationEncoding::Three(Convention::RPY)), "URDF origin"))
+    Ok(PoseText::new(numbers, si_encoding(RotationEncoding::Three(Convention::RPY)), "URDF origin"))
 }
 
-fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
+fn parse_tf2_echo(text: &str) -> Result<PoseText, DeskError> {
     if let more @ 2.. = text.matches("Translation:").count() {
         return Err(DeskError::Several(more));
     }
     let listed = |key: &'static str, count: usize| {
         let rest = text.split_once(key).map(|(_, rest)| rest);
         let list = rest.and_then(|rest| rest.split_once('[')?.1.split_once(']'));
-        let numbers = bare(list.ok_or(DeskError::Lacks("brackets"))?.0)?;
+        let numbers = parse_bare_numbers(list.ok_or(DeskError::Missing("brackets"))?.0)?;
         match numbers.len() {
             found if found == count => Ok(numbers),
             count => Err(DeskError::Count { count }),
         }
     };
     let numbers = [listed("Translation:", 3)?, listed("Quaternion", 4)?].concat();
-    Ok(Pasted::new(numbers, si(RotationEncoding::Xyzw), "tf2_echo"))
+    Ok(PoseText::new(numbers, si_encoding(RotationEncoding::Xyzw), "tf2_echo"))
 }
 
 /// Message from `ros2 topic echo` or JSON.
-fn message(text: &str) -> Result<Pasted, DeskError> {
+fn parse_message(text: &str) -> Result<PoseText, DeskError> {
     let document = text.split("\n---").next().unwrap_or(text).trim_start_matches("---");
     let message: Value = serde_saphyr::from_str(document)
         .map_err(|error| DeskError::Yaml(first_line(&error.to_string())))?;
     let mut found = Vec::new();
-    find(&message, &mut found);
+    find_poses(&message, &mut found);
     match found.as_slice() {
-        [holder] => of_message(holder, &message),
-        [] => Err(DeskError::Lacks("position and orientation")),
+        [holder] => pose_of_message(holder, &message),
+        [] => Err(DeskError::Missing("position and orientation")),
         several => Err(DeskError::Several(several.len())),
     }
 }
@@ -182,26 +184,26 @@ fn first_line(text: &str) -> String {
 }
 
 /// Maps that contain a pose.
-fn find<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
+fn find_poses<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
     match value {
         Value::Object(map) => {
             if ["orientation", "rotation"].iter().any(|key| map.contains_key(*key)) {
                 found.push(value);
             } else {
-                map.values().for_each(|value| find(value, found));
+                map.values().for_each(|value| find_poses(value, found));
             }
         }
-        Value::Array(items) => items.iter().for_each(|value| find(value, found)),
+        Value::Array(items) => items.iter().for_each(|value| find_poses(value, found)),
         _ => {}
     }
 }
 
-fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
+fn pose_of_message(holder: &Value, message: &Value) -> Result<PoseText, DeskError> {
     let components = |keys: [&str; 2], axes: &[&str], what: &'static str| {
-        let of = keys.iter().find_map(|key| holder.get(key)).ok_or(DeskError::Lacks(what))?;
+        let of = keys.iter().find_map(|key| holder.get(key)).ok_or(DeskError::Missing(what))?;
         let numbers: Option<Vec<f64>> =
             axes.iter().map(|axis| of.get(axis)?.as_f64().filter(|c| c.is_finite())).collect();
-        numbers.ok_or(DeskError::Lacks(what))
+        numbers.ok_or(DeskError::Missing(what))
     };
     let mut numbers =
         components(["position", "translation"], &["x", "y", "z"], "x, y, z of a position")?;
@@ -210,22 +212,22 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
         &["x", "y", "z", "w"],
         "x, y, z, w of an orientation",
     )?);
-    let mut pasted = Pasted::new(numbers, si(RotationEncoding::Xyzw), "ROS message");
-    pasted.parent = name(message, "frame_id");
-    pasted.child = name(message, "child_frame_id");
-    Ok(pasted)
+    let mut pose_text = PoseText::new(numbers, si_encoding(RotationEncoding::Xyzw), "ROS message");
+    pose_text.parent = find_name(message, "frame_id");
+    pose_text.child = find_name(message, "child_frame_id");
+    Ok(pose_text)
 }
 
 /// First non-empty text with that key, without a leading `/`.
-fn name(value: &Value, key: &str) -> Option<String> {
+fn find_name(value: &Value, key: &str) -> Option<String> {
     match value {
         Value::Object(map) => {
             let here =
                 map.get(key).and_then(Value::as_str).map(|name| name.trim_start_matches('/'));
             let here = here.filter(|name| !name.is_empty()).map(str::to_owned);
-            here.or_else(|| map.values().find_map(|value| name(value, key)))
+            here.or_else(|| map.values().find_map(|value| find_name(value, key)))
         }
-        Value::Array(items) => items.iter().find_map(|value| name(value, key)),
+        Value::Array(items) => items.iter().find_map(|value| find_name(value, key)),
         _ => None,
     }
 }
@@ -236,23 +238,27 @@ mod tests {
 
     #[test]
     fn a_ur_literal_is_a_rotation_vector_in_metres() {
-        let pasted = paste("p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]").unwrap();
-        assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
-        assert_eq!(pasted.style, si(RotationEncoding::Three(Convention::RotVec)));
+        let pose_text = parse_pose("p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]").unwrap();
+        assert_eq!(pose_text.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
+        assert_eq!(pose_text.encoding, si_encoding(RotationEncoding::Three(Convention::RotVec)));
     }
 
     #[test]
-    fn a_urdf_origin_needs_no_brackets_and_no_second_attribute() {
+    fn a_urdf_origin_may_lack_brackets_and_an_attribute() {
         for text in [
             r#"<origin xyz="0.1 0 -0.2" rpy="0 0 0.5"/>"#,
             r#"<origin rpy="0 0 0.5" xyz="0.1 0 -0.2">"#,
             r#"xyz="0.1 0 -0.2" rpy="0 0 0.5""#,
             r#"<joint name="j"><origin xyz="0.1 0 -0.2" rpy="0 0 0.5"/></joint>"#,
         ] {
-            assert_eq!(paste(text).unwrap().numbers, [0.1, 0.0, -0.2, 0.0, 0.0, 0.5], "{text}");
+            assert_eq!(
+                parse_pose(text).unwrap().numbers,
+                [0.1, 0.0, -0.2, 0.0, 0.0, 0.5],
+                "{text}"
+            );
         }
         assert_eq!(
-            paste(r#"<origin xyz="1 2 3"/>"#).unwrap().numbers,
+            parse_pose(r#"<origin xyz="1 2 3"/>"#).unwrap().numbers,
             [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
         );
     }
@@ -278,28 +284,29 @@ transforms:
       z: -0.074
       w: 0.862
 ---";
-        let pasted = paste(transform).unwrap();
-        assert_eq!(pasted.numbers, [0.246, -0.249, 0.619, 0.17, 0.472, -0.074, 0.862]);
-        assert_eq!(pasted.parent.as_deref(), Some("base"));
-        assert_eq!(pasted.child.as_deref(), Some("flange"));
+        let pose_text = parse_pose(transform).unwrap();
+        assert_eq!(pose_text.numbers, [0.246, -0.249, 0.619, 0.17, 0.472, -0.074, 0.862]);
+        assert_eq!(pose_text.parent.as_deref(), Some("base"));
+        assert_eq!(pose_text.child.as_deref(), Some("flange"));
         let pose = "{position: {x: 1, y: 2, z: 3}, orientation: {x: 0, y: 0, z: 0, w: 1}}";
-        assert_eq!(paste(pose).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(parse_pose(pose).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
         let echo = "- Translation: [1.0, 2.0, 3.0]\n- Rotation: in Quaternion [0.0, 0.0, 0.0, 1.0]";
-        assert_eq!(paste(echo).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
-        assert_eq!(paste(&format!("{echo}\n{echo}")), Err(DeskError::Several(2)));
+        assert_eq!(parse_pose(echo).unwrap().numbers, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(parse_pose(&format!("{echo}\n{echo}")), Err(DeskError::Several(2)));
     }
 
     #[test]
-    fn numbers_may_stand_in_brackets_and_with_a_true_minus() {
-        let pasted = paste("[[0.1, −0.2; 0.3] (1, 0, 0, 0)]").unwrap();
-        assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.0, 0.0, 0.0, 0.0]);
+    fn numbers_may_have_brackets_and_a_true_minus() {
+        let pose_text = parse_pose("[[0.1, −0.2; 0.3] (1, 0, 0, 0)]").unwrap();
+        assert_eq!(pose_text.numbers, [0.1, -0.2, 0.3, 1.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
-    fn what_controllers_print_says_its_form_and_units() {
-        let coded = |maker: &str| vendors::find(maker).map(|maker| (maker.coding, maker.units));
+    fn controller_output_states_its_encoding() {
+        let coded =
+            |vendor: &str| vendors::find(vendor).map(|vendor| (vendor.coding, vendor.units));
         let six = [600.0, -10.5, 200.0, 10.0, 20.0, -30.0];
-        for (text, maker) in [
+        for (text, vendor) in [
             ("{X 600.0, Y -10.5, Z 200.0, A 10.0, B 20.0, C -30.0}", "kuka"),
             ("{E6POS: X 600, Y -10.5, Z 200, A 10, B 20, C -30, S 2, T 35, E1 0, E2 0}", "kuka"),
             ("DECL E6POS XP1={X 600.0,Y -10.5,Z 200.0,A 10.0,B 20.0,C -30.0,S 2,T 35}", "kuka"),
@@ -312,42 +319,55 @@ transforms:
             ("X:600 Y:-10.5 Z:200 O:10 A:20 T:-30", "kawasaki"),
             ("X: 600.0 Y: -10.5 Z: 200.0 U: 10 V: 20 W: -30", "epson"),
         ] {
-            let pasted = paste(text).unwrap();
-            assert_eq!(pasted.numbers, six, "{text}");
+            let pose_text = parse_pose(text).unwrap();
+            assert_eq!(pose_text.numbers, six, "{text}");
             assert_eq!(
-                pasted.style.form.map(|form| (form, pasted.style.units)),
-                coded(maker),
+                pose_text.encoding.rotation.map(|form| (form, pose_text.encoding.units)),
+                coded(vendor),
                 "{text}"
             );
         }
         let rapid = "CONST robtarget p10:=[[600,-10.5,200],[0.5,0.5,-0.5,0.5],[0,0,-1,0],[9E9,9E9,9E9,9E9,9E9,9E9]];";
-        let pasted = paste(rapid).unwrap();
-        assert_eq!(pasted.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
-        assert_eq!(pasted.style.form, Some(RotationEncoding::Wxyz));
-        assert_eq!(paste("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().style, Style::default());
-        let script = paste("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
+        let pose_text = parse_pose(rapid).unwrap();
+        assert_eq!(pose_text.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
+        assert_eq!(pose_text.encoding.rotation, Some(RotationEncoding::Wxyz));
+        assert_eq!(
+            parse_pose("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().encoding,
+            KnownEncoding::default()
+        );
+        let script = parse_pose("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
         assert_eq!(script.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
-        assert_eq!(paste("pose_trans(p[0,0,0,0,0,0], p[1,0,0,0,0,0])"), Err(DeskError::Several(2)));
+        assert_eq!(
+            parse_pose("pose_trans(p[0,0,0,0,0,0], p[1,0,0,0,0,0])"),
+            Err(DeskError::Several(2))
+        );
     }
 
     #[test]
-    fn units_may_stand_behind_the_numbers() {
+    fn units_may_follow_the_numbers() {
         for text in [
             "243.69mm -249.04mm 618.32mm 149.49° -12.78° 72.64°",
             "243.69 mm, -249.04, 618.32, 149.49 deg, -12.78, 72.64",
         ] {
-            let pasted = paste(text).unwrap();
-            assert_eq!(pasted.numbers, [243.69, -249.04, 618.32, 149.49, -12.78, 72.64], "{text}");
-            let units = pasted.style.units;
+            let pose_text = parse_pose(text).unwrap();
+            assert_eq!(
+                pose_text.numbers,
+                [243.69, -249.04, 618.32, 149.49, -12.78, 72.64],
+                "{text}"
+            );
+            let units = pose_text.encoding.units;
             assert_eq!(units.length, Some(LengthScale::MILLIMETRE), "{text}");
             assert_eq!(units.angle, Some(AngleUnit::Degree), "{text}");
         }
-        let named = paste("x: 0.1 y: 0.2 z: 1e-3 qx: 0 qy: 0 qz: 0 qw: 1").unwrap();
-        assert_eq!((named.numbers[2], named.style.form), (1e-3, Some(RotationEncoding::Xyzw)));
+        let named = parse_pose("x: 0.1 y: 0.2 z: 1e-3 qx: 0 qy: 0 qz: 0 qw: 1").unwrap();
+        assert_eq!(
+            (named.numbers[2], named.encoding.rotation),
+            (1e-3, Some(RotationEncoding::Xyzw))
+        );
     }
 
     #[test]
-    fn what_is_no_pose_is_said() {
+    fn invalid_poses_are_rejected_with_a_reason() {
         for (text, part) in [
             ("1 2 3 4 5", "5 numbers"),
             ("1 2 x 4 5 6", "`x`"),
@@ -359,7 +379,7 @@ transforms:
             ("position: {x: 1}\norientation: {x: 0, y: 0, z: 0, w: 1}", "x, y, z of"),
             ("", "0 numbers"),
         ] {
-            let said = paste(text).unwrap_err().to_string();
+            let said = parse_pose(text).unwrap_err().to_string();
             assert!(said.contains(part), "{text}: {said}");
         }
     }
