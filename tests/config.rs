@@ -152,7 +152,7 @@ fn roles_sources_and_frames_come_from_the_config() {
         row.expect("the stream is listed")
     };
     let external = with("witness = \"external\"");
-    assert_eq!(row(&external).witness, Some("external"));
+    assert_eq!(row(&external).source_kind, Some("external"));
     let ignored = with("role = \"ignored\"");
     assert_eq!(row(&ignored).role, "ignored");
     assert!(!ignored.checks.iter().any(|check| check.subject.topic.as_deref() == Some(pose)));

@@ -156,7 +156,9 @@ pub fn judge_scalar_change(
 fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
     match decision {
         Decision::Fail(severity) => Outcome::fail(report.fault(severity)),
-        Decision::Pass => Outcome::pass_because(format!("changes by {} {}", report.by, report.at)),
+        Decision::Pass => {
+            Outcome::pass_with_remark(format!("changes by {} {}", report.by, report.at))
+        }
         Decision::Undecided(why) => {
             Outcome::Inconclusive(format!("changes by {} {}; {why}", report.by, report.at))
         }

@@ -137,7 +137,7 @@ fn judge_stream(
     if fault_kind(&encoding.best) != Some(kind) && !is_inverted {
         let remark = match encoding.best {
             PoseEncoding::Numbers(convention) => {
-                Outcome::pass_because(format!("read as {convention}"))
+                Outcome::pass_with_remark(format!("read as {convention}"))
             }
             _ => Outcome::pass(),
         };
@@ -196,7 +196,7 @@ fn judge_undeclared(
                 ),
             };
             let (is, read_as) = (form.to_string(), form.to_string());
-            (Outcome::fail(fault), Some(Estimate::slip("reading", is, read_as)))
+            (Outcome::fail(fault), Some(Estimate::misinterpretation("reading", is, read_as)))
         }
         // A quaternion in the default order, or no rotation.
         (EncodingFaultKind::Convention, None) => match &found.length_unit {
@@ -206,14 +206,14 @@ fn judge_undeclared(
                 let (is, read_as) = (error.is.to_string(), error.read_as.to_string());
                 (
                     report_inferred_length(topic, error),
-                    Some(Estimate::slip("length unit", is, read_as)),
+                    Some(Estimate::misinterpretation("length unit", is, read_as)),
                 )
             }
             _ => (outcome, estimate),
         },
         (EncodingFaultKind::QuaternionOrder, Some(RotationEncoding::Wxyz)) if is_read => {
             let why = "no component order is declared for these numbers, so none is violated";
-            (Outcome::pass_because(why.to_owned()), None)
+            (Outcome::pass_with_remark(why.to_owned()), None)
         }
         _ => (outcome, estimate),
     }

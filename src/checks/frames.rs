@@ -83,7 +83,7 @@ fn judge_stream(
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
-        (_, Some(why)) => Outcome::pass_because(why),
+        (_, Some(why)) => Outcome::pass_with_remark(why),
         (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::model_doubt(arm, effect_m) {
                 Some(why) => Outcome::Inconclusive(why),

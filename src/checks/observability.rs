@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, find, residual_attribution};
 use crate::diagnosis::{Observability, StreamParameter, WeakDirection};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{CheckRow, Status, Subject, Unit, number};
+use crate::finding::{CheckRow, Status, Subject, Unit, deserialize_number};
 
 /// A cause is observable if its rule's first threshold changes the log by this many standard deviations.
 /// The half-width of its 95 % interval is then within the threshold.
@@ -59,7 +59,7 @@ pub struct UnobservableDirection {
     pub parameters: Vec<DirectionComponent>,
     /// Change of the log, in standard deviations of noise, if each cause has its weight times its rule's
     /// first threshold (divided by the norm of the weights).
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub singular_value: f64,
     /// Motion that would observe them.
@@ -73,7 +73,7 @@ pub struct DirectionComponent {
     /// Name of the cause.
     pub name: String,
     /// Weight, in units of the first threshold of its rule.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub weight: f64,
     #[serde(skip)]

@@ -51,7 +51,7 @@ impl UnexplainedResidual {
             return false;
         };
         let turn_rad = match &finding.cause {
-            Cause::JointZero { offset, slides: false } => offset.value.abs(),
+            Cause::JointZero { offset, is_prismatic: false } => offset.value.abs(),
             _ => f64::INFINITY,
         };
         is_same_subject
@@ -95,7 +95,9 @@ const RULES_ON_POSES_AND_JOINTS: [&str; 7] =
 pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {
-        Cause::Disagreement { said } => Some((finding.subject.clone(), format!("{said} (MDL001)"))),
+        Cause::Disagreement { description: said } => {
+            Some((finding.subject.clone(), format!("{said} (MDL001)")))
+        }
         Cause::OtherRobot(_) => {
             Some((finding.subject.clone(), format!("{} (MDL001)", finding.message)))
         }

@@ -86,7 +86,7 @@ fn stream_table(streams: &[StreamRow]) -> Table {
                 stream.type_name.clone(),
                 frames(stream),
                 stream.role.to_owned(),
-                stream.witness.unwrap_or_default().to_owned(),
+                stream.source_kind.unwrap_or_default().to_owned(),
                 stream.count.to_string(),
                 stream.rate_hz.map_or(String::new(), |rate_hz| format!("{rate_hz:.1}")),
                 span_s(stream).map_or(String::new(), |span_s| format!("{span_s:.1}")),

@@ -239,11 +239,11 @@ mod tests {
         let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
         let whole = help.replace("\\\n", " ");
         let calls = whole.lines().filter_map(|line| line.find("poseaudit ").map(|at| &line[at..]));
-        calls.map(|call| words(call.split(['|', '>']).next().unwrap_or_default())).collect()
+        calls.map(|call| split_words(call.split(['|', '>']).next().unwrap_or_default())).collect()
     }
 
     /// Splits words like a shell, as far as needed.
-    fn words(line: &str) -> Vec<String> {
+    fn split_words(line: &str) -> Vec<String> {
         let parts = line.split('"').enumerate();
         let words = parts.flat_map(|(index, part)| match index % 2 {
             0 => part.split_whitespace().map(str::to_owned).collect(),

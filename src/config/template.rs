@@ -197,7 +197,7 @@ impl Template {
         if role != RoleSetting::Pose {
             return;
         }
-        if let Some(witness) = stream.witness {
+        if let Some(witness) = stream.source_kind {
             self.set("witness", &quote_line(witness), "");
         }
         let frame = stream.frame_id.as_ref().or(stream.reference.as_ref());

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::corrections_file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, encoding_of_slip,
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, encoding_of_error,
     is_same_topic,
 };
 use crate::diagnosis::{
@@ -150,8 +150,9 @@ impl GivenCorrections<'_> {
             if let Some(slip) = correction.angle_unit {
                 for (index, name) in arm.joint_names.iter().enumerate() {
                     let joint = arm.robot.joint(name);
-                    let slides = joint.is_some_and(|joint| joint.kind == JointKind::Prismatic);
-                    if is_of_topic(index) && !slides {
+                    let is_prismatic =
+                        joint.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+                    if is_of_topic(index) && !is_prismatic {
                         joint_correction.factor[index] = slip.factor();
                     }
                 }
@@ -161,11 +162,11 @@ impl GivenCorrections<'_> {
             let is_robot = joint.robot.as_ref().is_none_or(|robot| arm.name == *robot);
             if let (true, Some(column)) = (is_robot, column(&joint.name)) {
                 let model = arm.robot.joint(&joint.name);
-                let slides = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
-                let is_other = if slides { joint.offset_rad } else { joint.offset_m };
+                let is_prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+                let is_other = if is_prismatic { joint.offset_rad } else { joint.offset_m };
                 if is_other.is_some() {
                     let (does, key) =
-                        if slides { ("slides", "offset_m") } else { ("turns", "offset_rad") };
+                        if is_prismatic { ("slides", "offset_m") } else { ("turns", "offset_rad") };
                     let name = &joint.name;
                     return Err(self.error(format!("joint '{name}' {does}: its key is {key}")));
                 }
@@ -196,14 +197,14 @@ impl GivenCorrections<'_> {
 impl TopicCorrection {
     /// Encoding of the poses, if it differs from the logged one.
     fn intended_encoding(&self) -> Option<IntendedEncoding> {
-        let reading = self.rotation.and_then(encoding_of_slip);
+        let encoding = self.rotation.and_then(encoding_of_error);
         let inverted = self.inverse == Some(true);
         let axes = self.axes.map_or(AxesError::NONE, |AxesCorrection { positions, rotations }| {
             AxesError { positions, rotations }
         });
-        let is_any = reading.is_some() || inverted || axes != AxesError::NONE;
+        let is_any = encoding.is_some() || inverted || axes != AxesError::NONE;
         is_any.then_some(IntendedEncoding {
-            encoding: reading.unwrap_or(PoseEncoding::AsLogged),
+            encoding: encoding.unwrap_or(PoseEncoding::AsLogged),
             axes,
             is_inverted: inverted,
         })
@@ -381,9 +382,9 @@ fn correct_imus(
             let logged = corrected.link_from_imu.unwrap_or_default();
             corrected.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
         }
-        if let Some(reading) = correction.rotation.and_then(encoding_of_slip) {
+        if let Some(encoding) = correction.rotation.and_then(encoding_of_error) {
             let stream = corrected.as_stream();
-            let truths = reinterpret_imu(&run.arms[arm].joints, &stream, reading, max_lag_s);
+            let truths = reinterpret_imu(&run.arms[arm].joints, &stream, encoding, max_lag_s);
             if let Some(truths) = truths {
                 unapplied.mark_applied("rotation");
                 corrected.track.orientation = truths;

@@ -5,11 +5,11 @@ use crate::geometry::{
 };
 
 /// One line per entry of [`LIBRARIES`].
-pub(super) type Lines = Vec<CodeLine>;
+pub(super) type CodeLines = Vec<CodeLine>;
 
 const LIBRARIES: [&str; 4] = ["SciPy", "tf2 (C++)", "Eigen", "nalgebra"];
 
-fn lines(by_library: [&str; 4]) -> Lines {
+fn lines(by_library: [&str; 4]) -> CodeLines {
     let line = |(library, line): (_, &str)| CodeLine { library, line: line.to_owned() };
     LIBRARIES.into_iter().zip(by_library).map(line).collect()
 }
@@ -22,12 +22,12 @@ pub(super) fn variable_names(convention: Convention) -> [&'static str; 3] {
     }
 }
 
-pub(super) fn decode_numbers(convention: Convention) -> Lines {
+pub(super) fn decode_numbers(convention: Convention) -> CodeLines {
     retain_libraries(code_of_numbers(convention, variable_names(convention)))
 }
 
 /// From four numbers `n` in logged order.
-pub(super) fn decode_quaternion(slip: QuaternionOrderError) -> Lines {
+pub(super) fn decode_quaternion(slip: QuaternionOrderError) -> CodeLines {
     let xyzw = match slip {
         QuaternionOrderError::WxyzReadAsXyzw => [1, 2, 3, 0],
         QuaternionOrderError::XyzwReadAsWxyz => [0, 1, 2, 3],
@@ -35,12 +35,12 @@ pub(super) fn decode_quaternion(slip: QuaternionOrderError) -> Lines {
     retain_libraries(code_of_quaternion(xyzw.map(|at| format!("n[{at}]"))))
 }
 
-fn retain_libraries(mut lines: Lines) -> Lines {
+fn retain_libraries(mut lines: CodeLines) -> CodeLines {
     lines.retain(|line| LIBRARIES.contains(&line.library));
     lines
 }
 
-pub(super) fn invert_rotation() -> Lines {
+pub(super) fn invert_rotation() -> CodeLines {
     lines([
         "rotation.inv()",
         "rotation.inverse()  // tf2::Quaternion",
@@ -49,7 +49,7 @@ pub(super) fn invert_rotation() -> Lines {
     ])
 }
 
-pub(super) fn invert_pose() -> Lines {
+pub(super) fn invert_pose() -> CodeLines {
     lines([
         "RigidTransform.from_components(xyz, rotation).inv()  # or rotation.inv(), -rotation.inv().apply(xyz)",
         "pose.inverse()  // tf2::Transform",
@@ -59,7 +59,7 @@ pub(super) fn invert_pose() -> Lines {
 }
 
 /// Multiplies by π/180 or its inverse.
-pub(super) fn convert_angles(to_radians: bool) -> Lines {
+pub(super) fn convert_angles(to_radians: bool) -> CodeLines {
     match to_radians {
         true => lines([
             "numpy.deg2rad(angles)",
@@ -76,7 +76,7 @@ pub(super) fn convert_angles(to_radians: bool) -> Lines {
     }
 }
 
-pub(super) fn scale_lengths(factor: f64) -> Lines {
+pub(super) fn scale_lengths(factor: f64) -> CodeLines {
     let times = format!("xyz * {factor:?}");
     lines([&times; 4])
 }
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_scalar_part_is_where_each_library_wants_it() {
+    fn the_scalar_part_is_where_each_library_expects_it() {
         let of =
             |slip| decode_quaternion(slip).into_iter().map(|line| line.line).collect::<Vec<_>>();
         let [scipy, _, eigen, _] = &of(QuaternionOrderError::WxyzReadAsXyzw)[..] else { panic!() };
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_names_by_turn_or_by_axis() {
+    fn numbers_are_named_by_rotation_or_axis() {
         let scipy = |name: &str| decode_numbers(name.parse().unwrap())[0].line.clone();
         assert_eq!(scipy("euler:ZYZ"), "Rotation.from_euler(\"ZYZ\", [a, b, c])");
         assert_eq!(scipy("euler:xzy@axes"), "Rotation.from_euler(\"xzy\", [rx, rz, ry])");

@@ -1,5 +1,7 @@
-use super::code::{self, Lines};
-use super::context::{CorrectionContext, finding_label, no_value, slip_text, value_with_interval};
+use super::code::{self, CodeLines};
+use super::context::{
+    CorrectionContext, finding_label, misinterpretation_text, no_value, value_with_interval,
+};
 use super::corrections_file::{
     AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection,
 };
@@ -36,7 +38,7 @@ pub(super) struct DecodingCode {
     pub what: String,
     /// Variable names for the logged numbers.
     pub names: String,
-    pub lines: Option<Lines>,
+    pub lines: Option<CodeLines>,
 }
 
 /// Model text before and after the patch.
@@ -57,19 +59,19 @@ pub(super) struct UncorrectedFinding {
     pub why: String,
 }
 
-pub(super) const CORRECTIONS: &str = "corrections.toml";
-pub(super) const OFFSETS: &str = "joint_offsets.yaml";
+pub(super) const CORRECTIONS_FILE: &str = "corrections.toml";
+pub(super) const OFFSETS_FILE: &str = "joint_offsets.yaml";
 /// Corrects the columns of a dataset.
-pub(super) const MODULE: &str = "dataset_step.py";
-pub(super) const LATENCIES: &str = "latency.yaml";
-pub(super) const CONVENTIONS: &str = "conventions.md";
-pub(super) const TRANSFORMS: &str = "static_transforms.sh";
-pub(super) const JOINTS: &str = "fixed_joints.xml";
+pub(super) const MODULE_FILE: &str = "dataset_step.py";
+pub(super) const LATENCIES_FILE: &str = "latency.yaml";
+pub(super) const CONVENTIONS_FILE: &str = "conventions.md";
+pub(super) const TRANSFORMS_FILE: &str = "static_transforms.sh";
+pub(super) const JOINTS_FILE: &str = "fixed_joints.xml";
 /// Placeholder for the patched model, which is named after the original.
-pub(super) const MODEL: &str = "the patched model";
+pub(super) const PATCHED_MODEL: &str = "the patched model";
 
 /// For corrections in the publisher of /tf.
-const WHERE_PUBLISHED: &str = " (in the publisher of the transforms)";
+const PUBLISHER_SUFFIX: &str = " (in the publisher of the transforms)";
 
 /// Correction and its files, or why it is missing.
 type CorrectionResult = Result<(String, Vec<&'static str>), String>;
@@ -114,14 +116,14 @@ impl CorrectionPlan {
         finding: &Finding,
     ) -> CorrectionResult {
         match &finding.cause {
-            Cause::JointZero { offset, slides } => {
-                self.add_zero_offset(context, finding, offset, *slides)
+            Cause::JointZero { offset, is_prismatic } => {
+                self.add_zero_offset(context, finding, offset, *is_prismatic)
             }
             Cause::JointUnit(factor) => {
                 let name = finding.subject.joint.clone().ok_or_else(no_value)?;
                 let robot = context.robot_of(finding, &name);
                 self.corrections.joint(&name, robot).factor = Some(*factor);
-                Ok((slip_text(finding)?, vec![OFFSETS, CORRECTIONS]))
+                Ok((misinterpretation_text(finding)?, vec![OFFSETS_FILE, CORRECTIONS_FILE]))
             }
             Cause::JointScale(joints) => self.add_joint_scale(context, finding, joints),
             Cause::JointOrder { is, read_as } => {
@@ -131,11 +133,11 @@ impl CorrectionPlan {
                 let what = "the positions are in a different order than the names".to_owned();
                 let names = format!("names in the order of the numbers: {}", is.join(", "));
                 self.add_code(finding, &what, names, None);
-                Ok((what, vec![CONVENTIONS, CORRECTIONS]))
+                Ok((what, vec![CONVENTIONS_FILE, CORRECTIONS_FILE]))
             }
             Cause::DhConvention(is) => {
                 let what = format!("the DH table is {}, not {}", is.name(), is.other().name());
-                Ok((what, vec![MODEL]))
+                Ok((what, vec![PATCHED_MODEL]))
             }
             Cause::OtherRobot(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
             Cause::Latency(latency) => self.add_latency(context, finding, latency),
@@ -149,7 +151,7 @@ impl CorrectionPlan {
                 (own.skew, own.skew_ci95) = (Some(value), ci95);
                 own.skew_about_s = Some(0.5 * end.seconds_since(start));
                 let what = format!("clock skew of {}", Unit::SecondPerSecond.show(value));
-                Ok((what, vec![LATENCIES, CORRECTIONS]))
+                Ok((what, vec![LATENCIES_FILE, CORRECTIONS_FILE]))
             }
             Cause::Rotation(slip) => self.add_rotation(context, finding, *slip),
             Cause::InferredEncoding { coding, length, angle } => {
@@ -176,7 +178,7 @@ impl CorrectionPlan {
                 let axes = AxesCorrection { positions, rotations };
                 self.corrections.topic(&topic).axes = Some(axes);
                 let what = format!("positions are in {positions}, rotations in {rotations}");
-                Ok((what, vec![CORRECTIONS]))
+                Ok((what, vec![CORRECTIONS_FILE]))
             }
             Cause::ReferenceFrame(pose) => self.add_frame(context, finding, pose, true),
             Cause::ToolFrame(pose) => self.add_frame(context, finding, pose, false),
@@ -205,16 +207,19 @@ impl CorrectionPlan {
         context: &CorrectionContext<'_>,
         finding: &Finding,
         offset: &Measured,
-        slides: bool,
+        is_prismatic: bool,
     ) -> CorrectionResult {
-        let unit = if slides { Unit::Metre } else { Unit::Radian };
+        let unit = if is_prismatic { Unit::Metre } else { Unit::Radian };
         let (value, ci95) = value_with_interval(unit, offset)?;
         let name = finding.subject.joint.clone().ok_or_else(no_value)?;
         let robot = context.robot_of(finding, &name);
         let joint = self.corrections.joint(&name, robot);
-        joint.set_offset(value, slides);
+        joint.set_offset(value, is_prismatic);
         joint.ci95 = ci95;
-        Ok((format!("offset of {}", unit.show(value)), vec![OFFSETS, MODEL, CORRECTIONS]))
+        Ok((
+            format!("offset of {}", unit.show(value)),
+            vec![OFFSETS_FILE, PATCHED_MODEL, CORRECTIONS_FILE],
+        ))
     }
 
     fn add_joint_scale(
@@ -229,11 +234,11 @@ impl CorrectionPlan {
             own.factor = Some(scaling.factor.value);
             own.factor_ci95 = Unit::One.interval95(&scaling.factor);
             if let Some(offset) = scaling.offset {
-                own.set_offset(offset, scaling.slides);
+                own.set_offset(offset, scaling.is_prismatic);
             }
         }
         let factor = joints.first().ok_or_else(no_value)?.factor.value;
-        Ok((format!("factor of {factor:.5}"), vec![OFFSETS, CORRECTIONS]))
+        Ok((format!("factor of {factor:.5}"), vec![OFFSETS_FILE, CORRECTIONS_FILE]))
     }
 
     fn add_latency(
@@ -264,7 +269,7 @@ impl CorrectionPlan {
             copy.latency_s = Some(copy.latency_s.unwrap_or(0.0) + value);
             copy.latency_ci95 = copy.latency_ci95.or(ci95);
         }
-        Ok((what, vec![LATENCIES, CORRECTIONS]))
+        Ok((what, vec![LATENCIES_FILE, CORRECTIONS_FILE]))
     }
 
     /// Frames cannot be applied to bare numbers without it.
@@ -295,7 +300,7 @@ impl CorrectionPlan {
             }
         }
         let what = format!("bare numbers are {coding}, {length}, {}", angle.symbol());
-        Ok((what, vec![CORRECTIONS]))
+        Ok((what, vec![CORRECTIONS_FILE]))
     }
 
     fn add_rotation(
@@ -327,7 +332,7 @@ impl CorrectionPlan {
         let what = format!("{is} read as {read_as}");
         self.add_code(finding, &what, names, Some(lines));
         if context.is_tf(&topic) {
-            return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
+            return Ok((what + PUBLISHER_SUFFIX, vec![CONVENTIONS_FILE]));
         }
         let correction = self.corrections.topic(&topic);
         match (slip, correction.rotation) {
@@ -338,7 +343,7 @@ impl CorrectionPlan {
             }
             (slip, _) => correction.rotation = Some(slip),
         }
-        Ok((what, vec![CONVENTIONS, CORRECTIONS]))
+        Ok((what, vec![CONVENTIONS_FILE, CORRECTIONS_FILE]))
     }
 
     /// `set` corrects the topic.
@@ -346,17 +351,17 @@ impl CorrectionPlan {
         &mut self,
         context: &CorrectionContext<'_>,
         finding: &Finding,
-        (names, lines): (&str, Lines),
+        (names, lines): (&str, CodeLines),
         set: impl Fn(&mut TopicCorrection),
     ) -> CorrectionResult {
         let topic = context.single_topic(finding)?;
-        let what = slip_text(finding)?;
+        let what = misinterpretation_text(finding)?;
         self.add_code(finding, &what, names.to_owned(), Some(lines));
         if context.is_tf(&topic) {
-            return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
+            return Ok((what + PUBLISHER_SUFFIX, vec![CONVENTIONS_FILE]));
         }
         set(self.corrections.topic(&topic));
-        Ok((what, vec![CONVENTIONS, CORRECTIONS]))
+        Ok((what, vec![CONVENTIONS_FILE, CORRECTIONS_FILE]))
     }
 
     /// Corrects the reference frame (`is_reference`) or the tool frame.
@@ -385,7 +390,7 @@ impl CorrectionPlan {
         };
         correction.convention = correction.convention.or(convention);
         self.add_fixed_frame(finding, comment, [parent, child], *found);
-        Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
+        Ok((what, vec![TRANSFORMS_FILE, JOINTS_FILE, CORRECTIONS_FILE]))
     }
 
     fn add_imu_mount(
@@ -407,7 +412,7 @@ impl CorrectionPlan {
         let comment =
             format!("replaces the static transform to {child}; the position is the log's");
         self.add_fixed_frame(finding, comment, [parent, child], pose);
-        Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
+        Ok((what, vec![TRANSFORMS_FILE, JOINTS_FILE, CORRECTIONS_FILE]))
     }
 
     fn add_camera_mount(
@@ -437,7 +442,7 @@ impl CorrectionPlan {
         let what = format!("{child} has a different pose in {parent}");
         let comment = format!("replaces the static transform to {child}");
         self.add_fixed_frame(finding, comment, [parent, child], *pose);
-        Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
+        Ok((what, vec![TRANSFORMS_FILE, JOINTS_FILE, CORRECTIONS_FILE]))
     }
 
     fn add_fixed_frame(
@@ -451,7 +456,7 @@ impl CorrectionPlan {
         self.frames.push(FixedFrame { finding, comment, parent, child, pose });
     }
 
-    fn add_code(&mut self, finding: &Finding, what: &str, names: String, lines: Option<Lines>) {
+    fn add_code(&mut self, finding: &Finding, what: &str, names: String, lines: Option<CodeLines>) {
         let (finding, what) = (finding_label(finding), what.to_owned());
         self.decodings.push(DecodingCode { finding, what, names, lines });
     }

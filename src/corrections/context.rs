@@ -71,9 +71,11 @@ pub(super) fn value_with_interval(
     }
 }
 
-pub(super) fn slip_text(finding: &Finding) -> Result<String, String> {
+pub(super) fn misinterpretation_text(finding: &Finding) -> Result<String, String> {
     match &finding.estimate {
-        Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),
+        Some(Estimate::Misinterpretation { is, read_as, .. }) => {
+            Ok(format!("{is} read as {read_as}"))
+        }
         _ => Err(no_value()),
     }
 }

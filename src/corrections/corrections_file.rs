@@ -67,9 +67,9 @@ pub struct JointCorrection {
 
 impl JointCorrection {
     /// Offset in rad, or in m if it slides.
-    pub(super) fn set_offset(&mut self, offset: f64, slides: bool) {
+    pub(super) fn set_offset(&mut self, offset: f64, is_prismatic: bool) {
         (self.offset_rad, self.offset_m) =
-            if slides { (None, Some(offset)) } else { (Some(offset), None) };
+            if is_prismatic { (None, Some(offset)) } else { (Some(offset), None) };
     }
 }
 
@@ -179,7 +179,7 @@ impl FrameCorrection {
     }
 }
 
-pub(super) fn encoding_of_slip(slip: RotationError) -> Option<PoseEncoding> {
+pub(super) fn encoding_of_error(slip: RotationError) -> Option<PoseEncoding> {
     Some(match slip {
         RotationError::Transposed => PoseEncoding::Transposed,
         RotationError::Inverted => PoseEncoding::Inverted,
@@ -417,7 +417,7 @@ mod tests {
     use crate::geometry::Misinterpretation;
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn corrections_round_trip() {
         let mut corrections = Corrections::default();
         corrections.joints.push(JointCorrection {
             name: "elbow".to_owned(),
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_says_where() {
+    fn errors_name_the_invalid_entry() {
         let head = "schema = \"poseaudit.corrections/1\"\n";
         for (text, place, part) in [
             ("schema = \"poseaudit.corrections/9\"", "c.toml:1", "unknown variant"),

@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_wrong_with_columns_is_python() {
+    fn column_corrections_become_python() {
         assert_eq!(ColumnCorrections::default().text(), None);
         let mut columns = ColumnCorrections::default();
         let numbers = BTreeMap::from([(2, [1.0, 0.5]), (4, [-1.0, 0.0])]);

@@ -4,8 +4,8 @@ use std::path::Path;
 use similar::TextDiff;
 
 use super::collect::{
-    CONVENTIONS, CORRECTIONS, CorrectedFinding, CorrectionPlan, JOINTS, LATENCIES, MODEL, MODULE,
-    OFFSETS, TRANSFORMS,
+    CONVENTIONS_FILE, CORRECTIONS_FILE, CorrectedFinding, CorrectionPlan, JOINTS_FILE,
+    LATENCIES_FILE, MODULE_FILE, OFFSETS_FILE, PATCHED_MODEL, TRANSFORMS_FILE,
 };
 use super::corrections_file::JointCorrection;
 use super::frames::{escape_xml, model_stem};
@@ -13,11 +13,19 @@ use crate::geometry::CodeLine;
 use crate::report::markdown::escape_prose;
 use crate::report::{quote_line, sanitize};
 
-const INDEX: &str = "corrections.md";
+const INDEX_FILE: &str = "corrections.md";
 
 /// All files except the models.
-pub(crate) const FIX_FILES: [&str; 8] =
-    [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS, MODULE];
+pub(crate) const FIX_FILES: [&str; 8] = [
+    INDEX_FILE,
+    CORRECTIONS_FILE,
+    OFFSETS_FILE,
+    LATENCIES_FILE,
+    CONVENTIONS_FILE,
+    TRANSFORMS_FILE,
+    JOINTS_FILE,
+    MODULE_FILE,
+];
 
 /// A patched copy of the model at `source`, with its patch.
 pub(crate) fn model_files(source: &Path) -> [String; 4] {
@@ -29,18 +37,18 @@ impl CorrectionPlan {
     /// File names and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
-            (INDEX.to_owned(), self.index()),
-            (CORRECTIONS.to_owned(), self.corrections.to_text()),
+            (INDEX_FILE.to_owned(), self.index()),
+            (CORRECTIONS_FILE.to_owned(), self.corrections.to_text()),
         ];
         let mut add = |name: &str, text: Option<String>| {
             files.extend(text.map(|text| (name.to_owned(), text)));
         };
-        add(OFFSETS, self.offsets());
-        add(LATENCIES, self.latencies());
-        add(CONVENTIONS, self.conventions());
-        add(TRANSFORMS, self.transforms());
-        add(JOINTS, self.joints());
-        add(MODULE, self.module.clone());
+        add(OFFSETS_FILE, self.offsets());
+        add(LATENCIES_FILE, self.latencies());
+        add(CONVENTIONS_FILE, self.conventions());
+        add(TRANSFORMS_FILE, self.transforms());
+        add(JOINTS_FILE, self.joints());
+        add(MODULE_FILE, self.module.clone());
         for model in &self.models {
             let (old, new) = (format!("a/{}", model.file), format!("b/{}", model.file));
             let diff = TextDiff::from_lines(&model.before, &model.after);
@@ -93,7 +101,8 @@ impl CorrectionPlan {
         }
         for why in &self.unpatched {
             let why = escape_prose(why);
-            let _ = writeln!(text, "\nNo patched model of {why}. `{OFFSETS}` holds the offsets.");
+            let _ =
+                writeln!(text, "\nNo patched model of {why}. `{OFFSETS_FILE}` holds the offsets.");
         }
         text
     }
@@ -101,29 +110,34 @@ impl CorrectionPlan {
     /// Files that correct a finding.
     fn file_names(&self, corrected: &CorrectedFinding) -> Vec<String> {
         let names = corrected.files.iter().flat_map(|&file| match file {
-            MODEL => self.models.iter().map(|model| model.file.clone()).collect(),
+            PATCHED_MODEL => self.models.iter().map(|model| model.file.clone()).collect(),
             file => vec![file.to_owned()],
         });
         names.map(|name| format!("`{name}`")).collect()
     }
 
     fn descriptions(&self) -> Vec<(String, &'static str)> {
-        let mut all = vec![(CORRECTIONS.to_owned(), "all corrections, for `audit --corrections`")];
+        let mut all =
+            vec![(CORRECTIONS_FILE.to_owned(), "all corrections, for `audit --corrections`")];
         let mut add = |name: &str, what: &'static str, is_there: bool| {
             all.extend(is_there.then(|| (name.to_owned(), what)));
         };
         add(
-            OFFSETS,
+            OFFSETS_FILE,
             "offsets to add to the reported joint positions",
             !self.corrections.joints.is_empty(),
         );
-        add(LATENCIES, "latency of each topic", self.latencies().is_some());
-        add(CONVENTIONS, "lines of code that decode a topic correctly", !self.decodings.is_empty());
-        add(TRANSFORMS, "frames as tf2_ros commands", !self.frames.is_empty());
-        add(JOINTS, "the same frames as URDF joints", !self.frames.is_empty());
+        add(LATENCIES_FILE, "latency of each topic", self.latencies().is_some());
+        add(
+            CONVENTIONS_FILE,
+            "lines of code that decode a topic correctly",
+            !self.decodings.is_empty(),
+        );
+        add(TRANSFORMS_FILE, "frames as tf2_ros commands", !self.frames.is_empty());
+        add(JOINTS_FILE, "the same frames as URDF joints", !self.frames.is_empty());
         let module =
             "offsets and delays of the dataset's columns as a Python module, with a LeRobot step";
-        add(MODULE, module, self.module.is_some());
+        add(MODULE_FILE, module, self.module.is_some());
         for model in &self.models {
             add(&model.file, "the model with joint origins corrected by the offsets", true);
             add(

@@ -77,7 +77,7 @@ mod tests {
     use crate::geometry::{pose, rotation_from_rpy};
 
     #[test]
-    fn a_frame_is_a_command_and_a_joint() {
+    fn a_frame_becomes_a_command_and_a_joint() {
         let frame = FixedFrame {
             finding: String::new(),
             comment: String::new(),

@@ -81,8 +81,8 @@ pub(super) fn parse_labelled(text: &str) -> Result<Option<PoseText>, DeskError> 
         return Err(DeskError::Several(count));
     }
     // Mitsubishi also uses A, B and C, about x, y and z; only KUKA encloses them in braces.
-    let is_told = set.vendor != Some("kuka") || text.contains('{');
-    let vendor = set.vendor.filter(|_| is_told).and_then(vendors::find);
+    let is_vendor_certain = set.vendor != Some("kuka") || text.contains('{');
+    let vendor = set.vendor.filter(|_| is_vendor_certain).and_then(vendors::find);
     let known = KnownEncoding {
         rotation: set.rotation.or(vendor.map(|vendor| vendor.coding)),
         units: units.or(vendor.map_or_else(Units::default, |vendor| vendor.units)),

@@ -12,7 +12,7 @@ pub enum Cause {
         /// In rad or m.
         offset: Measured,
         /// Prismatic.
-        slides: bool,
+        is_prismatic: bool,
     },
     /// Joint compliance, which depends on motion or configuration.
     Compliance,
@@ -38,7 +38,7 @@ pub enum Cause {
     /// No known cause reconciles poses and joint states.
     Disagreement {
         /// Its size, as a clause.
-        said: String,
+        description: String,
     },
     /// Latency, s: a sample stamped *t* was true at *t − latency*.
     Latency(Measured),
@@ -137,5 +137,5 @@ pub struct JointScaleCorrection {
     /// Offset, rad or m, if the numbers have their own zero.
     pub offset: Option<f64>,
     /// Prismatic.
-    pub slides: bool,
+    pub is_prismatic: bool,
 }

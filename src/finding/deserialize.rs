@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 pub type Word = &'static str;
 
 /// Each distinct word is leaked once; reports contain few.
-pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error> {
+pub(crate) fn deserialize_word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error> {
     static KNOWN: Mutex<BTreeSet<Word>> = Mutex::new(BTreeSet::new());
     let text = String::deserialize(from)?;
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
@@ -16,13 +16,15 @@ pub(crate) fn word<'de, D: Deserializer<'de>>(from: D) -> Result<Word, D::Error>
     Ok(word)
 }
 
-pub(crate) fn maybe_word<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Word>, D::Error> {
+pub(crate) fn deserialize_optional_word<'de, D: Deserializer<'de>>(
+    from: D,
+) -> Result<Option<Word>, D::Error> {
     #[derive(Deserialize)]
-    struct Read(#[serde(deserialize_with = "word")] Word);
+    struct Read(#[serde(deserialize_with = "deserialize_word")] Word);
     Ok(Option::<Read>::deserialize(from)?.map(|read| read.0))
 }
 
 /// Non-finite numbers are written as `null`.
-pub(crate) fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+pub(crate) fn deserialize_number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
 }

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::deserialize::{Word, number, word};
+use super::deserialize::{Word, deserialize_number, deserialize_word};
 use super::unit::Unit;
 use crate::stats::{Measured, MeasuredLength};
 use crate::time::Stamp;
@@ -17,14 +17,14 @@ pub enum Estimate {
     /// A length and an angle: the norms of a frame error, or two rms values.
     Frame {
         /// Name of the quantity.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         name: Word,
         /// Length, m.
-        #[serde(deserialize_with = "number")]
+        #[serde(deserialize_with = "deserialize_number")]
         #[schemars(with = "Option<f64>")]
         value: f64,
         /// SI symbol of `value`.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         unit: Word,
         /// 95 % interval of `value`.
         ci95: Option<[f64; 2]>,
@@ -37,14 +37,14 @@ pub enum Estimate {
     /// A scalar.
     Scalar {
         /// Name of the quantity.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         name: Word,
         /// Value, in `unit`.
-        #[serde(deserialize_with = "number")]
+        #[serde(deserialize_with = "deserialize_number")]
         #[schemars(with = "Option<f64>")]
         value: f64,
         /// SI symbol.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         unit: Word,
         /// 95 % interval.
         ci95: Option<[f64; 2]>,
@@ -58,7 +58,7 @@ pub enum Estimate {
     /// Three rotation numbers interpreted in the wrong convention.
     Convention {
         /// Always `convention`.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         name: Word,
         /// Convention of the numbers.
         is: String,
@@ -70,9 +70,9 @@ pub enum Estimate {
         runner_up: Option<RunnerUp>,
     },
     /// One of two alternatives mistaken for the other.
-    Slip {
+    Misinterpretation {
         /// Name of the quantity.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         name: Word,
         /// Actual value.
         is: Cow<'static, str>,
@@ -82,7 +82,7 @@ pub enum Estimate {
     /// Numbers published under the wrong names.
     Order {
         /// Name of the quantity.
-        #[serde(deserialize_with = "word")]
+        #[serde(deserialize_with = "deserialize_word")]
         name: Word,
         /// Joints in the order of the numbers.
         is: Vec<String>,
@@ -98,7 +98,9 @@ impl Estimate {
     pub fn value(&self) -> Option<f64> {
         match self {
             Estimate::Scalar { value, .. } | Estimate::Frame { value, .. } => Some(*value),
-            Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
+            Estimate::Convention { .. }
+            | Estimate::Misinterpretation { .. }
+            | Estimate::Order { .. } => None,
         }
     }
 
@@ -111,12 +113,12 @@ impl Estimate {
     }
 
     /// An estimate of a misinterpretation.
-    pub fn slip(
+    pub fn misinterpretation(
         name: &'static str,
         is: impl Into<Cow<'static, str>>,
         read_as: impl Into<Cow<'static, str>>,
     ) -> Self {
-        Estimate::Slip { name, is: is.into(), read_as: read_as.into() }
+        Estimate::Misinterpretation { name, is: is.into(), read_as: read_as.into() }
     }
 
     /// An estimate of a scalar.
@@ -199,7 +201,9 @@ impl Estimate {
     pub fn change(&self) -> Option<&Change> {
         match self {
             Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref(),
-            Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
+            Estimate::Convention { .. }
+            | Estimate::Misinterpretation { .. }
+            | Estimate::Order { .. } => None,
         }
     }
 }
@@ -222,11 +226,11 @@ pub struct JointRelation {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Change {
     /// Value before, in the unit of the estimate's `value`.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub from: f64,
     /// Value after, in the same unit.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub to: f64,
     /// Time of the change.
@@ -241,7 +245,7 @@ pub struct Change {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Angle {
     /// Angle, rad.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub value: f64,
     /// 95 % interval, rad.
@@ -266,7 +270,7 @@ pub struct RunnerUp {
     /// Assumed interpretation according to it.
     pub read_as: String,
     /// Ratio of its residual to the best interpretation's.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "deserialize_number")]
     #[schemars(with = "Option<f64>")]
     pub ratio: f64,
 }
@@ -276,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_finite_becomes_null() -> Result<(), serde_json::Error> {
+    fn non_finite_numbers_become_null() -> Result<(), serde_json::Error> {
         let estimate = Estimate::scalar(
             "latency",
             Unit::Second,
@@ -288,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_says_from_what_to_what_and_when_beside_its_size() -> Result<(), serde_json::Error> {
+    fn a_change_has_both_values_and_its_time() -> Result<(), serde_json::Error> {
         let at = Stamp::from_nanos;
         let estimate = Estimate::exact("gyro bias", "rad/s", 0.25).with_change(Change {
             from: 0.5,

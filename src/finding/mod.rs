@@ -13,7 +13,7 @@ use crate::time::Stamp;
 
 pub use cause::{Cause, JointScaleCorrection, Picture};
 pub use deserialize::Word;
-pub(crate) use deserialize::{maybe_word, number, word};
+pub(crate) use deserialize::{deserialize_number, deserialize_optional_word, deserialize_word};
 pub use estimate::{Angle, Change, Estimate, Interpretation, JointRelation, RunnerUp};
 pub use unit::{Unit, rounded};
 
@@ -109,7 +109,7 @@ impl Span {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alternative {
     /// Rule that would report it.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub code: Word,
     /// Subject of that finding.
     pub subject: Subject,
@@ -179,7 +179,7 @@ impl Outcome {
     }
 
     /// With a remark.
-    pub fn pass_because(remark: impl Into<String>) -> Self {
+    pub fn pass_with_remark(remark: impl Into<String>) -> Self {
         Outcome::Evaluated(Ruling::Pass(Some(remark.into())))
     }
 
@@ -193,12 +193,12 @@ impl Outcome {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Finding {
     /// Code of the rule.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub code: Word,
     /// How grave it is.
     pub severity: Severity,
     /// The fault in a few words.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub title: Word,
     /// The fault in one clause, with its value.
     pub message: String,
@@ -272,10 +272,10 @@ impl Status {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckRow {
     /// Code of the rule.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub code: Word,
     /// Name of the rule.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub name: Word,
     /// Subject of the rule.
     pub subject: Subject,

@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn amounts_read_as_people_say_them() {
+    fn amounts_are_shown_in_everyday_units() {
         assert_eq!(Unit::Second.show(0.0231), "23.1 ms");
         assert_eq!(Unit::Second.show(2.5e-5), "25 µs");
         assert_eq!(Unit::Metre.show(0.002), "2 mm");
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_gives_the_digits_and_is_rounded_up() {
+    fn the_interval_sets_the_digits_and_is_rounded_up() {
         assert_eq!(Unit::Second.show_measured(&measured(0.02203, 1.05e-5)), "22.03 ± 0.03 ms");
         assert_eq!(
             Unit::Radian.show_signed(&measured(0.5f64.to_radians(), 1e-9)),

@@ -78,31 +78,31 @@ pub fn infer_shared(path: &Path, options: &Options) -> Option<SharedMapping> {
 }
 
 /// The arm if all agree, and the columns if all conclusive logs agree.
-pub fn merge_shared(told: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping> {
-    let first = told.first()?;
+pub fn merge_shared(mappings: Vec<SharedMapping>, group: &Path) -> Option<SharedMapping> {
+    let first = mappings.first()?;
     // Tables in one folder may belong to several arms.
     let is_one =
         enclosing_dataset(&group.join("meta")).is_some() || group.is_file() || is_store(group);
     let robot = first.robot.clone();
-    let robot = robot.filter(|_| is_one && told.iter().all(|it| it.robot == first.robot));
-    let decided: Vec<_> = told
+    let robot = robot.filter(|_| is_one && mappings.iter().all(|it| it.robot == first.robot));
+    let decided: Vec<_> = mappings
         .iter()
         .filter_map(|it| it.columns.as_ref().filter(|columns| columns.is_determined()))
         .collect();
     let columns = match decided.as_slice() {
-        [] => first.columns.clone().filter(|_| told.iter().all(|it| it.columns.is_some())),
+        [] => first.columns.clone().filter(|_| mappings.iter().all(|it| it.columns.is_some())),
         [columns, others @ ..] => {
             others.iter().all(|other| columns.agrees(other)).then(|| (*columns).clone())
         }
     };
-    let from = told.iter().flat_map(|it| it.from.clone()).collect();
+    let from = mappings.iter().flat_map(|it| it.from.clone()).collect();
     Some(SharedMapping { from, robot, columns })
         .filter(|it| it.robot.is_some() || it.columns.is_some())
 }
 
 /// Whether the columns are undetermined and another log may help.
-pub fn is_undetermined(told: &[SharedMapping]) -> bool {
-    let is_told =
+pub fn is_undetermined(mappings: &[SharedMapping]) -> bool {
+    let has_determined_columns =
         |it: &SharedMapping| it.columns.as_ref().is_some_and(|columns| columns.is_determined());
-    told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)
+    mappings.iter().any(|it| it.columns.is_some()) && !mappings.iter().any(has_determined_columns)
 }

@@ -12,7 +12,7 @@ pub(crate) fn format_estimate(estimate: &Estimate) -> String {
             format!("{length}; {angle}")
         }
         Estimate::Convention { is, read_as, .. } => format_interpretation(is, read_as),
-        Estimate::Slip { is, read_as, .. } => format_interpretation(is, read_as),
+        Estimate::Misinterpretation { is, read_as, .. } => format_interpretation(is, read_as),
         Estimate::Order { is, read_as, .. } => {
             format_interpretation(&is.join(", "), &read_as.join(", "))
         }

@@ -84,7 +84,8 @@ mod tests {
                     }),
                 }
             });
-        let slip = (text(), text()).prop_map(|(is, read_as)| Estimate::slip("unit", is, read_as));
+        let slip = (text(), text())
+            .prop_map(|(is, read_as)| Estimate::misinterpretation("unit", is, read_as));
         let order = (names(), names()).prop_map(|(is, read_as)| Estimate::Order {
             name: "order",
             permutation: is.clone(),

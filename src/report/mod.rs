@@ -30,7 +30,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
-use crate::finding::{CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, word};
+use crate::finding::{
+    CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
+};
 use crate::time::Stamp;
 
 pub(crate) use figure_builder::build_figures;
@@ -108,9 +110,9 @@ pub struct Report {
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 struct Tool {
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     name: Word,
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     version: Word,
 }
 
@@ -156,7 +158,7 @@ pub struct FileRow {
     #[schemars(with = "String")]
     pub path: PathBuf,
     /// File type.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub container: Word,
     /// Size in bytes.
     pub bytes: u64,
@@ -164,7 +166,7 @@ pub struct FileRow {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fetched_bytes: Option<u64>,
     /// Share of the file that is covered by a checksum: `all`, `partial` or `none`.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub crc: Word,
 }
 

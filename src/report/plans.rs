@@ -10,7 +10,7 @@ use super::workspace::has_misinterpreted_joints;
 use crate::checks::resolving_motion;
 use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
-use crate::finding::{CheckRow, Finding, Word, word};
+use crate::finding::{CheckRow, Finding, Word, deserialize_word};
 use crate::robot::{Chain, JointKind, Robot};
 use crate::run::{Arm, PoseSourceKind, Run, RunOptions, load_robot};
 use crate::stream::JointTrack;
@@ -21,7 +21,7 @@ pub struct PlanRow {
     /// The arm to move.
     pub robot: String,
     /// Purpose of the motion: `zeros`, `calibration`, `latency`, `hand-eye` or `yaw`.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub purpose: Word,
     /// Rules that it would resolve.
     pub codes: Vec<String>,

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::finding::{Word, maybe_word, word};
+use crate::finding::{Word, deserialize_optional_word, deserialize_word};
 use crate::run::{Arm, PoseSourceKind, Run, selectors};
 use crate::stream::Columns;
 use crate::time::Stamp;
@@ -32,7 +32,7 @@ pub struct StreamRow {
     #[serde(rename = "type")]
     pub type_name: String,
     /// Role of the stream.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub role: Word,
     /// Reason for the role.
     pub reason: String,
@@ -47,8 +47,8 @@ pub struct StreamRow {
     /// Link whose poses it is assumed to contain.
     pub link: Option<String>,
     /// Source of its poses: `controller`, `external` or `unknown`.
-    #[serde(default, deserialize_with = "maybe_word")]
-    pub witness: Option<Word>,
+    #[serde(default, rename = "witness", deserialize_with = "deserialize_optional_word")]
+    pub source_kind: Option<Word>,
     /// Number of messages or samples.
     pub count: u64,
     /// Number of samples that could not be used.
@@ -116,7 +116,7 @@ pub(crate) fn stream_rows(run: &Run) -> Vec<StreamRow> {
         child_frame_id: named(&stream.child_frame_id),
         reference: stream.reference.clone(),
         link: stream.link.clone(),
-        witness: stream.source_kind.map(PoseSourceKind::name),
+        source_kind: stream.source_kind.map(PoseSourceKind::name),
         count: stream.count,
         dropped: stream.dropped,
         rate_hz: stream.rate_hz,

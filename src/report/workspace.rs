@@ -7,7 +7,7 @@ use crate::checks::{Evaluation, unobservable_zero};
 use rayon::prelude::*;
 
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
-use crate::finding::{Cause, CheckRow, Finding, Unit, Word, word};
+use crate::finding::{Cause, CheckRow, Finding, Unit, Word, deserialize_word};
 use crate::robot::{Chain, JointKind};
 use crate::run::{Arm, JointSamples, Run};
 
@@ -32,7 +32,7 @@ pub struct JointCoverage {
     /// The joint.
     pub joint: String,
     /// Unit of the positions: `rad` or `m`.
-    #[serde(deserialize_with = "word")]
+    #[serde(deserialize_with = "deserialize_word")]
     pub unit: Word,
     /// Lowest position.
     pub lowest: f64,
@@ -64,8 +64,10 @@ pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<
     let arms = run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, findings));
     let reached = arms.map(|arm| {
         let rows = JointRows::new(run, arm);
-        let workspace =
-            Workspace::from_samples(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
+        let workspace = Workspace::from_samples(
+            &arm.chain,
+            (0..rows.len()).map(|row| rows.time_and_positions(row)),
+        );
         ArmWorkspace { robot: &arm.name, chain: &arm.chain, workspace }
     });
     reached.collect()
@@ -84,7 +86,7 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
     const MAX_ROWS: usize = 20_000;
     let rows = JointRows::new(run, arm);
     let some = (0..rows.len()).step_by(rows.len().div_ceil(MAX_ROWS).max(1));
-    let (least, most) = reach_m(&arm.chain, some.map(|row| rows.at(row).1))?;
+    let (least, most) = reach_m(&arm.chain, some.map(|row| rows.time_and_positions(row).1))?;
     let of_joint = |(joint, &column): (usize, &usize)| {
         let (name, kind) =
             (arm.chain.joint_names().get(joint)?, arm.chain.joint_kinds().get(joint)?);
@@ -141,7 +143,7 @@ impl<'a> JointRows<'a> {
     }
 
     /// Time in s from the run's origin, and the chain's joints.
-    fn at(&self, row: usize) -> (f64, Vec<f64>) {
+    fn time_and_positions(&self, row: usize) -> (f64, Vec<f64>) {
         let columns = self.arm.columns.iter();
         match self.samples.first() {
             Some(first) if self.is_shared => {

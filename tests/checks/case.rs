@@ -377,7 +377,7 @@ pub fn half_width(estimate: &Estimate) -> Option<f64> {
 fn assert_read_as(found: &Estimate, expected: &str, expected_read_as: &str) {
     let found = match found {
         Estimate::Convention { is, read_as, .. } => [is.as_str(), read_as.as_str()],
-        Estimate::Slip { is, read_as, .. } => [is.as_ref(), read_as.as_ref()],
+        Estimate::Misinterpretation { is, read_as, .. } => [is.as_ref(), read_as.as_ref()],
         other => panic!("a reading was expected, not {other:?}"),
     };
     assert_eq!(found, [expected, expected_read_as]);

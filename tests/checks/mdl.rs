@@ -120,7 +120,7 @@ fn a_calibration_is_named_in_the_robot_source() {
     let source = &report.robots[0].source;
     assert!(source.ends_with("calibration.yaml (calib_1234567890)"), "{source}");
     assert_eq!(
-        report.streams.iter().find(|s| s.topic == POSE).unwrap().witness,
+        report.streams.iter().find(|s| s.topic == POSE).unwrap().source_kind,
         Some("controller")
     );
 }

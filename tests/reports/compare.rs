@@ -122,7 +122,7 @@ fn a_higher_severity_counts_as_grown_and_another_misinterpretation_as_changed() 
         let mut report = FAULTY_REPORT.clone();
         let is = is.to_owned();
         finding_mut(&mut report, "ZER001").estimate =
-            Some(Estimate::slip("rotations", is, "euler:xyz"));
+            Some(Estimate::misinterpretation("rotations", is, "euler:xyz"));
         report
     };
     let comparison =

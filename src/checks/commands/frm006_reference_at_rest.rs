@@ -213,7 +213,7 @@ fn sound(
         Unit::Metre.show(nearest.estimate.translation_m.value),
         Unit::Radian.show(nearest.estimate.rotation_rad.value),
     ];
-    Outcome::pass_because(format!("{name} differs from it by {length} and {angle} at rest"))
+    Outcome::pass_with_remark(format!("{name} differs from it by {length} and {angle} at rest"))
 }
 
 /// Reason why no rest can be compared.

@@ -135,7 +135,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
                 faults.push((place, ExcessiveDelay { of, response, severity }));
                 continue;
             }
-            Decision::Pass => Outcome::pass_because(describe_delay(of, response)),
+            Decision::Pass => Outcome::pass_with_remark(describe_delay(of, response)),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         };
         rows.push(with_numbers(judged(outcome), of, response));

@@ -191,7 +191,7 @@ fn tip_outcome(
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
     match decide(case, line, measured, lines) {
         Decision::Pass => {
-            Outcome::pass_because(format!("the tip deviates from its lines by at most {distance} and \
+            Outcome::pass_with_remark(format!("the tip deviates from its lines by at most {distance} and \
                 {angle}"))
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),

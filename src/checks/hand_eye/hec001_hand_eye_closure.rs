@@ -192,7 +192,7 @@ fn closed_chain(evidence: &HandEyeEvidence, solution: &HandEyeSolution) -> Outco
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let camera = describe_camera(evidence, solution);
-    Outcome::pass_because(format!(
+    Outcome::pass_with_remark(format!(
         "closes to {m} and {rad} rms ({}); {camera}",
         describe_setup(solution)
     ))

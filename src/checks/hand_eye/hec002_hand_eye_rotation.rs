@@ -73,7 +73,7 @@ fn judge(case: &Case, evidence: &HandEyeEvidence) -> SubjectResult {
             "the target is visible for only {observed_s:.1} s; record 10 s or more"
         )),
         _ if is_poor => Outcome::fail(fault(diversity, needed, &undetermined, severity(case))),
-        _ => Outcome::pass_because(format!(
+        _ => Outcome::pass_with_remark(format!(
             "the hand rotates by {}, with axes spread over {}{}",
             Unit::Radian.show(diversity.span_rad),
             Unit::Radian.show(diversity.spread_rad),

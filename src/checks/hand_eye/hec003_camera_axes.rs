@@ -128,7 +128,7 @@ fn judge(evidence: &HandEyeEvidence) -> SubjectResult {
     }
     let (is, read_as) = axes_names(&swap);
     let judged = SubjectResult::new(evidence.subject(), Outcome::fail(fault(evidence, &swap)))
-        .estimated(Estimate::slip("camera axes", is, read_as))
+        .estimated(Estimate::misinterpretation("camera axes", is, read_as))
         .with_evidence("view", diagnosis.view.to_vec());
     match swap {
         AxisSwap::Within(axes) => judged.with_evidence("reading", describe_axes(&axes)),
@@ -142,9 +142,9 @@ fn no_swap_outcome(evidence: &HandEyeEvidence) -> Outcome {
         return Outcome::Inconclusive(why);
     }
     match (&found.mount_error, evidence.axes, axes_of_view(found.view)) {
-        (Some(_), _, _) => Outcome::pass_because("the camera axes agree with the log's frames"),
+        (Some(_), _, _) => Outcome::pass_with_remark("the camera axes agree with the log's frames"),
         (None, Some(named), Some(_)) => {
-            Outcome::pass_because(format!("the target is ahead of the camera ({})", named.describe()))
+            Outcome::pass_with_remark(format!("the target is ahead of the camera ({})", named.describe()))
         }
         (None, Some(named), None) => {
             let view = found.view.map(|part| rounded(part, 2)).join(", ");

@@ -72,7 +72,7 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
             "the table fits the streams under neither convention; {SETTLE}"
         )),
     };
-    let error = (result == DhConventionResult::Other).then_some(Estimate::slip(
+    let error = (result == DhConventionResult::Other).then_some(Estimate::misinterpretation(
         "DH convention",
         is,
         read_as,

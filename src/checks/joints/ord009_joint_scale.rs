@@ -185,7 +185,7 @@ fn correction(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrect
         joint: joint.name.clone(),
         factor: scale.factor,
         offset: Some(scale.offset).filter(|offset| scale.is_coded() && *offset != 0.0),
-        slides: joint.is_prismatic,
+        is_prismatic: joint.is_prismatic,
     })
 }
 

@@ -86,7 +86,7 @@ fn turn_result(
     };
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::JointZero { offset: *offset, slides: false },
+        cause: Cause::JointZero { offset: *offset, is_prismatic: false },
         title: "joint is off by turns",
         message,
         evidence: Evidence {

@@ -89,7 +89,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
                     faults.push((index, (found.clone(), severity)));
                     continue;
                 }
-                Some(why) => Outcome::pass_because(why.to_owned()),
+                Some(why) => Outcome::pass_with_remark(why.to_owned()),
             },
             Decision::Pass => Outcome::pass(),
             Decision::Undecided(_) => Outcome::Inconclusive(format!(

@@ -94,7 +94,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     let subject = arm.joint(joint);
     if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
         let why = format!("the offset belongs to its scale, {:.5} (ORD009)", scale.offset);
-        return SubjectResult::new(subject, Outcome::pass_because(why)).within(arm.span);
+        return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(arm.span);
     }
     let threshold = case.thresholds.threshold(&ZER001, threshold(arm.joint_unit(joint)));
     if let Some(change) = arm.diagnosis.zero_change(joint) {
@@ -113,7 +113,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     }
     if turns::part_of_turn(case, arm, joint).is_some() {
         let why = "off by a half or quarter turn (ORD009)".to_owned();
-        return SubjectResult::new(subject, Outcome::pass_because(why)).within(arm.span);
+        return SubjectResult::new(subject, Outcome::pass_with_remark(why)).within(arm.span);
     }
     let measured = match &offset.offset {
         Ok(measured) => measured,
@@ -279,7 +279,7 @@ fn fault(
             format!("q_true = {factor}q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
         ),
     };
-    let cause = Cause::JointZero { offset: *measured, slides: unit == Unit::Metre };
+    let cause = Cause::JointZero { offset: *measured, is_prismatic: unit == Unit::Metre };
     Fault { severity, cause, title: "joint zero is off", message, evidence, fix }
 }
 

@@ -93,7 +93,7 @@ fn report_once_per_topic(rows: &mut [SubjectResult], max_difference_s: f64) {
         let Some(first) = named.iter_mut().find(is_same) else { continue };
         let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
         first.evidence.insert("others_late".to_owned(), (others.unwrap_or(0) + 1).into());
-        row.outcome = Outcome::pass_because("same latency as the whole topic, reported once");
+        row.outcome = Outcome::pass_with_remark("same latency as the whole topic, reported once");
     }
 }
 
@@ -249,7 +249,7 @@ fn judge_with_late_joints(
 ) -> SubjectResult {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
-        Ok(_) if stream.has_independent_stamps => Outcome::pass_because(remark),
+        Ok(_) if stream.has_independent_stamps => Outcome::pass_with_remark(remark),
         _ => return judge_stream(case, arm, stream, &[]),
     };
     let amount = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);

@@ -113,7 +113,7 @@ fn outcome(found: Disagreement) -> Outcome {
         (Unit::Metre.show(found.length.value), Unit::Radian.show(found.angle.value));
     let severity = match found.decision {
         Decision::Pass => {
-            return Outcome::pass_because(format!("matches FK ({length}, {angle})"));
+            return Outcome::pass_with_remark(format!("matches FK ({length}, {angle})"));
         }
         Decision::Undecided(why) => return Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => severity,

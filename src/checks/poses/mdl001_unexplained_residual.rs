@@ -274,11 +274,11 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         Attribution::BelowThresholds | Attribution::Explained { is_reported: true } => {
             Outcome::pass()
         }
-        Attribution::WithinNoise => Outcome::pass_because(format!(
+        Attribution::WithinNoise => Outcome::pass_with_remark(format!(
             "{} off as logged, within the sample-to-sample noise",
             as_logged()
         )),
-        Attribution::Explained { is_reported: false } => Outcome::pass_because(format!(
+        Attribution::Explained { is_reported: false } => Outcome::pass_with_remark(format!(
             "{} off as logged, fully explained by the estimated corrections",
             as_logged()
         )),
@@ -447,7 +447,7 @@ fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> 
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
-        cause: Cause::Disagreement { said },
+        cause: Cause::Disagreement { description: said },
         title: DISAGREEMENT_TITLE,
         message,
         evidence,

@@ -60,6 +60,6 @@ fn report(estimate: &EncodingEstimate) -> Option<EncodingReport> {
         corrected_reading: format!("read as {right}"),
         fix: fix.to_owned(),
         error: RotationError::Quaternion(error),
-        estimate: Estimate::slip("quaternion order", is, read_as),
+        estimate: Estimate::misinterpretation("quaternion order", is, read_as),
     })
 }

@@ -57,7 +57,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn direction(error: RotationError) -> Estimate {
     let Misread { is, read_as } = error.into();
-    Estimate::slip("direction", is, read_as)
+    Estimate::misinterpretation("direction", is, read_as)
 }
 
 fn by_positions(found: &PoseDiagnosis) -> Fault {

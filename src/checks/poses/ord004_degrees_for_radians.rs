@@ -67,7 +67,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
         if stream.is_undeclared {
             let why = "no unit is declared for these numbers, so none is violated";
             return (stream.has_bare_numbers && stream.diagnosis.degrees.is_some())
-                .then(|| stream.judged(Outcome::pass_because(why.to_owned())));
+                .then(|| stream.judged(Outcome::pass_with_remark(why.to_owned())));
         }
         let assumed = if stream.has_bare_numbers {
             AssumedUnit::Logged
@@ -106,7 +106,7 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     };
     let [is, read_as] = [AngleUnit::Degree, AngleUnit::Radian].map(|unit| unit.symbol());
     let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
-    let judged = judged.estimated(Estimate::slip("angle unit", is, read_as));
+    let judged = judged.estimated(Estimate::misinterpretation("angle unit", is, read_as));
     Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }
 
@@ -173,7 +173,11 @@ fn judge(
         fix,
     };
     SubjectResult::new(subject, Outcome::fail(fault))
-        .estimated(Estimate::slip("angle unit", unit.is.symbol(), unit.read_as.symbol()))
+        .estimated(Estimate::misinterpretation(
+            "angle unit",
+            unit.is.symbol(),
+            unit.read_as.symbol(),
+        ))
         .with_evidence("as_logged", residuals.as_logged)
         .with_evidence("corrected", residuals.corrected)
 }

@@ -58,7 +58,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             let judged = match stream.is_undeclared {
                 true => SubjectResult::new(
                     stream.subject.clone(),
-                    Outcome::pass_because("its convention is not declared".to_owned()),
+                    Outcome::pass_with_remark("its convention is not declared".to_owned()),
                 ),
                 false => judge(case, arm, stream.topic(), euler),
             };
@@ -102,7 +102,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, euler: &EulerEvidence) -> 
     };
     if euler.margins_rad.is_empty() {
         let why = format!("{convention} has no gimbal lock");
-        return SubjectResult::new(subject, Outcome::pass_because(why));
+        return SubjectResult::new(subject, Outcome::pass_with_remark(why));
     }
     let within_rad = case.thresholds.limit(&ORD006, &MAX_GIMBAL_MARGIN);
     let found = near_singularities(euler, within_rad);

@@ -50,7 +50,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let outcome = match &stream.diagnosis.length_unit {
             Err(why) => not_observable(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::pass(),
-            Ok(Some(error)) if stream.is_undeclared => Outcome::pass_because(format!(
+            Ok(Some(error)) if stream.is_undeclared => Outcome::pass_with_remark(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
                 error.is.plural_name()
             )),
@@ -63,7 +63,11 @@ fn check(case: &Case) -> Vec<SubjectResult> {
                 let LengthUnitError { is, read_as, residual } = error;
                 return stream
                     .judged(Outcome::fail(fault(stream, error)))
-                    .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
+                    .estimated(Estimate::misinterpretation(
+                        "length unit",
+                        is.to_string(),
+                        read_as.to_string(),
+                    ))
                     .with_evidence("as_logged_m", residual.as_logged)
                     .with_evidence("corrected_m", residual.corrected);
             }
@@ -94,7 +98,7 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResul
         fix: format!("multiply the linear acceleration of {topic} by {}", unit.in_m_s2()),
     };
     let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
-    let judged = judged.estimated(Estimate::slip("acceleration unit", symbol, "m/s²"));
+    let judged = judged.estimated(Estimate::misinterpretation("acceleration unit", symbol, "m/s²"));
     Some(judged.with_evidence("felt", felt))
 }
 
@@ -129,7 +133,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
         };
         SubjectResult::new(subject, Outcome::fail(fault))
             .within(arm.span)
-            .estimated(Estimate::slip("length unit", is, "m"))
+            .estimated(Estimate::misinterpretation("length unit", is, "m"))
             .with_evidence("as_logged_m", residuals.as_logged)
             .with_evidence("corrected_m", residuals.corrected)
     });

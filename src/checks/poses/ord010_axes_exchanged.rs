@@ -56,7 +56,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
                 let outcome = Outcome::fail(fault(stream, error));
                 return stream
                     .judged(outcome)
-                    .estimated(Estimate::slip("axes", describe_exchange(error), Axes::STANDARD.to_string()))
+                    .estimated(Estimate::misinterpretation("axes", describe_exchange(error), Axes::STANDARD.to_string()))
                     .with_evidence("positions", error.positions.to_string())
                     .with_evidence("rotations", error.rotations.to_string());
             }

@@ -56,7 +56,7 @@ fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> Subject
     let outcome = match case.thresholds.threshold(&TIM008, THRESHOLD).severity(worst.share()) {
         None => Outcome::pass(),
         Some(_) if stream.is_of_joints => {
-            Outcome::pass_because("its repeats are those of the joint states".to_owned())
+            Outcome::pass_with_remark("its repeats are those of the joint states".to_owned())
         }
         Some(severity) => Outcome::fail(fault(stream, worst, severity)),
     };

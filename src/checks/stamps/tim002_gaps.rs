@@ -104,7 +104,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     let judge_once = |rhythm| {
         if let Some(first) = reported.iter().find(|first| has_same_gaps(first, rhythm)) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
-            return SubjectResult::new(rhythm.subject.clone(), Outcome::pass_because(why))
+            return SubjectResult::new(rhythm.subject.clone(), Outcome::pass_with_remark(why))
                 .within(rhythm.span);
         }
         reported.push(rhythm);
@@ -177,7 +177,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
         let why = "no fixed period, so lost samples cannot be counted";
         Outcome::Inconclusive(format!("{why}; publish at a fixed rate, or number the messages"))
     } else if let Some(gap) = silent(Some(false)) {
-        Outcome::pass_because(format!("no samples for {}, while the arm rested", shown(gap)))
+        Outcome::pass_with_remark(format!("no samples for {}, while the arm rested", shown(gap)))
     } else {
         Outcome::pass()
     };

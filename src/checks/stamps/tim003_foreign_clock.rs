@@ -78,7 +78,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
             clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
         let outcome = match early_s.filter(|early_s| *early_s > MIN_LEAD_S) {
             None => Outcome::pass(),
-            Some(early_s) => Outcome::pass_because(format!(
+            Some(early_s) => Outcome::pass_with_remark(format!(
                 "messages arrive up to {} before their own stamps: its clock is ahead of the recorder's, or \
                  it stamps ahead",
                 Unit::Second.show(early_s)

@@ -65,7 +65,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult 
     let Some(worst) = worst else {
         let outcome = match repeats {
             0 => Outcome::pass(),
-            _ => Outcome::pass_because(format!(
+            _ => Outcome::pass_with_remark(format!(
                 "{repeats} samples are sent twice with equal content"
             )),
         };

@@ -77,7 +77,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> SubjectResult {
         // A simulation clock starts at zero.
         HeaderStamps::Sound if zero == 1 && stream.clock.begins_at_zero => {
             let why = "the first stamp is zero; its sample is excluded";
-            return stream.judged(Outcome::pass_because(why));
+            return stream.judged(Outcome::pass_with_remark(why));
         }
         HeaderStamps::Sound if zero == 1 => {
             (Severity::Info, "a stamp is zero", format!("one of {rows} stamps is zero or invalid"))

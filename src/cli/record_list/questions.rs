@@ -46,7 +46,7 @@ impl Need {
 
     pub fn streams(self, report: &Report) -> Vec<&StreamRow> {
         let is_it = |stream: &&StreamRow| {
-            let is_outside = matches!(stream.witness, Some("external"));
+            let is_outside = matches!(stream.source_kind, Some("external"));
             self.roles().contains(&stream.role)
                 && (stream.count > 0)
                 && (self != Need::Tracker || is_outside)

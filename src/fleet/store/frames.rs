@@ -167,7 +167,7 @@ fn streams_frame(streams: &[StreamRow]) -> PolarsResult<DataFrame> {
             of("child_frame_id", |row| row.child_frame_id.as_deref()),
             of("reference", |row| row.reference.as_deref()),
             of("link", |row| row.link.as_deref()),
-            of("witness", |row| row.witness),
+            of("witness", |row| row.source_kind),
             count("count", |row| row.count),
             count("dropped", |row| row.dropped),
             Column::new("rate_hz".into(), rates),

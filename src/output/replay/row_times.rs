@@ -52,14 +52,15 @@ pub(super) struct RowTimes {
 mod tests {
     use super::*;
 
-    fn at(nanos: i64) -> Stamp {
+    fn stamp_at(nanos: i64) -> Stamp {
         Stamp::from_nanos(nanos)
     }
 
     #[test]
     fn receive_times_are_interpolated_between_rows() {
         let pairs = [(2_000, 2_900), (1_000, 1_100), (1_000, 1_500), (4_000, 4_100)];
-        let receipts = ReceiveTimes::new(pairs.map(|(stamp, log)| (at(stamp), at(log))).to_vec());
+        let receipts =
+            ReceiveTimes::new(pairs.map(|(stamp, log)| (stamp_at(stamp), stamp_at(log))).to_vec());
         for (stamp, log) in [
             (1_000, 1_100),
             (2_000, 2_900),
@@ -68,21 +69,22 @@ mod tests {
             (500, 600),
             (5_000, 5_100),
         ] {
-            assert_eq!(receipts.log_time(at(stamp)), at(log), "{stamp}");
+            assert_eq!(receipts.log_time(stamp_at(stamp)), stamp_at(log), "{stamp}");
         }
     }
 
     #[test]
     fn without_receive_times_the_stamps_are_used() {
-        assert_eq!(ReceiveTimes::default().log_time(at(7)), at(7));
+        assert_eq!(ReceiveTimes::default().log_time(stamp_at(7)), stamp_at(7));
     }
 
     #[test]
     fn decimation_keeps_the_first_and_last_row() {
-        let rows: Vec<_> = (0..250_000).map(|row| (at(10 * row), at(10 * row + 3))).collect();
+        let rows: Vec<_> =
+            (0..250_000).map(|row| (stamp_at(10 * row), stamp_at(10 * row + 3))).collect();
         let receipts = ReceiveTimes::new(rows);
         assert!(receipts.rows.len() <= ReceiveTimes::MAX_ROWS + 1);
-        assert_eq!(receipts.log_time(at(2_499_990)), at(2_499_993));
-        assert_eq!(receipts.log_time(at(1_234_560)), at(1_234_563));
+        assert_eq!(receipts.log_time(stamp_at(2_499_990)), stamp_at(2_499_993));
+        assert_eq!(receipts.log_time(stamp_at(1_234_560)), stamp_at(1_234_563));
     }
 }

@@ -198,10 +198,10 @@ fn classify_change(old: &Finding, new: &Finding) -> ChangeKind {
 }
 
 fn compare_estimates(old: &Estimate, new: &Estimate) -> ChangeKind {
-    use Estimate::{Convention, Frame, Order, Scalar, Slip};
+    use Estimate::{Convention, Frame, Misinterpretation, Order, Scalar};
     let name = |estimate: &Estimate| match estimate {
         Scalar { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
-        Slip { name, .. } | Order { name, .. } => *name,
+        Misinterpretation { name, .. } | Order { name, .. } => *name,
     };
     if name(old) != name(new) {
         return ChangeKind::Changed;
@@ -227,9 +227,10 @@ fn compare_estimates(old: &Estimate, new: &Estimate) -> ChangeKind {
         (Convention { is, read_as, .. }, Convention { is: now, read_as: new, .. }) => {
             kind((is, read_as) == (now, new))
         }
-        (Slip { is, read_as, .. }, Slip { is: now, read_as: new, .. }) => {
-            kind((is, read_as) == (now, new))
-        }
+        (
+            Misinterpretation { is, read_as, .. },
+            Misinterpretation { is: now, read_as: new, .. },
+        ) => kind((is, read_as) == (now, new)),
         (Order { is, read_as, .. }, Order { is: now, read_as: new, .. }) => {
             kind((is, read_as) == (now, new))
         }

@@ -23,7 +23,7 @@ fn finding(code: &'static str, topic: &str) -> Finding {
             let misreading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
             Cause::Rotation(RotationError::Misread(misreading))
         }
-        "ZER001" => Cause::JointZero { offset: measured, slides: false },
+        "ZER001" => Cause::JointZero { offset: measured, is_prismatic: false },
         "LAT001" => Cause::Latency(measured),
         "LAT003" => Cause::VaryingLatency,
         "YAW001" => Cause::YawDrift(measured),
@@ -198,7 +198,7 @@ fn hostile_names_stay_text() {
         child_frame_id: None,
         reference: None,
         link: None,
-        witness: None,
+        source_kind: None,
         count: 1,
         dropped: 0,
         rate_hz: None,
