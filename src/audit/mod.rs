@@ -137,7 +137,7 @@ impl Audited {
                     ),
                     messages: Some(messages),
                     span: None,
-                    extent: Extent::Unaudited,
+                    extent: Extent::NotAudited,
                 }),
             }
         }

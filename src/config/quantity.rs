@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_reports_show_can_be_written() {
+    fn quantities_in_report_notation_are_parsed() {
         for rule in registry() {
             let thresholds = rule.grade.thresholds().iter();
             let thresholds = thresholds.flat_map(|it| [(it.unit, it.warning), (it.unit, it.error)]);
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn units_and_ranges_are_held() {
+    fn wrong_units_and_ranges_are_rejected() {
         assert_eq!(text("500ms").amount(Unit::Second), Ok(0.5));
         assert_eq!(text("1e-3 m").amount(Unit::Metre), Ok(1e-3));
         assert_eq!(text("5 %").amount(Unit::One), Ok(0.05));

@@ -9,14 +9,14 @@ fn config(text: &str) -> Result<Config, Trouble> {
 }
 
 #[test]
-fn nothing_said_is_the_default() {
+fn an_empty_config_gives_the_defaults() {
     let options = config("").expect("an empty config").options();
     let default = Options { config: options.config.clone(), ..Options::default() };
     assert_eq!(format!("{options:?}"), format!("{default:?}"));
 }
 
 #[test]
-fn what_is_said_reaches_the_options() {
+fn config_settings_reach_the_options() {
     let text = r#"
 robot = { left_ = "ur5e", right_ = "arms/panda.urdf" }
 calibration = "calibration.yaml"
@@ -100,7 +100,7 @@ turning = "30 rad/s²"
 }
 
 #[test]
-fn what_is_wrong_says_where_and_what_was_meant() {
+fn config_errors_name_line_and_suggestion() {
     for (text, line, part) in [
         ("\ntipp = \"tool0\"", 2, "unknown key `tipp`: did you mean `tip`?"),
         ("[stream.\"/t\"]\nrol = \"pose\"", 2, "did you mean `role`?"),

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_told_by_their_names() {
+    fn columns_are_identified_by_name() {
         let table = parse_table(
             b"q1,q2,x,y,z,rx,ry,rz\n1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7\n1,2,3,nan,5,6,7,8\n",
         )
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_table_of_postures_is_none() {
+    fn other_files_are_no_table_of_configurations() {
         for text in ["", "a,b\n1,2\n", "1,2,3\n", "timestamp,actual_q_0,x,y,z\n1,2,3,4,5\n", "\0\0"]
         {
             assert_eq!(parse_table(text.as_bytes()), None, "{text:?}");

@@ -258,5 +258,5 @@ pub enum Extent {
     /// Skipped by default, not damaged.
     Unread,
     /// Messages read, in a segment that cannot be audited.
-    Unaudited,
+    NotAudited,
 }

@@ -56,7 +56,7 @@ const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 const ZIP_NAME: usize = 30;
 
 /// Bytes examined to distinguish text from binary data.
-const GLANCE: usize = 4096;
+const TEXT_CHECK_BYTES: usize = 4096;
 
 pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if bytes.starts_with(mcap::MAGIC) {
@@ -81,7 +81,7 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if let Some(&(_, looks, instead)) = known {
         return FileFormat::Known { looks, instead };
     }
-    let glance = &bytes[..bytes.len().min(GLANCE)];
+    let glance = &bytes[..bytes.len().min(TEXT_CHECK_BYTES)];
     let looks = if glance.iter().all(|&byte| byte == 0) {
         "a file of zeros"
     } else if is_text(glance) {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn another_mcap_version_is_named() {
+    fn an_error_names_another_mcap_version() {
         assert!(matches!(detect_format(b"\x89MCAP9\r\n...."), FileFormat::Known { .. }));
     }
 }

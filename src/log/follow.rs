@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_piece_by_piece_is_what_is_read_at_once() {
+    fn following_a_file_gives_the_same_log_as_reading_it_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let whole = poses(100, 500);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_begun_again_is_forgotten() {
+    fn a_restarted_file_is_read_anew() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let (first, second) = (poses(100, 500), poses(9000, 700));
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_ends_it() {
+    fn damage_ends_the_following_of_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let mut bytes = poses(100, 500);

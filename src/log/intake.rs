@@ -13,7 +13,7 @@ use super::topic::{
     ChannelDecoder, Decoding, Message, TopicContent, TopicIntake, record_undecodable,
     saturating_nanos,
 };
-use super::unpack::{Allowance, Unpacker};
+use super::unpack::{UnpackBudget, Unpacker};
 use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
@@ -54,7 +54,7 @@ pub(super) struct Intake {
     robot_type: Option<String>,
     time_column: Option<String>,
     files: Vec<PathBuf>,
-    pub(super) allowance: Allowance,
+    pub(super) unpack_budget: UnpackBudget,
     unpacker: Unpacker,
 }
 
@@ -74,7 +74,7 @@ impl Intake {
     /// Starts the next file, with its size in bytes.
     pub(super) fn begin_file(&mut self, path: &Path, bytes: u64) {
         self.files.push(path.to_owned());
-        self.allowance = Allowance::of(bytes, None);
+        self.unpack_budget = UnpackBudget::for_file(bytes, None);
     }
 
     /// Adds a channel, or returns the existing one with the same topic and type. `None` beyond the limit.
@@ -87,7 +87,7 @@ impl Intake {
             self.is_full = true;
             return None;
         }
-        let recipe = Recipe::of(format.type_name);
+        let recipe = Recipe::for_type(format.type_name);
         if recipe.is_some() {
             self.schema_bytes = self.schema_bytes.saturating_add(format.schema.len());
         }
@@ -143,7 +143,7 @@ impl Intake {
         self.messages += 1;
         let mut message = message;
         if topic.channels[place].is_packed(message.data) {
-            match self.unpacker.message(message.data, &mut self.allowance) {
+            match self.unpacker.message(message.data, &mut self.unpack_budget) {
                 Ok(unpacked) => message.data = unpacked,
                 Err(error) => {
                     topic.messages += 1;
@@ -161,13 +161,13 @@ impl Intake {
     /// Processes `batch` in order, like [`Intake::message`], with topics in parallel.
     pub(super) fn batch(&mut self, batch: &mut Vec<(ChannelId, Message<'_>)>) {
         /// Fewer messages are faster on one thread.
-        const FEW: usize = 256;
+        const MIN_PARALLEL_MESSAGES: usize = 256;
         let is_packed = |(channel, message): &(ChannelId, Message<'_>)| {
             let ChannelLocation { topic, place } = self.channels[channel.0];
             self.topics[topic].content.channels[place].is_packed(message.data)
         };
         // The allowance for compressed messages is charged in their order.
-        if batch.len() < FEW || batch.iter().any(is_packed) {
+        if batch.len() < MIN_PARALLEL_MESSAGES || batch.iter().any(is_packed) {
             return batch.drain(..).for_each(|(channel, message)| self.message(channel, message));
         }
         self.messages += batch.len() as u64;
@@ -189,8 +189,8 @@ impl Intake {
     /// Data for reading messages in another thread. `None` if there are very many channels.
     pub(super) fn known(&self) -> Option<ChannelSnapshot> {
         /// With more channels, this copy takes longer than reading a small chunk.
-        const MANY: usize = 1 << 9;
-        (self.channels.len() <= MANY).then(|| {
+        const MAX_SNAPSHOT_CHANNELS: usize = 1 << 9;
+        (self.channels.len() <= MAX_SNAPSHOT_CHANNELS).then(|| {
             let topics = self.topics.iter().map(|topic| topic.content.template()).collect();
             ChannelSnapshot::new(topics, self.channels.clone(), self.files.len())
         })
@@ -328,10 +328,10 @@ impl Intake {
 
     fn note_unrelated_files(&mut self) {
         let mut notes: Vec<(usize, String)> = Vec::new();
-        let mut told = HashSet::new();
+        let mut reported = HashSet::new();
         for topic in &self.topics {
             for (earlier, later, shared_s) in overlaps(&topic.content.spans) {
-                if told.insert((earlier, later)) {
+                if reported.insert((earlier, later)) {
                     let (name, other) = (&topic.name, self.file(earlier).display());
                     notes.push((
                         later,

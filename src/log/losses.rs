@@ -49,9 +49,9 @@ impl Losses {
             (self.last, self.before_last) = (loss.messages, None);
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
-            const MORE: &str = ", and further damage after it";
-            if !last.what.ends_with(MORE) && !goes_on {
-                last.what.push_str(MORE);
+            const FURTHER_DAMAGE: &str = ", and further damage after it";
+            if !last.what.ends_with(FURTHER_DAMAGE) && !goes_on {
+                last.what.push_str(FURTHER_DAMAGE);
             }
             last.extent = last.extent.max(loss.extent);
             self.before_last = Some(last.messages);
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_stays_so_in_a_full_list() {
+    fn unknown_counts_remain_unknown_in_a_full_list_of_losses() {
         let full = |first: Option<u64>| {
             let mut losses = Losses::new(Path::new("x"));
             for offset in 0..MAX_LOSSES {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_settles_what_one_loss_took() {
+    fn the_summary_determines_the_messages_of_a_single_loss() {
         let mut losses = Losses::new(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
         losses.add(9, Extent::Messages, Some(2), "broken".to_owned());
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_read_is_one_thing() {
+    fn unread_records_give_one_loss() {
         let mut losses = Losses::new(Path::new("x"));
         losses.add(3, Extent::Messages, None, "broken".to_owned());
         losses.add_to_last(1);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_that_took_no_message_is_damage_to_the_index() {
+    fn damage_without_lost_messages_is_index_damage() {
         let mut losses = Losses::new(Path::new("x"));
         losses.add(5, Extent::Messages, None, "broken".to_owned());
         losses.infer_missing("the summary", 20, 20);

@@ -1,9 +1,9 @@
 #[cfg(not(target_arch = "wasm32"))]
 #[path = "mapped/disk.rs"]
-mod place;
+mod platform;
 #[cfg(target_arch = "wasm32")]
 #[path = "mapped/memory.rs"]
-mod place;
+mod platform;
 
 use std::fs::{self, File};
 use std::io;
@@ -13,7 +13,7 @@ use bytes::Bytes;
 
 use super::LogError;
 
-pub(super) use self::place::{Temporary, advise, temporary};
+pub(super) use self::platform::{Temporary, advise, temporary};
 
 pub(super) struct MappedFile(Bytes);
 
@@ -35,7 +35,7 @@ impl MappedFile {
         if metadata.len() == 0 {
             return Err(LogError::Empty { path: path.to_owned() });
         }
-        place::map(&file, metadata.len()).map(Self).map_err(io_error)
+        platform::map(&file, metadata.len()).map(Self).map_err(io_error)
     }
 
     pub(super) fn from_content(path: &Path, content: &Bytes) -> Result<Self, LogError> {
@@ -46,7 +46,7 @@ impl MappedFile {
     }
 
     pub(super) fn from_temporary(kept: &Temporary) -> io::Result<Self> {
-        let mapped = place::kept(kept).map(Self)?;
+        let mapped = platform::share_bytes(kept).map(Self)?;
         if mapped.bytes().is_empty() {
             Err(io::ErrorKind::UnexpectedEof.into())
         } else {

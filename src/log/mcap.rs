@@ -356,7 +356,7 @@ impl<'a> Reader<'a, '_, '_> {
             self.orphans.get_or_insert((0, offset)).0 += 1;
             return Some(());
         };
-        batch.push((id, message.at(offset)));
+        batch.push((id, message.at_offset(offset)));
         if batch.len() == MAX_BATCH_MESSAGES {
             self.intake.batch(batch);
         }
@@ -379,7 +379,7 @@ impl<'a> Reader<'a, '_, '_> {
             Broken::Cut { opcode: op::CHUNK, body, .. } if !closed => {
                 let before = self.intake.messages();
                 if let Some(chunk) = record::Chunk::parse(body) {
-                    let records = chunk.cut_records(unpacker, &mut self.intake.allowance);
+                    let records = chunk.cut_records(unpacker, &mut self.intake.unpack_budget);
                     self.salvage_chunk(records, offset);
                 }
                 let saved = self.intake.messages() - before;

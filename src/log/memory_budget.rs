@@ -33,8 +33,8 @@ impl MemoryBudget {
     /// with gzip) need 1 to 4 bytes per number.
     const BYTES_PER_FILE_BYTE: u64 = 32;
 
-    pub(super) fn new(asked_gib: Option<u32>) -> Self {
-        Self { limit: Self::BASE_BYTES.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
+    pub(super) fn new(requested_gib: Option<u32>) -> Self {
+        Self { limit: Self::BASE_BYTES.max(u64::from(requested_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
     pub(super) fn add_file(&mut self, bytes: u64) {
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_files_share_what_they_may_take_together() {
+    fn all_files_share_one_memory_budget() {
         let mut memory = MemoryBudget::new(None);
         memory.add_file(1000);
         assert_eq!(

@@ -89,12 +89,12 @@ fn without_values(text: &str) -> &str {
 mod tests {
     use super::*;
 
-    fn shown(text: &str) -> String {
+    fn displayed_name(text: &str) -> String {
         SourceName::from_path(Path::new(text)).to_string()
     }
 
     #[test]
-    fn no_user_password_signature_or_token_is_in_a_name() {
+    fn names_contain_no_user_password_signature_or_token() {
         for (url, name) in [
             (
                 "https://me:word@host:8080/a%20b/run.mcap?X-Amz-Signature=abc#part",
@@ -120,12 +120,12 @@ mod tests {
             ("/home/htps:/me:word@host/run.mcap", "…host/run.mcap"),
             ("runs/cell@3 12:00?.mcap", "runs/cell@3 12:00?.mcap"),
         ] {
-            assert_eq!(shown(url), name, "{url}");
+            assert_eq!(displayed_name(url), name, "{url}");
         }
     }
 
     #[test]
-    fn a_file_that_is_there_has_its_own_name() {
+    fn an_existing_file_keeps_its_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("12:00@cell3?a=b.mcap");
         fs::write(&path, "").expect("a file");

@@ -23,8 +23,8 @@ impl fmt::Debug for Progress {
 
 impl Progress {
     /// Calls `callback` at each step.
-    pub fn with_callback(told: impl Fn(&Self) + Send + Sync + 'static) -> Self {
-        Self { callback: Some(Box::new(told)), ..Self::default() }
+    pub fn with_callback(callback: impl Fn(&Self) + Send + Sync + 'static) -> Self {
+        Self { callback: Some(Box::new(callback)), ..Self::default() }
     }
 
     /// Current activity, one word.
@@ -39,8 +39,8 @@ impl Progress {
     }
 
     fn notify(&self) {
-        if let Some(told) = &self.callback {
-            told(self);
+        if let Some(callback) = &self.callback {
+            callback(self);
         }
     }
 
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_asked_is_told_of_each_step() {
+    fn the_callback_receives_each_step() {
         let heard = Arc::new(Mutex::new(Vec::new()));
         let progress = Progress::with_callback({
             let heard = Arc::clone(&heard);

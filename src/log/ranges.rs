@@ -28,7 +28,7 @@ impl Ranges {
         Self::new(vec![whole], 0)
     }
 
-    pub(super) fn holds(&self, range: &Range<usize>) -> bool {
+    pub(super) fn contains(&self, range: &Range<usize>) -> bool {
         let behind = self.0.partition_point(|kept| kept.start <= range.start);
         let last = behind.checked_sub(1).map(|index| &self.0[index]);
         range.is_empty() || last.is_some_and(|kept| range.end <= kept.end)
@@ -74,14 +74,14 @@ pub(super) enum Present {
 }
 
 impl Present {
-    pub(super) fn of(ranges: Ranges, size: usize) -> Self {
-        if ranges.holds(&(0..size)) { Present::Whole } else { Present::Parts(ranges) }
+    pub(super) fn from_ranges(ranges: Ranges, size: usize) -> Self {
+        if ranges.contains(&(0..size)) { Present::Whole } else { Present::Parts(ranges) }
     }
 
-    pub(super) fn holds(&self, range: &Range<usize>) -> bool {
+    pub(super) fn contains(&self, range: &Range<usize>) -> bool {
         match self {
             Present::Whole => true,
-            Present::Parts(ranges) => ranges.holds(range),
+            Present::Parts(ranges) => ranges.contains(range),
         }
     }
 }
@@ -95,17 +95,17 @@ mod tests {
     }
 
     #[test]
-    fn ranges_hold_what_they_were_made_of() {
+    fn ranges_contain_their_inputs() {
         let ranges = Ranges::new(vec![20..30, 5..8, 8..10, 25..40, 50..50], 0);
         assert_eq!(ranges.0, [5..10, 20..40]);
-        let held = |range: Range<usize>| ranges.holds(&range);
+        let held = |range: Range<usize>| ranges.contains(&range);
         assert!(held(5..10) && held(21..39) && held(12..12));
         assert!(!held(4..6) && !held(9..11) && !held(8..22) && !held(39..41) && !held(50..51));
         assert_eq!(Ranges::new(vec![0..4, 9..10, 16..17], 5).0, [0..10, 16..17]);
     }
 
     #[test]
-    fn what_is_missing_is_all_that_is_wanted_and_not_there() {
+    fn missing_ranges_are_wanted_and_absent() {
         let mut there = Ranges::new(vec![10..20, 30..40, 60..70], 0);
         let wanted = Ranges::new(vec![0..12, 15..18, 19..61, 80..90], 0);
         let missing = there.missing(&wanted);

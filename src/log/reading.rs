@@ -14,7 +14,7 @@ use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
 use super::tables::{self, Tables};
-use super::unpack::{Allowance, Unpacked};
+use super::unpack::{UnpackBudget, Unpacked};
 use super::{LogError, RemoteFault, file_format, mcap, remote, rosbag1, rosbag2, rtde, unpack};
 use ground::boundary::StagedFile;
 
@@ -95,7 +95,7 @@ fn inputs(
         let before = inputs.len();
         match Address::from_path(path)? {
             Some(address) => {
-                let path = address.shown();
+                let path = address.display_path();
                 inputs.push(LogInput { address: Some(address), ..LogInput::local(path) });
             }
             None if tables::is_dataset(path) => {
@@ -196,7 +196,7 @@ impl FileReader<'_> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.size = size;
         self.intake.begin_file(path, size);
-        self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
+        self.intake.unpack_budget = UnpackBudget::for_file(size, self.options.max_unpacked_gib);
         let (container, crc) = match file_format::detect_format(bytes) {
             FileFormat::Zstd => self.read_archive(bytes)?,
             kind => self.read_named(kind, bytes, named)?,
@@ -207,7 +207,7 @@ impl FileReader<'_> {
     fn read_archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
         let options = &self.options;
         let (Unpacked { file, path }, end) =
-            unpack::file(archive, &mut self.intake.allowance, |offset| {
+            unpack::file(archive, &mut self.intake.unpack_budget, |offset| {
                 options.set_position(offset)
             })
             .map_err(|source| LogError::Temporary { path: self.path.to_owned(), source })?;
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_log_is_told_from_its_bytes() {
+    fn other_file_types_are_identified_by_their_bytes() {
         let text = refusal("run.mcap", b"name,of,what\nis,not,known\n");
         assert!(text.contains("FILE: not a robot log: it looks like text"), "{text}");
         let sqlite = refusal("run.mcap", b"SQLite format 3\0\x10\0");
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_without_messages_is_an_error_that_says_so() {
+    fn a_log_without_messages_is_a_clear_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         fs::write(&path, LogWriter::default().finish()).unwrap();
@@ -458,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_the_caller_has_are_read_as_those_of_a_disk() {
+    fn files_in_memory_are_read_like_those_on_disk() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         ten_poses(&path, 100);
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn progress_ends_where_the_files_do() {
+    fn progress_ends_at_the_total_size() {
         let folder = tempfile::tempdir().unwrap();
         let paths = ["a", "b"].map(|name| folder.path().join(name));
         ten_poses(&paths[0], 100);
@@ -504,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_clock_is_seen() {
+    fn a_simulated_clock_is_detected() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let mut log = LogWriter::default();

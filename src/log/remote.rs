@@ -45,14 +45,14 @@ impl Address {
         Err(LogError::Remote { url, fault: RemoteFault::Scheme { scheme } })
     }
 
-    pub(super) fn shown(&self) -> PathBuf {
+    pub(super) fn display_path(&self) -> PathBuf {
         SourceName::from_path(Path::new(&self.0)).into()
     }
 }
 
 impl fmt::Debug for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Address({})", self.shown().display())
+        write!(f, "Address({})", self.display_path().display())
     }
 }
 
@@ -103,7 +103,7 @@ pub fn list(url: &Path) -> Result<Vec<RemoteObject>, LogError> {
     let Some(address) = Address::from_path(url)? else {
         return Err(LogError::NotFound { path: url.to_owned() });
     };
-    let shown = address.shown();
+    let shown = address.display_path();
     #[cfg(feature = "cloud")]
     let listed = listing::list(&address);
     #[cfg(not(feature = "cloud"))]
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn urls_of_stores_are_told_from_paths() {
+    fn urls_are_distinguished_from_paths() {
         let is_url = |text: &str| is_url(Path::new(text));
         assert!(is_url("s3://bucket/run.mcap") && is_url("https://host/run.mcap"));
         assert!(!is_url("run.mcap") && !is_url("C://run.mcap") && !is_url("./s3://x"));

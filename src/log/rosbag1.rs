@@ -189,7 +189,7 @@ impl<'a> Reader<'a, '_, '_> {
         batch: &mut Vec<(ChannelId, Message<'m>)>,
     ) {
         match record.op {
-            op::MESSAGE => match record::Message::of(record) {
+            op::MESSAGE => match record::Message::from_record(record) {
                 Some(header) => batch.extend(self.message(header, record.data, place)),
                 None => {
                     let what = "message record without a connection or time".to_owned();
@@ -233,7 +233,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     fn connection(&mut self, record: &Record<'_>) -> bool {
-        let Some(connection) = Connection::of(record) else {
+        let Some(connection) = Connection::from_record(record) else {
             return false;
         };
         let intake = &mut *self.intake;
@@ -270,7 +270,7 @@ impl<'a> Reader<'a, '_, '_> {
                 self.losses.add(offset, Extent::Messages, None, what);
             }
             Broken::Cut { op: op::CHUNK, header, data, .. } => {
-                let saved = Chunk::of(header, data)
+                let saved = Chunk::from_header(header, data)
                     .map_or(0, |chunk| self.cut_chunk(&chunk, data, offset, unpacker));
                 self.lose_tail(offset, "within a chunk", saved);
             }
@@ -296,7 +296,7 @@ impl<'a> Reader<'a, '_, '_> {
     fn next_record(&self, from: usize, broken: Broken<'_>) -> Option<usize> {
         let chunk = match broken {
             Broken::Cut { op: op::CHUNK, header, length, data } => {
-                Chunk::of(header, data).map(|chunk| (chunk, length))
+                Chunk::from_header(header, data).map(|chunk| (chunk, length))
             }
             _ => None,
         };

@@ -140,7 +140,7 @@ fn tables() -> Vec<(&'static str, Vec<u8>)> {
 const WRITE: &str = "POSEAUDIT_WRITE_SEEDS";
 
 #[test]
-fn the_fuzzers_seeds_are_what_the_writers_make() {
+fn fuzzing_seeds_match_the_writers() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds");
     let temporary = tempfile::tempdir().unwrap();
     for (number, (target, bytes)) in all().into_iter().enumerate() {

@@ -1,5 +1,5 @@
 //! Decompresses parts of files within limits. A few kilobytes can expand to terabytes, so decompressed
-//! sizes are charged to an [`Allowance`] for the whole file.
+//! sizes are charged to an [`UnpackBudget`] for the whole file.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -18,7 +18,7 @@ const MAX_CHUNK_BYTES: u64 = 1 << 30;
 const MAX_MESSAGE_BYTES: u64 = 64 << 20;
 
 /// Charge per byte that is slow to decompress or stored on disk.
-const SLOW_OR_KEPT: u64 = 16;
+const SLOW_OR_STORED_COST: u64 = 16;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Compression {
@@ -83,7 +83,7 @@ impl<'a> Packed<'a> {
         match self.compression {
             Compression::None => 0,
             Compression::Zstd | Compression::Lz4 => self.size,
-            Compression::Bz2 => self.size.saturating_mul(SLOW_OR_KEPT),
+            Compression::Bz2 => self.size.saturating_mul(SLOW_OR_STORED_COST),
         }
     }
 
@@ -102,33 +102,33 @@ impl<'a> Packed<'a> {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Allowance {
+pub(super) struct UnpackBudget {
     limit: u64,
     used: u64,
 }
 
-impl Allowance {
-    const BASE: u64 = 16 << 30;
+impl UnpackBudget {
+    const BASE_BYTES: u64 = 16 << 30;
     /// Per byte of the file. Black images reach 1400. Chunks do not stay in memory, so this only bounds
     /// time.
-    const RATIO: u64 = 2000;
+    const MAX_RATIO: u64 = 2000;
 
-    pub(super) fn of(bytes: u64, asked_gib: Option<u32>) -> Self {
-        let unasked = bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE);
-        Self { limit: unasked.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
+    pub(super) fn for_file(bytes: u64, requested_gib: Option<u32>) -> Self {
+        let default_limit = bytes.saturating_mul(Self::MAX_RATIO).saturating_add(Self::BASE_BYTES);
+        Self { limit: default_limit.max(u64::from(requested_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
     #[cfg(test)]
-    pub(super) fn exactly(limit: u64) -> Self {
+    pub(super) fn with_limit(limit: u64) -> Self {
         Self { limit, used: 0 }
     }
 
-    fn left(&self) -> u64 {
+    fn remaining(&self) -> u64 {
         self.limit - self.used
     }
 
     fn check(&self, part: &'static str, size: u64) -> Result<(), UnpackError> {
-        if size > self.left() {
+        if size > self.remaining() {
             return Err(UnpackError::TooMuch { part, limit: self.limit });
         }
         Ok(())
@@ -148,7 +148,7 @@ impl Allowance {
     }
 
     /// Charged even if decompression fails.
-    pub(super) fn settle(&mut self, packed: &Packed<'_>) {
+    pub(super) fn charge(&mut self, packed: &Packed<'_>) {
         self.take(packed.cost());
     }
 }
@@ -165,10 +165,10 @@ impl UnpackedChunk {
     pub(super) fn content<'a>(
         &'a mut self,
         packed: &Packed<'a>,
-        allowance: &mut Allowance,
+        budget: &mut UnpackBudget,
     ) -> Result<&'a [u8], UnpackError> {
-        allowance.admit(packed)?;
-        allowance.settle(packed);
+        budget.admit(packed)?;
+        budget.charge(packed);
         std::mem::replace(&mut self.outcome, Ok(()))?;
         Ok(packed.content(&self.buffer))
     }
@@ -190,10 +190,10 @@ impl Unpacker {
     pub(super) fn chunk<'a>(
         &'a mut self,
         packed: &Packed<'a>,
-        allowance: &mut Allowance,
+        budget: &mut UnpackBudget,
     ) -> Result<&'a [u8], UnpackError> {
-        allowance.admit(packed)?;
-        allowance.settle(packed);
+        budget.admit(packed)?;
+        budget.charge(packed);
         self.fill(packed)?;
         Ok(packed.content(&self.buffer))
     }
@@ -232,11 +232,11 @@ impl Unpacker {
         &'a mut self,
         compression: Compression,
         data: &'a [u8],
-        allowance: &mut Allowance,
+        budget: &mut UnpackBudget,
     ) -> &'a [u8] {
         let buffer = &mut self.buffer;
         buffer.clear();
-        let limit = allowance.left().min(MAX_CHUNK_BYTES);
+        let limit = budget.remaining().min(MAX_CHUNK_BYTES);
         // Earlier output stays in the buffer.
         let broken_off = match compression {
             Compression::None => return data,
@@ -255,22 +255,22 @@ impl Unpacker {
             // A block is output before its checksum is verified, and a chunk rarely has two.
             buffer.clear();
         }
-        allowance.take(buffer.len() as u64);
+        budget.take(buffer.len() as u64);
         buffer
     }
 
     pub(super) fn message(
         &mut self,
         frame: &[u8],
-        allowance: &mut Allowance,
+        budget: &mut UnpackBudget,
     ) -> Result<&[u8], UnpackError> {
         const PART: &str = "message";
         let stated = zstd::zstd_safe::get_frame_content_size(frame).ok().flatten();
         let size = stated.unwrap_or(MAX_MESSAGE_BYTES);
         self.make_room(PART, size, MAX_MESSAGE_BYTES)?;
-        allowance.check(PART, stated.unwrap_or(1))?;
+        budget.check(PART, stated.unwrap_or(1))?;
         let unpacked = self.zstd.decompress_to_buffer(frame, &mut self.buffer);
-        allowance.take(if unpacked.is_ok() { self.buffer.len() as u64 } else { size });
+        budget.take(if unpacked.is_ok() { self.buffer.len() as u64 } else { size });
         unpacked.map_err(|source| UnpackError::Broken { part: PART, source })?;
         Ok(&self.buffer)
     }
@@ -292,7 +292,7 @@ pub(super) struct Unpacked {
 }
 
 impl Unpacked {
-    pub(super) fn of(head: &[u8]) -> io::Result<Self> {
+    pub(super) fn create(head: &[u8]) -> io::Result<Self> {
         // SQLite cannot open files in memory either.
         #[cfg(not(target_arch = "wasm32"))]
         if head.starts_with(SQLITE_MAGIC) {
@@ -317,14 +317,14 @@ impl Unpacked {
 /// If the temporary file cannot be written.
 pub(super) fn file(
     archive: &[u8],
-    allowance: &mut Allowance,
+    budget: &mut UnpackBudget,
     at: impl Fn(usize),
 ) -> io::Result<(Unpacked, Result<(), UnpackError>)> {
     const PART: &str = "archive";
     let broken = |source| UnpackError::Broken { part: PART, source };
     let mut stream = match zstd::stream::read::Decoder::with_buffer(archive) {
         Ok(stream) => stream,
-        Err(source) => return Ok((Unpacked::of(&[])?, Err(broken(source)))),
+        Err(source) => return Ok((Unpacked::create(&[])?, Err(broken(source)))),
     };
     let mut buffer = vec![0; 1 << 16];
     let mut unpacked = None;
@@ -332,16 +332,16 @@ pub(super) fn file(
         // The first piece contains the file's whole magic.
         let (length, end) = fill(&mut stream, &mut buffer);
         // Disk is scarcer than time.
-        let cost = length as u64 * SLOW_OR_KEPT;
-        if let Err(error) = allowance.check(PART, cost) {
+        let cost = length as u64 * SLOW_OR_STORED_COST;
+        if let Err(error) = budget.check(PART, cost) {
             break Err(error);
         }
-        allowance.take(cost);
+        budget.take(cost);
         at(archive.len() - stream.get_ref().len());
         let piece = &buffer[..length];
         let unpacked = match &mut unpacked {
             Some(unpacked) => unpacked,
-            none => none.insert(Unpacked::of(piece)?),
+            none => none.insert(Unpacked::create(piece)?),
         };
         write_all(&mut unpacked.file, piece)?;
         match end {
@@ -349,7 +349,7 @@ pub(super) fn file(
             end => break end.map_err(broken),
         }
     };
-    let mut unpacked = unpacked.map_or_else(|| Unpacked::of(&[]), Ok)?;
+    let mut unpacked = unpacked.map_or_else(|| Unpacked::create(&[]), Ok)?;
     unpacked.file.rewind()?;
     Ok((unpacked, end))
 }
@@ -389,41 +389,42 @@ mod tests {
     }
 
     #[test]
-    fn many_small_parts_cannot_unpack_to_more_than_the_file_may() {
-        let (mut unpacker, mut allowance) =
-            (Unpacker::default(), Allowance { limit: 2500, used: 0 });
+    fn small_parts_share_the_unpacking_limit_of_the_file() {
+        let (mut unpacker, mut budget) =
+            (Unpacker::default(), UnpackBudget { limit: 2500, used: 0 });
         let part = zeros(1000);
         let packed = packed(&part, 1000);
-        let mut unpack = || unpacker.chunk(&packed, &mut allowance).is_ok();
+        let mut unpack = || unpacker.chunk(&packed, &mut budget).is_ok();
         assert_eq!([unpack(), unpack(), unpack(), unpack()], [true, true, false, false]);
     }
 
     #[test]
-    fn parts_that_break_off_cost_what_they_may_have_unpacked_to() {
-        let (mut unpacker, mut allowance) =
-            (Unpacker::default(), Allowance { limit: 2500, used: 0 });
+    fn truncated_parts_are_charged_their_declared_size() {
+        let (mut unpacker, mut budget) =
+            (Unpacker::default(), UnpackBudget { limit: 2500, used: 0 });
         let mut part = zeros(1000);
         part.pop();
         for left in [1500, 500, 500] {
-            assert!(unpacker.chunk(&packed(&part, 1000), &mut allowance).is_err());
-            assert_eq!(allowance.left(), left);
+            assert!(unpacker.chunk(&packed(&part, 1000), &mut budget).is_err());
+            assert_eq!(budget.remaining(), left);
         }
     }
 
     #[test]
-    fn a_message_larger_than_any_is_not_unpacked() {
-        let (mut unpacker, mut allowance) = (Unpacker::default(), Allowance::of(1000, None));
-        assert_eq!(unpacker.message(&zeros(70), &mut allowance).unwrap(), [0; 70]);
-        let error = unpacker.message(&zeros(65 << 20), &mut allowance).unwrap_err();
+    fn an_oversized_message_is_not_unpacked() {
+        let (mut unpacker, mut budget) = (Unpacker::default(), UnpackBudget::for_file(1000, None));
+        assert_eq!(unpacker.message(&zeros(70), &mut budget).unwrap(), [0; 70]);
+        let error = unpacker.message(&zeros(65 << 20), &mut budget).unwrap_err();
         assert!(error.to_string().contains("larger than"), "{error}");
     }
 
     #[test]
-    fn an_archive_is_unpacked_up_to_its_allowance_or_its_damage() {
+    fn an_archive_is_unpacked_up_to_its_limit_or_damage() {
         let archive = zeros(300_000);
         let unpack = |archive: &[u8], limit: u64| {
-            let limit = SLOW_OR_KEPT * limit;
-            let (unpacked, end) = file(archive, &mut Allowance { limit, used: 0 }, |_| ()).unwrap();
+            let limit = SLOW_OR_STORED_COST * limit;
+            let (unpacked, end) =
+                file(archive, &mut UnpackBudget { limit, used: 0 }, |_| ()).unwrap();
             (unpacked.file.metadata().unwrap().len(), end.is_ok())
         };
         assert_eq!(unpack(&archive, 1 << 20), (300_000, true));
@@ -434,12 +435,12 @@ mod tests {
     }
 
     #[test]
-    fn only_a_database_gets_a_name() {
+    fn only_a_database_is_a_named_file() {
         let unpack = |content: &[u8]| {
             let archive = zstd::bulk::compress(content, 1).unwrap();
             let read = std::cell::Cell::new(0);
             let (unpacked, end) =
-                file(&archive, &mut Allowance::of(1000, None), |at| read.set(at)).unwrap();
+                file(&archive, &mut UnpackBudget::for_file(1000, None), |at| read.set(at)).unwrap();
             assert!(end.is_ok() && read.get() == archive.len(), "{} bytes", read.get());
             unpacked.path.is_some()
         };

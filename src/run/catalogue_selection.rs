@@ -291,7 +291,10 @@ mod tests {
         "wrist_3_joint",
     ];
 
-    fn found(joints: &[String], criteria: &RankingCriteria<'_>) -> Result<Vec<LogModel>, RunError> {
+    fn select(
+        joints: &[String],
+        criteria: &RankingCriteria<'_>,
+    ) -> Result<Vec<LogModel>, RunError> {
         let frames = BTreeSet::new();
         let space = Namespace::default();
         let clues = ModelClues {
@@ -334,17 +337,17 @@ mod tests {
     }
 
     #[test]
-    fn transforms_tell_the_closest() {
+    fn transforms_select_the_closest_arm() {
         let by_transforms =
             |model: &LogModel| Some(if model.robot.name == "ur10e" { 1e-4 } else { 0.1 });
         let criteria = RankingCriteria { by_transforms: &by_transforms, by_poses: &|_| None };
-        let found = found(&ur(), &criteria).unwrap();
+        let found = select(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur10e");
         assert!(found[0].identified_by.contains("within 0.1 mm"), "{}", found[0].identified_by);
     }
 
     #[test]
-    fn poses_tell_the_one_that_needs_least_and_the_next_is_said() {
+    fn poses_select_the_arm_with_the_fewest_assumptions_and_name_the_next() {
         let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur3")?, FitAssumption::Nothing, 2e-5, -700.0);
@@ -352,7 +355,7 @@ mod tests {
             Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
-        let found = found(&ur(), &criteria).unwrap();
+        let found = select(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur3");
         let reason = &found[0].identified_by;
         assert!(reason.contains("actual_TCP_pose fits within 20 µm"), "{reason}");
@@ -360,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn those_that_this_motion_cannot_tell_apart_are_listed() {
+    fn indistinguishable_arms_are_listed() {
         let by_poses = |models: &[&LogModel]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
             let best = standing(at("ur5e")?, FitAssumption::Tool, 1e-5, -700.0);
@@ -368,7 +371,7 @@ mod tests {
             Some(ModelRanking { models: vec![best, next], min_score_difference: 20.0 })
         };
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
-        let found = found(&ur(), &criteria).unwrap();
+        let found = select(&ur(), &criteria).unwrap();
         let reason = &found[0].identified_by;
         assert!(
             reason.contains("cannot distinguish it from ur16e") && reason.contains("--robot"),
@@ -379,12 +382,12 @@ mod tests {
     #[test]
     fn without_transforms_and_poses_nothing_is_guessed() {
         let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &|_| None };
-        let unknown = found(&ur(), &criteria).unwrap_err();
+        let unknown = select(&ur(), &criteria).unwrap_err();
         assert!(matches!(unknown, RunError::Ambiguous { .. }), "{unknown}");
     }
 
     #[test]
-    fn names_that_are_anybodys_are_not_enough() {
+    fn common_joint_names_do_not_identify_an_arm() {
         let off = |models: &[&LogModel]| {
             let standings = (0..models.len())
                 .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
@@ -392,9 +395,9 @@ mod tests {
         };
         let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
-        assert!(found(&strange, &criteria).unwrap().is_empty());
+        assert!(select(&strange, &criteria).unwrap().is_empty());
         let plain: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
-        let error = found(&plain, &criteria).unwrap_err();
+        let error = select(&plain, &criteria).unwrap_err();
         assert!(matches!(error, RunError::Ambiguous { .. }), "{error}");
     }
 }

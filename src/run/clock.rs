@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_from_the_end_of_time_is_none_and_a_foreign_clock_is_one() {
+    fn absurd_stamps_are_discarded_and_a_foreign_clock_is_kept() {
         let odd = |row: usize, truth: i64| match row {
             500 => i64::MAX,
             501 => 1_000_000_000,
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn lateness_within_the_largest_latency_is_not_taken_off() {
+    fn a_delay_within_the_maximum_latency_is_not_compensated() {
         let good = times(|_, truth| truth);
         let late = times(|_, truth| truth + 1_500_000_000);
         let sources = [source(JOINTS, &good), source(0, &late)];
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn where_two_streams_disagree_the_joints_are_right() {
+    fn joint_states_decide_between_two_disagreeing_clocks() {
         let good = times(|_, truth| truth);
         let foreign = times(|_, truth| truth - 100_000_000_000);
         let sources = [source(0, &good), source(JOINTS, &foreign)];
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn log_time_is_moved_onto_simulated_time() {
+    fn log_time_is_aligned_to_simulated_time() {
         let simulated = times(|_, truth| truth - START);
         let array = times(|_, _| 0);
         let mut sources = [source(JOINTS, &simulated), source(1, &array)];
@@ -459,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn other_clocks_are_taken_as_they_are() {
+    fn other_selected_clocks_are_used_unchanged() {
         let foreign = times(|_, truth| truth - 100_000_000_000);
         let clocks = select_clocks(&[source(JOINTS, &foreign)], Clock::Log, 5.0);
         assert_eq!((clocks[0].clock, clocks[0].alignment), (Clock::Log, None));

@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_declaration_says_what_to_write() {
+    fn an_invalid_declaration_gives_the_syntax() {
         for (text, part) in [
             ("/tcp", "write TOPIC=CONVENTION"),
             ("=rotvec", "write TOPIC=CONVENTION"),

@@ -226,13 +226,13 @@ mod tests {
     }
 
     #[test]
-    fn a_short_run_is_seen_whole() {
+    fn a_short_run_is_used_completely() {
         assert_eq!(excerpts(MAX_WHOLE_RUN_S, None), None);
         assert_eq!(excerpts(MAX_WHOLE_RUN_S, Some(i64::MAX)), None);
     }
 
     #[test]
-    fn of_each_part_the_stretch_with_most_motion_is_seen() {
+    fn excerpts_are_the_spans_with_most_motion() {
         let part_s = 200;
         let seconds = part_s * EXCERPT_COUNT as i64;
         for stray in [None, Some(1), Some(i64::MAX)] {

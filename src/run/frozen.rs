@@ -120,7 +120,7 @@ impl PoseSource {
 
 impl Run {
     /// Removes repeats while the arm moves at each of `lags_s`, the possible lags of the source.
-    pub fn remove_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
+    pub fn remove_frozen_at_lags(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
         let holds = constant_spans(track);

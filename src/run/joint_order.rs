@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_say_the_order_and_each_arm_has_a_series() {
+    fn numbers_give_the_order_of_each_arm() {
         let logged = names("l3 l1 r2 l2 r1 r4 l4 r3 finger1 finger2 finger3 finger4");
         let found = find_series(&logged);
         let joints: Vec<String> = found.iter().map(|series| series.orders[0].join(" ")).collect();
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn without_numbers_it_is_the_order_of_the_log_or_that_of_the_parts_of_an_arm() {
+    fn without_numbers_log_order_and_arm_parts_give_the_order() {
         let logged = names("base elbow shoulder wrist_a wrist_b");
         let by_part = names("base shoulder elbow wrist_a wrist_b");
         let orders = |joints: &[String]| find_series(joints).pop().map(|series| series.orders);
@@ -468,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn counted_joints_are_tried_in_both_orders_and_arms_with_fewer_joints_only_beside_a_gripper() {
+    fn numbered_joints_are_tried_in_both_orders_and_shorter_arms_only_with_a_gripper() {
         let frames = std::collections::BTreeSet::new();
         let space = super::super::namespace::Namespace::default();
         let clues = ModelClues {

@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_are_in_the_order_asked_for() {
+    fn joints_are_in_the_requested_order() {
         let columns = columns(|_, v| v);
         let MergedJoints { track, sources, .. } = merged(&[topic(&columns)]);
         assert_eq!((track.len(), track.dof), (300, 2));
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn velocities_that_the_positions_do_not_have_are_not_used() {
+    fn velocities_inconsistent_with_positions_are_not_used() {
         for wrong in
             [|_: f64, _: f64| 0.0, |_, v: f64| v.to_degrees(), |_, v: f64| -v, |_, _| f64::NAN]
         {
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_on_several_topics_meet_on_the_finer_grid() {
+    fn joints_of_several_topics_are_merged_on_the_finer_grid() {
         let (mut arm, mut rail) = (columns(|_, v| v), columns(|_, v| v));
         arm.joints.remove(0);
         rail.joints.remove(1);

@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prefix_of_the_joints_is_put_before_the_models_names() {
+    fn a_joint_prefix_is_added_to_the_model_names() {
         let models = ur5e(&prefixed("left_"), &["left_base_link", "left_tool0"]).unwrap();
         assert!(models[0].robot.joint("left_elbow_joint").is_some());
         assert!(models[0].frames.link_of(&models[0].robot, "left_tool0").is_some());
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_of_a_tracker_is_not_the_models() {
+    fn the_world_of_a_tracker_is_not_that_of_the_model() {
         for world in ["mocap_world", "vive/world", "tracker/map"] {
             let model = &ur5e(&prefixed(""), &[world]).unwrap()[0];
             assert!(model.frames.link_of(&model.robot, world).is_none(), "{world}");
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_of_one_of_two_arms_are_found_by_the_word_of_their_topic() {
+    fn joints_of_one_of_two_arms_are_matched_by_topic_name() {
         let joints =
             ["left_a1 revolute base l1", "left_a2 revolute l1 l2", "right_a1 revolute base r1"];
         let robot = crate::run::skeleton::tests::robot(&joints);
@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn one_model_may_stand_in_the_log_twice() {
+    fn one_model_may_describe_two_arms() {
         let joints = [prefixed("left_"), prefixed("right_")].concat();
         let models = ur5e(&joints, &[]).unwrap();
         assert_eq!(models.len(), 2);
@@ -430,13 +430,13 @@ mod tests {
     }
 
     #[test]
-    fn controllers_links_are_known_from_the_joint_names() {
+    fn joint_names_give_the_controller_links() {
         let model = &ur5e(&prefixed(""), &[]).unwrap()[0];
         assert_eq!(model.controller_base.map(|link| model.robot.link_name(link)), Some("base"));
     }
 
     #[test]
-    fn what_is_neither_file_nor_name_is_said_with_its_neighbours() {
+    fn an_unknown_robot_is_an_error_with_near_names() {
         for (name, meant) in
             [("ur5f", "'ur5'"), ("fer", "'franka_fer'"), ("iiwa_14", "'kuka_lbr_iiwa14'")]
         {
@@ -461,7 +461,7 @@ kinematics:
     }
 
     #[test]
-    fn a_calibration_in_the_log_is_laid_over_the_ur() {
+    fn a_calibration_in_the_log_is_applied_to_the_ur() {
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
@@ -473,7 +473,7 @@ kinematics:
     }
 
     #[test]
-    fn a_calibration_in_the_log_that_is_of_another_arm_is_left_out_and_said() {
+    fn a_calibration_of_another_arm_is_skipped_and_reported() {
         let joints = prefixed("");
         let found = [("arm.yaml".to_owned(), CALIBRATION.to_owned())];
         let clues = ModelClues { joints: &joints, calibrations: &found, ..no_clues() };
@@ -485,7 +485,7 @@ kinematics:
     }
 
     #[test]
-    fn of_two_arms_the_prefix_says_whose_calibration_it_is() {
+    fn the_prefix_assigns_a_calibration_to_one_of_two_arms() {
         let joints = [prefixed("left_"), prefixed("right_")].concat();
         let both = || ur5e(&joints, &[]).unwrap();
         let calibration = || Calibration::from_text(CALIBRATION, "arm.yaml").unwrap();

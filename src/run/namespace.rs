@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_all_names_have_tells_nothing() {
+    fn words_in_all_names_distinguish_nothing() {
         let namespaces = Namespace::from_names(&["/left/joint_states", "/right/joint_states"]);
         assert_eq!(namespaces[0].match_names(["/left/tcp_pose", ""]), NamespaceMatch::Own);
         assert_eq!(namespaces[1].match_names(["/left/tcp_pose"]), NamespaceMatch::Foreign);
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_without_a_word_of_its_own_has_what_is_not_the_others() {
+    fn an_arm_without_own_words_rejects_names_of_others() {
         let namespaces = Namespace::from_names(&["/joint_states", "/leader/joint_states"]);
         assert_eq!(namespaces[0].match_names(["/leader/pose"]), NamespaceMatch::Foreign);
         assert_eq!(namespaces[0].match_names(["/tcp_pose"]), NamespaceMatch::Neutral);

@@ -199,7 +199,7 @@ mod tests {
     use crate::run::streams::split;
     use crate::time::Clock;
 
-    fn of(q_xyzw: &[[f64; 4]]) -> NormDefects {
+    fn measure_quaternions(q_xyzw: &[[f64; 4]]) -> NormDefects {
         let at = |row| Some(Stamp::from_nanos(row as i64));
         let defects = (0..q_xyzw.len()).map(quaternion_defects(q_xyzw));
         NormDefects::measure((0, 0, None), RotationStorage::Quaternion, defects, at)
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_given_back_where_nothing_asks_for_them_again() {
+    fn values_are_released_unless_needed_later() {
         for (stamps, length, is_kept) in [
             ([1, 2, 3], 1.0, false),
             ([0, 2, 3], 1.0, false),
@@ -252,14 +252,15 @@ mod tests {
     #[test]
     fn the_largest_defect_has_its_time_and_unset_ones_do_not_count() {
         let unit = [0.6, 0.0, 0.0, 0.8];
-        let norm_defects = of(&[unit, [0.0; 4], unit.map(|c| 0.97 * c), unit.map(|c| -c)]);
+        let norm_defects =
+            measure_quaternions(&[unit, [0.0; 4], unit.map(|c| 0.97 * c), unit.map(|c| -c)]);
         assert!(
             (norm_defects.largest - 0.03).abs() < 1e-12 && norm_defects.median < 1e-12,
             "{norm_defects:?}"
         );
         assert_eq!((norm_defects.rows, norm_defects.unset), (3, 1));
         assert_eq!(norm_defects.at, Some(Stamp::from_nanos(2)));
-        assert_eq!(of(&[[0.0; 4]]).rows, 0);
+        assert_eq!(measure_quaternions(&[[0.0; 4]]).rows, 0);
         // Dropped rows have no time.
         let none = (0..0).map(quaternion_defects(&[]));
         let unasked = |_| unreachable!("there is no row");
@@ -275,7 +276,7 @@ mod tests {
         let [a, b] = [0.0_f64, 30.0].map(|half| half.to_radians());
         let middle = [(a.sin() + b.sin()) / 2.0, 0.0, 0.0, (a.cos() + b.cos()) / 2.0];
         let expected = 1.0 - 15.0_f64.to_radians().cos();
-        assert!((of(&[middle]).largest - expected).abs() < 1e-12);
+        assert!((measure_quaternions(&[middle]).largest - expected).abs() < 1e-12);
     }
 
     #[test]

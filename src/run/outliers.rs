@@ -393,7 +393,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn samples_that_are_far_off_stand_out_however_near_each_other() {
+    fn consecutive_outliers_are_detected() {
         let mut q = smooth(400);
         let outlier: Vec<usize> = (60..120).step_by(4).collect();
         outlier.iter().for_each(|&sample| q[sample] = 1e6);
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn what_jumps_away_and_back_is_found_wherever_it_is() {
+    fn an_outlier_is_detected_at_any_position() {
         for planted in
             [vec![200], vec![250, 251, 252], vec![0, 1], vec![498, 499], vec![7, 100, 460]]
         {
@@ -430,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_is_not_stray() {
+    fn motion_is_no_outlier() {
         assert_eq!(excursion(&smooth(500)), Vec::<usize>::new());
         // So coarse that it leaves and returns between samples.
         let coarse: Vec<f64> = smooth(2000).into_iter().step_by(60).collect();
@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn an_encoder_at_rest_that_flips_by_its_last_bit_is_not_stray() {
+    fn a_flipping_encoder_bit_at_rest_is_no_outlier() {
         for bit in [0.002, 0.006, 0.29] {
             let at = |row: usize| if row % 97 == 3 { 1.0 + bit } else { 1.0 };
             assert_eq!(excursion(&(0..500).map(at).collect::<Vec<f64>>()), Vec::<usize>::new());
@@ -458,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_that_begins_or_ends_the_log_is_not_stray() {
+    fn motion_at_the_start_or_end_is_no_outlier() {
         let rest = |from: usize, to: usize| {
             let at = |row: usize| if (from..to).contains(&row) { 0.02 * row as f64 } else { 1.0 };
             (0..500).map(at).collect::<Vec<f64>>()
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn what_takes_long_is_a_motion() {
+    fn a_long_excursion_is_motion() {
         let mut q = vec![0.0_f64; 100];
         q[40..42].fill(0.8);
         let each = |seconds: i64| move |row: usize| Some(Stamp::from_nanos(row as i64 * seconds));
@@ -482,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn of_many_jumps_it_is_seen_that_there_are_some() {
+    fn many_jumps_are_reported_without_rows() {
         let mut q = smooth(500);
         q.iter_mut().skip(5).step_by(12).for_each(|q| *q = 0.0);
         let found = excursion(&q);
@@ -493,14 +493,14 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_still_shows_its_strays() {
+    fn outliers_at_rest_are_detected() {
         let mut q = vec![0.3; 500];
         q[120] = 0.1;
         assert_eq!(excursion(&q), [120]);
     }
 
     #[test]
-    fn samples_without_a_value_are_passed_over() {
+    fn missing_values_are_skipped() {
         let mut joints = JointColumns::default();
         let q = smooth(500);
         let mut position: Vec<f64> = q.iter().flat_map(|q| [*q, f64::NAN]).collect();

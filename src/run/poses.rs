@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_without_stamp_or_rotation_and_repeated_stamps_are_left_out() {
+    fn rows_without_stamp_or_rotation_and_repeated_stamps_are_excluded() {
         let mut poses = PoseColumns::default();
         for row in 0..6 {
             poses.times.push(row, 0, 0);
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn copies_of_stamps_are_told_from_stamps_of_their_own() {
+    fn copied_stamps_are_distinguished_from_own_stamps() {
         let joints: Vec<Stamp> = (0..100).map(|i| Stamp::from_nanos(i * 8)).collect();
         let decimated: Vec<Stamp> = joints.iter().copied().step_by(5).collect();
         let own: Vec<Stamp> =

@@ -332,7 +332,7 @@ mod tests {
         poses
     }
 
-    fn found(poses: &PoseColumns) -> Option<TwoPublishers> {
+    fn detect(poses: &PoseColumns) -> Option<TwoPublishers> {
         let times: &Times = &poses.times;
         let rows = times.header.iter().map(|nanos| Stamp::from_nanos(*nanos)).zip(0..).collect();
         let (frame, values) = (Some("b"), PartValues::Poses(poses));
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn two_are_told_apart_at_any_pair_of_rates() {
+    fn two_publishers_are_separated_at_any_pair_of_rates() {
         for (a_ms, b_ms, phase_ms) in [
             (20.0, 33.333, 3.0),
             (33.333, 20.0, 0.0),
@@ -363,7 +363,7 @@ mod tests {
                     continue;
                 }
                 let two = sent(&[(a_ms, 0.0, 0.0), (b_ms, phase_ms, off_m)]);
-                let found = found(&two);
+                let found = detect(&two);
                 let case = format!(
                     "{a_ms} {b_ms} {phase_ms} {off_m}: {:?}",
                     found.as_ref().map(|f| (f.rows, f.distance))
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_that_are_copied_from_joint_states_are_told_apart() {
+    fn publishers_with_copied_stamps_are_separated() {
         let copied = |by: &[(f64, f64, f64)]| {
             let mut poses = sent(by);
             for (row, nanos) in poses.times.header.iter_mut().enumerate() {
@@ -389,7 +389,7 @@ mod tests {
             }
             poses
         };
-        let found = |by: &[(f64, f64, f64)]| found(&copied(by));
+        let found = |by: &[(f64, f64, f64)]| detect(&copied(by));
         assert_eq!(found(&[(20.0, 0.0, 0.0)]), None);
         let two = found(&[(20.0, 0.0, 0.0), (33.333, 0.0, 0.005)]).expect("two publishers");
         assert!(
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_loses_rows_or_has_no_rhythm_is_one() {
+    fn one_lossy_or_irregular_publisher_is_not_split() {
         let mut lossy = sent(&[(20.0, 0.0, 0.0)]);
         let kept: Vec<usize> = (0..lossy.times.len()).filter(|row| (row * 7919) % 9 != 4).collect();
         lossy.xyz = kept.iter().map(|&row| lossy.xyz[row]).collect();
@@ -407,12 +407,12 @@ mod tests {
         let header = kept.iter().map(|&row| lossy.times.header[row]).collect::<Vec<_>>();
         lossy.times = Times::default();
         header.iter().for_each(|nanos| lossy.times.push(*nanos, *nanos, 0));
-        assert_eq!(found(&lossy), None);
+        assert_eq!(detect(&lossy), None);
         let mut ragged = sent(&[(20.0, 0.0, 0.0)]);
         for (row, nanos) in ragged.times.header.iter_mut().enumerate() {
             *nanos += ((row * 7919) % 17) as i64 * MS;
         }
         ragged.times.log.clone_from(&ragged.times.header);
-        assert_eq!(found(&ragged), None);
+        assert_eq!(detect(&ragged), None);
     }
 }

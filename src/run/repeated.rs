@@ -348,7 +348,7 @@ mod tests {
         columns
     }
 
-    fn found(columns: &JointColumns) -> Option<RepeatedValues> {
+    fn detect(columns: &JointColumns) -> Option<RepeatedValues> {
         let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, PartValues::Joints(columns));
         detect_repeated_values(&[PartSeries {
@@ -364,10 +364,10 @@ mod tests {
     }
 
     #[test]
-    fn repeated_rows_are_counted_in_motion_and_taken_once() {
+    fn repeated_rows_are_counted_in_motion_and_used_once() {
         for (row_ms, read_ms, share) in [(8, 48, 5.0 / 6.0), (2, 4, 0.5), (5, 6, 1.0 / 6.0)] {
             let columns = read(row_ms, read_ms, 0.0);
-            let found = found(&columns).expect("rows are held");
+            let found = detect(&columns).expect("rows are held");
             assert!((found.share() - share).abs() < 0.02, "{row_ms} {read_ms}: {}", found.share());
             assert!((found.values_hz - 1e3 / read_ms as f64).abs() < 0.05 * found.values_hz);
             let mut rows: Rows = (0..columns.times.len())
@@ -381,9 +381,9 @@ mod tests {
     }
 
     #[test]
-    fn coarse_encoders_and_fresh_rows_hold_nothing() {
+    fn coarse_encoders_and_new_values_are_no_repeats() {
         for bit in [0.0, 1.5e-3, 2e-2] {
-            let share = found(&read(5, 5, bit)).map_or(0.0, |found| found.share());
+            let share = detect(&read(5, 5, bit)).map_or(0.0, |found| found.share());
             assert!(share < 0.02, "{bit}: {share}");
         }
     }

@@ -109,7 +109,7 @@ fn remove_frozen_spans(run: &mut Run, max_lag_s: f64) {
             let likely =
                 peaks.iter().filter(|peak| peak.correlation >= MIN_CORRELATION_RATIO * best);
             let lags_s: Vec<f64> = likely.map(|peak| peak.lag_s).collect();
-            run.remove_frozen_at(arm, source, &lags_s);
+            run.remove_frozen_at_lags(arm, source, &lags_s);
         }
     }
 }

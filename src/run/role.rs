@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_cut_at_marks_and_capitals() {
+    fn names_are_split_at_marks_and_capitals() {
         assert_eq!(
             split_words("/iiwa/state/CartesianPose"),
             ["iiwa", "state", "cartesian", "pose"]

@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_begins_anew_makes_two_runs_of_one() {
+    fn stamps_of_a_restarted_clock_form_two_segments() {
         let mut text = TextColumns::default();
         text.times.push(0, 0, 0);
         text.text.push("<robot/>".to_owned());

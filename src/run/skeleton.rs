@@ -243,7 +243,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_path_ends_before_a_single_jaw_and_not_before_a_wrist_that_turns_the_gripper() {
+    fn the_path_ends_before_a_jaw_but_not_before_a_wrist() {
         assert_eq!(only_arm(&robot(&with(&["gripper revolute tool0 jaw"]))).0.len(), 4);
         let turning = robot(&with(&["gripper_roll revolute tool0 wrist", "e fixed wrist ee_tcp"]));
         assert_eq!(only_arm(&turning).0.len(), 5);

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_witness_table() {
+    fn source_kinds_follow_from_names() {
         use PoseSourceKind::{Controller, External, Unknown as Nobody};
         const POSE: &str = "geometry_msgs/msg/PoseStamped";
         for (topic, type_name, frame, expected) in [
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_copies_the_stamps_of_the_joints_or_is_named_after_the_controller_is_its_own() {
+    fn copied_stamps_or_controller_names_indicate_the_controller() {
         let names = PoseNames {
             topic: "/hand_pose",
             type_name: "geometry_msgs/msg/PoseStamped",

@@ -138,7 +138,7 @@ mod tests {
         columns
     }
 
-    fn found(columns: &JointColumns) -> Vec<StaleJoints> {
+    fn detect(columns: &JointColumns) -> Vec<StaleJoints> {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, PartValues::Joints(columns));
@@ -149,10 +149,10 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_stands_still_amid_motion_is_found_with_noise_and_without() {
+    fn a_frozen_joint_is_detected_with_and_without_noise() {
         for noise in [0.0, 5e-5] {
             let columns = swings(noise, |t| (if (5.0..7.0).contains(&t) { 5.0 } else { t }, 0.0));
-            let found = found(&columns);
+            let found = detect(&columns);
             let [one] = found.as_slice() else { panic!("{noise}: {}", found.len()) };
             assert!((one.frozen.samples as i64 - 200).abs() < 5, "{:?}", one.frozen);
             let times: Vec<FrozenSpan> = frozen_spans(&found).collect();
@@ -165,17 +165,17 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_encoder_that_ticks_does_not_stand_still() {
+    fn a_coarse_encoder_is_not_frozen() {
         const BIT: f64 = std::f64::consts::TAU / 1024.0;
         let mut columns = swings(0.0, |t| (0.08 * t, 0.0));
         for (row, q) in columns.joints[0].position.iter_mut().enumerate() {
             *q = (*q / BIT).round() * BIT + 2e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
         }
-        assert!(found(&columns).is_empty());
+        assert!(detect(&columns).is_empty());
     }
 
     #[test]
-    fn rests_strays_and_numbers_set_anew_are_no_such_time() {
+    fn rests_outliers_and_redefined_values_are_not_frozen() {
         let rests = swings(5e-5, |t| {
             (
                 if (5.0..7.0).contains(&t) {
@@ -191,7 +191,7 @@ mod tests {
         let outlier = swings(5e-5, |t| (t, if (t - 5.0).abs() < 1e-3 { 0.4 } else { 0.0 }));
         let anew = swings(5e-5, |t| (1.43, if t > 8.0 { 0.1 } else { 0.0 }));
         for columns in [rests, outlier, anew] {
-            assert!(found(&columns).is_empty());
+            assert!(detect(&columns).is_empty());
         }
     }
 }

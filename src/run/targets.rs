@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tag_is_sighted_and_a_cameras_own_frames_are_not() {
+    fn a_tag_is_a_detection_and_a_camera_frame_is_not() {
         assert!(is_detection("camera_optical_frame", "tag_3"));
         assert!(is_detection("camera", "camera_board"));
         assert!(!is_detection("camera_link", "camera_optical_frame"));

@@ -26,7 +26,7 @@ fn role_of<'a>(run: &'a Run, topic: &str) -> (&'static str, &'a str) {
 }
 
 #[test]
-fn poses_and_transforms_meet_the_chain_that_predicts_them() {
+fn poses_and_transforms_get_the_chain_that_predicts_them() {
     let mut recording = Recording::new();
     let fk = recording.fk("base", "tool0");
     recording.add_pose("/tcp_pose_broadcaster/pose", poses("base", "", fk));
@@ -47,7 +47,7 @@ fn poses_and_transforms_meet_the_chain_that_predicts_them() {
 }
 
 #[test]
-fn fixed_transforms_that_the_log_lacks_are_taken_from_the_model_and_said() {
+fn missing_fixed_transforms_come_from_the_model_and_are_reported() {
     let mut recording = Recording::new();
     recording.add_tf("", false);
     let run = recording.run();
@@ -86,7 +86,7 @@ fn a_frame_tied_to_a_link_by_static_transforms_is_known() {
 }
 
 #[test]
-fn a_frame_that_nothing_ties_is_unknown() {
+fn an_unconnected_frame_is_unknown() {
     let mut recording = Recording::new();
     let fk = recording.fk("base", "tool0");
     recording.add_pose("/tcp_pose", poses("mocap_world", "", fk));
@@ -96,7 +96,7 @@ fn a_frame_that_nothing_ties_is_unknown() {
 }
 
 #[test]
-fn the_callers_tip_stands_before_the_streams_own_child() {
+fn the_requested_tip_overrides_the_child_frame() {
     let mut recording = Recording::new();
     let fk = recording.fk("base", "tool0");
     recording.add_pose("/pose", poses("base", "wrist_3_link", fk));
@@ -215,7 +215,7 @@ fn an_imu_is_on_the_link_that_its_frame_is_tied_to() {
 }
 
 #[test]
-fn a_stream_on_a_foreign_clock_meets_the_joints() {
+fn a_stream_on_a_foreign_clock_is_aligned_to_the_joints() {
     let mut recording = Recording::new();
     recording.add("/imu/data", imu("tool0", 1_700_000_000_000_000_000));
     let run = recording.run();
@@ -225,7 +225,7 @@ fn a_stream_on_a_foreign_clock_meets_the_joints() {
 }
 
 #[test]
-fn numbers_wait_to_follow_the_arm_and_declared_ones_do_not() {
+fn undeclared_numbers_are_candidates_and_declared_ones_are_poses() {
     let mut array = ArrayColumns { width: 6, ..Default::default() };
     array.times.unstamped = true;
     for nanos in stamps() {
@@ -324,7 +324,7 @@ fn the_state_of_a_franka_arm_is_joints_and_the_pose_by_them() {
 }
 
 #[test]
-fn joints_without_names_are_left_to_those_with() {
+fn unnamed_joints_are_ignored_if_others_are_named() {
     let (joints, matrix) = franka();
     let mut named = joints.clone();
     named.unnamed = false;
@@ -354,7 +354,7 @@ fn a_log_without_an_arm_keeps_its_streams() {
 }
 
 #[test]
-fn what_the_call_has_wrong_is_an_error_that_says_what_to_do() {
+fn errors_in_the_options_give_the_remedy() {
     let call = |options: RunOptions| {
         let robots = if options.robots.is_empty() { vec!["ur5e".into()] } else { options.robots };
         let options = RunOptions { robots, ..options };

@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_below_two_at_once_has_two_parents() {
+    fn a_frame_with_two_simultaneous_parents_is_reported() {
         let (a, b) = (poses("a", "c", 0, |_| 0.0), poses("b", "c", 0, |_| 0.0));
         let found = problems_of(&[dynamic(&a), dynamic(&b)]);
         let [TfProblem { kind: TfProblemKind::SeveralParents { child, parents }, .. }] =
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_is_found_once_and_with_what_hangs_below_it_left_out() {
+    fn a_cycle_is_reported_once_without_frames_below_it() {
         let edges = [["b", "a"], ["c", "b"], ["a", "c"], ["a", "d"]];
         let all = edges.map(|[parent, child]| poses(parent, child, 0, |_| 0.0));
         let found = problems_of(&all.each_ref().map(dynamic));
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn a_static_transform_that_says_two_things_moves() {
+    fn a_static_transform_with_two_values_moves() {
         let still = poses("a", "b", 0, |_| 0.3);
         assert_eq!(problems_of(&[fixed(&still)]), []);
         let moved = poses("a", "b", 0, |row| if row < 20 { 0.3 } else { 0.31 });
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn two_publishers_of_unlike_rates_alternate_and_one_that_moves_does_not() {
+    fn two_publishers_alternate_and_a_moving_one_does_not() {
         let moves = poses("a", "b", 0, |row| 0.1 * (row as f64 * 0.3).sin());
         assert_eq!(problems_of(&[dynamic(&moves)]), []);
         for every in [2, 5] {
@@ -468,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quaternion_and_its_negative_are_not_apart() {
+    fn a_quaternion_and_its_negative_are_equal() {
         let mut poses = poses("a", "b", 0, |_| 0.0);
         poses.q_xyzw[1] = [0.0, 0.0, 0.0, -1.0];
         poses.q_xyzw[2] = [0.0, 0.0, (0.5e-3_f64).sin(), (0.5e-3_f64).cos()];

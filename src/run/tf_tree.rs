@@ -437,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn outside_the_samples_the_error_says_by_how_much() {
+    fn outside_the_samples_the_error_gives_the_distance() {
         let error = tree().lookup("world", "tool", stamp(2.043)).unwrap_err();
         let TfError::Extrapolation { parent, outside_by_s, .. } = &error else { panic!("{error}") };
         assert_eq!(parent, "base");
@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn trees_in_pieces_are_named_by_their_roots() {
+    fn disconnected_trees_are_named_by_their_roots() {
         let mut tree = tree();
         tree.insert_fixed("map", "tag", EdgeKind::Static, some_pose(0.0));
         let error = tree.lookup("tool", "tag", stamp(1.0)).unwrap_err().to_string();
@@ -476,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_is_tied_to_the_nearest_accepted_one_by_fixed_transforms_only() {
+    fn only_fixed_transforms_connect_a_frame_to_the_nearest_accepted_one() {
         let tree = tree();
         let (name, base_from_camera) = tree.nearest_fixed("camera", |name| name == "base").unwrap();
         assert_eq!(name, "base");

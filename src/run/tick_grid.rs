@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_clock_is_told_from_lost_rows() {
+    fn a_coarse_clock_is_distinguished_from_lost_rows() {
         for (period_s, tick_s) in
             [(0.02, 0.015625), (0.0125, 0.01), (0.0188, 0.015625), (0.0211, 0.01), (0.011, 0.01)]
         {

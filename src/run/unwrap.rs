@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_folded_anywhere_and_in_any_unit_is_unwrapped() {
+    fn wrapped_joints_are_unwrapped_at_any_seam_in_any_unit() {
         for (seam, unit) in [(PI, 1.0), (TAU, 1.0), (PI, 1_f64.to_degrees()), (1.0, 1.0)] {
             let truth: Vec<f64> = turning().into_iter().map(|q| q * unit).collect();
             let turn = TAU * unit;
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn other_joints_are_left_as_they_are() {
+    fn joints_without_wraps_are_unchanged() {
         let mut stray = turning().into_iter().map(|q| q / 9.0).collect::<Vec<f64>>();
         stray[700] += TAU;
         let degrees: Vec<f64> = turning().into_iter().map(|q| 20.0 * q).collect();

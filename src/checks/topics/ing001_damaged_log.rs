@@ -64,7 +64,7 @@ fn judge(loss: &Loss) -> SubjectResult {
             "part of the log was not read",
             "audit again with --max-unpacked GIB, or audit part of the log",
         ),
-        Extent::Unaudited => (
+        Extent::NotAudited => (
             Severity::Warning,
             "segment is not audited",
             "audit the segment alone, or cut it off if it is not part of the run",
@@ -92,7 +92,7 @@ fn message(loss: &Loss) -> String {
     let seconds = loss.span.map(|(start, end)| end.seconds_since(start));
     let gone = match loss.extent {
         Extent::Unread => "not read",
-        Extent::Unaudited => "not audited",
+        Extent::NotAudited => "not audited",
         Extent::Index | Extent::Tail | Extent::Messages => "lost",
     };
     let lost = match (loss.messages, seconds) {

@@ -79,19 +79,19 @@ impl Part {
     }
 
     pub(super) fn array() -> Self {
-        Self::Array(Array::of(Numbers::List(row::VALUES)))
+        Self::Array(Array::new(Numbers::List(row::VALUES)))
     }
 
     pub(super) fn matrix() -> Self {
-        Self::Array(Array::of(Numbers::List(row::MATRIX)))
+        Self::Array(Array::new(Numbers::List(row::MATRIX)))
     }
 
     pub(super) fn quaternion() -> Self {
-        Self::Array(Array::of(Numbers::Fields(row::QUATERNION..row::QUATERNION + 4)))
+        Self::Array(Array::new(Numbers::Fields(row::QUATERNION..row::QUATERNION + 4)))
     }
 
     pub(super) fn vector() -> Self {
-        Self::Array(Array::of(Numbers::Fields(row::POSITION..row::POSITION + 3)))
+        Self::Array(Array::new(Numbers::Fields(row::POSITION..row::POSITION + 3)))
     }
 
     pub(super) fn text() -> Self {

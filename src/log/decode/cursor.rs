@@ -116,7 +116,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// In the body. Padding may precede the next value.
-    pub(super) fn at(&self) -> usize {
+    pub(super) fn position(&self) -> usize {
         self.at
     }
 
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn big_endian_is_told_by_the_header() {
+    fn the_header_states_big_endian() {
         let mut message = vec![0, 0, 0, 0];
         message.extend((-5i32).to_be_bytes());
         message.extend([0, 0, 0, 3, b'a', b'b', 0]);
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn other_representations_are_named() {
+    fn errors_name_other_representations() {
         for id in [2, 3, 10, 11] {
             let refused = Cursor::cdr(&[0, id, 0, 0]).unwrap_err();
             assert_eq!(refused, EncapsulationError::ParameterList { id: id.into() });

@@ -201,8 +201,11 @@ impl Parser<'_> {
     }
 
     fn annotations(&mut self) -> Result<Annotations, SchemaError> {
-        let mut found =
-            Annotations { extensibility: Extensibility::Unsaid, is_optional: false, bit_bound: 32 };
+        let mut found = Annotations {
+            extensibility: Extensibility::Undeclared,
+            is_optional: false,
+            bit_bound: 32,
+        };
         while self.tokens.accept('@') {
             let name = self.tokens.name("the name of an annotation")?;
             let value = self.tokens.parenthesized()?;

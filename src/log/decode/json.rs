@@ -56,11 +56,11 @@ impl Plan {
         let mut root = Branch::new(String::new(), false, &mut marks);
         let mut plan_slots = Vec::new();
         for &(path, slot) in recipe.layouts.iter().copied().flatten() {
-            root.insert(path, slot, recipe.each, &mut marks);
+            root.insert(path, slot, recipe.row_list, &mut marks);
             plan_slots.push((path, slot));
         }
         let is_in_row = |path: &str| {
-            let rest = recipe.each.and_then(|each| path.strip_prefix(each));
+            let rest = recipe.row_list.and_then(|each| path.strip_prefix(each));
             rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
         };
         let in_all_layouts = |branch: &Branch| {
@@ -81,7 +81,7 @@ impl Plan {
         let slots = plan_slots.iter().map(|(_, slot)| *slot).collect();
         let in_row = plan_slots.iter().filter(|(path, _)| is_in_row(path));
         let row_slots = in_row.map(|(_, slot)| *slot).collect();
-        Self { root, slots, row_slots, has_rows: recipe.each.is_some(), required, row_required }
+        Self { root, slots, row_slots, has_rows: recipe.row_list.is_some(), required, row_required }
     }
 
     pub(super) fn decode<'p>(

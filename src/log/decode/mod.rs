@@ -70,7 +70,8 @@ impl Format<'_> {
 
     fn steps(self, recipe: &Recipe, serialization: Serialization) -> Result<Plan, FormatError> {
         let schema = self.message_schema(serialization)?;
-        let compile = |fields| steps::Plan::compile(&schema, fields, recipe.each, serialization);
+        let compile =
+            |fields| steps::Plan::compile(&schema, fields, recipe.row_list, serialization);
         self.first_layout(recipe, compile).map(Plan::Steps)
     }
 
@@ -98,7 +99,8 @@ impl Format<'_> {
             return Err(self.other_schema("`protobuf`"));
         }
         let types = protobuf::Types::parse(self.schema).map_err(|source| self.broken(source))?;
-        let compile = |fields| protobuf::Plan::compile(&types, self.type_name, fields, recipe.each);
+        let compile =
+            |fields| protobuf::Plan::compile(&types, self.type_name, fields, recipe.row_list);
         self.first_layout(recipe, compile).map(Plan::Protobuf)
     }
 

@@ -65,14 +65,14 @@ fn definitions(name: &str, text: &str, dialect: Dialect) -> Result<Vec<Definitio
     }
     done.push(current);
     if dialect == Dialect::Ros2 {
-        settle_headers(&mut done);
+        qualify_headers(&mut done);
     }
     Ok(done)
 }
 
 /// Resolves a bare `Header` to ROS's own if its package does not define one: definitions converted from ROS
 /// 1 keep the bare name.
-fn settle_headers(definitions: &mut [Definition]) {
+fn qualify_headers(definitions: &mut [Definition]) {
     let defined: HashSet<String> =
         definitions.iter().map(|definition| definition.name.clone()).collect();
     for field in definitions.iter_mut().flat_map(|definition| &mut definition.fields) {
@@ -144,7 +144,7 @@ fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
         "string" => Base::Text,
         "wstring" => Base::Unreadable("which has no settled encoding"),
         "time" | "duration" => Base::Message(name.into()),
-        // In ROS 2 it is of the same package; see `settle_headers`.
+        // In ROS 2 it is of the same package; see `qualify_headers`.
         "Header" if dialect == Dialect::Ros1 => Base::Message(HEADER.into()),
         _ if name.contains('/') => Base::Message(canonical(name).into()),
         _ => match owner.rsplit_once('/') {
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_type_is_read() {
+    fn every_message_type_syntax_is_parsed() {
         assert_eq!(one("float32 x"), (Base::Number(Primitive::F32), Arity::One));
         assert_eq!(one("uint8[] x"), (Base::Number(Primitive::U8), Arity::Sequence));
         assert_eq!(one("float64[36] x"), (Base::Number(Primitive::F64), Arity::Array(36)));
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn constants_comments_and_defaults_are_no_fields() {
+    fn constants_comments_and_defaults_give_no_fields() {
         let text = "# a comment\n\nint32 A=1\nint32 B = 2\nstring C='a # b'\nstring D= \"x\" \n\
                     int32 with_default 5 # because\nstring text \"a=b # c\"\n  \tfloat64   spaced  \n";
         let fields = fields(text);
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn the_common_definitions_are_whole() {
+    fn the_common_definitions_are_complete() {
         let all = definitions("", COMMON, Dialect::Ros2).unwrap();
         assert!(all.len() > 20);
         let schema = common("std_msgs/String").unwrap();

@@ -19,7 +19,7 @@ pub(crate) use self::wire::{Reader, Value, WireError};
 /// Wanted fields as a tree of field numbers.
 #[derive(Debug)]
 pub(crate) struct Plan {
-    root: Vec<Wanted>,
+    root: Vec<WantedField>,
     /// Reset before a message; `row_slots` before each row.
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
@@ -28,28 +28,28 @@ pub(crate) struct Plan {
 }
 
 #[derive(Debug)]
-struct Wanted {
+struct WantedField {
     number: u32,
     /// Path from the root.
     path: Box<str>,
-    what: What,
+    what: FieldTarget,
 }
 
 #[derive(Debug)]
-enum What {
+enum FieldTarget {
     Seconds(Scalar),
     Nanoseconds(Scalar),
     Number(Scalar, usize),
     List(Scalar, usize),
     Text(usize),
     Names,
-    Message(Vec<Wanted>),
+    Message(Vec<WantedField>),
     /// Repeated message, one row each.
-    Rows(Vec<Wanted>),
+    Rows(Vec<WantedField>),
 }
 
 #[derive(Debug, Default)]
-struct Met {
+struct FoundCounts {
     rows: usize,
     /// Messages with wanted numbers, such as a position, in the whole message or one row.
     vectors: usize,
@@ -97,7 +97,7 @@ impl Plan {
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
         // The rows may precede the fields they share.
-        let mut met = Met::default();
+        let mut met = FoundCounts::default();
         self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut met)?;
         self.cap_lists(row);
         if self.has_rows {
@@ -111,27 +111,27 @@ impl Plan {
 
     fn walk(
         &self,
-        wanted: &[Wanted],
+        wanted: &[WantedField],
         mut reader: Reader<'_>,
         pass: Pass,
         row: &mut Row,
         append: &mut Append<'_>,
-        met: &mut Met,
+        met: &mut FoundCounts,
     ) -> Result<(), DecodeError<'static>> {
         while let Some((number, value)) = reader.field()? {
-            let Some(Wanted { what, path, .. }) =
+            let Some(WantedField { what, path, .. }) =
                 wanted.iter().find(|wanted| wanted.number == number)
             else {
                 continue;
             };
             let at = |fault| reader.error(fault).in_field(path);
             match (what, pass) {
-                (What::Message(wanted), _) => {
+                (FieldTarget::Message(wanted), _) => {
                     met.vectors += usize::from(is_vector(wanted));
                     let inner = reader.message(value).map_err(at)?;
                     self.walk(wanted, inner, pass, row, append, met)?;
                 }
-                (What::Rows(wanted), Pass::Rows) => {
+                (FieldTarget::Rows(wanted), Pass::Rows) => {
                     self.row_slots.iter().for_each(|&slot| row.reset(slot));
                     met.vectors = 0;
                     let inner = reader.message(value).map_err(at)?;
@@ -142,7 +142,7 @@ impl Plan {
                     met.rows += 1;
                     append(row)?;
                 }
-                (What::Rows(_), Pass::Shared) => {}
+                (FieldTarget::Rows(_), Pass::Shared) => {}
                 (_, Pass::Rows) => {}
                 (what, Pass::Shared) => what.read(value, row).map_err(at)?,
             }
@@ -151,7 +151,7 @@ impl Plan {
     }
 
     /// Without position and rotation all numbers would be zero. One of the two may be missing.
-    fn require_vectors(&self, met: &Met, reader: &Reader<'_>) -> Result<(), WireError> {
+    fn require_vectors(&self, met: &FoundCounts, reader: &Reader<'_>) -> Result<(), WireError> {
         match met.vectors {
             0 if self.has_vectors => Err(reader.error(Fault::Empty)),
             _ => Ok(()),
@@ -167,25 +167,27 @@ impl Plan {
     }
 }
 
-fn is_vector(wanted: &[Wanted]) -> bool {
-    wanted.iter().any(|wanted| matches!(wanted.what, What::Number(..)))
+fn is_vector(wanted: &[WantedField]) -> bool {
+    wanted.iter().any(|wanted| matches!(wanted.what, FieldTarget::Number(..)))
 }
 
-fn has_vectors(wanted: &[Wanted]) -> bool {
+fn has_vectors(wanted: &[WantedField]) -> bool {
     wanted.iter().any(|wanted| match &wanted.what {
-        What::Message(wanted) | What::Rows(wanted) => is_vector(wanted) || has_vectors(wanted),
+        FieldTarget::Message(wanted) | FieldTarget::Rows(wanted) => {
+            is_vector(wanted) || has_vectors(wanted)
+        }
         _ => false,
     })
 }
 
-impl What {
+impl FieldTarget {
     /// Reads a field without nested wanted fields.
     fn read(&self, value: Value<'_>, row: &mut Row) -> Result<(), Fault> {
         match *self {
-            What::Seconds(scalar) => row.seconds = scalar.integer(value)?,
-            What::Nanoseconds(scalar) => row.nanoseconds = scalar.integer(value)?,
-            What::Number(scalar, index) => row.numbers[index] = scalar.number(value)?,
-            What::List(scalar, index) => {
+            FieldTarget::Seconds(scalar) => row.seconds = scalar.integer(value)?,
+            FieldTarget::Nanoseconds(scalar) => row.nanoseconds = scalar.integer(value)?,
+            FieldTarget::Number(scalar, index) => row.numbers[index] = scalar.number(value)?,
+            FieldTarget::List(scalar, index) => {
                 // Packed into one value, or one value each.
                 let Value::Bytes(packed) = value else {
                     row.push(index, scalar.number(value)?);
@@ -196,9 +198,9 @@ impl What {
                     row.push(index, scalar.number(value)?);
                 }
             }
-            What::Text(index) => row.set_text(index, value.bytes()?),
-            What::Names => row.names.push(value.bytes()?),
-            What::Message(_) | What::Rows(_) => {}
+            FieldTarget::Text(index) => row.set_text(index, value.bytes()?),
+            FieldTarget::Names => row.names.push(value.bytes()?),
+            FieldTarget::Message(_) | FieldTarget::Rows(_) => {}
         }
         Ok(())
     }
@@ -263,8 +265,8 @@ impl Compiler<'_> {
         message: &Message,
         prefix: &str,
         wanted: &[&'static (&'static str, Slot)],
-    ) -> Result<Vec<Wanted>, SchemaError> {
-        let mut found: Vec<Wanted> = Vec::new();
+    ) -> Result<Vec<WantedField>, SchemaError> {
+        let mut found: Vec<WantedField> = Vec::new();
         for (index, (path, slot)) in wanted.iter().enumerate() {
             let name = name_below(path, prefix);
             let own_path = &path[..path.len() - path[prefix_len(prefix)..].len() + name.len()];
@@ -282,7 +284,7 @@ impl Compiler<'_> {
                 let below: Vec<_> = wanted.iter().filter(below).copied().collect();
                 self.branch(field, own_path, &below)?
             };
-            found.push(Wanted { number: field.number, path: own_path.into(), what });
+            found.push(WantedField { number: field.number, path: own_path.into(), what });
         }
         Ok(found)
     }
@@ -292,40 +294,49 @@ impl Compiler<'_> {
         field: &Field,
         path: &str,
         wanted: &[&'static (&'static str, Slot)],
-    ) -> Result<What, SchemaError> {
+    ) -> Result<FieldTarget, SchemaError> {
         let is_rows = self.each == Some(path);
         let (Kind::Message(type_name), true) = (&field.kind, field.is_repeated == is_rows) else {
             let expected = if is_rows { "an array of messages" } else { "a single message" };
             return Err(mismatch(field, path, expected));
         };
         let fields = self.message(self.nested(type_name, path)?, path, wanted)?;
-        Ok(if is_rows { What::Rows(fields) } else { What::Message(fields) })
+        Ok(if is_rows { FieldTarget::Rows(fields) } else { FieldTarget::Message(fields) })
     }
 
-    fn leaf(&self, field: &Field, path: &str, slot: Slot) -> Result<What, SchemaError> {
+    fn leaf(&self, field: &Field, path: &str, slot: Slot) -> Result<FieldTarget, SchemaError> {
         Ok(match (slot, &field.kind, field.is_repeated) {
             (Slot::Stamp, Kind::Message(type_name), false) => {
                 self.stamp(self.nested(type_name, path)?, field, path)?
             }
-            (Slot::Number(index), &Kind::Number(scalar), false) => What::Number(scalar, index),
-            (Slot::Text(index), Kind::Text, false) => What::Text(index),
-            (Slot::List(index), &Kind::Number(scalar), true) => What::List(scalar, index),
-            (Slot::Names, Kind::Text, true) => What::Names,
+            (Slot::Number(index), &Kind::Number(scalar), false) => {
+                FieldTarget::Number(scalar, index)
+            }
+            (Slot::Text(index), Kind::Text, false) => FieldTarget::Text(index),
+            (Slot::List(index), &Kind::Number(scalar), true) => FieldTarget::List(scalar, index),
+            (Slot::Names, Kind::Text, true) => FieldTarget::Names,
             _ => return Err(mismatch(field, path, slot.expected())),
         })
     }
 
     /// Message with seconds and nanoseconds, such as `google.protobuf.Timestamp`.
-    fn stamp(&self, message: &Message, field: &Field, path: &str) -> Result<What, SchemaError> {
-        let part = |names: &[&str], what: fn(Scalar) -> What| {
+    fn stamp(
+        &self,
+        message: &Message,
+        field: &Field,
+        path: &str,
+    ) -> Result<FieldTarget, SchemaError> {
+        let part = |names: &[&str], what: fn(Scalar) -> FieldTarget| {
             let part = names.iter().find_map(|name| message.field(name))?;
             let Kind::Number(scalar) = part.kind else { return None };
-            Some(Wanted { number: part.number, path: path.into(), what: what(scalar) })
+            Some(WantedField { number: part.number, path: path.into(), what: what(scalar) })
         };
-        let seconds = part(&["seconds", "secs", "sec"], What::Seconds);
-        let nanoseconds = part(&["nanos", "nanosec", "nsecs", "nsec"], What::Nanoseconds);
+        let seconds = part(&["seconds", "secs", "sec"], FieldTarget::Seconds);
+        let nanoseconds = part(&["nanos", "nanosec", "nsecs", "nsec"], FieldTarget::Nanoseconds);
         match (seconds, nanoseconds) {
-            (Some(seconds), Some(nanoseconds)) => Ok(What::Message(vec![seconds, nanoseconds])),
+            (Some(seconds), Some(nanoseconds)) => {
+                Ok(FieldTarget::Message(vec![seconds, nanoseconds]))
+            }
             _ => Err(mismatch(field, path, Slot::Stamp.expected())),
         }
     }

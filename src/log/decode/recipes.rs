@@ -11,7 +11,7 @@ pub(crate) struct Recipe {
     /// Names such as `package/Type`, or `package.Type` outside ROS.
     type_names: &'static [&'static str],
     /// Array whose elements are rows; without it, a message is one row.
-    pub(super) each: Option<&'static str>,
+    pub(super) row_list: Option<&'static str>,
     /// One per version of the type; the first whose fields all exist is used.
     pub(super) layouts: &'static [Fields],
     /// The first has the topic's own name. If rows come from an array there is one part, and rows have
@@ -21,7 +21,7 @@ pub(crate) struct Recipe {
 
 impl Recipe {
     /// Accepts `package/Type` and `package/msg/Type`.
-    pub(crate) fn of(type_name: &str) -> Option<&'static Recipe> {
+    pub(crate) fn for_type(type_name: &str) -> Option<&'static Recipe> {
         let type_name = canonical(type_name);
         RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
     }
@@ -72,7 +72,7 @@ const NAMES: (&str, Slot) = ("joint_names", Slot::Names);
 static RECIPES: &[Recipe] = &[
     Recipe {
         type_names: &["sensor_msgs/JointState"],
-        each: None,
+        row_list: None,
         layouts: layout![
             STAMP,
             FRAME,
@@ -84,7 +84,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["control_msgs/JointTrajectoryControllerState"],
-        each: None,
+        row_list: None,
         // ROS 2 dropped the names `desired` and `actual` in 2023.
         layouts: &[
             &[
@@ -111,7 +111,7 @@ static RECIPES: &[Recipe] = &[
     Recipe {
         // A single point is a set-point; the last point of a trajectory is its goal.
         type_names: &["trajectory_msgs/JointTrajectory"],
-        each: Some("points"),
+        row_list: Some("points"),
         layouts: layout![
             STAMP,
             FRAME,
@@ -128,7 +128,7 @@ static RECIPES: &[Recipe] = &[
             "franka_control/FrankaState",
             "franka_hw/FrankaState",
         ],
-        each: None,
+        row_list: None,
         layouts: &[
             &[
                 STAMP,
@@ -149,7 +149,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["franka_msgs/FrankaRobotState"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!(
             "o_t_ee.pose.position",
             "o_t_ee.pose.orientation",
@@ -163,37 +163,37 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["geometry_msgs/PoseStamped"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!("pose.position", "pose.orientation", STAMP, FRAME)],
         parts: &[("", Part::poses)],
     },
     Recipe {
         type_names: &["geometry_msgs/Pose"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!("position", "orientation")],
         parts: &[("", Part::poses)],
     },
     Recipe {
         type_names: &["geometry_msgs/PoseWithCovarianceStamped"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!("pose.pose.position", "pose.pose.orientation", STAMP, FRAME)],
         parts: &[("", Part::poses)],
     },
     Recipe {
         type_names: &["geometry_msgs/PoseArray"],
-        each: Some("poses"),
+        row_list: Some("poses"),
         layouts: &[pose_slots!("poses.position", "poses.orientation", STAMP, FRAME)],
         parts: &[("", Part::numbered_poses)],
     },
     Recipe {
         type_names: &["gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates"],
-        each: Some("pose"),
+        row_list: Some("pose"),
         layouts: &[pose_slots!("pose.position", "pose.orientation", ("name", Slot::Names))],
         parts: &[("", Part::named_poses)],
     },
     Recipe {
         type_names: &["nav_msgs/Odometry"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!(
             "pose.pose.position",
             "pose.pose.orientation",
@@ -205,7 +205,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["geometry_msgs/TransformStamped"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!(
             "transform.translation",
             "transform.rotation",
@@ -217,7 +217,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["tf2_msgs/TFMessage", "tf/tfMessage"],
-        each: Some("transforms"),
+        row_list: Some("transforms"),
         layouts: &[pose_slots!(
             "transforms.transform.translation",
             "transforms.transform.rotation",
@@ -229,7 +229,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["foxglove.FrameTransform", "foxglove_msgs/FrameTransform"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!(
             "translation",
             "rotation",
@@ -241,7 +241,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["foxglove.FrameTransforms", "foxglove_msgs/FrameTransforms"],
-        each: Some("transforms"),
+        row_list: Some("transforms"),
         layouts: &[pose_slots!(
             "transforms.translation",
             "transforms.rotation",
@@ -253,7 +253,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["foxglove.PoseInFrame", "foxglove_msgs/PoseInFrame"],
-        each: None,
+        row_list: None,
         layouts: &[pose_slots!(
             "pose.position",
             "pose.orientation",
@@ -264,7 +264,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["foxglove.PosesInFrame", "foxglove_msgs/PosesInFrame"],
-        each: Some("poses"),
+        row_list: Some("poses"),
         layouts: &[pose_slots!(
             "poses.position",
             "poses.orientation",
@@ -275,7 +275,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["sensor_msgs/Imu"],
-        each: None,
+        row_list: None,
         layouts: layout![
             STAMP,
             FRAME,
@@ -295,7 +295,7 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["geometry_msgs/QuaternionStamped"],
-        each: None,
+        row_list: None,
         layouts: layout![
             STAMP,
             ("quaternion.x", Slot::Number(row::QUATERNION)),
@@ -307,19 +307,19 @@ static RECIPES: &[Recipe] = &[
     },
     Recipe {
         type_names: &["geometry_msgs/Vector3Stamped"],
-        each: None,
+        row_list: None,
         layouts: layout![STAMP, VECTOR[0], VECTOR[1], VECTOR[2]],
         parts: &[("", Part::vector)],
     },
     Recipe {
         type_names: &["std_msgs/Float64MultiArray"],
-        each: None,
+        row_list: None,
         layouts: layout![("data", Slot::List(row::VALUES))],
         parts: &[("", Part::array)],
     },
     Recipe {
         type_names: &["std_msgs/String"],
-        each: None,
+        row_list: None,
         layouts: layout![("data", Slot::Text(row::BODY))],
         parts: &[("", Part::text)],
     },
@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn rows_of_an_array_are_of_one_part() {
-        let several = RECIPES.iter().filter(|recipe| recipe.each.is_some());
+        let several = RECIPES.iter().filter(|recipe| recipe.row_list.is_some());
         let parts: Vec<usize> = several.map(|recipe| recipe.parts.len()).collect();
         assert!(parts.len() > 2 && parts.iter().all(|&count| count == 1), "{parts:?}");
     }

@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn names_come_back_as_they_went_in() {
+    fn names_are_stored_unchanged() {
         let mut names = Names::default();
         for name in ["elbow", "", "wrist_1"] {
             names.push(name.as_bytes());
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_those_of_the_last_message_only() {
+    fn joint_names_come_from_the_last_message() {
         let of = |names: &mut Names, list: &[&str]| {
             names.clear();
             list.iter().for_each(|name| names.push(name.as_bytes()));
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn hostile_stamps_saturate() {
+    fn out_of_range_stamps_saturate() {
         let row = Row { seconds: i64::MAX, nanoseconds: 1, ..Row::default() };
         assert_eq!(row.stamp(), i64::MAX);
     }

@@ -74,14 +74,14 @@ pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
 
 /// Shortens text for messages.
 pub(crate) fn excerpt(text: &str) -> String {
-    const LONGEST: usize = 80;
-    start_of(text, LONGEST).into_owned()
+    const MAX_CHARS: usize = 80;
+    start_of(text, MAX_CHARS).into_owned()
 }
 
 /// Truncates the name of a topic, type, frame or joint.
 pub(crate) fn bounded(name: &str) -> Cow<'_, str> {
-    const LONGEST: usize = 256;
-    match start_of(name, LONGEST) {
+    const MAX_CHARS: usize = 256;
+    match start_of(name, MAX_CHARS) {
         short if !short.contains(char::is_control) => short,
         // Names must fit on one line of reports, tables and scripts.
         short => Cow::Owned(short.replace(char::is_control, "\u{fffd}")),
@@ -154,7 +154,7 @@ pub(super) struct Field {
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Extensibility {
     /// Determined by the header of each message.
-    Unsaid,
+    Undeclared,
     Final,
     Appendable,
     /// Every member has an id.
@@ -171,7 +171,7 @@ pub(super) struct Definition {
 
 impl Definition {
     pub(super) fn new(name: impl Into<String>) -> Self {
-        Self { name: name.into(), fields: Vec::new(), extensibility: Extensibility::Unsaid }
+        Self { name: name.into(), fields: Vec::new(), extensibility: Extensibility::Undeclared }
     }
 }
 

@@ -113,7 +113,7 @@ fn walk<'p>(
         let at = |short| DecodeError::Short { field, short };
         match op {
             Op::Repeat { count, steps, rows } => {
-                for index in 0..count.of(cursor).map_err(at)? {
+                for index in 0..count.read(cursor).map_err(at)? {
                     walk(steps, cursor, row, append)?;
                     if *rows {
                         row.index = index as usize;

@@ -18,7 +18,7 @@ fn decode_all(
     format: Format<'_>,
     messages: &[Vec<u8>],
 ) -> (Vec<(&'static str, Option<Columns>)>, Option<String>) {
-    let recipe = Recipe::of(format.type_name).unwrap();
+    let recipe = Recipe::for_type(format.type_name).unwrap();
     let plan = format.plan(recipe).unwrap();
     let (mut builder, mut row) = (recipe.builder(), Row::default());
     let mut first = None;
@@ -71,7 +71,7 @@ fn refusal(type_name: &str, schema: &str) -> String {
 }
 
 fn refused(format: Format<'_>) -> String {
-    format.plan(Recipe::of(format.type_name).unwrap()).unwrap_err().to_string()
+    format.plan(Recipe::for_type(format.type_name).unwrap()).unwrap_err().to_string()
 }
 
 /// NaN equals NaN.
@@ -83,7 +83,7 @@ fn assert_same(found: &[f64], expected: &[f64]) {
 const NAN: f64 = f64::NAN;
 
 #[test]
-fn joints_go_to_the_column_of_their_name() {
+fn joints_are_appended_to_the_column_of_their_name() {
     let joints = joints(
         testing::JOINT_STATE,
         &[
@@ -132,7 +132,7 @@ fn a_joint_that_is_named_twice_contradicts_itself_where_the_positions_differ() {
 }
 
 #[test]
-fn joint_names_without_end_are_refused() {
+fn endlessly_new_joint_names_are_refused() {
     let names: Vec<String> = (0..300).map(|index| format!("joint_{index}")).collect();
     let message = |name: &String| Cdr::joint_state(&[name], &[0.0], &[]);
     let messages: Vec<Vec<u8>> = names.iter().map(message).collect();
@@ -240,7 +240,7 @@ fn the_other_pose_types_have_their_child_frame() {
 }
 
 #[test]
-fn numbers_that_nothing_has_are_dropped_and_counted() {
+fn implausibly_large_numbers_are_dropped_and_counted() {
     let first = Cdr::joint_state(&["a", "b"], &[1e155, 0.2], &[1.0, 1e155]);
     let second = Cdr::joint_state(&["a", "b"], &[9e11, -1e308], &[1.0, 1.0]);
     let joints = joints(testing::JOINT_STATE, &[first, second]);
@@ -290,7 +290,7 @@ fn arrays_have_one_width() {
 }
 
 #[test]
-fn lone_vectors_and_quaternions_are_numbers_with_a_stamp() {
+fn single_vectors_and_quaternions_become_arrays_with_stamps() {
     for (type_name, numbers) in [
         ("geometry_msgs/msg/Vector3Stamped", &[1.0, 2.0, 3.0][..]),
         ("geometry_msgs/msg/QuaternionStamped", &[0.0, 0.6, 0.0, 0.8]),
@@ -304,7 +304,7 @@ fn lone_vectors_and_quaternions_are_numbers_with_a_stamp() {
 }
 
 #[test]
-fn equal_texts_are_kept_once_and_not_without_end() {
+fn equal_texts_are_stored_once_and_bounded() {
     let mut messages = vec![Cdr::little().text("<robot/>").done(); 3];
     messages.extend((0..100).map(|index| Cdr::little().text(&format!("text {index}")).done()));
     let (columns, _) = decode("std_msgs/msg/String", "string data\n", &messages);
@@ -315,7 +315,7 @@ fn equal_texts_are_kept_once_and_not_without_end() {
 }
 
 #[test]
-fn every_cut_message_is_an_error_that_names_the_field() {
+fn every_truncated_message_is_an_error_that_names_the_field() {
     let whole = Cdr::joint_state(&["a", "b"], &[1.0, 2.0], &[0.1, 0.2]);
     let effort = 4;
     for length in 0..whole.len() - effort {
@@ -336,7 +336,7 @@ fn a_hostile_length_is_an_error() {
 }
 
 #[test]
-fn schemas_that_do_not_fit_say_why() {
+fn mismatching_schemas_give_the_reason() {
     let joint_state = |definition: &str| refusal("sensor_msgs/msg/JointState", definition);
     let header = "time stamp\nstring frame_id\n";
     let with = |fields: &str| testing::schema(fields, &[("std_msgs/Header", header)]);
@@ -370,7 +370,7 @@ fn schemas_that_contain_themselves_are_refused() {
 }
 
 #[test]
-fn what_follows_the_wanted_fields_need_not_be_readable() {
+fn fields_after_the_wanted_ones_may_be_unreadable() {
     let header = "time stamp\nstring frame_id\n";
     let fields = "Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n\
         wstring wide\nStrange strange";
@@ -380,7 +380,7 @@ fn what_follows_the_wanted_fields_need_not_be_readable() {
 }
 
 #[test]
-fn a_message_of_wrong_length_takes_no_other_names_columns() {
+fn a_message_of_wrong_length_does_not_use_other_columns() {
     let joints = joints(
         testing::JOINT_STATE,
         &[
@@ -392,7 +392,7 @@ fn a_message_of_wrong_length_takes_no_other_names_columns() {
 }
 
 #[test]
-fn a_type_without_a_stamp_says_so() {
+fn a_type_without_stamp_gives_the_reason() {
     let (columns, _) = decode("std_msgs/String", "string data", &[Cdr::little().text("x").done()]);
     assert!(columns.times().iter().all(|times| times.unstamped));
     let message = Cdr::pose_stamped(0, 0, "base", [0.0; 3]);
@@ -401,7 +401,7 @@ fn a_type_without_a_stamp_says_so() {
 }
 
 #[test]
-fn crowds_of_poses_are_of_no_use() {
+fn arrays_of_too_many_poses_are_ignored() {
     let format = Format { schema_encoding: "", ..cdr("geometry_msgs/msg/PoseArray", "") };
     let message = |count: u32| {
         let cdr = Cdr::little().header(1, 0, "map").u32(count);
@@ -480,7 +480,7 @@ fn protocol_buffers_of_another_type_are_refused() {
 }
 
 #[test]
-fn other_encodings_are_named() {
+fn errors_name_other_encodings() {
     let format = Format { encoding: "flatbuffer", ..cdr("sensor_msgs/JointState", "x") };
     let expected =
         "messages are encoded as `flatbuffer`, expected `cdr`, `ros1`, `json` or `protobuf`";

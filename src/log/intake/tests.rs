@@ -20,7 +20,7 @@ fn message(time: u64, data: &[u8], latched: bool) -> Message<'_> {
 }
 
 #[test]
-fn a_channel_that_is_described_again_stays_one() {
+fn a_redefined_channel_remains_one_channel() {
     let mut intake = Intake::default();
     let other = format!("{POSE_STAMPED}# another text\n");
     let first = intake.channel("/a", poses(POSE_STAMPED));
@@ -59,7 +59,7 @@ fn frames_are_bounded_and_those_beyond_are_counted() {
 }
 
 #[test]
-fn more_poses_than_an_arm_has_are_said_to_be_of_no_use() {
+fn too_many_poses_are_reported_as_unused() {
     let schema = POSE_STAMPED.replace("Pose pose\n", "Pose[] poses\n");
     let mut intake = Intake::default();
     intake.begin_file(Path::new("a"), 0);
@@ -104,7 +104,7 @@ fn notes(files: &[(&str, &[u64])]) -> Vec<String> {
 }
 
 #[test]
-fn files_that_are_not_of_one_run_are_said() {
+fn unrelated_files_are_reported() {
     let hours: [&[u64]; 3] = [&[0, HOUR], &[HOUR, 2 * HOUR], &[HOUR / 2, 3 * HOUR / 2]];
     assert_eq!(notes(&[("b", hours[1]), ("a", hours[0])]), [""; 0]);
     assert_eq!(

@@ -15,7 +15,7 @@ pub(crate) fn temporary() -> io::Result<Temporary> {
     tempfile::tempfile()
 }
 
-pub(super) fn kept(file: &Temporary) -> io::Result<Bytes> {
+pub(super) fn share_bytes(file: &Temporary) -> io::Result<Bytes> {
     // SAFETY: the map is read-only, and no other process writes to the file.
     unsafe { MmapOptions::new().map(file) }.map(Bytes::from_owner)
 }
@@ -30,8 +30,8 @@ pub(super) fn map(file: &File, bytes: u64) -> io::Result<Bytes> {
 #[cfg(target_os = "linux")]
 fn worth_reading(file: &File, bytes: u64) -> usize {
     use std::os::fd::AsRawFd;
-    const ZEROS: u64 = 1 << 20;
-    const MOST: usize = 1000;
+    const KEPT_ZERO_BYTES: u64 = 1 << 20;
+    const MAX_HOLES: usize = 1000;
     let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
     // SAFETY: the call only moves the offset of the file, which is not used for reading.
     let seek = |from: u64, to| unsafe {
@@ -39,13 +39,13 @@ fn worth_reading(file: &File, bytes: u64) -> usize {
         u64::try_from(found).ok()
     };
     let mut from = 0;
-    for _ in 0..MOST {
+    for _ in 0..MAX_HOLES {
         let Some(hole) = seek(from, libc::SEEK_HOLE).filter(|hole| *hole < bytes) else {
             return whole;
         };
         match seek(hole, libc::SEEK_DATA) {
             Some(data) if data > hole => from = data,
-            _ => return whole.min(usize::try_from(hole + ZEROS).unwrap_or(whole)),
+            _ => return whole.min(usize::try_from(hole + KEPT_ZERO_BYTES).unwrap_or(whole)),
         }
     }
     whole
@@ -59,12 +59,12 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
 #[cfg(target_os = "linux")]
 pub(crate) fn advise(bytes: &[u8], looks: AccessPattern) {
     /// The system rejects the advice if its pages are larger.
-    const PAGE: usize = 1 << 12;
+    const PAGE_BYTES: usize = 1 << 12;
     let advice = match looks {
         AccessPattern::Scattered => libc::MADV_RANDOM,
         AccessPattern::Whole => libc::MADV_WILLNEED,
     };
-    let before = bytes.as_ptr().addr() % PAGE;
+    let before = bytes.as_ptr().addr() % PAGE_BYTES;
     let start = bytes.as_ptr().wrapping_sub(before).cast_mut().cast();
     // SAFETY: neither advice changes memory, and the call does not access it.
     let _advice = unsafe { libc::madvise(start, before + bytes.len(), advice) };

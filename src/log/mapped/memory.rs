@@ -13,7 +13,7 @@ pub(crate) fn temporary() -> io::Result<Temporary> {
 }
 
 #[expect(clippy::unnecessary_wraps, reason = "fallible on disk")]
-pub(super) fn kept(memory: &Temporary) -> io::Result<Bytes> {
+pub(super) fn share_bytes(memory: &Temporary) -> io::Result<Bytes> {
     Ok(Bytes::copy_from_slice(memory.get_ref()))
 }
 

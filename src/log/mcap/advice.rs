@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn between_images_what_has_a_use_is_asked_for_and_no_image() {
+    fn only_useful_ranges_between_images_are_prefetched() {
         let (runs, all) = wanted(&log(5000));
         let runs = runs.expect("images make up most of it");
         let asked: usize = runs.iter().map(|(from, to)| to - from).sum();
@@ -118,12 +118,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_small_between_what_has_a_use_is_read_with_it() {
+    fn small_gaps_between_useful_ranges_are_included() {
         assert_eq!(wanted(&log(50)).0, None);
     }
 
     #[test]
-    fn an_index_that_lies_is_no_harm() {
+    fn a_wrong_index_changes_no_result() {
         let sound = log(5000);
         let read = |bytes: &[u8]| {
             let present = &Present::Whole;

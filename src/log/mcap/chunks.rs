@@ -25,7 +25,7 @@ impl<'a> Reader<'a, '_, '_> {
             }
             if let Some(packed) = packed
                 && self.chunk_use(&frame, &packed) == ChunkUse::All
-                && self.intake.allowance.admit(&packed).is_ok()
+                && self.intake.unpack_budget.admit(&packed).is_ok()
             {
                 let table = self.snapshot();
                 self.ahead.unpack(offset, packed, table);
@@ -34,7 +34,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     pub(super) fn chunk_use(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> ChunkUse {
-        if !self.present.holds(&self.place(packed.data)) {
+        if !self.present.contains(&self.place(packed.data)) {
             return self.parts_use(frame, packed);
         }
         if self.options.verify {
@@ -114,7 +114,7 @@ impl<'a> Reader<'a, '_, '_> {
             None => None,
         };
         let records = match &mut unpacked {
-            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
+            Some(unpacked) => unpacked.content(&packed, &mut self.intake.unpack_budget),
             None => match self.chunk_use(frame, &packed) {
                 ChunkUse::Counts => {
                     self.count(frame);
@@ -128,7 +128,7 @@ impl<'a> Reader<'a, '_, '_> {
                     self.absent.get_or_insert(MissingByte(frame.offset));
                     return true;
                 }
-                ChunkUse::All => unpacker.chunk(&packed, &mut self.intake.allowance),
+                ChunkUse::All => unpacker.chunk(&packed, &mut self.intake.unpack_budget),
             },
         };
         let is_sound = match records {

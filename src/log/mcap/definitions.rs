@@ -62,14 +62,14 @@ impl<'a> Reader<'a, '_, '_> {
 
     pub(super) fn attachment(&mut self, frame: &Frame<'_>) {
         /// Larger attachments are verified on request only.
-        const SMALL: usize = 16 << 20;
+        const MAX_VERIFIED_BYTES: usize = 16 << 20;
         let Some(attachment) = record::Attachment::parse(frame.body) else {
             return self.record_lost_summary(
                 frame.offset,
                 "attachment is shorter than its declared length",
             );
         };
-        let checked = self.options.verify || attachment.covered.len() <= SMALL;
+        let checked = self.options.verify || attachment.covered.len() <= MAX_VERIFIED_BYTES;
         if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
             let what = format!("attachment `{}` fails its checksum", excerpt(attachment.name));
             return self.record_lost_summary(frame.offset, &what);

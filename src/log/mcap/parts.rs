@@ -33,7 +33,7 @@ impl PartParser for DefinitionSnapshot {
                 op::MESSAGE => {
                     let message = record::Message::parse(frame.body)?;
                     let channel = self.definitions.channel_of(message.channel_id)?;
-                    part.message(channel, &message.at(offset))?;
+                    part.message(channel, &message.at_offset(offset))?;
                     true
                 }
                 op::SCHEMA => self.definitions.has_schema(&record::Schema::parse(frame.body)?),
@@ -62,10 +62,13 @@ impl Reader<'_, '_, '_> {
     pub(super) fn join_part(&mut self, part: PartContent, packed: &Packed<'_>) -> bool {
         let before = self.intake.messages();
         let is_current = part.changes == self.definitions.changes;
-        if !is_current || self.intake.allowance.admit(packed).is_err() || !self.intake.join(part) {
+        if !is_current
+            || self.intake.unpack_budget.admit(packed).is_err()
+            || !self.intake.join(part)
+        {
             return false;
         }
-        self.intake.allowance.settle(packed);
+        self.intake.unpack_budget.charge(packed);
         if packed.crc != 0 {
             self.covered += self.intake.messages() - before;
         }
@@ -144,7 +147,7 @@ mod tests {
     const TOPICS: [&str; 4] = ["/joint_states", "/tf", "/array", "/robot_description"];
 
     #[test]
-    fn chunks_that_are_read_ahead_are_read_alike() {
+    fn chunks_unpacked_ahead_give_the_same_rows() {
         for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
             let options = WriteOptions::new().compression(compression);
             for size in [700, 5000] {
@@ -166,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_that_become_others_amid_the_file_are_read_as_what_they_are() {
+    fn redefined_channels_are_read_by_their_current_definition() {
         let options = WriteOptions::new()
             .compression(Some(Compression::Zstd))
             .chunk_size(Some(700))

@@ -6,7 +6,7 @@ use std::ops::Range;
 use mcap::records::op;
 
 use crate::topic;
-use crate::unpack::{Allowance, Compression, Packed, Unpacker};
+use crate::unpack::{Compression, Packed, UnpackBudget, Unpacker};
 
 /// Size of opcode and length.
 pub(super) const FRAME_HEADER: usize = 9;
@@ -108,10 +108,10 @@ fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item 
 }
 
 pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
-    const BLOCK: usize = 1 << 12;
+    const BLOCK_BYTES: usize = 1 << 12;
     let mut end = bytes.len();
-    while end >= BLOCK && bytes[end - BLOCK..end] == [0; BLOCK] {
-        end -= BLOCK;
+    while end >= BLOCK_BYTES && bytes[end - BLOCK_BYTES..end] == [0; BLOCK_BYTES] {
+        end -= BLOCK_BYTES;
     }
     bytes[..end].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)
 }
@@ -182,7 +182,7 @@ impl<'a> Message<'a> {
     }
 
     /// `offset` is the file offset of its chunk, or of the message outside of chunks.
-    pub(super) fn at(self, offset: usize) -> topic::Message<'a> {
+    pub(super) fn at_offset(self, offset: usize) -> topic::Message<'a> {
         topic::Message {
             log_time: self.log_time,
             publish_time: self.publish_time,
@@ -244,7 +244,7 @@ impl<'a> Chunk<'a> {
     pub(super) fn cut_records<'b>(
         &'b self,
         unpacker: &'b mut Unpacker,
-        allowance: &mut Allowance,
+        allowance: &mut UnpackBudget,
     ) -> &'b [u8] {
         let compression = self.compression();
         compression.map_or(&[], |compression| unpacker.cut_chunk(compression, self.data, allowance))

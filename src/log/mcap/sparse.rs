@@ -11,7 +11,7 @@ use crate::unpack::{Compression, Packed};
 impl<'a> Reader<'a, '_, '_> {
     /// Whether `range` is present; stores the first missing byte.
     pub(super) fn is_present(&mut self, range: Range<usize>) -> bool {
-        let is_there = self.present.holds(&range);
+        let is_there = self.present.contains(&range);
         if !is_there {
             self.absent.get_or_insert(MissingByte(range.start));
         }
@@ -51,7 +51,7 @@ impl<'a> Reader<'a, '_, '_> {
         let (mut at, mut ignored) = (0, 0);
         while at < records.len() {
             let head = base + at..end.min(base + at + record::MESSAGE_HEAD);
-            if !self.present.holds(&head) {
+            if !self.present.contains(&head) {
                 return Err(Some(head));
             }
             let frame = record::frame(records, at).map_err(|_| None)?;
@@ -60,7 +60,7 @@ impl<'a> Reader<'a, '_, '_> {
                 op::MESSAGE => self.skipped_bytes(frame.body).ok_or(None)?,
                 _ => 0,
             };
-            if passed_over == 0 && !self.present.holds(&whole) {
+            if passed_over == 0 && !self.present.contains(&whole) {
                 return Err(Some(whole));
             }
             // A channel redefined inside the file may be needed.

@@ -55,12 +55,12 @@ impl<'a> Reader<'a, '_, '_> {
         let size = self.bytes.len();
         let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(IndexMismatch)?;
         let end = footer..size;
-        if !self.present.holds(&end) {
+        if !self.present.contains(&end) {
             return Ok(vec![end]);
         }
         let start = self.summary_start().filter(|start| (MAGIC.len()..footer).contains(start));
         let summary = start.ok_or(IndexMismatch)?..size;
-        Ok(if self.present.holds(&summary) { Vec::new() } else { vec![summary] })
+        Ok(if self.present.contains(&summary) { Vec::new() } else { vec![summary] })
     }
 
     fn summary_start(&self) -> Option<usize> {
@@ -123,7 +123,7 @@ impl<'a> Reader<'a, '_, '_> {
                     missing.extend(self.missing_of(part));
                     messages += self.indexes_after(&frame).map(|index| index.count()).sum::<u64>();
                 }
-                _ if !self.present.holds(&(offset..frame.end())) => return Err(IndexMismatch),
+                _ if !self.present.contains(&(offset..frame.end())) => return Err(IndexMismatch),
                 op::MESSAGE => messages += 1,
                 _ => self.definition(&frame).ok_or(IndexMismatch)?,
             }
@@ -132,7 +132,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     fn present_frame(&self, offset: usize) -> Result<Frame<'a>, IndexMismatch> {
-        if !self.present.holds(&(offset..offset + FRAME_HEADER)) {
+        if !self.present.contains(&(offset..offset + FRAME_HEADER)) {
             return Err(IndexMismatch);
         }
         record::frame(self.bytes, offset).map_err(|_| IndexMismatch)
@@ -140,7 +140,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     fn missing_in_chunk(&self, frame: &Frame<'a>) -> Result<Vec<Range<usize>>, IndexMismatch> {
         let head = frame.offset..frame.end().min(frame.offset + record::CHUNK_HEAD);
-        if !self.present.holds(&head) {
+        if !self.present.contains(&head) {
             return Err(IndexMismatch);
         }
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
@@ -148,7 +148,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.indexes_are_there(frame)?;
         let data = self.place(packed.data);
         let only_counted = self.is_ignored_by_index(frame);
-        if only_counted || self.present.holds(&data) {
+        if only_counted || self.present.contains(&data) {
             return Ok(Vec::new());
         }
         if packed.compression != Compression::None || packed.data.len() as u64 != packed.size {
@@ -186,7 +186,7 @@ impl<'a> Reader<'a, '_, '_> {
             if frame.opcode != op::MESSAGE_INDEX {
                 return Ok(());
             }
-            let is_there = self.present.holds(&(offset..frame.end()));
+            let is_there = self.present.contains(&(offset..frame.end()));
             if !is_there || record::MessageIndex::parse(frame.body).is_none() {
                 return Err(IndexMismatch);
             }
@@ -219,7 +219,7 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     fn missing_of(&self, mut ranges: Vec<Range<usize>>) -> Vec<Range<usize>> {
-        ranges.retain(|range| !self.present.holds(range));
+        ranges.retain(|range| !self.present.contains(range));
         ranges
     }
 }

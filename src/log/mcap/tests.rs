@@ -7,7 +7,7 @@ use mcap::{Compression, WriteOptions};
 
 use super::super::mapped::MappedFile;
 use super::super::testing::{self, Cdr, LogWriter};
-use super::super::unpack::Allowance;
+use super::super::unpack::UnpackBudget;
 use super::super::{Container, Log, LogFile, Loss};
 use super::*;
 use ground::stream::{Columns, PoseColumns};
@@ -105,7 +105,7 @@ pub(super) fn with_images(compression: Option<Compression>) -> Vec<u8> {
 }
 
 #[test]
-fn images_are_counted_and_passed_over() {
+fn images_are_counted_and_skipped() {
     for (compression, crc) in [(None, Crc::Partial), (Some(Compression::Zstd), Crc::Partial)] {
         let bytes = with_images(compression);
         for (verify, crc) in [(false, crc), (true, Crc::All)] {
@@ -125,7 +125,7 @@ fn images_are_counted_and_passed_over() {
 }
 
 #[test]
-fn a_damaged_image_is_found_where_all_is_checked() {
+fn a_damaged_image_is_detected_with_full_verification() {
     for compression in [None, Some(Compression::Zstd)] {
         let mut bytes = with_images(compression);
         let images = chunks(&bytes).into_iter().find(|&chunk| {
@@ -145,7 +145,7 @@ fn a_damaged_image_is_found_where_all_is_checked() {
 }
 
 #[test]
-fn files_without_chunks_or_without_index_are_read_alike() {
+fn files_without_chunks_or_index_give_the_same_rows() {
     let unchunked = WriteOptions::new().use_chunks(false);
     let bare = WriteOptions::new()
         .chunk_size(Some(512))
@@ -169,7 +169,7 @@ fn files_without_chunks_or_without_index_are_read_alike() {
 }
 
 #[test]
-fn a_file_cut_anywhere_is_read_up_to_the_cut() {
+fn a_truncated_file_is_read_up_to_its_end() {
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let whole = poses(LogWriter::new(compression));
         let mut most = 0;
@@ -189,7 +189,7 @@ fn a_file_cut_anywhere_is_read_up_to_the_cut() {
 }
 
 #[test]
-fn the_messages_before_a_cut_within_a_chunk_are_saved() {
+fn messages_before_a_cut_within_a_chunk_are_salvaged() {
     let whole = poses(LogWriter::new(None));
     let [_, second, third, ..] = chunks(&whole)[..] else { panic!("chunks") };
     let before = read_all(&whole[..second]).messages;
@@ -248,7 +248,7 @@ fn without_chunks_the_messages_after_damage_are_read() {
 }
 
 #[test]
-fn a_wrong_length_costs_no_more_than_its_record() {
+fn a_wrong_length_loses_only_its_record() {
     let mut bytes = poses(LogWriter::default());
     let chunk = chunks(&bytes)[1];
     for garbage in [0x7f, 0xff] {
@@ -263,7 +263,7 @@ fn a_wrong_length_costs_no_more_than_its_record() {
 }
 
 #[test]
-fn no_flipped_byte_stops_the_reading_or_goes_unseen() {
+fn every_flipped_byte_is_survived_and_detected() {
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let mut bytes = poses(LogWriter::new(compression));
         let sound = read_all(&bytes);
@@ -280,7 +280,7 @@ fn no_flipped_byte_stops_the_reading_or_goes_unseen() {
 }
 
 #[test]
-fn a_file_that_ends_in_zeros_is_cut() {
+fn a_file_that_ends_in_zeros_is_truncated() {
     let whole = poses(LogWriter::default());
     let mut bytes = whole[..chunks(&whole)[1]].to_vec();
     bytes.extend([0; 4096]);
@@ -290,7 +290,7 @@ fn a_file_that_ends_in_zeros_is_cut() {
 }
 
 #[test]
-fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
+fn gigabytes_of_trailing_zeros_are_skipped_quickly() {
     let whole = poses(LogWriter::default());
     let mut file = tempfile::NamedTempFile::new().unwrap();
     io::Write::write_all(&mut file, &whole[..chunks(&whole)[1]]).unwrap();
@@ -304,19 +304,19 @@ fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
 }
 
 #[test]
-fn what_is_not_read_unasked_is_no_damage() {
+fn chunks_beyond_the_unpacking_limit_are_unread_not_damaged() {
     let whole = poses(LogWriter::new(Some(Compression::Zstd)));
-    let read = |allowance: Allowance| {
+    let read = |allowance: UnpackBudget| {
         let (path, mut intake) = (Path::new("run.mcap"), Intake::default());
         let mut losses = Losses::new(path);
         intake.begin_file(path, whole.len() as u64);
-        intake.allowance = allowance;
+        intake.unpack_budget = allowance;
         read(&whole, &Present::Whole, &ReadOptions::default(), &mut losses, &mut intake).unwrap();
         (intake.messages(), losses.finish())
     };
-    let (messages, losses) = read(Allowance::of(0, None));
+    let (messages, losses) = read(UnpackBudget::for_file(0, None));
     assert_eq!((messages, losses), (MESSAGES, Vec::new()));
-    let (messages, losses) = read(Allowance::exactly(5000));
+    let (messages, losses) = read(UnpackBudget::with_limit(5000));
     let [unread] = losses.as_slice() else { panic!("{losses:?}") };
     assert!(0 < messages && messages < MESSAGES, "{messages}");
     assert_eq!((unread.extent, unread.messages), (Extent::Unread, Some(MESSAGES - messages)));
@@ -380,7 +380,7 @@ fn a_pose_does_not_inherit_the_child_frame_of_a_transform() {
 }
 
 #[test]
-fn robot_descriptions_beside_the_messages_are_found() {
+fn robot_descriptions_in_attachments_and_metadata_are_found() {
     let urdf = "<?xml version=\"1.0\"?>\n<robot name=\"arm\"/>";
     let mut log = LogWriter::default();
     let attachment = |name: &str, text: &'static str| mcap::Attachment {
@@ -402,7 +402,7 @@ fn robot_descriptions_beside_the_messages_are_found() {
 }
 
 #[test]
-fn records_of_unknown_kinds_are_said_but_for_private_ones() {
+fn unknown_records_are_reported_except_private_ones() {
     let mut whole = poses(LogWriter::default());
     // Without a summary, whose offset would change.
     whole.truncate(records(&whole, op::DATA_END)[0]);
@@ -420,7 +420,7 @@ fn records_of_unknown_kinds_are_said_but_for_private_ones() {
 }
 
 #[test]
-fn the_number_of_a_message_goes_with_its_row() {
+fn the_sequence_number_of_a_message_belongs_to_its_row() {
     let mut log = LogWriter::default();
     let channel_id = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
     for sequence in [4, 5, 9] {

@@ -8,17 +8,17 @@ use super::fault::{RemoteFault, Store};
 const MAX_ANSWER_CHARS: usize = 200;
 
 pub(super) fn remote_fault(error: &object_store::Error, store: Store) -> RemoteFault {
-    let said = error.to_string();
-    let cause = || describe_response(&said).unwrap_or_else(|| innermost_cause(error));
+    let answer = error.to_string();
+    let cause = || describe_response(&answer).unwrap_or_else(|| innermost_cause(error));
     match error {
-        object_store::Error::NotFound { .. } if is_bucket(&said) => RemoteFault::NoBucket,
+        object_store::Error::NotFound { .. } if is_bucket(&answer) => RemoteFault::NoBucket,
         object_store::Error::NotFound { .. } => RemoteFault::NoObject,
         object_store::Error::PermissionDenied { .. }
         | object_store::Error::Unauthenticated { .. } => {
             RemoteFault::Denied { store, cause: cause() }
         }
         // Credentials were requested from the metadata service.
-        _ if mentions_metadata_service(&said) => RemoteFault::NoCredentials {
+        _ if mentions_metadata_service(&answer) => RemoteFault::NoCredentials {
             store,
             cause: format!("{} at {METADATA}", innermost_cause(error)),
         },
@@ -38,26 +38,26 @@ pub(super) fn is_range_beyond_end(error: &object_store::Error) -> bool {
 
 const METADATA: &str = "the machine's metadata service";
 
-fn mentions_metadata_service(said: &str) -> bool {
+fn mentions_metadata_service(answer: &str) -> bool {
     ["169.254.169.254", "169.254.170.2", "metadata.google.internal", "metadata.google"]
         .iter()
-        .any(|host| said.contains(host))
+        .any(|host| answer.contains(host))
 }
 
-fn is_bucket(said: &str) -> bool {
+fn is_bucket(answer: &str) -> bool {
     ["NoSuchBucket", "ContainerNotFound", "specified bucket does not exist"]
         .iter()
-        .any(|code| said.contains(code))
+        .any(|code| answer.contains(code))
 }
 
 fn transport_error(error: &object_store::Error) -> Option<HttpErrorKind> {
     causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
 }
 
-fn describe_response(said: &str) -> Option<String> {
-    let status = status(said)?;
+fn describe_response(answer: &str) -> Option<String> {
+    let status = status(answer)?;
     let between = |tag: &str| {
-        let (_, rest) = said.split_once(&format!("<{tag}>"))?;
+        let (_, rest) = answer.split_once(&format!("<{tag}>"))?;
         rest.split_once(&format!("</{tag}>")).map(|(inner, _)| line(inner))
     };
     Some(match (between("Code"), between("Message")) {
@@ -67,8 +67,8 @@ fn describe_response(said: &str) -> Option<String> {
     })
 }
 
-fn status(said: &str) -> Option<&str> {
-    let (_, rest) = said.split_once("non-2xx status code: ")?;
+fn status(answer: &str) -> Option<&str> {
+    let (_, rest) = answer.split_once("non-2xx status code: ")?;
     rest.split(':').next().map(str::trim)
 }
 
@@ -93,12 +93,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_store_answers_is_one_line() {
-        let said = "Error performing GET http://host/key in 3ms - Server returned non-2xx status \
+    fn answers_of_a_store_are_shown_in_one_line() {
+        let answer = "Error performing GET http://host/key in 3ms - Server returned non-2xx status \
                     code: 403 Forbidden: <?xml?>\n<Error><Code>SignatureDoesNotMatch</Code>\n\
                     <Message>The signature\n does not match.</Message></Error>";
         let expected = "403 Forbidden, SignatureDoesNotMatch (The signature does not match)";
-        assert_eq!(describe_response(said).as_deref(), Some(expected));
+        assert_eq!(describe_response(answer).as_deref(), Some(expected));
         assert_eq!(
             describe_response("… non-2xx status code: 400 Bad Request: ").as_deref(),
             Some("400 Bad Request")

@@ -53,7 +53,7 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(50);
 const STALL_TIMEOUT: Duration = Duration::from_secs(10);
 
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
-    let source = Source::of(address)?;
+    let source = Source::connect(address)?;
     let came = Rc::clone(&source.came);
     let work = async {
         let mut object = match fetch_head(&source).await? {
@@ -138,14 +138,14 @@ async fn fetch_whole(
     let at = Cell::new(0);
     let keep = |part: &[u8]| {
         let file = match &mut file {
-            None => file.insert(Unpacked::of(part).map_err(disk_error)?),
+            None => file.insert(Unpacked::create(part).map_err(disk_error)?),
             Some(file) => file,
         };
         options.set_position(at.get());
         file.file.write_all(part).map_err(disk_error)
     };
     read(answer, source, &at, keep).await?;
-    let file = file.map_or_else(|| Unpacked::of(&[]), Ok).map_err(disk_error)?;
+    let file = file.map_or_else(|| Unpacked::create(&[]), Ok).map_err(disk_error)?;
     Ok(Fetched { file, present: Present::Whole, bytes: at.get() as u64 })
 }
 
@@ -172,7 +172,7 @@ impl Object {
         let too_large =
             |_| RemoteFault::Refused { cause: format!("its size is {} bytes", meta.size) };
         let size = usize::try_from(meta.size).map_err(too_large)?;
-        let mut file = Unpacked::of(head).map_err(disk_error)?;
+        let mut file = Unpacked::create(head).map_err(disk_error)?;
         file.file
             .set_len(meta.size)
             .and_then(|()| file.file.write_all(head))
@@ -194,7 +194,7 @@ impl Object {
     }
 
     fn finish(self) -> Fetched {
-        let present = Present::of(self.present, self.size);
+        let present = Present::from_ranges(self.present, self.size);
         Fetched { file: self.file, present, bytes: self.fetched.get() as u64 }
     }
 
@@ -203,7 +203,7 @@ impl Object {
         let tail = self.size.saturating_sub(TAIL_BYTES)..self.size;
         self.fetch(Ranges::new(vec![tail], MAX_GAP_BYTES)).await?;
         for _ in 0..MAX_SURVEY_ROUNDS {
-            let present = Present::of(self.present.clone(), self.size);
+            let present = Present::from_ranges(self.present.clone(), self.size);
             let mapped = MappedFile::from_temporary(&self.file.file).map_err(disk_error)?;
             let survey = mcap::survey(mapped.bytes(), &present);
             // The file must not change while it is mapped.

@@ -7,7 +7,7 @@ use super::{Address, RemoteObject, error_cause, fetch};
 
 /// Objects below `address`, by name, or the object itself.
 pub(super) fn list(address: &Address) -> Result<Vec<RemoteObject>, RemoteFault> {
-    let source = Source::of(address)?;
+    let source = Source::connect(address)?;
     let fault = |error| error_cause::remote_fault(&error, source.store);
     let metas = fetch::runtime()?.block_on(async {
         let below = match source.store {

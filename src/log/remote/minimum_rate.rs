@@ -10,10 +10,10 @@ use tokio::time::sleep;
 use super::fault::RemoteFault;
 
 /// Environment variable, bytes per second.
-const RATE: &str = "POSEAUDIT_LEAST_RATE";
+const RATE_VARIABLE: &str = "POSEAUDIT_LEAST_RATE";
 
 /// Environment variable, seconds.
-const SECONDS: &str = "POSEAUDIT_PATIENCE";
+const PERIOD_VARIABLE: &str = "POSEAUDIT_PATIENCE";
 
 /// Averaged over all requests of a download.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +36,10 @@ impl MinimumRate {
     /// If a setting is not a whole number.
     pub fn from_environment() -> Result<Self, RemoteFault> {
         let usual = Self::default();
-        Ok(Self { rate: setting(RATE, usual.rate)?, seconds: setting(SECONDS, usual.seconds)? })
+        Ok(Self {
+            rate: setting(RATE_VARIABLE, usual.rate)?,
+            seconds: setting(PERIOD_VARIABLE, usual.seconds)?,
+        })
     }
 
     /// Runs `work`, which counts received bytes in `came`.

@@ -20,12 +20,12 @@ use percent_encoding::percent_decode_str;
 use super::fault::{RemoteFault, Store};
 use super::{Address, credentials, error_cause};
 
-const CONNECT: Duration = Duration::from_secs(5);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// After a server error or without an answer.
-const RETRIES: usize = 5;
+const MAX_RETRIES: usize = 5;
 
-const RETRIES_END: Duration = Duration::from_secs(30);
+const RETRY_TIMEOUT: Duration = Duration::from_secs(30);
 
 pub(super) struct Source {
     pub(super) client: Arc<dyn ObjectStore>,
@@ -36,7 +36,7 @@ pub(super) struct Source {
 }
 
 impl Source {
-    pub(super) fn of(Address(url): &Address) -> Result<Self, RemoteFault> {
+    pub(super) fn connect(Address(url): &Address) -> Result<Self, RemoteFault> {
         let (scheme, rest) = url.split_once("://").unwrap_or_default();
         let (host, key) = rest.split_once('/').unwrap_or((rest, ""));
         let is_account = scheme.starts_with("abfs") && !host.contains(':');
@@ -139,7 +139,7 @@ fn login(url: &str) -> (String, HeaderMap) {
 
 /// No time limit for bodies: their reader detects stalls.
 fn plain_options() -> ClientOptions {
-    ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT)
+    ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT_TIMEOUT)
 }
 
 /// Adds variables that start with `prefix`, such as `AWS_ALLOW_HTTP`.
@@ -160,5 +160,5 @@ fn retries() -> RetryConfig {
         max_backoff: Duration::from_secs(5),
         base: 2.0,
     };
-    RetryConfig { backoff, max_retries: RETRIES, retry_timeout: RETRIES_END }
+    RetryConfig { backoff, max_retries: MAX_RETRIES, retry_timeout: RETRY_TIMEOUT }
 }

@@ -16,13 +16,13 @@ impl<'a> Reader<'a, '_, '_> {
             let Ok(record) = record::record(self.bytes, offset) else { return };
             self.scanned = Some(record.end);
             let chunk = match record.op {
-                op::CHUNK => Chunk::of(record.header, record.data),
+                op::CHUNK => Chunk::from_header(record.header, record.data),
                 _ => None,
             };
             if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
                 && packed.compression != Compression::None
                 && !self.is_ignored(&record)
-                && self.intake.allowance.admit(&packed).is_ok()
+                && self.intake.unpack_budget.admit(&packed).is_ok()
             {
                 self.ahead.unpack(offset, packed, None);
             }
@@ -37,7 +37,7 @@ impl<'a> Reader<'a, '_, '_> {
         std::iter::from_fn(move || {
             let record = (offset < bytes.len()).then(|| record::record(bytes, offset).ok())??;
             offset = record.end;
-            (record.op == op::INDEX).then(|| MessageIndex::of(&record))?
+            (record.op == op::INDEX).then(|| MessageIndex::from_record(&record))?
         })
     }
 
@@ -70,7 +70,7 @@ impl<'a> Reader<'a, '_, '_> {
     ) -> bool {
         self.in_lost_chunk = false;
         self.in_packed = false;
-        let Some(chunk) = Chunk::of(record.header, record.data) else {
+        let Some(chunk) = Chunk::from_header(record.header, record.data) else {
             self.lose_chunk(record.offset, "malformed chunk record".to_owned());
             return false;
         };
@@ -97,8 +97,8 @@ impl<'a> Reader<'a, '_, '_> {
         }
         let mut unpacked = self.ahead.take_result(record.offset).and_then(ChunkResult::unpacked);
         let content = match &mut unpacked {
-            Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
-            None => unpacker.chunk(&packed, &mut self.intake.allowance),
+            Some(unpacked) => unpacked.content(&packed, &mut self.intake.unpack_budget),
+            None => unpacker.chunk(&packed, &mut self.intake.unpack_budget),
         };
         let is_sound = match content {
             Ok(records) => {
@@ -111,7 +111,7 @@ impl<'a> Reader<'a, '_, '_> {
             }
             Err(error @ UnpackError::Size { .. }) => {
                 let before = self.intake.messages();
-                let allowance = &mut self.intake.allowance;
+                let allowance = &mut self.intake.unpack_budget;
                 let records = unpacker.cut_chunk(compression, chunk.data, allowance);
                 self.chunk_records(records, record.offset);
                 let read = self.intake.messages() - before;
@@ -188,7 +188,7 @@ impl<'a> Reader<'a, '_, '_> {
     ) -> u64 {
         let before = self.intake.messages();
         if let Some(compression) = chunk.compression {
-            let records = unpacker.cut_chunk(compression, data, &mut self.intake.allowance);
+            let records = unpacker.cut_chunk(compression, data, &mut self.intake.unpack_budget);
             let (mut offset, mut batch) = (0, Vec::new());
             while let Ok(record) = record::record(records, offset) {
                 self.content(&record, place, &mut batch);

@@ -60,15 +60,15 @@ pub(super) fn record(bytes: &[u8], offset: usize) -> Result<Record<'_>, Broken<'
 /// header of valid fields that include `op` and all fields required for the kind.
 pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option<usize> {
     /// Four bytes that start with `op=`.
-    const OP: &[u8] = b"\x04\0\0\0op=";
+    const OP_FIELD: &[u8] = b"\x04\0\0\0op=";
     /// Maximum length of the fields before it.
-    const BEFORE: usize = 256;
-    const MOST: usize = 10_000;
+    const MAX_FIELDS_BYTES: usize = 256;
+    const MAX_CANDIDATES: usize = 10_000;
     let rest = bytes.get(from..)?;
-    let fields = rest.windows(OP.len()).enumerate().filter(|(_, window)| *window == OP);
-    fields.take(MOST).map(|(at, _)| from + at).find_map(|field| {
+    let fields = rest.windows(OP_FIELD.len()).enumerate().filter(|(_, window)| *window == OP_FIELD);
+    fields.take(MAX_CANDIDATES).map(|(at, _)| from + at).find_map(|field| {
         let last = field.checked_sub(size_of::<u32>())?;
-        let mut starts = from.max(last.saturating_sub(BEFORE))..=last;
+        let mut starts = from.max(last.saturating_sub(MAX_FIELDS_BYTES))..=last;
         starts.find(|&start| is_record(bytes, start, field, only))
     })
 }
@@ -83,9 +83,9 @@ fn is_record(bytes: &[u8], start: usize, field: usize, only: Option<u8>) -> bool
         && field < end
         && record(bytes, start).is_ok_and(|record| match record.op {
             other if only.is_some_and(|only| only != other) => false,
-            op::MESSAGE => Message::of(&record).is_some(),
-            op::CHUNK => Chunk::of(record.header, record.data).is_some(),
-            op::CONNECTION => Connection::of(&record).is_some(),
+            op::MESSAGE => Message::from_record(&record).is_some(),
+            op::CHUNK => Chunk::from_header(record.header, record.data).is_some(),
+            op::CONNECTION => Connection::from_record(&record).is_some(),
             op::CHUNK_INFO => record.header.u32("count").is_some(),
             op::INDEX => record.header.u32("conn").is_some(),
             _ => false,
@@ -164,7 +164,7 @@ pub(super) struct Connection<'a> {
 }
 
 impl<'a> Connection<'a> {
-    pub(super) fn of(record: &Record<'a>) -> Option<Self> {
+    pub(super) fn from_record(record: &Record<'a>) -> Option<Self> {
         let of_sender = Header(record.data);
         Some(Self {
             id: record.header.u32("conn")?,
@@ -197,7 +197,7 @@ pub(super) struct Message {
 }
 
 impl Message {
-    pub(super) fn of(record: &Record<'_>) -> Option<Self> {
+    pub(super) fn from_record(record: &Record<'_>) -> Option<Self> {
         Some(Self { connection: record.header.u32("conn")?, time: record.header.time("time")? })
     }
 }
@@ -212,7 +212,7 @@ pub(super) struct Chunk<'a> {
 }
 
 impl<'a> Chunk<'a> {
-    pub(super) fn of(header: Header<'a>, data: &'a [u8]) -> Option<Self> {
+    pub(super) fn from_header(header: Header<'a>, data: &'a [u8]) -> Option<Self> {
         let compression = match header.text("compression")? {
             "none" => Some(Compression::None),
             "lz4" => Some(Compression::Lz4),
@@ -261,7 +261,7 @@ pub(super) struct MessageIndex<'a> {
 
 impl<'a> MessageIndex<'a> {
     /// The connection and its index.
-    pub(super) fn of(record: &Record<'a>) -> Option<(u32, Self)> {
+    pub(super) fn from_record(record: &Record<'a>) -> Option<(u32, Self)> {
         let (entries, _) = record.data.as_chunks();
         Some((record.header.u32("conn")?, Self { entries }))
     }

@@ -80,7 +80,7 @@ fn times_have_whole_seconds_and_nanoseconds() {
 }
 
 #[test]
-fn every_cut_keeps_the_messages_before_it() {
+fn every_truncation_keeps_the_messages_before_it() {
     for compression in COMPRESSIONS {
         let (whole, chunks) = bag(compression);
         let mut most = 0;
@@ -99,7 +99,7 @@ fn every_cut_keeps_the_messages_before_it() {
 }
 
 #[test]
-fn a_cut_in_a_plain_chunk_costs_one_message() {
+fn a_cut_in_an_uncompressed_chunk_loses_one_message() {
     let (whole, chunks) = bag("none");
     let log = read_bag(&whole[..chunks[1] + 1000]);
     // A message has 40 bytes of data, 38 of header, and 8 for their lengths.
@@ -112,7 +112,7 @@ fn a_cut_in_a_plain_chunk_costs_one_message() {
 }
 
 #[test]
-fn a_bag_left_by_a_crash_is_read_to_its_last_byte() {
+fn a_bag_of_a_crashed_recorder_is_read_to_its_last_byte() {
     for compression in COMPRESSIONS {
         let (bag, _) = unfinished(compression, MESSAGES + 7);
         let log = read_bag(&bag.abandon());
@@ -123,7 +123,7 @@ fn a_bag_left_by_a_crash_is_read_to_its_last_byte() {
 }
 
 #[test]
-fn chunks_without_a_use_are_counted_and_left_packed() {
+fn unused_chunks_are_counted_and_not_unpacked() {
     for compression in ["lz4", "bz2"] {
         let (mut bytes, chunks) = bag(compression);
         bytes[chunks[2] + 120] ^= 0x10;
@@ -153,7 +153,7 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
 }
 
 #[test]
-fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
+fn a_wrong_length_in_an_uncompressed_chunk_loses_few_messages() {
     let (mut bytes, chunks) = bag("none");
     // Only a message's length has the value 40.
     let length = 40u32.to_le_bytes();
@@ -168,7 +168,7 @@ fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
 }
 
 #[test]
-fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
+fn a_wrong_chunk_length_is_skipped_and_no_message_is_read_twice() {
     for compression in COMPRESSIONS {
         let (mut bytes, chunks) = bag(compression);
         // The data's length follows the header.
@@ -187,7 +187,7 @@ fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
 }
 
 #[test]
-fn no_flipped_byte_stops_the_reading() {
+fn every_flipped_byte_is_survived() {
     for compression in COMPRESSIONS {
         let (mut bytes, _) = bag(compression);
         let step = if compression == "none" { 1 } else { 3 };
@@ -202,7 +202,7 @@ fn no_flipped_byte_stops_the_reading() {
 }
 
 #[test]
-fn messages_that_are_lost_are_counted_by_the_index() {
+fn the_index_counts_lost_messages() {
     let (mut bytes, chunks) = bag("lz4");
     bytes[chunks[1]..chunks[2]].fill(0xee);
     let log = read_bag(&bytes);
@@ -253,7 +253,7 @@ fn a_chunk_that_misstates_its_size_is_read() {
 }
 
 #[test]
-fn records_of_unknown_kinds_are_passed_and_said() {
+fn unknown_records_are_skipped_and_reported() {
     let (mut bytes, _) = bag("lz4");
     assert_eq!(read_bag(&bytes).notes, []);
     let indices = |bytes: &[u8]| -> Vec<usize> {
@@ -272,7 +272,7 @@ fn records_of_unknown_kinds_are_passed_and_said() {
 }
 
 #[test]
-fn the_number_in_a_header_goes_with_its_row() {
+fn the_sequence_number_of_a_header_belongs_to_its_row() {
     let mut bag = BagWriter::new("none");
     let definition = "# a comment\n\nint32 CONSTANT=3\nHeader header\ngeometry_msgs/Vector3 vector\n\
         ===\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n\

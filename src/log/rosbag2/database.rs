@@ -41,7 +41,7 @@ pub(crate) fn read(
 ) -> bool {
     let tables = |strictness| {
         let database = open(path, strictness)?;
-        let tables = Tables::of(&database)?;
+        let tables = Tables::inspect(&database)?;
         Ok((database, tables))
     };
     let mut is_cut = false;
@@ -180,7 +180,7 @@ struct Tables {
 
 impl Tables {
     /// Excludes views, virtual tables and computed columns: reading them would execute untrusted SQL.
-    fn of(database: &Connection) -> rusqlite::Result<Self> {
+    fn inspect(database: &Connection) -> rusqlite::Result<Self> {
         let has = |name: &str| -> rusqlite::Result<bool> {
             database.query_row(
                 "SELECT count(*) FROM pragma_table_list WHERE schema = 'main' AND name = ?1 \

@@ -112,7 +112,7 @@ fn rows_and_times_below_zero_are_read() {
 }
 
 #[test]
-fn a_write_ahead_log_is_read_and_left_alone() {
+fn a_write_ahead_log_is_read_and_not_modified() {
     let (recording, crashed) = (folder(), folder());
     let path = recording.path().join("run.db3");
     database(&path, 0, 50);
@@ -175,7 +175,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
 }
 
 #[test]
-fn a_damaged_page_costs_its_own_messages() {
+fn a_damaged_page_loses_only_its_messages() {
     let folder = folder();
     let path = folder.path().join("run.db3");
     database(&path, 0, 400);
@@ -193,7 +193,7 @@ fn a_damaged_page_costs_its_own_messages() {
 }
 
 #[test]
-fn a_cut_database_is_read_up_to_where_it_ends() {
+fn a_truncated_database_is_read_up_to_its_end() {
     let folder = folder();
     let path = folder.path().join("run.db3");
     database(&path, 0, 400);
@@ -215,7 +215,7 @@ fn cells(bytes: &[u8], page: usize, header: usize) -> Vec<usize> {
 }
 
 #[test]
-fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
+fn unordered_row_numbers_are_damage_and_the_search_ends() {
     let folder = folder();
     let path = folder.path().join("run.db3");
     database(&path, 0, 4000);
@@ -251,7 +251,7 @@ fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
 }
 
 #[test]
-fn every_cut_and_every_flipped_byte_is_survived() {
+fn every_truncation_and_flipped_byte_is_survived() {
     let folder = folder();
     let path = folder.path().join("run.db3");
     database(&path, 0, 60);
@@ -274,7 +274,7 @@ fn every_cut_and_every_flipped_byte_is_survived() {
 }
 
 #[test]
-fn a_database_that_computes_its_tables_is_none_of_rosbag2() {
+fn views_and_virtual_tables_are_refused() {
     let folder = folder();
     let path = folder.path().join("run.db3");
     let database = DatabaseWriter::create(&path);
@@ -292,7 +292,7 @@ fn a_database_that_computes_its_tables_is_none_of_rosbag2() {
 }
 
 #[test]
-fn the_files_of_a_folder_are_one_log_and_missing_ones_are_said() {
+fn files_of_a_folder_form_one_log_and_missing_ones_are_reported() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);
     mcap(&folder.path().join("run_2.mcap"), 30, 10);
@@ -308,7 +308,7 @@ fn the_files_of_a_folder_are_one_log_and_missing_ones_are_said() {
 }
 
 #[test]
-fn splits_that_a_cut_list_does_not_name_are_read_and_said() {
+fn unlisted_splits_are_read_and_reported() {
     let folder = folder();
     for split in [0, 1, 2, 10] {
         mcap(&folder.path().join(format!("run_{split}.mcap")), 10 * split, 10);
@@ -322,14 +322,17 @@ fn splits_that_a_cut_list_does_not_name_are_read_and_said() {
     let names: Vec<_> = log.files.iter().filter_map(|file| file.path.file_name()).collect();
     assert_eq!(names, ["run_0.mcap", "run_1.mcap", "run_2.mcap", "run_10.mcap"]);
     assert_eq!(log.messages, 40);
-    let said = |extent| log.losses.iter().filter(|loss| loss.extent == extent).count();
-    assert_eq!((said(Extent::Index), said(Extent::Messages), log.losses.len()), (3, 1, 4));
+    let count_losses = |extent| log.losses.iter().filter(|loss| loss.extent == extent).count();
+    assert_eq!(
+        (count_losses(Extent::Index), count_losses(Extent::Messages), log.losses.len()),
+        (3, 1, 4)
+    );
     let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
     assert_eq!(notes, ["not listed in metadata.yaml, so it was not read"; 2]);
 }
 
 #[test]
-fn a_broken_split_does_not_take_the_others_with_it() {
+fn a_broken_split_loses_no_other_split() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);
     fs::write(folder.path().join("run_1.db3"), b"").unwrap();
@@ -341,7 +344,7 @@ fn a_broken_split_does_not_take_the_others_with_it() {
 }
 
 #[test]
-fn messages_that_metadata_counts_and_a_database_lacks_are_lost() {
+fn messages_counted_by_metadata_and_missing_in_the_database_are_lost() {
     let folder = folder();
     database(&folder.path().join("run_0.db3"), 0, 10);
     metadata(folder.path(), &[("run_0.db3", 13)]);

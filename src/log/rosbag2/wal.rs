@@ -9,7 +9,7 @@ use std::path::Path;
 
 const HEADER_BYTES: u64 = 32;
 const FRAME_HEADER_BYTES: u64 = 24;
-const LARGEST_PAGE: u32 = 1 << 16;
+const MAX_PAGE_BYTES: u32 = 1 << 16;
 
 /// Offset and description of damage; `None` if all frames are readable and belong to completed
 /// transactions.
@@ -41,7 +41,7 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
         sum
     };
     let mut so_far = sum([0, 0], &header[..24]);
-    let is_page = page_bytes.is_power_of_two() && (512..=LARGEST_PAGE).contains(&page_bytes);
+    let is_page = page_bytes.is_power_of_two() && (512..=MAX_PAGE_BYTES).contains(&page_bytes);
     if word(&header, 0) | 1 != 0x377f_0683
         || !is_page
         || so_far != [word(&header, 24), word(&header, 28)]

@@ -73,7 +73,7 @@ fn array<'a>(log: &'a Log, topic: &str) -> &'a ArrayColumns {
 }
 
 #[test]
-fn every_spelling_of_a_table_gives_the_same_columns() {
+fn every_csv_dialect_gives_the_same_columns() {
     let plain = read(&table(" ", "\n", 20));
     assert_eq!(plain.losses, []);
     assert_eq!(plain.files[0].container, Container::RtdeCsv);
@@ -122,7 +122,7 @@ fn tables_with_different_columns_are_merged() {
 }
 
 #[test]
-fn a_table_of_another_time_with_the_same_columns_goes_on() {
+fn a_later_table_with_the_same_columns_continues_the_first() {
     let (first, second) = (table(",", "\n", 200), table(",", "\n", 200).replace(",\n", "\n"));
     let later = second.lines().skip(1).map(|line| line.replacen("10", "20", 1) + "\n");
     let later =
@@ -137,7 +137,7 @@ fn a_table_of_another_time_with_the_same_columns_goes_on() {
 }
 
 #[test]
-fn malformed_rows_are_said_with_their_line() {
+fn malformed_rows_are_reported_with_their_line() {
     let text = table(",", "\n", 10);
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     lines[3] = lines[3].replacen("100.0160", "soon", 1);
@@ -157,7 +157,7 @@ fn malformed_rows_are_said_with_their_line() {
 }
 
 #[test]
-fn decimal_commas_between_commas_are_explained() {
+fn decimal_commas_in_comma_separated_files_are_explained() {
     let header = names(&[("actual_q", 6)], ",") + "\n";
     let text = header + "1,0,2,0,3,0,4,0,5,0,6,0,7,0\n";
     let error = read_tables(&[text.as_bytes()]).unwrap_err().to_string();
@@ -165,7 +165,7 @@ fn decimal_commas_between_commas_are_explained() {
 }
 
 #[test]
-fn without_the_controllers_time_it_is_a_table_like_others() {
+fn a_table_without_controller_time_is_read_as_csv() {
     let text = table(",", "\n", 10).replace("timestamp", "time");
     let log = read_tables(&[text.as_bytes()]).unwrap();
     assert_eq!(log.files[0].container, Container::Csv);
@@ -176,7 +176,7 @@ fn without_the_controllers_time_it_is_a_table_like_others() {
 }
 
 #[test]
-fn a_vector_that_is_not_whole_is_said() {
+fn an_incomplete_vector_is_reported() {
     let text = table(",", "\n", 10).replace("actual_q_5", "other");
     let log = read(&text);
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
@@ -185,7 +185,7 @@ fn a_vector_that_is_not_whole_is_said() {
 }
 
 #[test]
-fn no_cut_gives_a_wrong_number() {
+fn no_truncation_gives_a_wrong_number() {
     let whole = table(" ", "\n", 5);
     let sound = read(&whole);
     let sound = &array(&sound, "actual_TCP_pose").values;
@@ -203,7 +203,7 @@ fn no_cut_gives_a_wrong_number() {
 }
 
 #[test]
-fn no_flipped_byte_stops_the_reading() {
+fn every_flipped_byte_is_survived() {
     let whole = table(",", "\n", 3).into_bytes();
     for index in 0..whole.len() {
         for flip in [0xff, 0x01] {

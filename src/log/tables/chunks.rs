@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn chunks_of_nothing_but_the_fill_value_are_no_loss() {
+    fn missing_chunks_of_the_fill_value_are_no_loss() {
         let absent = [(1, 0, false), (2, 0, false)];
         let zeros = |at: usize| if at % 4 < 2 { 0.0 } else { at as f64 + 1.0 };
         assert!(assembled(zeros, true, &absent).lost.is_empty());

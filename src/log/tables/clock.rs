@@ -62,7 +62,7 @@ pub(super) struct Clock {
 }
 
 pub(super) fn is_time(name: &str) -> bool {
-    let words = names::words(name);
+    let words = names::split_words(name);
     let is_unit = |word: &&String| UNIT_WORDS.iter().any(|(unit, _)| unit == word);
     let is_general = |word: &&String| ["data", "info", "value", "values"].contains(&word.as_str());
     let mut named = words.iter().rev().filter(|word| !is_general(word));
@@ -143,7 +143,7 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
 }
 
 fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
-    let mut words = names::words(name);
+    let mut words = names::split_words(name);
     let unit = words.pop()?;
     units.contains(&unit.as_str()).then_some(words)
 }
@@ -154,7 +154,7 @@ fn best_clock(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     /// Rows that repeat a stamp.
     const MAX_REPEATED_PERCENT: usize = 5;
     let is_header = |clock: &Clock| {
-        let name = clock.cell.map(|(at, _)| names::words(&table.columns[at].name));
+        let name = clock.cell.map(|(at, _)| names::split_words(&table.columns[at].name));
         name.is_some_and(|words| words.contains(&"header".to_owned()))
     };
     clocks.into_iter().min_by_key(|clock| {
@@ -191,7 +191,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         return None;
     }
     let name = |at: usize| &table.columns[at].name;
-    let said = match cells {
+    let description = match cells {
         [(one, _), (other, _)] if one == other => {
             format!("stamps from column '{}', s and ns", name(one))
         }
@@ -204,7 +204,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         stamps,
         cell: Some(cell),
         nanos: Some(nanos),
-        description: said,
+        description,
         unnamed_column: None,
         step_s,
     })
@@ -261,8 +261,9 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
         [(name, ..)] => {
             let name = std::mem::take(name);
             let (_, clock, _) = found.swap_remove(0);
-            let said = clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
-            Ok(Clock { description: said, unnamed_column: Some(name), ..clock })
+            let description =
+                clock.description.replacen("''", &format!("'{name}', by its numbers"), 1);
+            Ok(Clock { description, unnamed_column: Some(name), ..clock })
         }
         several => {
             let names: Vec<String> =
@@ -354,7 +355,7 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
     if 100 * back > MAX_BACKWARD_PERCENT * steps.len().max(100) || 2 * finite.len() < values.len() {
         return None;
     }
-    let (first, words) = (*finite.first()?, names::words(&column.name));
+    let (first, words) = (*finite.first()?, names::split_words(&column.name));
     let by_name =
         words.iter().rev().find_map(|word| UNIT_WORDS.iter().find(|(unit, _)| unit == word));
     let by_name = by_name
@@ -386,9 +387,9 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         1e-6 => "µs",
         _ => "ns",
     };
-    let mut said = format!("stamps from column '{}', {unit_name}", column.name);
+    let mut description = format!("stamps from column '{}', {unit_name}", column.name);
     if is_grid {
-        said += &format!(
+        description += &format!(
             ", an even grid of {:.4} rows per second; latencies are only relative to other columns",
             1.0 / step_s
         );
@@ -397,7 +398,7 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         stamps: values.iter().map(|value| nanos(*value)).collect(),
         cell: Some((at, 0)),
         nanos: None,
-        description: said,
+        description,
         unnamed_column: None,
         step_s,
     })

@@ -382,29 +382,44 @@ mod tests {
         detect_layout(text.as_bytes()).map(|layout| (layout.delimiter, layout.names, layout.width))
     }
 
-    fn of(names: &[&str]) -> Option<Vec<String>> {
+    fn owned_names(names: &[&str]) -> Option<Vec<String>> {
         Some(names.iter().map(|&name| name.to_owned()).collect())
     }
 
     #[test]
-    fn names_are_found_above_the_rows() {
+    fn column_names_are_found_above_the_rows() {
         for (text, delimiter, expected, width) in [
-            ("t,q1,q2\n0,1,2\n", b',', of(&["t", "q1", "q2"]), 3),
-            ("# a log\n#t q1 q2\n0 1 2\n1 2 3\n", b' ', of(&["t", "q1", "q2"]), 3),
-            ("Robot 7\n\nt;q1;q2\n0,5;1,5;2,5\n", b';', of(&["t", "q1", "q2"]), 3),
-            ("t,q1,x\ns,deg,mm\n0,1,2\n", b',', of(&["t [s]", "q1 [deg]", "x [mm]"]), 3),
-            ("t\tq1\tq2\n0,5\t1,5\t2,5\n", b'\t', of(&["t", "q1", "q2"]), 3),
-            ("\"t\",\"q,1\",\"q2\"\n\"0\",\"1\",\"2\"\n", b',', of(&["t", "q,1", "q2"]), 3),
-            ("%time,field.a0,field.a1\n1,2,3\n", b',', of(&["time", "field.a0", "field.a1"]), 3),
-            ("t,q1,q2\n0,1,2,\n0,1,2,\n", b',', of(&["t", "q1", "q2"]), 3),
-            ("q1,q2,q3\n0,1,2,3\n1,2,3,4\n", b',', of(&["", "q1", "q2", "q3"]), 4),
+            ("t,q1,q2\n0,1,2\n", b',', owned_names(&["t", "q1", "q2"]), 3),
+            ("# a log\n#t q1 q2\n0 1 2\n1 2 3\n", b' ', owned_names(&["t", "q1", "q2"]), 3),
+            ("Robot 7\n\nt;q1;q2\n0,5;1,5;2,5\n", b';', owned_names(&["t", "q1", "q2"]), 3),
+            ("t,q1,x\ns,deg,mm\n0,1,2\n", b',', owned_names(&["t [s]", "q1 [deg]", "x [mm]"]), 3),
+            ("t\tq1\tq2\n0,5\t1,5\t2,5\n", b'\t', owned_names(&["t", "q1", "q2"]), 3),
+            (
+                "\"t\",\"q,1\",\"q2\"\n\"0\",\"1\",\"2\"\n",
+                b',',
+                owned_names(&["t", "q,1", "q2"]),
+                3,
+            ),
+            (
+                "%time,field.a0,field.a1\n1,2,3\n",
+                b',',
+                owned_names(&["time", "field.a0", "field.a1"]),
+                3,
+            ),
+            ("t,q1,q2\n0,1,2,\n0,1,2,\n", b',', owned_names(&["t", "q1", "q2"]), 3),
+            ("q1,q2,q3\n0,1,2,3\n1,2,3,4\n", b',', owned_names(&["", "q1", "q2", "q3"]), 4),
             ("0.5 1.5 2.5\n0.6 1.6 2.6\n", b' ', None, 3),
             ("0,1,2\n0.5,1.5,2.5\n0.6,1.6,2.6\n", b',', None, 3),
-            ("t\tq1\tq2\t\t\n0\t1\t2\n1\t2\t3\n", b'\t', of(&["t", "q1", "q2"]), 3),
-            ("t\tq1\tq2\n0\t1\t2\t\t\n1\t2\t3\t\t\n", b'\t', of(&["t", "q1", "q2"]), 3),
-            ("t\tq1\tq2\tx\n0\t1\t2\t\n1\t2\t3\t4\n", b'\t', of(&["t", "q1", "q2", "x"]), 4),
+            ("t\tq1\tq2\t\t\n0\t1\t2\n1\t2\t3\n", b'\t', owned_names(&["t", "q1", "q2"]), 3),
+            ("t\tq1\tq2\n0\t1\t2\t\t\n1\t2\t3\t\t\n", b'\t', owned_names(&["t", "q1", "q2"]), 3),
+            (
+                "t\tq1\tq2\tx\n0\t1\t2\t\n1\t2\t3\t4\n",
+                b'\t',
+                owned_names(&["t", "q1", "q2", "x"]),
+                4,
+            ),
             ("0.5,1.5,2.5,,\n0.6,1.6,2.6,,\n", b',', None, 3),
-            (" # a log\n\t% by hand\nt,q1,q2\n0,1,2\n", b',', of(&["t", "q1", "q2"]), 3),
+            (" # a log\n\t% by hand\nt,q1,q2\n0,1,2\n", b',', owned_names(&["t", "q1", "q2"]), 3),
         ] {
             assert_eq!(names(text), Some((delimiter, expected, width)), "{text:?}");
         }

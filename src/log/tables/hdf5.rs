@@ -176,7 +176,7 @@ impl GroupWalk {
             if array.rows == rows { array.read(memory) } else { array.unread() }
         };
         let candidates = arrays.into_iter().map(&mut read).collect();
-        let mut table = Table::of(candidates, Some(rows), memory);
+        let mut table = Table::from_columns(candidates, Some(rows), memory);
         table.losses.extend(self.losses);
         table
     }

@@ -81,11 +81,11 @@ pub(super) fn identify_topics(
     let is_clock = |cell: &Cell| clocks.contains(&(cell.column, cell.part));
     let open: Vec<usize> =
         (0..table.columns.len()).filter(|&at| table.columns[at].width > 0).collect();
-    let said = taken_by(&groups);
+    let identified = taken_by(&groups);
     let named: Vec<Cell> = open
         .iter()
         .flat_map(|&column| cells(table, column))
-        .filter(|cell| !said.contains(cell) && !is_clock(cell))
+        .filter(|cell| !identified.contains(cell) && !is_clock(cell))
         .collect();
     let by_name = group_by_names(table, &named);
     groups.extend(by_name);
@@ -439,8 +439,8 @@ fn assign_velocities(table: &Table, clock: &Clock, groups: &mut Vec<ColumnGroup>
     let words_of = |cell: &Cell| {
         let column = &table.columns[cell.column];
         let part = column.parts.get(cell.part);
-        let mut words = names::words(&column.name);
-        words.extend(part.map(|part| names::words(part)).unwrap_or_default());
+        let mut words = names::split_words(&column.name);
+        words.extend(part.map(|part| names::split_words(part)).unwrap_or_default());
         if part.is_none() && column.width > 1 {
             words.push(cell.part.to_string());
         }
@@ -553,8 +553,10 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
     }
     let mut groups = Vec::new();
     for (home, members) in homes {
-        let own =
-            members.iter().filter(|(_, joint)| !names::is_gripper(&names::words(joint))).count();
+        let own = members
+            .iter()
+            .filter(|(_, joint)| !names::is_gripper(&names::split_words(joint)))
+            .count();
         if own < *JOINT_COUNTS.start() {
             continue;
         }
@@ -578,14 +580,14 @@ fn group_by_limb_names(table: &Table, all: &[Cell]) -> Vec<ColumnGroup> {
 }
 
 fn identify_column(column: &Column, cells: Vec<Cell>) -> ColumnGroup {
-    let words = names::words(&column.name);
+    let words = names::split_words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
     let (meaning, why) = match column.width {
         _ if names::is_other_quantity(&words) || names::is_gripper(&words) => {
             (ColumnMeaning::Unused, "neither joint positions nor a pose, by its name".to_owned())
         }
-        6 if names::words(&column.name).ends_with(&["actual".into(), "q".into()])
-            || names::words(&column.name).ends_with(&["target".into(), "q".into()]) =>
+        6 if names::split_words(&column.name).ends_with(&["actual".into(), "q".into()])
+            || names::split_words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
             (
@@ -708,7 +710,7 @@ impl ColumnGroup {
             .cells
             .iter()
             .zip(names)
-            .filter(|(_, name)| !names::is_gripper(&names::words(name)));
+            .filter(|(_, name)| !names::is_gripper(&names::split_words(name)));
         let sizes = arms.flat_map(|(cell, _)| {
             let column = &table.columns[cell.column];
             column.values.iter().skip(cell.part).step_by(column.width).map(|value| value.abs())
@@ -774,7 +776,7 @@ impl ColumnGroup {
                 // Velocities have the unit of the positions by default.
                 let in_words = |known: &[&str]| {
                     let mut words =
-                        velocities.iter().flat_map(|&cell| names::words(name(table, cell)));
+                        velocities.iter().flat_map(|&cell| names::split_words(name(table, cell)));
                     words.any(|word| known.contains(&word.as_str()))
                 };
                 let are_degrees = most > TWO_TURNS && lines.is_empty();
@@ -790,7 +792,7 @@ impl ColumnGroup {
                         why += &format!(", but {what}");
                     }
                     let says_rad = |cell: &&Cell| {
-                        names::words(name(table, **cell))
+                        names::split_words(name(table, **cell))
                             .iter()
                             .any(|word| RADIAN_WORDS.contains(&word.as_str()))
                     };

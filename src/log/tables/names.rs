@@ -17,17 +17,17 @@ pub(super) fn is_transition(name: &str) -> bool {
         "success",
         "discount",
     ];
-    words(name).iter().any(|word| TRANSITION_WORDS.contains(&word.as_str()))
+    split_words(name).iter().any(|word| TRANSITION_WORDS.contains(&word.as_str()))
 }
 
 pub(super) fn is_joints_or_pose(name: &str) -> bool {
-    let words = words(name);
+    let words = split_words(name);
     is_joint_positions(&words) || is_pose(&words)
 }
 
 /// Lower-case words. Splits at characters other than letters and digits, before a capital that follows a
 /// small letter, and between letters and digits.
-pub(super) fn words(name: &str) -> Vec<String> {
+pub(super) fn split_words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';
     for c in name.chars() {
@@ -330,7 +330,7 @@ pub(super) fn is_pose(words: &[String]) -> bool {
 
 /// Words before a matrix element, and its row and column: `T_03`, `R[1][2]`.
 pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
-    let words = words(name);
+    let words = split_words(name);
     let digits = |word: &String| word.chars().all(|c| c.is_ascii_digit());
     let first = words.iter().position(digits)?;
     let (stem, cell) = words.split_at(first);
@@ -349,7 +349,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
 
 /// Joint name as models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
-    let own = words(name);
+    let own = split_words(name);
     if is_other_quantity(&own) {
         return None;
     }
@@ -361,7 +361,7 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
 }
 
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
-    let words = words(name);
+    let words = split_words(name);
     let at = words.iter().rposition(|word| word.chars().all(|c| c.is_ascii_digit()))?;
     let number = words[at].parse().ok()?;
     let stem: Vec<String> = words
@@ -423,7 +423,7 @@ pub(super) enum PoseComponent {
 
 /// All components that a name may mean, each with the words that the components of one pose share.
 pub(super) fn pose_components(name: &str) -> Vec<(Vec<String>, PoseComponent)> {
-    let words = words(name);
+    let words = split_words(name);
     if is_other_quantity(&words) || is_gripper(&words) {
         return Vec::new();
     }
@@ -472,7 +472,8 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     let is_all = |of: &dyn Fn(usize) -> PoseComponent| {
         names.iter().enumerate().all(|(at, name)| has_axis(name, of(at)))
     };
-    let are_named = |known: &[&str]| names.iter().all(|name| contains_any(&words(name), known));
+    let are_named =
+        |known: &[&str]| names.iter().all(|name| contains_any(&split_words(name), known));
     let label = |label: usize| is_all(&|at| PoseComponent::Label(label, at));
     match names.len() {
         4 => {
@@ -517,7 +518,7 @@ pub(super) fn pose_key_of_stem(stem: &[String]) -> Vec<String> {
 
 /// The part in a column of bare numbers, and the words that name the pose.
 pub(super) fn pose_part(name: &str, width: usize) -> Option<(Vec<String>, PosePart)> {
-    let words = words(name);
+    let words = split_words(name);
     if is_other_quantity(&words) || contains_any(&words, &["joint", "joints"]) || is_gripper(&words)
     {
         return None;
@@ -550,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_numbers_of_poses_are_read() {
+    fn names_of_pose_components_are_identified() {
         for (name, key, axis) in [
             ("x", "", PoseComponent::Xyz(0)),
             ("tcp_qw", "tcp", PoseComponent::Quaternion(3)),
@@ -578,7 +579,7 @@ mod tests {
     }
 
     #[test]
-    fn numbered_joints_are_told_from_other_families() {
+    fn numbered_joints_are_distinguished_from_other_columns() {
         for (name, is_joint) in [
             ("q1", true),
             ("actual_q_0", true),

@@ -98,7 +98,7 @@ pub(super) fn read_npy(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     let rows = common_rows(std::slice::from_ref(&header.shape));
     let array = NpyArray::new("array", header, data.len(), rows)?;
     let candidates = array.columns(data, context.memory)?;
-    Ok(vec![("0".to_owned(), Table::of(candidates, None, context.memory))])
+    Ok(vec![("0".to_owned(), Table::from_columns(candidates, None, context.memory))])
 }
 
 /// Arrays with the same number of rows form one table; a scalar called `fps` or similar is the rate.
@@ -160,7 +160,7 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     if candidates.is_empty() {
         return Err("it contains no array of numbers".into());
     }
-    let mut table = Table::of(candidates, None, context.memory);
+    let mut table = Table::from_columns(candidates, None, context.memory);
     table.rate_hz = rate_hz;
     table.unread.extend(unread);
     Ok(vec![("0".to_owned(), table)])

@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_are_read_up_to_the_first_that_is_damaged() {
+    fn page_headers_are_read_up_to_the_first_damaged_one() {
         // Type 0, 30 bytes unpacked, 4 packed, 7 values in encodings 0, 3 and 3; then the page.
         let page = [
             0x15, 0, 0x15, 60, 0x15, 8, 0x2c, 0x15, 14, 0x15, 0, 0x15, 6, 0x15, 6, 0, 0, 1, 2, 3, 4,

@@ -252,7 +252,7 @@ pub(super) fn read(
     if candidates.is_empty() || rows.is_empty() {
         return Err("it contains no column of numbers".into());
     }
-    let mut whole = Table::of(candidates, Some(rows.len()), context.memory);
+    let mut whole = Table::from_columns(candidates, Some(rows.len()), context.memory);
     whole.unread.extend(unread);
     if whole.columns.is_empty() {
         let first = whole.losses.into_iter().next();
@@ -485,13 +485,13 @@ impl LeafValues {
         let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
         let begin = (self.count(), self.values.len());
         column.skip_records(rows.start).map_err(|error| read_error(&error))?;
-        let mut left = rows.len();
+        let mut remaining = rows.len();
         let mut read = Ok(());
-        while left > 0 {
+        while remaining > 0 {
             found.clear();
             definitions.clear();
             repetitions.clear();
-            let most = BATCH_ROWS.min(left);
+            let most = BATCH_ROWS.min(remaining);
             let records = column.read_records(
                 most,
                 Some(&mut definitions),
@@ -506,7 +506,7 @@ impl LeafValues {
                     break;
                 }
             };
-            left -= records.min(left);
+            remaining -= records.min(remaining);
             memory.reserve(levels)?;
             let is_all = definitions.is_empty() || found.len() == levels;
             let mut own = found.drain(..);

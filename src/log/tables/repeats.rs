@@ -21,21 +21,21 @@ pub(super) struct RepeatCounts {
 
 impl RepeatCounts {
     pub fn count(&mut self, episode: &[TableTopic]) {
-        let told: Vec<(&str, &Columns)> = episode
+        let measured: Vec<(&str, &Columns)> = episode
             .iter()
             .filter_map(|found| Some((found.topic.as_str(), found.columns.as_ref()?)))
             .filter(|(_, columns)| rows(columns).len() >= MIN_ROWS)
             .take(MAX_TOPICS)
             .collect();
-        if told.is_empty() {
+        if measured.is_empty() {
             return;
         }
         self.episodes += 1;
-        let all: Vec<Vec<&[f64]>> = told.iter().map(|(_, columns)| rows(columns)).collect();
+        let all: Vec<Vec<&[f64]>> = measured.iter().map(|(_, columns)| rows(columns)).collect();
         let moves = |at: usize| count_changes(&all[at]) >= MIN_CHANGES;
         let is_arm = |columns: &Columns| matches!(columns, Columns::Joints(_));
-        let arm_moves = (0..told.len()).any(|at| is_arm(told[at].1) && moves(at));
-        for (at, (topic, columns)) in told.iter().enumerate() {
+        let arm_moves = (0..measured.len()).any(|at| is_arm(measured[at].1) && moves(at));
+        for (at, (topic, columns)) in measured.iter().enumerate() {
             let of = |number: Option<String>, of: Option<String>| Repeat {
                 topic: (*topic).to_owned(),
                 number,
@@ -47,7 +47,7 @@ impl RepeatCounts {
                 continue;
             }
             let first = (0..at).find(|&other| are_rows_equal(&all[at], &all[other]));
-            self.add(first.map(|other| of(None, Some(told[other].0.to_owned()))));
+            self.add(first.map(|other| of(None, Some(measured[other].0.to_owned()))));
             if let Columns::Joints(joints) = columns {
                 for (joint, other) in repeated_joints(joints) {
                     self.add(Some(of(Some(joint), other)));
@@ -98,7 +98,7 @@ fn are_bitwise_equal(a: &[f64], b: &[f64]) -> bool {
 
 /// Joints that repeat an earlier one or never move. Fingers move together and are excluded.
 fn repeated_joints(joints: &JointColumns) -> Vec<(String, Option<String>)> {
-    let is_finger = |name: &str| names::is_gripper(&names::words(name));
+    let is_finger = |name: &str| names::is_gripper(&names::split_words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();
     let own: Vec<Vec<&[f64]>> =
         arm.iter().map(|joint| joint.position.chunks(1).collect()).collect();

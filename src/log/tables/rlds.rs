@@ -53,9 +53,10 @@ fn add_features(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset)
         let mut width = sides.map(|side| side.and_then(|side| usize::try_from(side).ok()));
         let width = width.try_fold(1_usize, |all, side| all.checked_mul(side?));
         if let Some(name) = path.strip_prefix(STEP_PREFIX) {
-            let said = feature.get("description").and_then(Value::as_str).unwrap_or_default();
+            let description =
+                feature.get("description").and_then(Value::as_str).unwrap_or_default();
             let mut own = Feature::with_width(width);
-            own.described_counts = counts(said);
+            own.described_counts = counts(description);
             dataset.features.insert(name.to_owned(), own);
         }
     }

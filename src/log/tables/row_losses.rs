@@ -110,7 +110,11 @@ impl ReadColumn {
 
 impl Table {
     /// `rows` defaults to the most frequent declared number.
-    pub fn of(candidates: Vec<ReadColumn>, rows: Option<usize>, memory: &mut MemoryBudget) -> Self {
+    pub fn from_columns(
+        candidates: Vec<ReadColumn>,
+        rows: Option<usize>,
+        memory: &mut MemoryBudget,
+    ) -> Self {
         let rows =
             rows.unwrap_or_else(|| most_frequent(candidates.iter().map(|column| column.rows)));
         let mut table = Self { rows, ..Self::default() };
@@ -221,9 +225,9 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
             own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
         })
     };
-    let is_told = |row: usize| clocks.iter().any(|at| table.is_lost(*at, row));
+    let is_reported = |row: usize| clocks.iter().any(|at| table.is_lost(*at, row));
     let unstamped = clock.stamps.iter().enumerate().filter(|(_, stamp)| stamp.is_none());
-    let lost = unstamped.filter(|(row, _)| !is_told(*row) && has_numbers(*row)).count();
+    let lost = unstamped.filter(|(row, _)| !is_reported(*row) && has_numbers(*row)).count();
     if lost > 0 {
         let column = clock.cell.and_then(|(at, _)| table.columns.get(at));
         let column = column.map_or(String::new(), |column| format!(" in '{}'", column.name));
@@ -289,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_with_damaged_numbers_are_lost_and_holes_are_not() {
+    fn rows_with_damaged_numbers_are_lost_but_missing_values_are_not() {
         let of = |damaged: &[(usize, usize)]| {
             let table = Table { rows: 40, ..Table::default() };
             let mut rows: Vec<(usize, ())> = (0..40).map(|row| (row, ())).collect();
@@ -318,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_in_are_rows_in_the_table_and_rows_reported() {
+    fn rows_are_either_in_the_table_or_reported() {
         let damaged = ReadColumn {
             lost: vec![30..40, 10..20, 15..25, 99..200],
             why: Some("a chunk is damaged".into()),
@@ -335,14 +339,14 @@ mod tests {
             candidate("rewards", 99, 99),
             candidate("slow", 50, 50),
         ];
-        let table = Table::of(all, None, &mut MemoryBudget::new(None));
+        let table = Table::from_columns(all, None, &mut MemoryBudget::new(None));
         let kept: Vec<&str> = table.columns.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(kept, ["whole", "cut", "damaged"]);
         let lost: Vec<usize> = table.losses.iter().map(|loss| loss.rows).collect();
         assert_eq!(lost, [40, 26, 100, 99, 101]);
-        let said: Vec<String> = table.losses.iter().map(|loss| loss.what.to_string()).collect();
-        assert_eq!(said[0], "'cut'; rows 60 to 99 of 100");
-        assert_eq!(said[1], "'damaged': a chunk is damaged; 26 of 100 rows, from row 10 on");
+        let texts: Vec<String> = table.losses.iter().map(|loss| loss.what.to_string()).collect();
+        assert_eq!(texts[0], "'cut'; rows 60 to 99 of 100");
+        assert_eq!(texts[1], "'damaged': a chunk is damaged; 26 of 100 rows, from row 10 on");
         for (at, column) in table.columns.iter().enumerate() {
             for row in 0..100 {
                 assert_eq!(column.values[2 * row].is_nan(), table.is_lost(at, row), "{row}");

@@ -92,7 +92,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         .chain([column(CLOCK, &[], clock)])
         .filter(|column| is_there(&column.values))
         .map(ReadColumn::complete);
-    Ok(vec![("0".to_owned(), Table::of(columns.collect(), Some(rows), context.memory))])
+    Ok(vec![("0".to_owned(), Table::from_columns(columns.collect(), Some(rows), context.memory))])
 }
 
 /// Up to its end or the start of the next packet.

@@ -118,7 +118,7 @@ fn columns_first_and_rows_first_are_the_same_array() {
 }
 
 #[test]
-fn what_a_header_declares_and_is_not_there_is_one_line() {
+fn a_truncated_array_is_reported_in_one_line() {
     let whole = records(30);
     for end in [4, 9, 40] {
         refusal(&whole[..end]);
@@ -228,7 +228,7 @@ fn lists_of_parquet(
 }
 
 #[test]
-fn a_damaged_page_costs_its_rows() {
+fn a_damaged_page_loses_only_its_rows() {
     let whole = parquet(3000, 1, Compression::ZSTD(Default::default()), |_| 7);
     let rows = topic(&plain(&whole), "observation.state").messages;
     let mut salvaged = 0;
@@ -264,7 +264,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
 }
 
 #[test]
-fn episodes_follow_each_other_and_one_can_be_asked_for() {
+fn episodes_are_consecutive_and_one_can_be_selected() {
     let bytes = parquet(60, 3, Compression::SNAPPY, |_| 7);
     let log = plain(&bytes);
     let (header, received) = {
@@ -288,7 +288,7 @@ fn episodes_follow_each_other_and_one_can_be_asked_for() {
 }
 
 #[test]
-fn damaged_parquet_is_one_line() {
+fn damaged_parquet_is_reported_in_one_line() {
     let whole = parquet(50, 2, Compression::SNAPPY, |_| 7);
     for end in [4, 12, 100, whole.len() / 2, whole.len() - 1] {
         refusal(&whole[..end]);
@@ -341,7 +341,7 @@ fn episodes_of_hdf5_are_in_the_order_of_their_numbers() {
 }
 
 #[test]
-fn damaged_hdf5_is_one_line() {
+fn damaged_hdf5_is_reported_in_one_line() {
     for whole in [CHUNKED, EPISODES] {
         for end in [9, 64, 512, whole.len() / 2] {
             let _ =
@@ -371,7 +371,7 @@ fn text_with(delimiter: &str, line: usize, change: impl Fn(&str) -> String) -> L
 
 #[test]
 fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
-    for (change, rows, said) in [
+    for (change, rows, expected) in [
         ((&|line: &str| line.to_owned()) as &dyn Fn(&str) -> String, 40, None),
         (&|line| format!("{line}\n # stopped by hand\n\t% twice"), 40, None),
         (&|line| format!("{line}\t\t"), 40, None),
@@ -394,12 +394,12 @@ fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
         ),
     ] {
         let log = text_with("\t", 21, change);
-        assert_eq!(topic(&log, "q").messages, rows, "{said:?}");
-        match said {
+        assert_eq!(topic(&log, "q").messages, rows, "{expected:?}");
+        match expected {
             None => assert_eq!(log.losses, []),
-            Some(said) => {
-                assert_eq!((log.losses.len(), log.losses[0].messages), (1, Some(1)), "{said}");
-                assert!(log.losses[0].what.contains(said), "{:?}", log.losses);
+            Some(expected) => {
+                assert_eq!((log.losses.len(), log.losses[0].messages), (1, Some(1)), "{expected}");
+                assert!(log.losses[0].what.contains(expected), "{:?}", log.losses);
             }
         }
     }
@@ -447,7 +447,7 @@ fn csv_finds_poses_joints_and_the_finest_time() {
 }
 
 #[test]
-fn rows_of_csv_that_are_none_are_counted() {
+fn malformed_csv_rows_are_counted() {
     let mut text = "t;q1;q2;q3;q4\n".to_owned();
     (0..20).for_each(|row| {
         text += &format!("0,{row:02};1,5;{};3;4\n", if row == 0 { "nan" } else { "2" })
@@ -461,19 +461,22 @@ fn rows_of_csv_that_are_none_are_counted() {
 }
 
 #[test]
-fn what_names_do_not_say_is_asked_and_can_be_said() {
+fn columns_unidentified_by_name_are_asked_for_and_configurable() {
     let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (30, 13), }\n";
     let data: Vec<u8> = (0..30 * 13).flat_map(|n| (1e-3 * f64::from(n)).to_le_bytes()).collect();
     let bytes = npy(header, &data);
-    let asked = refusal(&bytes);
-    assert!(asked.contains("no column holds times") && asked.contains("[columns]"), "{asked}");
-    let said = ColumnSettings {
+    let question = refusal(&bytes);
+    assert!(
+        question.contains("no column holds times") && question.contains("[columns]"),
+        "{question}"
+    );
+    let expected = ColumnSettings {
         rate_hz: Some(50.0),
         joints: vec!["array[0:6]".parse().expect("a selector")],
         pose: vec!["array[6:13]".parse().expect("a selector")],
         ..ColumnSettings::default()
     };
-    let log = read(&bytes, said).expect("a log");
+    let log = read(&bytes, expected).expect("a log");
     assert_eq!(joints(&log, "joints").0.len(), 6);
     assert_eq!(array(&log, "pose").0, 7);
     let wrong = ColumnSettings {
@@ -486,7 +489,7 @@ fn what_names_do_not_say_is_asked_and_can_be_said() {
 }
 
 #[test]
-fn joints_beyond_two_turns_are_taken_for_degrees() {
+fn joints_beyond_two_turns_are_read_as_degrees() {
     let mut text = "time,q1,q2,q3,q4,q5,q6\n".to_owned();
     (0..30).for_each(|row| text += &format!("{},90,-45,0,10,20,{row}\n", 0.02 * f64::from(row)));
     let log = plain(text.as_bytes());
@@ -496,7 +499,7 @@ fn joints_beyond_two_turns_are_taken_for_degrees() {
 }
 
 #[test]
-fn metadata_of_lerobot_name_the_numbers_and_are_held_to_them() {
+fn lerobot_metadata_names_the_numbers_and_is_checked() {
     let folder = tempfile::tempdir().expect("a folder");
     let (meta, chunk) = (folder.path().join("meta"), folder.path().join("data/chunk-000"));
     fs::create_dir_all(&meta).and_then(|()| fs::create_dir_all(&chunk)).expect("folders");
@@ -535,7 +538,7 @@ fn csv(names: &[&str], rows: usize, cell: impl Fn(usize, usize) -> f64) -> Strin
 }
 
 #[test]
-fn labels_of_makers_name_a_rotation() {
+fn vendor_labels_identify_a_rotation() {
     use crate::RotationLabels::{Abc, Oat, Quaternion, RollPitchYaw, Wpr};
     for (labels, expected) in [
         (["W", "P", "R"].as_slice(), Some(Wpr)),
@@ -554,7 +557,7 @@ fn labels_of_makers_name_a_rotation() {
 }
 
 #[test]
-fn what_nothing_identifies_is_marked_if_it_is_measured() {
+fn unidentified_measurements_are_marked() {
     let names = ["time", "X", "Y", "Z", "alfa", "step", "force_x"];
     let log = plain(
         csv(&names, 30, |row, at| match at {
@@ -574,7 +577,7 @@ fn what_nothing_identifies_is_marked_if_it_is_measured() {
 }
 
 #[test]
-fn velocities_go_to_their_joints() {
+fn velocities_are_assigned_to_their_joints() {
     let names = ["t", "q1", "q2", "q3", "q4", "dq_1", "dq_2", "dq_3", "dq_4", "speed_x"];
     let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
     let Some(Columns::Joints(joints)) = &topic(&log, "q").columns else { panic!("no joints") };
@@ -609,7 +612,7 @@ fn seconds_and_nanoseconds_are_one_stamp() {
 }
 
 #[test]
-fn arrays_on_their_side_are_turned() {
+fn transposed_arrays_are_turned() {
     let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 60), }\n";
     let data: Vec<u8> = (0..300)
         .flat_map(|n| (0.02 * f64::from(n % 60) + 1e-3 * f64::from(n / 60)).to_le_bytes())

@@ -208,7 +208,7 @@ impl Example {
             losses.push(RowLoss { rows: 0, what: what.into() });
             candidates.truncate(MAX_COLUMNS);
         }
-        let mut table = Table::of(candidates, Some(rows), memory);
+        let mut table = Table::from_columns(candidates, Some(rows), memory);
         table.rate_hz = rate_hz;
         table.unread.extend(unread);
         table.losses.extend(losses);
@@ -261,7 +261,7 @@ fn table_of_single_steps(
             None => unread.push((name.clone(), "rows of different lengths, or images".to_owned())),
         }
     }
-    let mut table = Table::of(candidates, Some(steps.len()), memory);
+    let mut table = Table::from_columns(candidates, Some(steps.len()), memory);
     table.rate_hz = steps.first().and_then(Example::rate_hz);
     table.unread.extend(unread);
     Ok(table)

@@ -91,7 +91,8 @@ pub(super) fn read(
                 Err(why) => ReadColumn::unreadable(&column.name, declared, why),
             });
         }
-        let table = Table { rate_hz, ..Table::of(candidates, Some(span.len()), context.memory) };
+        let table =
+            Table { rate_hz, ..Table::from_columns(candidates, Some(span.len()), context.memory) };
         found.push((name, table));
     }
     Ok(found)

@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_namespace_above_another_is_no_sibling() {
+    fn a_parent_namespace_is_no_sibling() {
         assert!(are_siblings("/left/joint_states", "/right/joint_states"));
         assert!(!are_siblings("/joint_states", "/right/joint_states"));
         assert!(!are_siblings("/joint_states", "/joint_states_raw"));

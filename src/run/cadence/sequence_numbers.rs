@@ -49,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_left_out_are_missing_rows() {
+    fn skipped_sequence_numbers_are_missing_rows() {
         let lossy = without(1..101, &[7, 8, 50]);
         let counted = [lossy, (1..201).collect(), (5000..5100).collect()];
         let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
@@ -57,13 +57,13 @@ mod tests {
     }
 
     #[test]
-    fn every_third_message_kept_says_nothing() {
+    fn regular_decimation_gives_no_missing_rows() {
         let counted = [without((0..300).step_by(3), &[30]), (1..201).collect()];
         assert_eq!(count_skipped(&counted, 0), None);
     }
 
     #[test]
-    fn one_counter_for_two_topics_of_three_says_nothing_of_them() {
+    fn a_counter_shared_by_two_topics_is_ignored_for_both() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
         let counted = [a, b, (1..201).collect()];
         let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
@@ -71,14 +71,14 @@ mod tests {
     }
 
     #[test]
-    fn one_counter_for_all_topics_says_nothing() {
+    fn a_counter_shared_by_all_topics_is_ignored() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
         assert_eq!([count_skipped(&[a, b], 0)], [None]);
         assert_eq!(count_skipped(&[without(1..101, &[7])], 0), None);
     }
 
     #[test]
-    fn numbers_that_do_not_count_say_nothing() {
+    fn numbers_that_do_not_count_are_ignored() {
         let other = || (1..201).collect::<Vec<u32>>();
         let (none, back) = (vec![0; 100], (1..50).chain(1..50).collect());
         let (square, anew) =

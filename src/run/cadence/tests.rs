@@ -63,7 +63,7 @@ fn a_steady_stream_has_its_period_and_nothing_else() {
 }
 
 #[test]
-fn silence_is_told_by_whether_the_arm_moves() {
+fn a_gap_states_whether_the_arm_moves() {
     let silent =
         |from: i64| poses(move |row| (!(from..from + 60).contains(&row)).then(|| on_time(row)));
     for (from, moving) in [(200, true), (700, false)] {
@@ -79,7 +79,7 @@ fn silence_is_told_by_whether_the_arm_moves() {
 }
 
 #[test]
-fn a_clock_that_is_set_forward_is_no_silence() {
+fn a_clock_stepped_forward_is_no_silence() {
     let set = |row: i64| {
         let (stamp, received) = on_time(row);
         Some((stamp + if row < 300 { 0 } else { 700 }, received))
@@ -91,7 +91,7 @@ fn a_clock_that_is_set_forward_is_no_silence() {
 }
 
 #[test]
-fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
+fn missing_rows_are_counted_and_late_rows_replace_them() {
     let lossy = cadence(&poses(|row| (row % 20 != 7).then(|| on_time(row))));
     assert_eq!((missing(&lossy), lossy.bunched), (50, 0));
     let late = |row: i64| {
@@ -105,7 +105,7 @@ fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
 }
 
 #[test]
-fn a_loop_that_waits_between_its_rows_loses_none() {
+fn irregular_waits_are_no_missing_rows() {
     // Waits of 8 to 20 ms, mostly 10 ms.
     let waits = |row: i64| match (row * 7919) % 20 {
         0..14 => 10,
@@ -123,7 +123,7 @@ fn a_loop_that_waits_between_its_rows_loses_none() {
 }
 
 #[test]
-fn a_lower_rate_over_seconds_is_a_lull() {
+fn a_lower_rate_for_seconds_is_a_slow_span() {
     let slow = |row: i64| (row < 600 || row % 4 == 0).then(|| on_time(row));
     let found = cadence(&poses(slow));
     let [stretch] = found.slow_spans.as_slice() else { panic!("{found:?}") };
@@ -136,7 +136,7 @@ fn a_lower_rate_over_seconds_is_a_lull() {
 }
 
 #[test]
-fn stamps_are_held_against_the_order_of_receipt() {
+fn stamps_are_compared_in_receive_order() {
     let back = |row: i64| {
         let (stamp, received) = on_time(row);
         Some((stamp - if (300..330).contains(&row) { 407 } else { 0 }, received))
@@ -171,7 +171,7 @@ fn a_stamp_used_twice_is_a_repeat_or_a_conflict() {
 }
 
 #[test]
-fn two_senders_on_one_topic_are_looked_at_apart() {
+fn two_senders_on_one_topic_are_separated() {
     let mut columns = JointColumns::default();
     for name in ["arm", "finger"] {
         columns.joints.push(JointColumn { name: name.to_owned(), ..JointColumn::default() });

@@ -12,7 +12,7 @@ use ground::stream::{JointColumn, JointColumns, is_usable};
 const MAX_JOINTS: usize = 256;
 
 /// Maximum number of missing values (one gigabyte) in sparse topics.
-const ABSENT_CELLS: usize = 1 << 26;
+const MAX_ABSENT_CELLS: usize = 1 << 26;
 /// Above it, at least one value in this many must be present. A topic does not have more senders.
 const MAX_SENDERS: usize = 8;
 
@@ -221,7 +221,7 @@ impl Joints {
 
 /// The rows need far more memory than their content.
 fn is_too_sparse(cells: usize, absent: usize) -> bool {
-    absent > ABSENT_CELLS && cells / MAX_SENDERS > cells - absent
+    absent > MAX_ABSENT_CELLS && cells / MAX_SENDERS > cells - absent
 }
 
 fn default_names(stem: &str, count: usize) -> Names {
@@ -237,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_of_single_joints_are_bounded_by_what_is_in_them() {
+    fn overly_sparse_joint_messages_are_refused() {
         const MANY: usize = 1 << 30;
         assert!(!is_too_sparse(MANY, MANY / 2));
         assert!(!is_too_sparse(1 << 25, 1 << 25));

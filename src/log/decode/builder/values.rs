@@ -53,7 +53,7 @@ pub(super) enum Numbers {
 }
 
 impl Array {
-    pub(super) fn of(numbers: Numbers) -> Self {
+    pub(super) fn new(numbers: Numbers) -> Self {
         Self { numbers, columns: ArrayColumns::default() }
     }
 

@@ -47,7 +47,9 @@ impl<'a> Tokens<'a> {
         let first = rest.chars().next()?;
         Some(match first {
             '"' | '\'' => Token::Text(&rest[..text_length(rest, first)]),
-            '0'..='9' => Token::Number(word(rest, |c| c.is_alphanumeric() || c == '.' || c == '_')),
+            '0'..='9' => {
+                Token::Number(leading_part(rest, |c| c.is_alphanumeric() || c == '.' || c == '_'))
+            }
             ':' if rest.starts_with("::") => Token::Name(name(rest)),
             _ if first.is_alphabetic() || first == '_' => Token::Name(name(rest)),
             mark => Token::Mark(mark),
@@ -205,7 +207,7 @@ fn text_length(text: &str, quote: char) -> usize {
     text.len()
 }
 
-fn word(text: &str, belongs: impl Fn(char) -> bool) -> &str {
+fn leading_part(text: &str, belongs: impl Fn(char) -> bool) -> &str {
     &text[..text.find(|c| !belongs(c)).unwrap_or(text.len())]
 }
 
@@ -216,7 +218,7 @@ fn name(text: &str) -> &str {
         if text[length..].starts_with("::") {
             length += 2;
         }
-        length += word(&text[length..], |c| c.is_alphanumeric() || c == '_').len();
+        length += leading_part(&text[length..], |c| c.is_alphanumeric() || c == '_').len();
         if !text[length..].starts_with("::") {
             return &text[..length];
         }

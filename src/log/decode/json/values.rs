@@ -287,7 +287,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_read_as_the_internet_writes_them() {
+    fn rfc_3339_timestamps_are_parsed() {
         // Expected values from `date -u -d … +%s`.
         for (text, expected) in [
             ("1970-01-01T00:00:00Z", Some((0, 0))),

@@ -1,7 +1,7 @@
 //! Wire format of protocol buffers.
 
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}{fault} (byte {offset} of the enclosing message)", said(path))]
+#[error("{}{fault} (byte {offset} of the enclosing message)", field_prefix(path))]
 pub(crate) struct WireError {
     /// Path of the field, if known.
     path: String,
@@ -16,7 +16,7 @@ impl WireError {
     }
 }
 
-fn said(path: &str) -> String {
+fn field_prefix(path: &str) -> String {
     if path.is_empty() { String::new() } else { format!("field `{path}`: ") }
 }
 
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_are_passed_over() {
+    fn protobuf_groups_are_skipped() {
         // Field 3 as a group with field 1, then field 2.
         let bytes = [0x1b, 0x08, 0x01, 0x1c, 0x10, 0x07];
         assert_eq!(Reader::new(&bytes).field(), Ok(Some((2, Value::Varint(7)))));

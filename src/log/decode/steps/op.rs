@@ -78,11 +78,11 @@ impl Op {
     pub(super) fn run(&self, cursor: &mut Cursor<'_>, row: &mut Row) -> Result<(), Short> {
         match *self {
             Op::Skip { size, count } => {
-                let count = count.of(cursor)?;
+                let count = count.read(cursor)?;
                 cursor.skip(size, count.into())?;
             }
             Op::SkipTexts(count) => {
-                for _ in 0..count.of(cursor)? {
+                for _ in 0..count.read(cursor)? {
                     cursor.text()?;
                 }
             }
@@ -91,13 +91,13 @@ impl Op {
             Op::Number(primitive, index) => row.numbers[index] = cursor.number(primitive)?,
             Op::Doubles(ref range) => cursor.doubles(&mut row.numbers[range.clone()])?,
             Op::List(primitive, count, index) => {
-                let count = count.of(cursor)?;
+                let count = count.read(cursor)?;
                 cursor.numbers(primitive, count, &mut row.lists[index])?;
             }
             Op::Text(index) => row.set_text(index, cursor.text()?),
             Op::Names(count) => {
                 row.names.clear();
-                for _ in 0..count.of(cursor)? {
+                for _ in 0..count.read(cursor)? {
                     row.names.push(cursor.text()?);
                 }
             }
@@ -109,7 +109,7 @@ impl Op {
 
 impl Count {
     /// Number of values at the cursor.
-    pub(super) fn of(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
+    pub(super) fn read(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
         match self {
             Count::Fixed(count) => Ok(count),
             Count::Wire => cursor.length(),

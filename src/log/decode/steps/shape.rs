@@ -12,15 +12,15 @@ use super::super::schema::Primitive;
 use super::op::{Count, Op, Step};
 
 /// Arms need fewer; particle clouds more.
-const MOST_READS: usize = 512;
+const MAX_READS: usize = 512;
 
 /// Maximum offset of a decisive byte.
-const FARTHEST: usize = 1 << 14;
+const MAX_DECISIVE_OFFSET: usize = 1 << 14;
 
 /// Consecutive messages of different shapes before shapes are computed less often.
-const PATIENCE: u32 = 8;
+const MAX_SHAPE_CHANGES: u32 = 8;
 /// Then computes the shape for one message in this many.
-const SELDOM: u32 = 64;
+const RARE_INTERVAL_MESSAGES: u32 = 64;
 
 #[derive(Debug, Default)]
 pub(in crate::decode) struct Shape {
@@ -70,7 +70,7 @@ impl Shape {
             differs | (own ^ u64::from_le_bytes(*word)) & mask
         });
         let last = self.words.get(words.len()).zip(self.masks.get(words.len()));
-        differs == 0 && last.is_none_or(|(own, mask)| (own ^ filled(rest)) & mask == 0)
+        differs == 0 && last.is_none_or(|(own, mask)| (own ^ padded_word(rest)) & mask == 0)
     }
 
     pub(super) fn forget(&mut self) {
@@ -79,7 +79,7 @@ impl Shape {
     }
 
     pub(super) fn is_wanted(&self) -> bool {
-        self.strange <= PATIENCE || self.strange.is_multiple_of(SELDOM)
+        self.strange <= MAX_SHAPE_CHANGES || self.strange.is_multiple_of(RARE_INTERVAL_MESSAGES)
     }
 
     /// `message` has this shape; `cursor` is at the start of its body.
@@ -94,8 +94,8 @@ impl Shape {
         for read in &self.reads {
             match *read {
                 Read::Stamp(seconds, nanoseconds) => {
-                    row.seconds = i32::from_le_bytes(word(message, seconds)).into();
-                    row.nanoseconds = u32::from_le_bytes(word(message, nanoseconds)).into();
+                    row.seconds = i32::from_le_bytes(bytes_at(message, seconds)).into();
+                    row.nanoseconds = u32::from_le_bytes(bytes_at(message, nanoseconds)).into();
                 }
                 Read::Doubles(at, ref range) => {
                     let values = &message[at..at + 8 * range.len()];
@@ -154,26 +154,26 @@ impl Shape {
             self.reads.push(Read::Only);
         }
         let end = self.decisive.last().map_or(0, |part| part.end);
-        if walked.is_none() || end > FARTHEST || self.reads.len() > MOST_READS {
+        if walked.is_none() || end > MAX_DECISIVE_OFFSET || self.reads.len() > MAX_READS {
             return self.reads.clear();
         }
-        self.least = before + cursor.at();
+        self.least = before + cursor.position();
         let mut decides = vec![0; end];
         self.decisive.iter().for_each(|part| decides[part.clone()].fill(u8::MAX));
-        self.words = words(&message[..end]);
-        self.masks = words(&decides);
+        self.words = u64_words(&message[..end]);
+        self.masks = u64_words(&decides);
     }
 }
 
 /// Pads the last word with zeros.
-fn words(bytes: &[u8]) -> Vec<u64> {
+fn u64_words(bytes: &[u8]) -> Vec<u64> {
     let (words, rest) = bytes.as_chunks();
-    let last = (!rest.is_empty()).then(|| filled(rest));
+    let last = (!rest.is_empty()).then(|| padded_word(rest));
     words.iter().map(|word| u64::from_le_bytes(*word)).chain(last).collect()
 }
 
 /// Pads fewer than eight bytes with zeros.
-fn filled(bytes: &[u8]) -> u64 {
+fn padded_word(bytes: &[u8]) -> u64 {
     let mut word = [0; 8];
     word[..bytes.len()].copy_from_slice(bytes);
     u64::from_le_bytes(word)
@@ -184,7 +184,7 @@ fn doubles(bytes: &[u8]) -> &[[u8; 8]] {
 }
 
 /// The four bytes must exist.
-fn word(message: &[u8], at: usize) -> [u8; 4] {
+fn bytes_at(message: &[u8], at: usize) -> [u8; 4] {
     message[at..].first_chunk().copied().unwrap_or_default()
 }
 
@@ -219,7 +219,7 @@ impl Walk<'_> {
                     }
                 }
                 Op::Text(index) => {
-                    let at = cursor.at();
+                    let at = cursor.position();
                     self.decided(cursor, Cursor::text)?;
                     // Otherwise the text is already set.
                     if self.several {
@@ -286,14 +286,14 @@ impl Walk<'_> {
         cursor: &mut Cursor<'m>,
         read: impl FnOnce(&mut Cursor<'m>) -> Result<T, Short>,
     ) -> Option<T> {
-        let start = self.before + cursor.at();
+        let start = self.before + cursor.position();
         let value = read(cursor).ok()?;
-        let end = self.before + cursor.at();
+        let end = self.before + cursor.position();
         match self.shape.decisive.last_mut() {
             Some(part) if part.end == start => part.end = end,
             _ => self.shape.decisive.push(start..end),
         }
-        (end <= FARTHEST).then_some(value)
+        (end <= MAX_DECISIVE_OFFSET).then_some(value)
     }
 
     fn value(&mut self, primitive: Primitive, op: Op, cursor: &mut Cursor<'_>) -> Option<()> {
@@ -316,6 +316,6 @@ impl Walk<'_> {
 
     fn push(&mut self, read: Read) -> Option<()> {
         self.shape.reads.push(read);
-        (self.shape.reads.len() <= MOST_READS).then_some(())
+        (self.shape.reads.len() <= MAX_READS).then_some(())
     }
 }

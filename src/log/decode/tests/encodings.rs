@@ -413,7 +413,7 @@ fn joint_states_are_the_same_in_every_encoding() {
 }
 
 #[test]
-fn the_second_cdr_as_the_specification_lays_it_out() {
+fn xcdr2_follows_the_specification() {
     // Names {"a"}, positions {1.5}. DDS XTypes 1.3, §7.4.3.5: every appendable structure and every sequence
     // of strings has a length prefix, and doubles are aligned to 4.
     let delimited: &[u8] = &[

@@ -170,7 +170,7 @@ fn bytes_at_random_are_never_more_than_an_error() {
         let mut schema = foxglove.to_vec();
         let at = (usize::from(next()) << 8 | usize::from(next())) % schema.len();
         schema[at] = next();
-        let recipe = Recipe::of("foxglove.PosesInFrame").unwrap();
+        let recipe = Recipe::for_type("foxglove.PosesInFrame").unwrap();
         let format = Format { schema: &schema, type_name: "foxglove.PosesInFrame", ..formats[3] };
         let _ = format.plan(recipe);
     }

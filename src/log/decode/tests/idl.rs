@@ -111,7 +111,7 @@ fn format<'a>(type_name: &'a str, schema: &'a str) -> Format<'a> {
 }
 
 #[test]
-fn files_as_rosidl_writes_them() {
+fn idl_files_of_rosidl_are_parsed() {
     let cdr = Cdr::little().header(1, 2, "imu").all(&[0.0, 0.6, 0.0, 0.8]).all(&[0.0; 9]);
     let cdr = cdr.all(&[0.1, 0.2, 0.3]).all(&[0.0; 9]).all(&[1.0, 2.0, 9.5]).all(&[0.0; 9]);
     let (parts, error) = decode_all(format("sensor_msgs/msg/Imu", IMU), &[cdr.done()]);
@@ -123,7 +123,7 @@ fn files_as_rosidl_writes_them() {
 }
 
 #[test]
-fn all_that_the_language_has() {
+fn every_idl_construct_is_parsed() {
     let cdr = Cdr::little().u32(7).u32(0).u32(4);
     let cdr = cdr.list(&[1.0, 2.0]).list(&[]);
     let cdr = cdr.u32(2).u8(1).f64(0.0).u8(2).f64(0.0);
@@ -142,7 +142,7 @@ fn all_that_the_language_has() {
 }
 
 #[test]
-fn annotations_say_where_the_second_cdr_has_lengths() {
+fn annotations_determine_delimiter_headers_of_xcdr2() {
     let point = |annotation: &str| {
         format!(
             "module std_msgs {{ module msg {{ @final struct Float64MultiArray {{ Point first; \
@@ -173,7 +173,7 @@ fn annotations_say_where_the_second_cdr_has_lengths() {
 }
 
 #[test]
-fn broken_files_name_the_line() {
+fn idl_errors_name_the_line() {
     for (schema, expected) in [
         ("module a {\n  struct B { double x }; };", "line 2: expected `;`, found `}; };`"),
         ("module a {\n struct B { double 3; }; };", "line 2: expected the name of a member"),

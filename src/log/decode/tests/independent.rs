@@ -114,7 +114,7 @@ fn transforms() {
 }
 
 #[test]
-fn readings_of_an_imu() {
+fn imu_readings() {
     for (format, message) in [
         (ros1("sensor_msgs/Imu", ROS1_IMU_DEFINITION), ROS1_IMU),
         (bare("sensor_msgs/msg/Imu"), ROS2_IMU),
@@ -200,7 +200,7 @@ fn the_states_of_a_simulation_have_names_and_no_stamp() {
 }
 
 #[test]
-fn every_cut_message_is_an_error_or_lacks_only_what_is_not_read() {
+fn every_truncated_message_is_an_error_unless_only_unread_fields_are_missing() {
     for (format, message, read) in [
         (ros1("tf/tfMessage", ROS1_TF_DEFINITION), ROS1_TF, 178),
         (bare("sensor_msgs/msg/JointState"), ROS2_JOINT_STATE, 104 - 8),

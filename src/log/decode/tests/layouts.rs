@@ -13,7 +13,7 @@ const JSON: Format<'_> = Format {
 };
 
 #[test]
-fn fields_of_an_older_version_that_are_empty_take_nothing_from_the_newer() {
+fn empty_fields_of_an_older_version_do_not_hide_newer_ones() {
     let [new, old] = [
         r#""feedback":{"positions":[0.5,1.5],"velocities":[]},"reference":{"positions":[0.25,1.25]}"#,
         r#""actual":{"positions":[],"velocities":null},"desired":{"positions":[],"velocities":[]}"#,
@@ -52,7 +52,7 @@ fn a_transform_without_position_and_rotation_is_refused() {
 }
 
 #[test]
-fn enumerations_are_as_wide_as_they_say_and_their_lists_have_lengths() {
+fn enumerations_have_their_declared_width_and_lists_a_length() {
     let schema = "module std_msgs { module msg {
         @bit_bound(8) enum Mode { IDLE, RUN };
         enum Wide { NO, YES };
@@ -80,7 +80,7 @@ fn enumerations_are_as_wide_as_they_say_and_their_lists_have_lengths() {
 }
 
 #[test]
-fn a_bare_header_is_that_of_its_package_where_it_has_one() {
+fn an_unqualified_header_belongs_to_its_package_if_defined_there() {
     let own = "Header header\nfloat64[] data\n===\nMSG: std_msgs/Header\nuint8 kind\n";
     let other = "Header header\nfloat64[] data\n===\nMSG: my_msgs/Header\nuint8 kind\n\
                  ===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";
@@ -100,7 +100,7 @@ fn a_bare_header_is_that_of_its_package_where_it_has_one() {
 }
 
 #[test]
-fn what_a_file_calls_things_is_cut_in_messages() {
+fn names_from_files_are_truncated_in_messages() {
     let long = "x".repeat(5000);
     for schema in
         [format!("{long}/Type data\n"), format!("Inner[] data\n===\nMSG: std_msgs/{long}\n")]
@@ -117,7 +117,7 @@ fn what_a_file_calls_things_is_cut_in_messages() {
 }
 
 #[test]
-fn the_points_of_a_trajectory_are_set_points_of_its_joints() {
+fn trajectory_points_are_joint_set_points() {
     let json = Format { type_name: "trajectory_msgs/msg/JointTrajectory", ..JSON };
     let message = br#"{"header":{"stamp":{"sec":5,"nanosec":7}},"joint_names":["a","b"],
         "points":[{"positions":[0.5,1.5],"velocities":[]},{"positions":[0.25,1.25],"velocities":[]}]}"#;

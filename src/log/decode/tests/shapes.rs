@@ -15,7 +15,7 @@ fn decoded(
     messages: &[Vec<u8>],
     one_row: bool,
 ) -> (Vec<(&'static str, Option<Columns>)>, usize) {
-    let recipe = Recipe::of(type_name).unwrap();
+    let recipe = Recipe::for_type(type_name).unwrap();
     let plan = cdr(type_name, schema).plan(recipe).unwrap();
     let (mut builder, mut row, mut failed) = (recipe.builder(), Row::default(), 0);
     for (index, message) in messages.iter().enumerate() {
@@ -56,7 +56,7 @@ fn numbers(count: usize, random: &mut Pcg64) -> Vec<f64> {
 }
 
 #[test]
-fn joint_states_are_read_alike_whatever_came_before() {
+fn joint_states_decode_independently_of_previous_messages() {
     assert_alike("sensor_msgs/msg/JointState", testing::JOINT_STATE, |kind, random| {
         let names: &[&str] =
             [&["a", "b"][..], &["b", "a"], &["a", "c"], &["a"], &[], &["ab", ""]][kind];
@@ -71,7 +71,7 @@ fn joint_states_are_read_alike_whatever_came_before() {
 }
 
 #[test]
-fn poses_are_read_alike_whatever_came_before() {
+fn poses_decode_independently_of_previous_messages() {
     assert_alike("geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED, |kind, random| {
         let frame = ["base", "bass", "", "/base", "a longer frame", "world"][kind];
         let header = Cdr::little().header(random.next_u32(), 0, frame);
@@ -80,7 +80,7 @@ fn poses_are_read_alike_whatever_came_before() {
 }
 
 #[test]
-fn transforms_are_read_alike_whatever_came_before() {
+fn transforms_decode_independently_of_previous_messages() {
     let frames = ["a", "b", "c", "d"];
     assert_alike("tf2_msgs/msg/TFMessage", testing::TF_MESSAGE, |kind, random| {
         // Same frames in a different order, equal lengths, more frames, none.
@@ -98,7 +98,7 @@ fn transforms_are_read_alike_whatever_came_before() {
 #[test]
 fn two_publishers_whose_schemas_differ_share_the_frames_of_a_topic() {
     let type_name = "tf2_msgs/msg/TFMessage";
-    let recipe = Recipe::of(type_name).unwrap();
+    let recipe = Recipe::for_type(type_name).unwrap();
     let plan = cdr(type_name, testing::TF_MESSAGE).plan(recipe).unwrap();
     let (mut builder, mut rows) = (recipe.builder(), [Row::default(), Row::default()]);
     for index in 0..60 {

@@ -22,7 +22,7 @@ fn fetched(bytes: &[u8], hole: u8) -> (Vec<u8>, Present, usize) {
             file[part.clone()].copy_from_slice(&bytes[part.clone()]);
         }
         present.extend(Ranges::new(parts, 0));
-        let there = Present::of(present.clone(), bytes.len());
+        let there = Present::from_ranges(present.clone(), bytes.len());
         if there == Present::Whole {
             return (file, there, bytes.len());
         }
@@ -66,7 +66,7 @@ fn mixed(compression: Option<Compression>) -> Vec<u8> {
 }
 
 #[test]
-fn what_is_fetched_reads_as_the_whole_does() {
+fn fetched_parts_give_the_same_log_as_the_whole_file() {
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         for bytes in
             [poses(LogWriter::new(compression)), with_images(compression), mixed(compression)]
@@ -81,7 +81,7 @@ fn what_is_fetched_reads_as_the_whole_does() {
 }
 
 #[test]
-fn messages_without_a_use_are_not_asked_for() {
+fn unused_messages_are_not_fetched() {
     let share = |bytes: &[u8]| fetched(bytes, 0).2 as f64 / bytes.len() as f64;
     assert!(share(&mixed(None)) < 0.1, "{}", share(&mixed(None)));
     assert!(share(&with_images(None)) < 0.5);
@@ -90,7 +90,7 @@ fn messages_without_a_use_are_not_asked_for() {
 }
 
 #[test]
-fn a_file_without_an_index_is_asked_for_whole() {
+fn a_file_without_an_index_is_fetched_whole() {
     let unindexed = LogWriter::with(WriteOptions::new().emit_message_indexes(false));
     let unchunked = LogWriter::with(WriteOptions::new().use_chunks(false));
     let mut cut = mixed(None);
@@ -101,7 +101,7 @@ fn a_file_without_an_index_is_asked_for_whole() {
 }
 
 #[test]
-fn a_channel_that_becomes_of_use_amid_a_chunk_is_read() {
+fn a_channel_defined_within_a_chunk_is_read() {
     let mut log = LogWriter::with(WriteOptions::new().compression(None));
     let camera = log.channel("/camera", "sensor_msgs/msg/Image", "uint8[] data\n");
     let schema = log.writer().add_schema(
@@ -122,7 +122,7 @@ fn a_channel_that_becomes_of_use_amid_a_chunk_is_read() {
 }
 
 #[test]
-fn no_hole_is_read_as_damage_whatever_the_bytes() {
+fn unfetched_ranges_are_never_read_as_damage() {
     let mut random = Pcg64::seed_from_u64(1);
     let mut sparse = 0;
     for bytes in [mixed(None), with_images(None), with_images(Some(Compression::Zstd))] {
@@ -153,7 +153,7 @@ fn no_hole_is_read_as_damage_whatever_the_bytes() {
 }
 
 #[test]
-fn what_is_not_there_is_refused_and_not_guessed() {
+fn absent_bytes_are_refused() {
     let bytes = mixed(None);
     let (file, present, _) = fetched(&bytes, 0);
     let Present::Parts(ranges) = &present else { panic!("in parts") };

@@ -61,15 +61,15 @@ fn groups_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<ColumnG
 /// Factor and offset of each joint; empty if not declared.
 fn joint_conversions(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
     let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
-    for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {
-        if !said.is_empty() && said.len() != count {
-            return Err(format!("`columns.{key}` has {} numbers for {count} joints", said.len()));
+    for (key, values) in [("joint_factors", factors), ("joint_offsets", offsets)] {
+        if !values.is_empty() && values.len() != count {
+            return Err(format!("`columns.{key}` has {} numbers for {count} joints", values.len()));
         }
     }
     if factors.is_empty() && offsets.is_empty() {
         return Ok(Vec::new());
     }
-    let of = |said: &[f64], at: usize, default| said.get(at).copied().unwrap_or(default);
+    let of = |values: &[f64], at: usize, default| values.get(at).copied().unwrap_or(default);
     Ok((0..count).map(|at| [of(factors, at, 1.0), of(offsets, at, 0.0)]).collect())
 }
 

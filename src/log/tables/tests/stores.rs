@@ -35,7 +35,7 @@ fn assert_same_rows(log: &Log, arrays: usize) {
 }
 
 #[test]
-fn every_packing_of_a_store_holds_the_same_numbers() {
+fn every_codec_of_a_store_gives_the_same_numbers() {
     let log = plain(SECOND);
     assert_same_rows(&log, 13);
     let stamps = stamps(&log, "raw");
@@ -47,7 +47,7 @@ fn every_packing_of_a_store_holds_the_same_numbers() {
 }
 
 #[test]
-fn a_folder_is_read_as_its_archive() {
+fn a_folder_is_read_like_its_archive() {
     for archive in [SECOND, THIRD] {
         let folder = tempfile::tempdir().expect("a folder");
         ZipArchive::new(Cursor::new(archive))
@@ -87,7 +87,7 @@ pub(super) fn store(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
 }
 
 #[test]
-fn what_a_store_declares_and_does_not_hold_is_one_line() {
+fn declared_but_missing_data_of_a_store_is_reported_in_one_line() {
     assert_eq!(joints(&plain(&store(|_| ())), "q").1.len(), 20);
     let change = |name: &'static str, value: serde_json::Value| {
         refusal(&store(move |metadata| metadata[name] = value.clone()))
@@ -135,7 +135,7 @@ fn folder_store() -> tempfile::TempDir {
 }
 
 #[test]
-fn chunks_and_metadata_that_are_missing_are_losses() {
+fn missing_chunks_and_metadata_are_losses() {
     let whole = folder_store();
     let log = of_folder(whole.path()).expect("a log");
     assert_eq!((topic(&log, "q").messages, log.losses.as_slice()), (50, [].as_slice()));
@@ -182,7 +182,7 @@ fn links_out_of_the_folder_are_not_followed_and_cycles_end() {
 }
 
 #[test]
-fn damaged_stores_and_records_are_one_line() {
+fn damaged_stores_and_records_are_reported_in_one_line() {
     for whole in [SECOND, THIRD, RECORDS] {
         for end in (30..whole.len()).step_by(whole.len() / 40) {
             let cut = read(&whole[..end], ColumnSettings::default());
@@ -200,7 +200,7 @@ fn damaged_stores_and_records_are_one_line() {
 }
 
 #[test]
-fn blosc_that_is_damaged_is_refused() {
+fn damaged_blosc_is_refused() {
     // Version 2 header with one block, and lengths that exceed the chunk.
     let mut chunk = vec![2, 1, 0x21, 8, 0, 4, 0, 0, 0, 4, 0, 0, 30, 0, 0, 0, 20, 0, 0, 0];
     chunk.extend([0xff; 10]);
@@ -227,7 +227,7 @@ fn records_are_episodes_of_steps() {
 }
 
 #[test]
-fn what_features_declare_is_held_against_the_records() {
+fn declared_features_are_checked_against_the_records() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("set-train.tfrecord-00000-of-00001");
     fs::write(&path, RECORDS).expect("a file");
@@ -257,7 +257,7 @@ fn what_features_declare_is_held_against_the_records() {
 }
 
 #[test]
-fn a_record_that_is_damaged_does_not_take_the_others_with_it() {
+fn a_damaged_record_loses_no_other_record() {
     let mut bytes = RECORDS.to_vec();
     bytes[600] ^= 1;
     let log = plain(&bytes);
@@ -286,7 +286,7 @@ pub(crate) fn packet(number: u32) -> String {
 }
 
 #[test]
-fn packets_of_kuka_are_rows_however_they_stand() {
+fn kuka_packets_are_rows_in_any_layout() {
     let reply = "<Sen Type=\"ImFree\"><RKorr X=\"0\" Y=\"0\" Z=\"0\"/><IPOC>1</IPOC></Sen>";
     for (before, after) in [("", ""), ("", "\r\n"), ("1700000000.5 ", "\n"), (reply, "\n")] {
         let text: String =
@@ -302,7 +302,7 @@ fn packets_of_kuka_are_rows_however_they_stand() {
 }
 
 #[test]
-fn packets_that_are_damaged_are_counted() {
+fn damaged_packets_are_counted() {
     let whole: Vec<String> = (0..40).map(packet).collect();
     let mut text = whole.join("\n");
     let cut = plain(&text.as_bytes()[..text.len() - 20]);
@@ -347,7 +347,7 @@ pub(crate) fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
 }
 
 #[test]
-fn a_declared_rate_that_is_none_is_no_rate() {
+fn an_invalid_declared_rate_is_rejected() {
     let with_rate = |rate_hz: f32| {
         let joints: Vec<f32> = (0..160).flat_map(joints_of).map(|value| value as f32).collect();
         let reward = ("steps/reward", vec![0.5; 160]);
