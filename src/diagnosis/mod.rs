@@ -10,9 +10,10 @@
 //! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
 //! ```
 //! `s` is the stamp, `C` the discrete encoding (unit, axes, rotation convention, inversion), `reference`
-//! and `tool` are constant frame errors, `scaled` multiplies positions by `1 + radial_scale` about the
-//! base. `δ` are joint zeros, and scales and couplings if the joints' encoding has any. The noise is white
-//! plus first-order autoregressive (`solver::noise`), with Huber weights (`solver::robust`).
+//! (`stream_from_reference`; reports use its inverse) and `tool` are constant frame errors, `scaled`
+//! multiplies positions by `1 + radial_scale` about the base. `δ` are joint zeros, and scales and couplings
+//! if the joints' encoding has any. The noise is white plus first-order autoregressive (`solver::noise`),
+//! with Huber weights (`solver::robust`).
 //!
 //! # Steps (`latency::compensation`)
 //! 1. `latency::coarse` estimates large latency steps and ramps from speeds, to correct the stamps.
@@ -20,26 +21,29 @@
 //! 3. `encodings::position`, `encodings::axis_convention` and `joints` determine the encoding of positions
 //!    and joints from positions alone, then `encodings::decoded_stream` and `encodings::rotation` that of
 //!    rotations.
-//! 4. `arm::fit` fits all streams together: `frames` gives starts, `selection::model_selection` selects
-//!    causes, `selection::tool_preference` replaces a moved reference by a tool if both fit.
+//! 4. `arm::fit` fits each stream alone from several starts (`frames`), then all together from the best.
+//!    `selection::model_selection` selects causes, `selection::tool_preference` replaces a moved reference
+//!    by a tool if both fit.
 //! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
 //!    explain.
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
 //! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects
-//!    the run and repeats steps 2 to 6; it must make the residual much smaller.
+//!    the run and repeats steps 2 to 6; it must halve the residual or be clearly likelier.
 //!
-//! Streams derived from joint states, such as /tf, are compared with these alone (`diagnose_derived`),
-//! IMUs with FK (`imu`). `residuals::residual_check` compares streams with FK without the estimators.
+//! Streams derived from joint states, such as /tf, are diagnosed one by one, for encoding and timing only
+//! (`diagnose_derived`). IMUs are compared with FK (`imu`). `residuals::residual_check` compares streams
+//! with FK without the estimators.
 //!
 //! # Selection of causes (`selection::model_selection`)
 //! The latency of a moving stream and an unknown reference are always free. Candidates are joint zeros,
-//! and per stream skew, radial scale, reference and tool. After linearising with all of them, a set of
-//! causes scores `rᵀWr` after a least-squares step plus `ln n + 8` per parameter, for `n` independent
-//! residuals. Sets of up to four causes (three above 16 candidates) are searched exhaustively, larger ones
-//! greedily; nearly dependent causes are rejected. Selection and Gauss–Newton steps alternate until
-//! convergence from every start; the least `Σ n·ln σ²` plus price wins.
+//! and per stream skew, radial scale, reference and tool. The noise is estimated with all of them free. A
+//! set of causes scores its weighted cost `rᵀWr` after a least-squares step plus a price of `ln n + 8` per
+//! parameter, for `n` independent residuals. Sets of up to four causes (three above 16 candidates) are searched
+//! exhaustively, larger ones greedily; sets of nearly dependent causes are rejected. Selection and
+//! Gauss–Newton steps alternate until convergence. Of several starts, that with the least `Σ n·ln σ²` plus
+//! price wins.
 //!
 //! # Output
 //! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] or the [`NotObservable`] reason, and states
@@ -184,7 +188,7 @@ pub enum NotObservable {
     DoesNotFollow(f64),
     /// The orientation changes too little; its range, rad.
     LittleRotation(f64),
-    /// The parameter has no visible effect, or that of other unknowns.
+    /// The parameter has no visible effect, or one that other unknowns can imitate.
     NotExcited,
     /// The stream has no orientation.
     NoOrientation,
@@ -227,7 +231,7 @@ pub struct PoseStream<'a> {
 pub enum PoseEncoding {
     /// As logged.
     AsLogged,
-    /// Three numbers of one convention read as another. Members are equivalent.
+    /// Three numbers of one convention read as another. Members of a class have the same effect.
     Misinterpreted(&'static MisinterpretationClass),
     /// Permuted quaternion components.
     QuaternionOrder(QuaternionOrderError),
@@ -235,7 +239,7 @@ pub enum PoseEncoding {
     Transposed,
     /// Whole pose inverted (parent and child exchanged).
     Inverted,
-    /// Bare numbers in this convention (not a fault).
+    /// Rotation logged as bare numbers, in this convention (not a fault).
     Numbers(Convention),
 }
 
@@ -269,7 +273,8 @@ pub struct EncodingEstimate {
     pub runner_up: Option<(PoseEncoding, f64)>,
     /// Encodings equivalent to `best` here.
     pub equivalent: Vec<PoseEncoding>,
-    /// Best encodings with the frames of `best`, by increasing residual. Includes `best` and as logged.
+    /// Best encodings, with the same frame errors free as for `best`, by increasing residual. Includes `best`
+    /// and as logged.
     pub ranked: Vec<(PoseEncoding, f64)>,
     /// Whether most encodings fit worse. At rest, nearly all fit with a constant frame.
     pub is_determined: bool,
@@ -345,8 +350,8 @@ pub struct FrameEstimate {
 /// Residual of a stream after correcting every finding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamResidual {
-    /// Excess position residual over the noise, rms m. Its interval excludes zero only if the residual
-    /// repeats with the configuration.
+    /// Excess position residual over the noise, rms m. Its interval excludes zero only if the residual depends
+    /// on the configuration, unlike noise.
     pub excess_m: Measured,
     /// Excess rotation residual, rms rad.
     pub excess_rad: Measured,
@@ -354,9 +359,9 @@ pub struct StreamResidual {
     pub rms_m: f64,
     /// Rotation residual, rms rad.
     pub rms_rad: f64,
-    /// Position error against recorded FK, rms m.
+    /// Position error as logged, against recorded FK, rms m.
     pub before_m: f64,
-    /// Rotation error against recorded FK, rms rad.
+    /// Rotation error as logged, against recorded FK, rms rad.
     pub before_rad: f64,
 }
 
@@ -410,9 +415,9 @@ pub struct PoseDiagnosis {
     pub encoding_spans: EncodingSpans,
     /// Residual after correcting every finding.
     pub residual: EstimateResult<StreamResidual>,
-    /// Whether link deviations explain the residual: nominal kinematics, at most 10 mm and 0.5°.
+    /// Whether the model is nominal: link deviations explain the error against it, at most 10 mm and 0.5° rms.
     pub is_nominal: bool,
-    /// Standard deviation of the links, m (0.1° per mm).
+    /// Standard deviation of these deviations, m (0.1° per mm).
     pub link_m: Option<f64>,
     /// Observability. `None` without a fit.
     pub observability: Option<Observability>,
@@ -436,9 +441,9 @@ pub struct FrameCorrection {
 }
 
 impl FrameCorrection {
-    /// Tip pose in the reference for a decoded pose.
-    pub fn apply(&self, read: &Pose) -> Pose {
-        let mut in_base = self.reference.inv_mul(read);
+    /// `reference_from_tip` for a decoded pose.
+    pub fn apply(&self, decoded: &Pose) -> Pose {
+        let mut in_base = self.reference.inv_mul(decoded);
         in_base.translation.vector /= 1.0 + self.radial_scale;
         in_base * self.tool.inverse()
     }
@@ -454,15 +459,12 @@ impl FrameCorrection {
 impl PoseDiagnosis {
     /// Whether the stream has a change point.
     pub fn has_changes(&self) -> bool {
-        let Self {
-            reference_changes,
-            tool_changes,
-            radial_scale_changes: growth_changes,
-            encoding_spans: coded,
-            ..
-        } = self;
-        let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
-        are_frames || !growth_changes.is_empty() || *coded != EncodingSpans::default()
+        let Self { reference_changes, tool_changes, radial_scale_changes, encoding_spans, .. } =
+            self;
+        let has_frame_change = !reference_changes.is_empty() || !tool_changes.is_empty();
+        has_frame_change
+            || !radial_scale_changes.is_empty()
+            || *encoding_spans != EncodingSpans::default()
     }
 
     /// Why the stream is unusable. Positions may be usable without orientations.
@@ -476,9 +478,9 @@ impl PoseDiagnosis {
         const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
         let fk: Vec<Vec3> =
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
-        let left_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
-        left_m > MIN_LARGE_RESIDUAL_M
-            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * frames::position_fit::spread(&fk)
+        let excess_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
+        excess_m > MIN_LARGE_RESIDUAL_M
+            && excess_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * frames::position_fit::spread(&fk)
     }
 
     /// Whether the motion is periodic, so other findings may belong to a wrong lag.

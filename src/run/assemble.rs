@@ -41,17 +41,17 @@ use transforms::tf_tree;
 pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {
-    /// Assembles the run, lets `mend` correct it, and resolves open roles by motion.
+    /// Assembles the run, lets `correct` change it, and resolves open roles by motion.
     ///
     /// # Errors
-    /// Those of [`Run::assemble`] and of `mend`.
+    /// Those of [`Run::assemble`] and of `correct`.
     pub fn complete<E: From<RunError>>(
         log: Log,
         options: &RunOptions,
-        mend: impl FnOnce(&mut Run) -> Result<(), E>,
+        correct: impl FnOnce(&mut Run) -> Result<(), E>,
     ) -> Result<Run, E> {
         let mut run = Run::assemble(log, options)?;
-        mend(&mut run)?;
+        correct(&mut run)?;
         resolve(&mut run, options.max_latency_s);
         Ok(run)
     }

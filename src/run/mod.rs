@@ -1,8 +1,8 @@
 //! One run: the role of each topic, the arms, and the frames between them.
 //!
-//! [`Run::assemble`] prepares the estimators' input from decoded data. Pose streams whose name leaves their
-//! role open are [`Role::Candidate`]s until the motion decides ([`Run::complete`]). Without an arm or
-//! model, streams, clocks and transforms are still audited, and [`Run::no_arm`] gives the reason.
+//! [`Run::assemble`] prepares the estimators' input from decoded data. Pose streams whose name and frames
+//! leave their role open are [`Role::Candidate`]s until the motion decides ([`Run::complete`]). Without an
+//! arm or model, streams, clocks and transforms are still audited, and [`Run::no_arm`] gives the reason.
 
 mod arm;
 mod assemble;
@@ -100,8 +100,7 @@ pub use velocities::VelocitySource;
 /// Minimum speed correlation of a stream that follows the arm.
 const MIN_FOLLOWER_CORRELATION: f64 = 0.7;
 
-/// Speed correlation below which a stream does not follow, whatever its frame. Less than [`MIN_FOLLOWER_CORRELATION`],
-/// because faulty clocks or conventions also lower it.
+/// Same if its frame suggests a tool pose. Lower, because faulty clocks or conventions reduce it.
 const MIN_PRESUMED_CORRELATION: f64 = 0.4;
 
 /// The caller's options for a run.
@@ -159,7 +158,7 @@ pub struct Run {
     pub arms: Vec<Arm>,
     /// Camera targets with candidate hands.
     pub targets: Vec<TargetSource>,
-    /// Commands to the arms.
+    /// Commands to the arms (reference inputs, not frames).
     pub references: Vec<ReferenceSource>,
     /// All frames and transforms.
     pub tf: Arc<TfTree>,
@@ -181,7 +180,7 @@ pub struct Run {
     pub not_audited: Vec<NotAudited>,
     /// Streams that lead the arm, and the lead, s: commands, or tool poses with late joint states.
     pub leaders: Vec<(usize, f64)>,
-    /// Candidates that the motion neither confirms nor rejects.
+    /// Candidates unassigned because neither frame nor motion decides.
     pub undecided: Vec<usize>,
     /// Samples excluded from estimation.
     pub sample_filter: SampleFilter,
@@ -208,13 +207,13 @@ impl Run {
     /// Pose source as diagnosis input.
     pub fn pose_stream<'a>(&self, source: &'a PoseSource) -> PoseStream<'a> {
         let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
-        let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
+        let uses_receive_times = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
         PoseStream {
             track: &source.track,
             chain: &source.chain,
             columns: &source.columns,
             reference_known: source.reference_known,
-            stamp_error_s: source.stamp_error_s.max(if received {
+            stamp_error_s: source.stamp_error_s.max(if uses_receive_times {
                 TRANSPORT_STD_ERROR_S
             } else {
                 0.0
@@ -231,15 +230,16 @@ impl Run {
         (0..self.streams.len()).filter(is_candidate)
     }
 
+    /// Replaces an arm by one with another model, also in the chains of the targets' hands.
     pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
         for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
-            let HandKind::Joints { arm: of, chain, .. } = &mut hand.kind else { continue };
+            let HandKind::Joints { arm: hand_arm, chain, .. } = &mut hand.kind else { continue };
             let robot = &arm.robot;
             let link = |name: &str| robot.link(name);
             let ends = link(chain.base_name()).zip(link(chain.tip_name()));
-            let anew = ends.and_then(|(base, tip)| robot.chain(base, tip).ok());
-            if let (true, Some(anew)) = (*of == index, anew) {
-                *chain = anew;
+            let new_chain = ends.and_then(|(base, tip)| robot.chain(base, tip).ok());
+            if let (true, Some(new_chain)) = (*hand_arm == index, new_chain) {
+                *chain = new_chain;
             }
         }
         self.arms[index] = arm;
@@ -260,7 +260,7 @@ impl Run {
     /// Decides whether candidate `stream` is a tool pose. `peak` is its highest speed correlation with the
     /// arm, 0 to 1, or `None` if the motion does not decide.
     ///
-    /// A rejected candidate is unassigned; a non-candidate keeps its role.
+    /// A rejected candidate becomes a command or camera target if its name says so, else unassigned.
     pub fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
         let Some(resolved) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = resolved.role else { return };
@@ -287,6 +287,7 @@ impl Run {
             self.undecided.push(stream);
         }
         if is_pose {
+            // By name, it may also have been a camera target or a command.
             self.targets.retain(|target| target.stream != stream);
             self.references.retain(|reference| reference.stream != stream);
         } else {
@@ -295,6 +296,7 @@ impl Run {
         }
     }
 
+    /// Removes a stream from its arm. Its topic name may still make it a command or camera target.
     pub(crate) fn assign_role_by_name(&mut self, stream: usize, reason: String) {
         self.unassign(stream, reason);
         let Some(resolved) = self.streams.get_mut(stream) else { return };

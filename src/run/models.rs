@@ -40,7 +40,7 @@ pub(super) fn read_given(sources: &[RobotSource]) -> Result<Vec<GivenRobot>, Run
 /// The caller's robots, or the arm determined from other logs.
 ///
 /// # Errors
-/// Those of [`given`].
+/// Those of [`read_given`].
 pub(super) fn read_given_or_shared(options: &RunOptions) -> Result<Vec<GivenRobot>, RunError> {
     let Some(SharedMapping { robot: Some(robot), from, .. }) = &options.shared else {
         return read_given(&options.robots);

@@ -376,7 +376,7 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
     Some(*steps.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// Sixth largest step within eight samples of `astray`: more than a few outliers, fewer than a fast motion
+/// Sixth largest step within eight samples of `excursion`: more than a few outliers, fewer than a fast motion
 /// has.
 fn nearby_step(samples: usize, excursion: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
     const WINDOW_SAMPLES: usize = 8;

@@ -57,6 +57,7 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
 
+/// Recording that resolves an inconclusive latency.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
 #[derive(Clone, Copy)]
@@ -77,20 +78,21 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     rows
 }
 
-/// One program stamps the transforms of a topic: if their latencies agree within `max_difference_s`, only
-/// the first stays a finding.
+/// One program stamps all transforms of a topic. Findings on one topic that agree within `max_difference_s`
+/// are therefore reported once, on the first; the others pass.
 fn report_once_per_topic(rows: &mut [SubjectResult], max_difference_s: f64) {
-    let is_late = |row: &SubjectResult| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
+    let is_finding =
+        |row: &SubjectResult| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
     for at in 1..rows.len() {
-        let (named, rest) = rows.split_at_mut(at);
-        let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
+        let (earlier, rest) = rows.split_at_mut(at);
+        let Some(row) = rest.first_mut().filter(|row| is_finding(row)) else { continue };
         let value = |row: &SubjectResult| row.estimate.as_ref().and_then(Estimate::value);
         let is_same = |other: &&mut SubjectResult| {
             let is_similar =
                 value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < max_difference_s);
-            other.subject.topic == row.subject.topic && is_late(other) && is_similar
+            other.subject.topic == row.subject.topic && is_finding(other) && is_similar
         };
-        let Some(first) = named.iter_mut().find(is_same) else { continue };
+        let Some(first) = earlier.iter_mut().find(is_same) else { continue };
         let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
         first.evidence.insert("others_late".to_owned(), (others.unwrap_or(0) + 1).into());
         row.outcome = Outcome::pass_with_remark("same latency as the whole topic, reported once");
@@ -161,7 +163,8 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Subject
     )
 }
 
-/// If two or more independent streams agree on it and none disagrees.
+/// Latency of the joint states, if two or more independent streams are early by it and none disagrees. Common
+/// lateness is not attributed to them: drivers may stamp too late, but not before the measurement.
 fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
     let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
     let (mut latencies, mut topics) = (Vec::new(), BTreeSet::new());
@@ -170,9 +173,10 @@ fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -
         match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 latencies.push(*latency);
-                // Transforms on one topic count once.
+                // One program stamps a topic, so its transforms count as one stream.
                 topics.insert(stream.topic());
             }
+            // Too uncertain to agree or disagree.
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
         }
@@ -241,7 +245,7 @@ fn late_joint_states(
         .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
 }
 
-/// Late joint states explain the latency of an independent stream.
+/// Passes an independent stream: late joint states explain its latency. Judges others as usual.
 fn judge_with_late_joints(
     case: &Case,
     arm: &ArmEvidence,
@@ -252,8 +256,8 @@ fn judge_with_late_joints(
         Ok(_) if stream.has_independent_stamps => Outcome::pass_with_remark(remark),
         _ => return judge_stream(case, arm, stream, &[]),
     };
-    let amount = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);
-    stream.judged(outcome).estimated(estimate(stream).map(amount))
+    let as_estimate = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);
+    stream.judged(outcome).estimated(estimate(stream).map(as_estimate))
 }
 
 fn judge_stream(
@@ -328,8 +332,8 @@ fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     stream.delays.map(mean).unwrap_or_default()
 }
 
-/// For a latency of half a tick, if the stamps of the stream (then early) or of the joint states are
-/// truncated.
+/// Explains a latency of half a clock tick by truncated stamps: the stream's if it is early, the joint states'
+/// if it is late.
 fn tick_suffix(
     case: &Case,
     arm: &ArmEvidence,
@@ -342,16 +346,18 @@ fn tick_suffix(
         let rhythm_of_topic = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
         rhythm_of_topic.into_iter().flat_map(|rhythm| &rhythm.parts).find_map(|part| part.tick_s)
     };
-    let is_half = |tick_s: f64, side: f64| {
-        (latency.value - 0.5 * side * tick_s).abs()
+    let is_half = |tick_s: f64, sign: f64| {
+        (latency.value - 0.5 * sign * tick_s).abs()
             < MAX_TICK_DEVIATION * tick_s + 2.0 * latency.std_error
     };
-    let cut = |topic: &str, side: f64| {
-        let tick_s = tick_s(topic).filter(|tick_s| is_half(*tick_s, side))?;
+    let truncated = |topic: &str, sign: f64| {
+        let tick_s = tick_s(topic).filter(|tick_s| is_half(*tick_s, sign))?;
         let tick = THRESHOLD.unit.show(tick_s);
         Some(format!(": half a clock tick of {tick}; the stamps of {topic} are truncated to it"))
     };
-    cut(stream.topic(), -1.0).or_else(|| cut(&arm.joints_topic, 1.0)).unwrap_or_default()
+    truncated(stream.topic(), -1.0)
+        .or_else(|| truncated(&arm.joints_topic, 1.0))
+        .unwrap_or_default()
 }
 
 /// Signed shift that corrects `latency`.

@@ -211,7 +211,7 @@ fn allows_link_deviations(model: &SelectedModel) -> bool {
         || model.noise().iter().any(|noise| noise.inflation() > MAX_NOISE_INFLATION)
 }
 
-/// Offsets above `most`, rad or m, and all scales.
+/// Offsets above `threshold`, rad or m, and all scales.
 fn large_zeros(state: &State, corrected: &CorrectedJoints, threshold: f64) -> Vec<f64> {
     let retained = |(index, value): (usize, &f64)| {
         if index >= corrected.track.dof || value.abs() > threshold { *value } else { 0.0 }

@@ -232,7 +232,7 @@ impl EncodingResult {
         self.streams.iter().any(is_close)
     }
 
-    /// Each stream that agrees with FK in `other`, without frame errors, still does.
+    /// Each stream that agrees with FK in `before`, without frame errors, still does.
     fn preserves_agreement(&self, before: &EncodingResult) -> bool {
         let agrees = |stream: &PoseDiagnosis| {
             let is_explained = stream.residual.as_ref().is_ok_and(|residual| {
@@ -300,7 +300,7 @@ fn extent_m(stream: &PoseDiagnosis) -> f64 {
 }
 
 /// Diagnoses a stream computed from the joint states, such as /tf, which is not an independent reference
-/// for joint zeros. Compares it with the joint states as recorded and as corrected by `reading`; the better
+/// for joint zeros. Compares it with the joint states as recorded and as corrected by `encoding`; the better
 /// match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,

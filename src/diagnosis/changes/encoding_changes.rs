@@ -12,15 +12,16 @@ impl BaselineSegment {
         others: &[OtherSegment],
         after: &mut PoseDiagnosis,
     ) {
-        let own = &self.diagnosis.streams[s];
+        let baseline = &self.diagnosis.streams[s];
         let first = others.iter().find(|other| self.has_other_encoding(s, other));
         let component = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
-            let its = &first.filter(|first| !is_same(own, &first.own.streams[s]))?.own.streams[s];
-            if !is_as_logged(own) {
-                return Some((own, self.span));
+            let is_different = |other: &&OtherSegment| !is_same(baseline, &other.alone.streams[s]);
+            let first = &first.filter(is_different)?.alone.streams[s];
+            if !is_as_logged(baseline) {
+                return Some((baseline, self.span));
             }
-            let same = others.iter().filter(|other| is_same(its, &other.own.streams[s]));
-            same.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
+            let same = others.iter().filter(|other| is_same(first, &other.alone.streams[s]));
+            same.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (first, span))
         };
         let rotation = component(is_same_rotation, is_rotation_as_logged);
         let degrees = component(is_same_angle_unit, |diagnosis| diagnosis.degrees.is_none());
@@ -30,14 +31,14 @@ impl BaselineSegment {
         let axes = component(is_same_axes, |diagnosis| !matches!(diagnosis.axes, Ok(Some(_))));
         let [of_rotation, of_degrees, of_length, of_axes] =
             [rotation, degrees, length, axes].map(|component: Option<(&PoseDiagnosis, Span)>| {
-                component.map_or(own, |(diagnosis, _)| diagnosis)
+                component.map_or(baseline, |(diagnosis, _)| diagnosis)
             });
         after.encoding.clone_from(&of_rotation.encoding);
         after.is_inverted = of_rotation.is_inverted;
         after.degrees = of_degrees.degrees;
         after.length_unit.clone_from(&of_length.length_unit);
         after.axes.clone_from(&of_axes.axes);
-        after.constant_coordinates.clone_from(&own.constant_coordinates);
+        after.constant_coordinates.clone_from(&baseline.constant_coordinates);
         let [rotation, degrees, length, axes] =
             [rotation, degrees, length, axes].map(|component| component.map(|(_, span)| span));
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };

@@ -1,9 +1,10 @@
 //! Change points: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! The run is split where a stream jumps relative to the arm ([`jumps`]). The longest segment, the
-//! baseline, is diagnosed alone. The others are corrected by its result and diagnosed again, so their
-//! models contain only the differences (after Chow 1960). The whole run is then diagnosed with these
-//! corrected. Change points are reported only if this reduces the residual substantially.
+//! The run is split where a stream jumps relative to the arm, a joint jumps, or data are missing ([`jumps`]).
+//! The longest segment, the baseline, is diagnosed alone. The others are corrected by its result and
+//! diagnosed again, so their models contain only the differences (after Chow 1960). Correcting these
+//! differences gives a run in which the baseline's errors persist from start to end; it is diagnosed as a
+//! whole. Change points are reported only if this reduces the residual enough ([`justification`]).
 
 mod change_points;
 mod constant_frames;
@@ -36,16 +37,16 @@ pub(super) use justification::{
 };
 use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
 
-/// Limit for a segment, relative to the baseline's residual; and its floor.
+/// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
-/// Smaller ratios of two segments may be the same noise.
+/// The whole run's residual is a further limit, but never below this ratio, which noise alone may cause.
 const MIN_NOISE_RATIO: f64 = 2.0;
-/// Share of the whole run's residual; above it, changes do not explain it.
+/// Maximum residual of the baseline, relative to the whole run's. A larger one is not due to a change.
 const MAX_BASELINE_SHARE: f64 = 0.97;
 
-/// Diagnoses the arm as if nothing had changed. `diagnosis` is the diagnosis of the whole run. `None` if there
-/// are no changes or they do not explain enough of the residual.
+/// Diagnoses the run with its changes corrected, and reports them. `diagnosis` is that of the uncorrected run.
+/// `None` if there are no changes or they do not explain enough of the residual.
 pub(super) fn diagnose_with_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -69,12 +70,13 @@ pub(super) fn diagnose_with_changes(
     let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
     let mut all = run.change_points(diagnosis, jumps);
     if all.len() > max_changes {
+        // Keep the strongest sharp jumps and gaps.
         all.retain(|jump| jump.window_s == 0.0);
         all.sort_by(|a, b| b.strength.total_cmp(&a.strength));
         all.truncate(max_changes);
         all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
-    // Jumps that need averaging come second.
+    // Jumps visible only in averages are dated less accurately: first try without them.
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.window_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();
     let by_sharp = if is_both { diagnose_with_jumps(&run, &sharp, diagnosis) } else { None };
@@ -98,7 +100,6 @@ fn diagnose_with_jumps(
     let baseline = (spans.len() > 1).then(|| BaselineSegment::diagnose(run, spans[baseline]))?;
     let residual = residual_m(&baseline.diagnosis);
     if residual > MAX_BASELINE_SHARE * residual_m(diagnosis) {
-        // The residual is not due to a change.
         return None;
     }
     let max_residual_m = (MAX_RESIDUAL_RATIO * residual)
@@ -166,7 +167,8 @@ fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
         + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
-/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples.
+/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, which reports
+/// show.
 pub(super) fn restore_recorded(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -189,7 +191,7 @@ pub(super) fn restore_recorded(
     }
 }
 
-/// Whether the last of `others` and `after` fit as well merged.
+/// Whether `both`, the last of `others` merged with `after`, fits about as well as the two apart.
 fn is_as_good(
     run: &SplitRun,
     both: &OtherSegment,
@@ -215,8 +217,8 @@ struct BaselineSegment {
 
 struct OtherSegment {
     span: Span,
-    /// Diagnosis on its own.
-    own: ArmDiagnosis,
+    /// Diagnosis without the baseline.
+    alone: ArmDiagnosis,
     /// Diagnosis after correction by the baseline: only the differences.
     difference: ArmDiagnosis,
 }
@@ -226,8 +228,8 @@ impl BaselineSegment {
         Self { span, diagnosis: run.diagnose(span).1 }
     }
 
-    /// Merges a segment whose residual exceeds `most_m` with the previous one. `None` if the residual is
-    /// then still too large.
+    /// Diagnoses the other segments. Merges one whose residual exceeds `max_residual_m` with the adjacent one
+    /// before it, and two that fit as well together. `None` if a residual remains too large.
     fn other_segments(
         &self,
         run: &SplitRun,
@@ -245,7 +247,7 @@ impl BaselineSegment {
                 other = self.other_segment(run, (before.span.0, part.1));
             }
             let other = Some(other).filter(has_small_residual)?;
-            // They may differ from the baseline in the same way.
+            // Adjacent segments may differ from the baseline in the same way.
             let before = others.last().filter(|before| before.span.1 == part.0);
             let both = before.map(|before| self.other_segment(run, (before.span.0, part.1)));
             let is_one = |both: &OtherSegment| {
@@ -278,17 +280,18 @@ impl BaselineSegment {
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
         let difference = diagnose_other_segment(&joints, &known, run.max_lag_s);
-        OtherSegment { span, own: alone, difference }
+        OtherSegment { span, alone, difference }
     }
 
-    /// An undetermined encoding must match the baseline's, and no frame may rotate by much.
+    /// If a segment's encoding is undetermined, it must match the baseline's, and no frame may rotate much.
     fn is_reliable(&self, other: &OtherSegment) -> bool {
-        /// A misread rotation can imitate it in a few configurations.
+        /// In few configurations, a wrong rotation encoding resembles a rotated frame.
         const MAX_FRAME_ROTATION_RAD: f64 = 0.1;
         let streams =
-            self.diagnosis.streams.iter().zip(&other.own.streams).zip(&other.difference.streams);
-        streams.into_iter().all(|((own, alone), difference)| {
-            let is_determined = alone.encoding.as_ref().is_ok_and(|reading| reading.is_determined);
+            self.diagnosis.streams.iter().zip(&other.alone.streams).zip(&other.difference.streams);
+        streams.into_iter().all(|((baseline, alone), difference)| {
+            let is_determined =
+                alone.encoding.as_ref().is_ok_and(|encoding| encoding.is_determined);
             let is_small = |frame: &EstimateResult<FrameEstimate>| {
                 !is_chosen(frame)
                     || frame
@@ -296,15 +299,15 @@ impl BaselineSegment {
                         .is_ok_and(|frame| frame.rotation_rad.value < MAX_FRAME_ROTATION_RAD)
             };
             let is_small = is_small(&difference.tool) && is_small(&difference.reference);
-            is_determined || (is_same_encoding(own, alone) && is_small)
+            is_determined || (is_same_encoding(baseline, alone) && is_small)
         })
     }
 
     fn has_other_encoding(&self, s: usize, other: &OtherSegment) -> bool {
-        let (own, its) = (&self.diagnosis.streams[s], &other.own.streams[s]);
-        let are_determined =
-            own.encoding.is_ok() && its.encoding.as_ref().is_ok_and(|its| its.is_determined);
-        are_determined && !is_same_encoding(own, its)
+        let (baseline, alone) = (&self.diagnosis.streams[s], &other.alone.streams[s]);
+        let are_determined = baseline.encoding.is_ok()
+            && alone.encoding.as_ref().is_ok_and(|encoding| encoding.is_determined);
+        are_determined && !is_same_encoding(baseline, alone)
     }
 
     /// Increase over the baseline's latency extrapolated with its skew, s. `None` if not significant.
@@ -316,16 +319,17 @@ impl BaselineSegment {
         let (latency_here, latency_there) =
             (here.latency_s.as_ref().ok()?, there.latency_s.as_ref().ok()?);
         let distance_s = there.aligned.middle_s() - here.aligned.middle_s();
-        let grown =
+        let drift =
             here.skew.as_ref().map_or(latency_here.scaled(0.0), |skew| skew.scaled(distance_s));
         let std_error =
-            latency_there.std_error.hypot(latency_here.std_error).hypot(grown.std_error);
-        let by = Measured {
-            value: latency_there.value - latency_here.value - grown.value,
+            latency_there.std_error.hypot(latency_here.std_error).hypot(drift.std_error);
+        let increase = Measured {
+            value: latency_there.value - latency_here.value - drift.value,
             std_error,
             ..*latency_there
         };
-        (by.value.abs() > MIN_LATENCY_STEP_S.max(MIN_STD_ERRORS * std_error)).then_some(by)
+        (increase.value.abs() > MIN_LATENCY_STEP_S.max(MIN_STD_ERRORS * std_error))
+            .then_some(increase)
     }
 
     /// `None` if nothing changed.
@@ -347,7 +351,7 @@ impl BaselineSegment {
         patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
         let tracks: Vec<Option<PoseTrack>> = (0..run.streams.len())
             .map(|s| {
-                let moves = |other: &&OtherSegment| {
+                let differs = |other: &&OtherSegment| {
                     let difference = &other.difference.streams[s];
                     self.has_other_encoding(s, other)
                         || self.latency_increase(s, other).is_some()
@@ -355,29 +359,32 @@ impl BaselineSegment {
                         || is_chosen(&difference.reference)
                         || is_chosen(&difference.tool)
                 };
-                others.iter().any(|other| moves(&other)).then(|| self.corrected_track(s, others))
+                others.iter().any(|other| differs(&other)).then(|| self.corrected_track(s, others))
             })
             .collect();
         let is_changed = !patches.is_empty() || tracks.iter().any(Option::is_some);
         is_changed.then_some(CorrectedRun { joints, patches, tracks })
     }
 
-    /// Decoded poses with the differences of the other segments corrected.
+    /// Decoded poses with the differences of the other segments corrected, so that the baseline's errors apply
+    /// to all.
     fn corrected_track(&self, s: usize, others: &[OtherSegment]) -> PoseTrack {
-        let own = &self.diagnosis.streams[s];
-        let mut segments = vec![(self.span, with_poses(own, decoded_poses(own)))];
+        let baseline = &self.diagnosis.streams[s];
+        let mut segments = vec![(self.span, with_poses(baseline, decoded_poses(baseline)))];
         for other in others {
             let difference = &other.difference.streams[s];
-            let poses = decoded_poses(difference)
-                .map(|pose| own.frame_correction.invert(&difference.frame_correction.apply(&pose)));
+            let poses = decoded_poses(difference).map(|pose| {
+                baseline.frame_correction.invert(&difference.frame_correction.apply(&pose))
+            });
             let mut track = with_poses(difference, poses);
-            let delay_s = self.latency_increase(s, other).map_or(0.0, |by| by.value);
+            let delay_s = self.latency_increase(s, other).map_or(0.0, |increase| increase.value);
             track.t_s.iter_mut().for_each(|t_s| *t_s -= delay_s);
             segments.push((other.span, track));
         }
         segments.sort_by(|a, b| a.0.0.total_cmp(&b.0.0));
         let mut segments = segments.into_iter().map(|(_, track)| track);
-        let first = segments.next().unwrap_or_else(|| with_poses(own, decoded_poses(own)));
+        let first =
+            segments.next().unwrap_or_else(|| with_poses(baseline, decoded_poses(baseline)));
         segments.fold(first, |mut all, segment| {
             // Correcting a latency can make segments overlap.
             let end_s = segment.t_s.first().copied().unwrap_or(f64::INFINITY);
@@ -420,17 +427,17 @@ impl JointPatch {
     }
 }
 
-/// Column, factor and offset that map joints of another segment to the baseline. Empty if joint names or
-/// units are wrong as well.
+/// Column, factor and offset that map joints of another segment to the baseline, from two test positions.
+/// Empty if joints are permuted or their encoding is undetermined.
 fn joint_map(
     baseline: &JointDiagnosis,
     difference: &JointDiagnosis,
     run: &SplitRun,
 ) -> Vec<(usize, f64, f64)> {
-    let is_offset_only = |diagnosis: &JointDiagnosis| {
-        diagnosis.encoding.as_ref().is_ok_and(|reading| reading.permutation.is_none())
+    let is_in_order = |diagnosis: &JointDiagnosis| {
+        diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.permutation.is_none())
     };
-    if !is_offset_only(difference) || !is_offset_only(baseline) {
+    if !is_in_order(difference) || !is_in_order(baseline) {
         return Vec::new();
     }
     let dof = run.joints.dof;
@@ -455,18 +462,18 @@ fn joint_map(
         let factor = one - zero;
         (column, (one_both - zero_both) / factor, (zero_both - zero) / factor)
     };
-    let is_other = |&(_, factor, offset): &(usize, f64, f64)| {
-        let is_one = (factor - 1.0).abs() < 1e-12 && offset.abs() < 1e-12;
-        factor.is_finite() && offset.is_finite() && !is_one
+    let is_changed = |&(_, factor, offset): &(usize, f64, f64)| {
+        let is_identity = (factor - 1.0).abs() < 1e-12 && offset.abs() < 1e-12;
+        factor.is_finite() && offset.is_finite() && !is_identity
     };
-    (0..dof).map(map).filter(is_other).collect()
+    (0..dof).map(map).filter(is_changed).collect()
 }
 
 fn is_chosen(frame: &EstimateResult<FrameEstimate>) -> bool {
     frame.as_ref().is_ok_and(|frame| frame.is_chosen)
 }
 
-/// Poses in the reference frame, without any other correction.
+/// Poses with only the encoding corrected: as logged, frame errors included.
 fn decoded_poses(diagnosis: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
     diagnosis.aligned.corrected.iter().map(|pose| diagnosis.frame_correction.invert(pose))
 }

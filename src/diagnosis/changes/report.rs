@@ -26,7 +26,7 @@ impl BaselineSegment {
             let (before, next) = (segment_at(&pair[0]), segment_at(&pair[1]));
             let Some(jump) = jump_at(pair[1].0) else { continue };
             for (s, after) in after.streams.iter_mut().enumerate() {
-                let own = &self.diagnosis.streams[s];
+                let baseline = &self.diagnosis.streams[s];
                 let at = (jump.at_s + run.lags[s], jump.within_s);
                 let frame = |of: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
                              is_free: bool| {
@@ -35,7 +35,8 @@ impl BaselineSegment {
                             .and_then(|segment| of(&segment.difference.streams[s]).as_ref().ok());
                         diagnosis.filter(|frame| frame.is_chosen).cloned()
                     };
-                    let of_baseline = of(own).as_ref().ok().filter(|own| own.is_chosen || is_free);
+                    let of_baseline =
+                        of(baseline).as_ref().ok().filter(|frame| frame.is_chosen || is_free);
                     frame_change(at, of_baseline, of_segment(before), of_segment(next))
                 };
                 after.tool_changes.extend(frame(|diagnosis| &diagnosis.tool, false));
@@ -51,7 +52,7 @@ impl BaselineSegment {
                 };
                 let of_segment =
                     |segment: Option<&OtherSegment>| radial_scale(&segment?.difference.streams[s]);
-                let of_baseline = radial_scale(own);
+                let of_baseline = radial_scale(baseline);
                 let change = scalar_change(
                     at,
                     of_baseline.as_ref(),
@@ -81,14 +82,17 @@ impl BaselineSegment {
                     let scales = &segment?.difference.joints.scales;
                     Some(scales.iter().find(|scale| scale.column == column)?.factor)
                 };
-                let own = &self.diagnosis.joints.offsets.get(column);
-                let own = own.filter(|own| own.is_chosen).and_then(|own| own.offset.as_ref().ok());
-                let zero = scalar_change(at, own, zero(before), zero(next), 0.0);
+                let of_baseline = self.diagnosis.joints.offsets.get(column);
+                let of_baseline = of_baseline
+                    .filter(|offset| offset.is_chosen)
+                    .and_then(|offset| offset.offset.as_ref().ok());
+                let zero = scalar_change(at, of_baseline, zero(before), zero(next), 0.0);
                 let scales = &self.diagnosis.joints.scales;
-                let own = scales.iter().find(|scale| scale.column == column);
-                let own = own.map_or(1.0, |scale| scale.factor.value);
-                let scaled = |segment| factor(segment).map(|factor: Measured| factor.scaled(own));
-                let factor = scalar_change(at, None, scaled(before), scaled(next), own);
+                let of_baseline = scales.iter().find(|scale| scale.column == column);
+                let of_baseline = of_baseline.map_or(1.0, |scale| scale.factor.value);
+                let scaled =
+                    |segment| factor(segment).map(|factor: Measured| factor.scaled(of_baseline));
+                let factor = scalar_change(at, None, scaled(before), scaled(next), of_baseline);
                 if zero.is_some() || factor.is_some() {
                     after.joints.changes.push(JointChange { column, zero, factor });
                 }
@@ -124,7 +128,7 @@ impl BaselineSegment {
     }
 }
 
-/// `kept` is the baseline's frame; `from` and `to` are the segments' differences from it.
+/// `baseline` is the baseline's frame; `from` and `to` are the segments' differences from it.
 fn frame_change(
     (at_s, within_s): (f64, f64),
     baseline: Option<&FrameEstimate>,

@@ -39,7 +39,7 @@ impl NumericTable {
         self.shift_of(&series(columns), &series(others))
     }
 
-    /// Shift of columns that differ by `apart` at rest; on a line, an offset would pass as a delay.
+    /// Shift of columns that differ by `offset` at rest; on a line, an offset would pass as a delay.
     pub fn shift_with_offset(
         &self,
         column: usize,
@@ -122,7 +122,7 @@ impl NumericTable {
         median(&mut difference).filter(|_| tells).map(|difference| (difference, count))
     }
 
-    /// Relation to the columns `beside`.
+    /// Relation to the columns `others`.
     pub fn content(&self, column: usize, others: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
         let [low, high] = self.range(column);

@@ -125,7 +125,7 @@ struct MeasuredPoses<'a> {
     noise: [Noise; 2],
 }
 
-/// Compares commands with the arm's motion. `witnesses` are measured `base_from_tip`, corrected for
+/// Compares commands with the arm's motion. `measured_poses` are `base_from_tip`, corrected for
 /// latency; the first is FK of the joint states.
 ///
 /// # Errors

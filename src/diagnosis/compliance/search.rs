@@ -373,7 +373,7 @@ impl<'a> ComplianceSearch<'a> {
         self.system(terms, &FreeParameters::all(self.run)).noise()
     }
 
-    /// Refines values. If `is_taken`, residuals are already corrected for them, and insignificant terms are
+    /// Refines values. If `are_removed`, residuals are already corrected for them, and insignificant terms are
     /// removed.
     pub fn refine(
         &self,
@@ -442,7 +442,7 @@ impl<'a> ComplianceSearch<'a> {
     }
 }
 
-/// Stepwise selection that minimises cost plus price. `plain` is the cost of the empty set.
+/// Stepwise selection that minimises cost plus price. `without_terms` is the cost of the empty set.
 fn select_terms(
     candidates: &[usize],
     without_terms: f64,

@@ -192,13 +192,13 @@ pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
 /// Exhaustive search (7! = 5040).
 pub(super) const MAX_PERMUTED_JOINTS: usize = 7;
 
-/// All permutations of up to `most` joints; otherwise all swaps, the reversed order, and the order by
+/// All permutations of up to `max_joints` joints; otherwise all swaps, the reversed order, and the order by
 /// `names`.
-pub(super) fn candidate_orders(names: &[String], max_orders: usize) -> Vec<Vec<usize>> {
+pub(super) fn candidate_orders(names: &[String], max_joints: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();
     let mut all = Vec::new();
-    if dof <= max_orders {
+    if dof <= max_joints {
         permutations(&mut order, 0, &mut |order| all.push(order.to_vec()));
         return all;
     }

@@ -146,7 +146,7 @@ pub(super) fn other_encoding(
     Some(to_encoding(joints.dof, stream, &found, as_logged.m))
 }
 
-/// Simplest interpretation with a residual of at most `most`, if one is clearly best. Views are per lag.
+/// Simplest interpretation with a residual of at most `max_residual`, if one is clearly best. Views are per lag.
 fn search_views(
     stream: &PoseStream,
     views: &[Vec<InterpretedPoses>],

@@ -86,7 +86,7 @@ impl InterpretationKind {
         [InterpretationKind::OneJoint, InterpretationKind::Coupled];
 }
 
-/// Accepts a residual of at most `most`.
+/// Accepts a residual of at most `max_residual`.
 pub(super) fn search_kind(
     view: &InterpretedPoses,
     kind: InterpretationKind,

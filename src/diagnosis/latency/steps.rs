@@ -25,7 +25,7 @@ pub struct LatencySteps {
     levels: Vec<(f64, f64)>,
 }
 
-/// Latency steps, from the lags in `windows`.
+/// Latency steps, from the lags in `followed`.
 pub(crate) fn detect_steps(
     arm: &SpeedSeries,
     stream: &SpeedSeries,

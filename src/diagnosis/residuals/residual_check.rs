@@ -306,7 +306,7 @@ impl<'a> ErrorSeries<'a> {
         ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
     }
 
-    /// Mean tip position over samples with at least the error `most`.
+    /// Mean tip position over samples with at least the error `max_size`.
     fn location_of_largest(&self, error: &[Vec3], rows: &[usize], max_size: f64) -> Vec3 {
         let large = rows.iter().filter(|&&row| error[row].norm() >= max_size);
         let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();

@@ -16,7 +16,7 @@ pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
 
 pub(crate) const ENCODING_SAMPLES: usize = 72;
 
-/// Row ranges of a series, thinned to about `most` rows in even stretches.
+/// Row ranges of a series, thinned to about `max_rows` rows in even stretches.
 pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usize>> {
     const BLOCKS: usize = 24;
     let (count, rows) = if len <= max_rows { (1, len) } else { (BLOCKS, max_rows / BLOCKS) };

@@ -183,7 +183,7 @@ pub(crate) fn causes_beyond_link_deviations(
     retained
 }
 
-/// Ascending grid up to `most`.
+/// Ascending grid up to `max_size_m`.
 fn sizes_m(max_size_m: f64) -> impl Iterator<Item = f64> {
     let (min_size_m, _, times) = DEVIATION_GRID_M;
     let tried = std::iter::successors(Some(min_size_m), move |size_m| Some(size_m * times));

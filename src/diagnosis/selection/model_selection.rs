@@ -1,4 +1,4 @@
-//! Finds the smallest set of causes that reduces the residual to the noise (see [`crate`]).
+//! Selects the causes that reduce the residual by more than the price of their parameters (see [`crate`]).
 //!
 //! Sets are scored on the normal equations, so hundreds cost less than one pass over the samples.
 
@@ -13,7 +13,8 @@ use crate::solver::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Minimum unexplained share of a cause's effect. Below it, causes are collinear and the set is rejected.
+/// Minimum share of a parameter's effect that the others cannot imitate. Below it, causes are collinear and the
+/// set is rejected.
 pub(crate) const MIN_CAUSE_SEPARATION: f64 = 1e-4;
 
 const MAX_EXHAUSTIVE_CAUSES: usize = 4;
@@ -23,7 +24,7 @@ const MAX_EXHAUSTIVE_CAUSES: usize = 4;
 pub(crate) enum Cause {
     /// Zero offset of a joint of the track.
     Zero(usize),
-    /// Scale of a joint, by its index among the joint offsets.
+    /// Scale or coupling of a joint, by its index in [`State::offsets`].
     JointScale(usize),
     /// Latency of a stream.
     Latency(usize),
@@ -91,8 +92,8 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 }
 
 impl Linearized {
-    /// Linearises about `state` with about `most` samples per stream. The weights are of the noise with all
-    /// causes in `all` free.
+    /// Linearises about `state` with about `max_samples` samples per stream. The weights are of the noise with
+    /// all `candidates` free.
     pub fn new(
         observations: &[&PoseObservations],
         state: &State,
@@ -114,14 +115,15 @@ impl Linearized {
         let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
         let normal = normal_equations(&streams, &weights, state);
         let mut linearized = Self { streams, weights, normal, values, free_fit: Mutex::new(None) };
+        // The first step's weights are rough.
         linearized.update_weights(state, candidates);
         linearized.update_weights(state, candidates);
         linearized
     }
 
-    /// Sets the weights to the noise with `causes` free: in the search all of them, so no fault counts as
-    /// noise; for intervals the selected ones, because others would absorb coloured noise and hide its
-    /// autocorrelation.
+    /// Sets the weights from the residual with `causes` free. The search frees all candidates, so no fault
+    /// counts as noise. Intervals free only the selected causes; others would absorb coloured noise and hide
+    /// its autocorrelation.
     fn update_weights(&mut self, state: &State, causes: &[Cause]) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
         self.weights = (0..self.streams.len())
@@ -131,7 +133,7 @@ impl Linearized {
         self.free_fit = Mutex::new(None);
     }
 
-    /// Frees `parameters` and resets all others to zero.
+    /// Least-squares step with `parameters` free; returns all others to zero.
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
         self.normal.step(&self.values, parameters)
     }
@@ -219,6 +221,7 @@ fn normal_equations(streams: &[Linear], weights: &[Vec<Weight>], state: &State) 
     for (s, linear) in streams.iter().enumerate() {
         linear.accumulate(&weights[s], &columns_of(state, s), &mut normal);
     }
+    // Damping, see `State::scales`.
     for (parameter, scale) in state.scales().into_iter().enumerate() {
         normal.matrix[(parameter, parameter)] += scale.powi(-2);
     }
@@ -304,25 +307,25 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
     best
 }
 
-/// If world frame and marker are both free, weak motion leaves common directions of the two unobservable.
-/// Steps keep them fixed. Another cause with such a direction, such as a joint zero, has no unique value.
+/// If a stream's reference is unknown and its tool free, weak motion leaves common directions of the two
+/// unobservable. These are harmless: steps do not move along them. Any other cause must be separable from
+/// these frames and from the rest.
 fn is_collinear(
     linear: &Linearized,
     candidates: &CandidateCauses,
     causes: &[Cause],
     state: &State,
 ) -> bool {
-    let is_anywhere = |cause: &&Cause| match **cause {
+    let is_unanchored_frame = |cause: &&Cause| match **cause {
         Cause::Reference(s) | Cause::Tool(s) => candidates.always.contains(&Cause::Reference(s)),
         _ => false,
     };
-    let (stream_independent, others): (Vec<&Cause>, Vec<&Cause>) =
-        causes.iter().partition(is_anywhere);
+    let (frames, others): (Vec<&Cause>, Vec<&Cause>) = causes.iter().partition(is_unanchored_frame);
     let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
         causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
     };
-    let (stream_independent, others) = (parameters(stream_independent), parameters(others));
-    linear.normal.separation_given(&stream_independent, &others) < MIN_CAUSE_SEPARATION
+    let (frames, others) = (parameters(frames), parameters(others));
+    linear.normal.separation_given(&frames, &others) < MIN_CAUSE_SEPARATION
 }
 
 fn prune(mut set: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
@@ -357,7 +360,7 @@ fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn
 /// Selected model with its final linearisation.
 pub(crate) struct SelectedModel {
     pub state: State,
-    /// Optional causes, ascending.
+    /// Selected optional causes, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
 }
@@ -370,7 +373,7 @@ pub(crate) enum SelectionStart {
     AllCausesFree,
 }
 
-/// Selects from a starting state, with about `most` samples per stream.
+/// Alternates selection and Gauss–Newton steps from `start`, with about `max_samples` samples per stream.
 pub(crate) fn select_model(
     observations: &[&PoseObservations],
     start: State,
@@ -382,17 +385,17 @@ pub(crate) fn select_model(
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
     let mut linear = Linearized::new(observations, &state, max_samples, &all);
-    let bold_rounds = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
+    let all_free_rounds = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
     for round in 0..12 {
-        let full = round < bold_rounds;
-        let next = if full {
+        let frees_all = round < all_free_rounds;
+        let next = if frees_all {
             candidates.optional.clone()
         } else {
             select_causes(&linear, candidates, &state).causes
         };
         let free: Vec<Cause> = candidates.always.iter().chain(&next).copied().collect();
         let step = linear.step(&parameters_of(&free, &state));
-        let is_converged = !full && next == causes && is_negligible(&step);
+        let is_converged = !frees_all && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
         linear = Linearized::new(observations, &state, max_samples, &all);
@@ -411,7 +414,7 @@ fn is_negligible(step: &DVector<f64>) -> bool {
 }
 
 /// Best of several models of the same streams, by `Σ n·ln σ²` of the residuals plus the price of parameters
-/// and round errors.
+/// and of round frame errors, such as a quarter turn.
 ///
 /// The autocorrelation, which reduces `n`, is that of the model with the smallest residual. Otherwise small
 /// differences of it would decide between equally good models.
@@ -420,7 +423,7 @@ pub(crate) fn best_model(models: Vec<SelectedModel>) -> Option<SelectedModel> {
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
     // Capped, so a smooth residual keeps enough samples.
-    let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
+    let inflations: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
     let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / model.linear.streams.len().max(1);
         let samples = model
@@ -429,8 +432,8 @@ pub(crate) fn best_model(models: Vec<SelectedModel>) -> Option<SelectedModel> {
             .iter()
             .flat_map(|stream| std::iter::repeat_n(3.0 * stream.len() as f64, kinds));
         let fit: f64 = samples
-            .zip(noise.iter().zip(&memory))
-            .map(|(n, (noise, memory))| 2.0 * n / memory * noise.sigma.ln())
+            .zip(noise.iter().zip(&inflations))
+            .map(|(n, (noise, inflation))| 2.0 * n / inflation * noise.sigma.ln())
             .sum();
         fit + model.price()
     };
@@ -456,7 +459,7 @@ impl SelectedModel {
             self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
         let streams = self.state.streams.iter();
         let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
-        // Prefer a round error (such as 90°) to a tuned value.
+        // A round frame error (such as 90°) is likelier than an estimated one and costs less.
         price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
     }
 }

@@ -64,7 +64,7 @@ pub(crate) fn is_nominal(
 }
 
 /// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
-/// latency `course`. Slow motion hides large latency changes, and link deviations resemble one there.
+/// latency `profile`. Slow motion hides large latency changes, and link deviations resemble one there.
 ///
 /// `fitted` is the state with all causes, `stream_state` without those of calibrations, both at stamps without
 /// `removed`.
@@ -160,8 +160,8 @@ impl LinkFrameChanges {
         Self { samples: frames.len(), weights, price, step: changes }
     }
 
-    /// Twice the log likelihood ratio to a fit with weights `left`, both with this fit's noise correlation,
-    /// which is closer to the truth.
+    /// Twice the log likelihood ratio to a fit with weights `without_change`, both with this fit's noise
+    /// correlation, which is closer to the truth.
     fn gain_over(&self, without_change: &[Weight]) -> f64 {
         let gains = self.weights.iter().zip(without_change).map(|(weight, other)| {
             let independent = 3.0 * self.samples as f64 / weight.noise.inflation();

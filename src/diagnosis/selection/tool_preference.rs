@@ -11,7 +11,7 @@ const MAX_RESIDUAL_RATIO: f64 = 1.5;
 /// It may also exceed the base's by this, m and rad: the effect of typical link deviations.
 const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
 
-/// Replaces each tuned reference by a tool if that fits as well, on about `most` samples per stream.
+/// Replaces each tuned reference by a tool if that fits as well, on about `max_samples` samples per stream.
 pub(crate) fn prefer_tool_frames(
     observations: &[&PoseObservations],
     mut model: SelectedModel,

@@ -398,8 +398,8 @@ fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
     Noise { all, blocks: (0..count).step_by(length).map(of_block).collect(), length }
 }
 
-/// Rms of the smallest share `kept`, scaled to the full normal distribution. Within `z` standard deviations
-/// the variance is 1 − 2zφ(z)/kept.
+/// Rms of the smallest `retained_share`, scaled to the full normal distribution. Within `z` standard
+/// deviations the variance is 1 − 2zφ(z)/`retained_share`.
 fn trimmed_rms(values: impl Iterator<Item = f64>, retained_share: f64) -> f64 {
     let normal = Normal::standard();
     let z = normal.inverse_cdf(0.5 * (1.0 + retained_share));

@@ -242,7 +242,7 @@ impl Spectrum {
         power
     }
 
-    /// First bin above the commanded motion, at most `most`.
+    /// First bin above the commanded motion, at most `max_bin`.
     fn end_of_commanded_motion(&self, power: &[f64], max_bin: usize, length: usize) -> usize {
         let min_bin = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
         let mut fast = power.get(max_bin..length.div_ceil(2)).unwrap_or_default().to_vec();

@@ -451,7 +451,7 @@ impl Normal {
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
-    /// Same, where `beside` also precede.
+    /// Same, if `given` also precede.
     pub fn separation_given(&self, given: &[usize], parameters: &[usize]) -> f64 {
         let all = [given, parameters].concat();
         let cholesky = self.scaled(&all).0.cholesky();

@@ -1,13 +1,13 @@
 //! Rows of long streams for plots.
 
-/// Every k-th row and the last, with the smallest k for at most `most` rows.
+/// Every k-th row and the last, with the smallest k for at most `max_rows` rows.
 pub fn even_rows(rows: usize, max_rows: usize) -> Vec<usize> {
     let step = rows.div_ceil(max_rows.max(1)).max(1);
     let last = rows.checked_sub(1).filter(|last| last % step != 0);
     (0..rows).step_by(step).chain(last).collect()
 }
 
-/// Minima and maxima of each series in equal intervals, in order: about `most` rows, or all if not more.
+/// Minima and maxima of each series in equal intervals, in order: about `max_rows` rows, or all if not more.
 pub fn extreme_rows(series: &[&[f64]], max_rows: usize) -> Vec<usize> {
     let rows = series.first().map_or(0, |values| values.len());
     if rows <= max_rows {

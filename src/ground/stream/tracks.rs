@@ -76,7 +76,7 @@ impl JointTrack {
         true
     }
 
-    /// Whether the interval after `left` is too long and a joint moved in it.
+    /// Whether the interval after `row` is too long and a joint moved in it.
     fn is_gap(&self, row: usize) -> bool {
         const MIN_GAP_S: f64 = 0.1;
         const MIN_GAP_PERIODS: f64 = 10.0;

@@ -18,7 +18,7 @@ use super::super::tf_tree::{Edge, EdgeKind, TfTree, strip_slash};
 use super::super::timing::Timing;
 use super::assembly::Assembly;
 
-/// Builds the tree of the TF topics, without those of arms outside `space`.
+/// Builds the tree of the TF topics, without those of arms outside `namespace`.
 pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, namespace: &Namespace) -> TfTree {
     let mut tree = TfTree::default();
     for (index, stream) in streams.iter().enumerate() {

@@ -60,7 +60,7 @@ impl MatchingColumns {
 const MIN_LEAD_S: f64 = 0.02;
 
 impl ColumnSearch<'_> {
-    /// Completes `best` with commands, velocities, rotation and copies. `rival` is the next best mapping of
+    /// Completes `best` with commands, velocities, rotation and copies. `next_best` is the next best mapping of
     /// the same columns.
     ///
     /// # Errors
