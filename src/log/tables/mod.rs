@@ -165,8 +165,6 @@ impl TableFormat {
 pub(super) struct Tables {
     streams: BTreeMap<String, TableStream>,
     episodes: Vec<Episode>,
-    /// Last one assigned.
-    last_receive_ns: Option<i64>,
     has_noted_clock: bool,
     repeats: repeats::RepeatCounts,
 }
@@ -323,7 +321,7 @@ impl Tables {
             ));
         }
         row_losses::report_unstamped(table, &clock, label, losses);
-        let shift = self.receive_offset_ns(clock.first(), clock.last());
+        let shift = self.receive_offset_ns(clock.first(), &found);
         let span =
             [clock.first(), clock.last()].map(|stamp| stamp.saturating_add(shift).max(0) as u64);
         if !std::mem::replace(&mut self.has_noted_clock, true) {
@@ -383,18 +381,18 @@ impl Tables {
         Ok(())
     }
 
-    /// Offset from stamps to receive times. Each episode restarts its clock, so episodes are placed one
-    /// after another.
-    fn receive_offset_ns(&mut self, first: i64, last: i64) -> i64 {
+    /// Offset from stamps to receive times. Each episode restarts its clock, so episodes of the same topics
+    /// are placed one after another. Tables of other topics are recordings of the same run.
+    fn receive_offset_ns(&self, first: i64, found: &[TableTopic]) -> i64 {
         const EPISODE_GAP_NS: i64 = NANOS_PER_SECOND / 1000;
-        let shift = match self.last_receive_ns {
+        let earlier = found.iter().filter_map(|found| self.streams.get(&found.topic));
+        let times = earlier.flat_map(|stream| stream.columns.times());
+        match times.filter_map(|times| times.log.last().copied()).max() {
             Some(until) if first <= until => {
                 until.saturating_add(EPISODE_GAP_NS).saturating_sub(first)
             }
             _ => 0,
-        };
-        self.last_receive_ns = Some(last.saturating_add(shift));
-        shift
+        }
     }
 
     pub(super) fn finish(self, intake: &mut Intake) {
