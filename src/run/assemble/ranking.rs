@@ -361,22 +361,12 @@ fn rank_models(entries: &[FittedModel]) -> Vec<ScoredModel> {
     };
     let mut ranks: Vec<ScoredModel> = entries.iter().enumerate().filter_map(rank).collect();
     ranks.sort_by(|a, b| a.score.total_cmp(&b.score));
-    // Among indistinguishable models, prefer the smallest assumption, then the tool nearest to the flange
-    // axis.
+    // Among indistinguishable models, prefer the smallest assumption, then the lowest score.
     let least = ranks.first().map_or(0.0, |best| best.score);
     let near = ranks.iter().take_while(|rank| rank.score <= least + MIN_SCORE_DIFFERENCE).count();
-    let preference = |rank: &ScoredModel| {
+    ranks[..near].sort_by_key(|rank| {
         let hypothesis = &rank.decisive.1.fit;
-        let aside_m = if hypothesis.assumption == FitAssumption::Nothing {
-            0.0
-        } else {
-            hypothesis.tool_m.xy().norm()
-        };
-        (hypothesis.is_misinterpreted, hypothesis.assumption, aside_m)
-    };
-    ranks[..near].sort_by(|a, b| {
-        let (a, b) = (preference(a), preference(b));
-        a.0.cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.total_cmp(&b.2))
+        (hypothesis.is_misinterpreted, hypothesis.assumption)
     });
     ranks
 }
