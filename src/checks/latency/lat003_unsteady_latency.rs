@@ -2,7 +2,9 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Threshold, decide, not_observable};
 use crate::checks::{Case, Grade, SubjectResult};
-use crate::diagnosis::{EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured};
+use crate::diagnosis::{
+    EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured, NotObservable,
+};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -63,6 +65,8 @@ struct StreamProfile<'a> {
     profile: &'a EstimateResult<LatencyProfile>,
     /// Latency after removing the profile.
     latency: Option<&'a Measured>,
+    /// Several lags fit, so the profile may belong to a wrong one.
+    is_periodic: bool,
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
@@ -77,6 +81,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
             has_independent_stamps: stream.has_independent_stamps,
             profile,
             latency,
+            is_periodic: stream.diagnosis.is_periodic(),
         })
     });
     let imus = arm.imus.iter().map(|imu| {
@@ -86,6 +91,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
             has_independent_stamps: imu.has_independent_stamps,
             profile,
             latency,
+            is_periodic: matches!(imu.diagnosis.latency_s, Err(NotObservable::Periodic(_))),
         })
     });
     let streams: Vec<StreamEvidence<StreamProfile>> = poses.chain(imus).collect();
@@ -101,8 +107,12 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         }
         _ => judge(case, arm, stream),
     };
-    let value =
-        StreamProfile { has_independent_stamps: true, profile: &Ok(profile), latency: None };
+    let value = StreamProfile {
+        has_independent_stamps: true,
+        profile: &Ok(profile),
+        latency: None,
+        is_periodic: false,
+    };
     let joints =
         StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
     std::iter::once(judge(case, arm, &joints))
@@ -209,6 +219,9 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>)
         case.evidence.subjects(),
     ) {
         Decision::Pass => Outcome::pass(),
+        Decision::Fail(_) if stream.is_periodic => {
+            Outcome::Inconclusive(format!("several lags fit a periodic motion; {SETTLE}"))
+        }
         Decision::Fail(severity) if profile.is_unsteady => {
             Outcome::fail(fault(case, arm, profile, stream.latency, severity))
         }
