@@ -143,8 +143,11 @@ pub(super) fn attribute_residual(
     let diagnosis = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
-    // A stream computed from the joint states has no noise.
-    let noise_multiple = if is_tf(arm, stream) { 0.0 } else { MAX_NOISE_RATIO };
+    // A stream computed from the joint states has no noise, and one far from FK does not vary by noise alone.
+    let noise_multiple = match is_tf(arm, stream) || diagnosis.is_far_from_fk() {
+        true => 0.0,
+        false => MAX_NOISE_RATIO,
+    };
     let in_degrees =
         arm.diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.degrees.is_some());
     if is_tf(arm, stream)
