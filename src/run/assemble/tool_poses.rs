@@ -62,6 +62,9 @@ impl From<String> for SourceError {
     }
 }
 
+/// Reference of a tracker that names no frame.
+const UNNAMED_FRAME: &str = "unnamed frame";
+
 impl Assembly<'_> {
     pub(super) fn assign_pose(&mut self, index: usize) -> Result<(), RunError> {
         let stream = &self.streams[index];
@@ -96,19 +99,8 @@ impl Assembly<'_> {
             ) {
                 Ok(found) => {
                     reason += &stream_frames.remarks;
-                    let by_names = || {
-                        classify_source(&PoseNames {
-                            topic: &stream.topic,
-                            type_name: &stream.type_name,
-                            frame_id: &stream.frame_id,
-                            child_frame_id: &stream.child_frame_id,
-                            frame: stream_frames.frame,
-                            stamps_copied: found.stamps_copied,
-                        })
-                    };
-                    let set = settings
-                        .and_then(|settings| Some((settings.source_kind?, settings.place.clone())));
-                    let source_kind = set.unwrap_or_else(by_names);
+                    let source_kind =
+                        self.source_kind(stream, stream_frames.frame, found.stamps_copied);
                     source = Some((self.arm_pose_source(arm, stream_frames, found), source_kind));
                 }
                 Err(what)
@@ -191,12 +183,37 @@ impl Assembly<'_> {
         let of = &self.arms[arm];
         let reference = match source.reference_known {
             true => of.frame_of(stream_frames.base.link),
-            false => self.streams[source.stream].frame_id.clone(),
+            false => match self.streams[source.stream].frame_id.as_str() {
+                "" => UNNAMED_FRAME.to_owned(),
+                frame_id => frame_id.to_owned(),
+            },
         };
         ArmPoseSource {
             candidate: CandidateArm { arm, reference, link: of.frame_of(stream_frames.tip.link) },
             source,
         }
+    }
+
+    /// Source as configured, else by the stream's names, with the reason.
+    fn source_kind(
+        &self,
+        stream: &Stream,
+        frame: FrameKind,
+        stamps_copied: bool,
+    ) -> (PoseSourceKind, String) {
+        let settings = self.topic_settings(stream);
+        let set =
+            settings.and_then(|settings| Some((settings.source_kind?, settings.place.clone())));
+        set.unwrap_or_else(|| {
+            classify_source(&PoseNames {
+                topic: &stream.topic,
+                type_name: &stream.type_name,
+                frame_id: &stream.frame_id,
+                child_frame_id: &stream.child_frame_id,
+                frame,
+                stamps_copied,
+            })
+        })
     }
 
     fn topic_settings(&self, stream: &Stream) -> Option<&TopicSettings> {
@@ -316,6 +333,12 @@ impl Assembly<'_> {
             && frame_anchor.is_some_and(|base| arm.has_most_joints_between(base.link, tip.link))
         {
             frame = FrameKind::Upstream;
+        }
+        // A tracker that names no frame measures in a world of its own.
+        if frame == FrameKind::Unnamed
+            && self.source_kind(stream, frame, false).0 == PoseSourceKind::External
+        {
+            frame = FrameKind::Unknown;
         }
         let base = match frame {
             FrameKind::Unnamed => link_anchor(arm.unnamed_base),
