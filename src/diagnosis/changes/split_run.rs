@@ -36,19 +36,22 @@ impl SplitRun<'_> {
         strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
     }
 
-    /// Merges segments that are too short.
+    /// Segments between jumps. Of the two jumps that bound a segment with too few samples, drops the weaker.
     pub fn split_at(&self, jumps: &[Jump]) -> Vec<Span> {
-        let mut spans = Vec::new();
-        let mut from_s = f64::NEG_INFINITY;
-        for to_s in jumps.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
-            if self.samples((from_s, to_s)) >= MIN_SEGMENT_SAMPLES {
-                spans.push((from_s, to_s));
-                from_s = to_s;
-            } else if let Some((_, end_s)) = spans.last_mut().filter(|_| to_s.is_infinite()) {
-                *end_s = to_s;
-            }
+        let mut jumps = jumps.to_vec();
+        loop {
+            let inner = || jumps.iter().map(|jump| jump.at_s);
+            let starts = std::iter::once(f64::NEG_INFINITY).chain(inner());
+            let spans: Vec<Span> = starts.zip(inner().chain([f64::INFINITY])).collect();
+            let is_short = |span: &Span| self.samples(*span) < MIN_SEGMENT_SAMPLES;
+            let Some(short) = spans.iter().position(is_short) else { return spans };
+            let ends = short.checked_sub(1).into_iter().chain([short]);
+            let weaker = ends
+                .filter(|&end| end < jumps.len())
+                .min_by(|&a, &b| jumps[a].strength.total_cmp(&jumps[b].strength));
+            let Some(weaker) = weaker else { return Vec::new() };
+            jumps.remove(weaker);
         }
-        spans
     }
 
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
