@@ -112,8 +112,14 @@ pub(crate) fn decode_stream<'a>(
         reference_known,
         are_quaternions: are_quaternions(track),
     };
+    let unanchored = PositionInterpretation {
+        metres,
+        axes: AxesError::NONE,
+        is_inverted: false,
+        reference: None,
+    };
     let (interpretation, encoding, fit) = match is_set(&there, turning.fk) {
-        true => match turning.best(interpretations) {
+        true => match turning.best_of(interpretations, unanchored) {
             Ok((interpretation, encoding, fit)) => (interpretation, Ok(encoding), Some(fit)),
             // Positions that match FK are used even without rotations.
             Err(why) if first.axes == AxesError::NONE && placement.is_on_arm() => {

@@ -155,8 +155,25 @@ impl OrientationSamples<'_> {
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
     }
 
-    /// Interpretation under which rotations fit best.
-    pub fn best(
+    /// Interpretation under which rotations fit best. If none fits and the reference is unknown, weak motion may
+    /// have misled its rotation by positions, so `unanchored`, which leaves it free, is tried.
+    pub fn best_of(
+        &self,
+        interpretations: Vec<PositionInterpretation>,
+        unanchored: PositionInterpretation,
+    ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
+        let fits = |found: &EstimateResult<(_, _, EncodingFit)>| {
+            found.as_ref().is_ok_and(|(_, _, fit)| fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD)
+        };
+        let best = self.best(interpretations);
+        if self.reference_known || fits(&best) {
+            return best;
+        }
+        let free = self.best(vec![unanchored]);
+        if fits(&free) { free } else { best }
+    }
+
+    fn best(
         &self,
         interpretations: Vec<PositionInterpretation>,
     ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {

@@ -7,8 +7,10 @@
 
 use crate::arm::MAX_EXPLAINED_RAD;
 use crate::frames::rotation_frames::{
-    CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
+    CandidateRotations, Side, fit_both_frames, fit_both_frames_from_all_starts, fit_one_frame,
+    nearest,
 };
+use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
     Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
@@ -21,6 +23,9 @@ use rayon::prelude::*;
 const MAX_RESIDUAL_RATIO: f64 = 5.0;
 /// A residual within this difference (0.05°) is accepted too.
 const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
+/// Link deviations rarely cancel to a smaller share in another encoding: residuals of 0.15° as logged and
+/// 0.02° inverted, at a tool that points down, are those of a healthy arm.
+const MAX_LINK_RESIDUAL_RATIO: f64 = 20.0;
 /// Above this, no candidate is accepted (20°).
 const MAX_RESIDUAL_RAD: f64 = 0.35;
 
@@ -236,8 +241,10 @@ pub(crate) fn estimate_encoding_with_gravity(
         })
         .collect();
     // A healthy arm with link deviations may have this as logged.
+    let by_links =
+        (MAX_LINK_RESIDUAL_RATIO * min_residual).clamp(MAX_EXPLAINED_RAD, MAX_TIP_CHANGE_RAD);
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
-        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= MAX_EXPLAINED_RAD)
+        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= by_links)
     };
     let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
@@ -460,6 +467,9 @@ fn fits_with(
             }
             FreeFrameErrors::Reference => {
                 (fit_one_frame(candidates, samples.fk, Side::Reference), Rotation::identity())
+            }
+            FreeFrameErrors::Both if matches!(encoding, PoseEncoding::AsLogged) => {
+                fit_both_frames_from_all_starts(candidates, samples.fk)
             }
             FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
         };

@@ -113,24 +113,75 @@ pub(crate) fn fit_both_frames(
             };
             chosen = fk.iter().enumerate().map(nearest).collect();
         }
-        let mut correlation = Matrix3::zeros();
-        let stride = (fk.len() / 3).max(1);
-        for a in 0..fk.len() {
-            let b = (a + stride) % fk.len();
-            let (Some(truth_a), Some(truth_b)) = (chosen[a], chosen[b]) else { continue };
-            let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
-            let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
-            correlation += by_stream * by_fk.transpose();
-        }
-        reference = rotation_by_wahba(&correlation);
-        let offsets: Vec<Rotation> = chosen
-            .iter()
-            .zip(fk)
-            .filter_map(|(truth, fk)| truth.map(|truth| (reference * fk).inverse() * truth))
-            .collect();
-        tool = mean_rotation(&offsets);
+        reference = rotation_by_wahba(&relative_rotations(&chosen, fk));
+        tool = tool_for(&chosen, fk, &reference);
     }
     refine_frames(&chosen, fk, reference, tool)
+}
+
+/// Same for rotations without branches, from several starts. If the hand turns mostly about one axis, minima
+/// differ by a rotation about it.
+pub(crate) fn fit_both_frames_from_all_starts(
+    candidates: &CandidateRotations,
+    fk: &[Rotation],
+) -> (Rotation, Rotation) {
+    const STARTS: usize = 8;
+    const START_SAMPLES: usize = 16;
+    let (reference, tool) = fit_both_frames(candidates, fk);
+    let truths: Vec<Option<Rotation>> =
+        (0..fk.len()).map(|sample| candidates.of_sample(sample).first().copied()).collect();
+    let Some(u) = relative_rotations(&truths, fk).svd(true, false).u else {
+        return (reference, tool);
+    };
+    let axis: Vec3 = u.column(0).into();
+    let step = fk.len().div_ceil(START_SAMPLES).max(1);
+    let thin_truths: Vec<Option<Rotation>> = truths.iter().step_by(step).copied().collect();
+    let thin_fk: Vec<Rotation> = fk.iter().step_by(step).copied().collect();
+    let rotated = |start: usize| {
+        let angle = std::f64::consts::TAU * start as f64 / STARTS as f64;
+        let reference = rotation_from_rotvec(axis * angle) * reference;
+        let tool = tool_for(&thin_truths, &thin_fk, &reference);
+        refine_frames(&thin_truths, &thin_fk, reference, tool)
+    };
+    let starts = (1..STARTS).map(rotated).chain([(reference, tool)]);
+    let error = |(reference, tool): &(Rotation, Rotation)| {
+        squared_error(&thin_truths, &thin_fk, reference, tool)
+    };
+    let best = starts.min_by(|a, b| error(a).total_cmp(&error(b)));
+    best.map_or((reference, tool), |(reference, tool)| refine_frames(&truths, fk, reference, tool))
+}
+
+/// Correlation `Σ stream·FKᵀ` of relative rotation vectors.
+fn relative_rotations(truths: &[Option<Rotation>], fk: &[Rotation]) -> Matrix3<f64> {
+    let stride = (fk.len() / 3).max(1);
+    let pair = |a: usize| {
+        let b = (a + stride) % fk.len();
+        let (truth_a, truth_b) = truths[a].zip(truths[b])?;
+        let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
+        let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
+        Some(by_stream * by_fk.transpose())
+    };
+    (0..fk.len()).filter_map(pair).sum()
+}
+
+fn tool_for(truths: &[Option<Rotation>], fk: &[Rotation], reference: &Rotation) -> Rotation {
+    let offset =
+        |(truth, fk): (&Option<Rotation>, &Rotation)| Some((reference * fk).inverse() * (*truth)?);
+    mean_rotation(&truths.iter().zip(fk).filter_map(offset).collect::<Vec<_>>())
+}
+
+fn squared_error(
+    truths: &[Option<Rotation>],
+    fk: &[Rotation],
+    reference: &Rotation,
+    tool: &Rotation,
+) -> f64 {
+    let square = |(truth, fk): (&Option<Rotation>, &Rotation)| {
+        truth.map(|truth| {
+            rotvec_from_rotation(&(truth * (reference * fk * tool).inverse())).norm_squared()
+        })
+    };
+    truths.iter().zip(fk).filter_map(square).sum()
 }
 
 fn refine_frames(
