@@ -307,25 +307,26 @@ fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &Stat
     best
 }
 
-/// If a stream's reference is unknown and its tool free, weak motion leaves common directions of the two
-/// unobservable. These are harmless: steps do not move along them. Any other cause must be separable from
-/// these frames and from the rest.
+/// If a stream's reference is unknown, its tool is unknown, too, and weak motion leaves common directions of
+/// the two unobservable. These are harmless: steps do not move along them. Any other cause, such as a joint
+/// zero, must be separable from these frames and from the rest.
 fn is_collinear(
     linear: &Linearized,
     candidates: &CandidateCauses,
     causes: &[Cause],
     state: &State,
 ) -> bool {
-    let is_unanchored_frame = |cause: &&Cause| match **cause {
+    let is_unknown = |cause: &&Cause| match **cause {
         Cause::Reference(s) | Cause::Tool(s) => candidates.always.contains(&Cause::Reference(s)),
         _ => false,
     };
-    let (frames, others): (Vec<&Cause>, Vec<&Cause>) = causes.iter().partition(is_unanchored_frame);
     let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
         causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
     };
-    let (frames, others) = (parameters(frames), parameters(others));
-    linear.normal.separation_given(&frames, &others) < MIN_CAUSE_SEPARATION
+    let known = candidates.always.iter().chain(&candidates.optional);
+    let unknown = parameters(known.filter(is_unknown).collect());
+    let others = parameters(causes.iter().filter(|cause| !is_unknown(cause)).collect());
+    linear.normal.separation_given(&unknown, &others) < MIN_CAUSE_SEPARATION
 }
 
 fn prune(mut set: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
