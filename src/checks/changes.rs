@@ -167,7 +167,15 @@ fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
 
 /// Limits an encoding finding to the part of the run in which it occurs.
 pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult {
+    let joints_segment_s = |subject: &Subject| {
+        let mut arms = case.evidence.robots.iter();
+        let arm = arms.find(|arm| arm.topic(&arm.joints_topic) == *subject)?;
+        arm.diagnosis.partial_encoding.as_ref().map(|(_, span_s)| *span_s)
+    };
     let segment_s = |subject: &Subject, cause: &Cause| {
+        if let (Cause::AngleUnit(_), Some(span_s)) = (cause, joints_segment_s(subject)) {
+            return Some(span_s);
+        }
         let mut streams = case.evidence.poses_and_tf();
         let topic = subject.topic.as_deref()?;
         let (_, stream) = streams.find(|(arm, stream)| {

@@ -151,6 +151,7 @@ pub fn clean_run() -> RunEvidence {
         }),
         diagnosis: JointDiagnosis {
             encoding: Ok(JointEncoding::default()),
+            partial_encoding: None,
             offsets: vec![offset(), offset(), offset()],
             scales: Vec::new(),
             changes: Vec::new(),

@@ -503,6 +503,9 @@ pub struct ArmDiagnosis {
 pub struct JointDiagnosis {
     /// Joint names and units.
     pub encoding: EstimateResult<JointEncoding>,
+    /// Encoding to report if it holds in one part of the run only, with that part's start and end, s from
+    /// the run's origin. `patches` correct the other parts.
+    pub partial_encoding: Option<(JointEncoding, (f64, f64))>,
     /// Per joint of the chain, from all streams.
     pub offsets: Vec<JointOffset>,
     /// Joints with a wrong scale or direction.

@@ -13,7 +13,7 @@ use crate::diagnosis::{
     check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::run::{CompetingModel, PoseSource, PoseSourceKind, Run, RunOptions};
+use crate::run::{CompetingModel, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions};
 use crate::stream::{Columns, Orientations};
 
 /// Robot with its streams.
@@ -130,6 +130,20 @@ impl ArmEvidence {
     }
 }
 
+/// Samples of the joints in one encoding throughout the run.
+fn in_one_encoding<'a>(
+    mut samples: Vec<JointSamples<'a>>,
+    found: &JointDiagnosis,
+) -> Vec<JointSamples<'a>> {
+    if found.partial_encoding.is_some() {
+        for patch in &found.patches {
+            let JointSamples { t_s, position, velocity } = &mut samples[patch.column];
+            patch.apply_to_samples(t_s, position.to_mut(), velocity.to_mut());
+        }
+    }
+    samples
+}
+
 pub(super) fn arm_evidence(
     run: &Run,
     index: usize,
@@ -148,7 +162,8 @@ pub(super) fn arm_evidence(
         reference: if source.reference_known {
             source.chain.base_name().to_owned()
         } else {
-            run.streams[source.stream].frame_id.clone()
+            let stream = &run.streams[source.stream];
+            stream.reference.as_ref().unwrap_or(&stream.frame_id).clone()
         },
         reference_known: source.reference_known,
         tip: source.chain.tip_name().to_owned(),
@@ -201,11 +216,11 @@ pub(super) fn arm_evidence(
         Some((_, mending)) => mending.apply_to_samples(&samples),
         None => samples,
     };
+    let samples = in_one_encoding(samples, &found);
+    let track = found.in_one_encoding(&arm.joints);
     let (samples, track) = match joint_correction {
-        Some(mending) => {
-            (mending.apply_to_samples(&samples), Cow::Owned(mending.apply(&arm.joints)))
-        }
-        None => (samples, Cow::Borrowed(&*arm.joints)),
+        Some(mending) => (mending.apply_to_samples(&samples), Cow::Owned(mending.apply(&track))),
+        None => (samples, track),
     };
     let joints = || {
         let joint = |joint| joint_evidence(run, arm, joint, &samples[joint]);

@@ -45,7 +45,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let topic = arm.topic(&arm.joints_topic);
-    let joints = match &arm.diagnosis.encoding {
+    let joints = match arm.diagnosis.reported_encoding() {
         Err(why) => vec![SubjectResult::new(topic, not_observable(why, "also log a pose or /tf"))],
         Ok(reading) => {
             let alone = reading.unit_errors(JointUnit::Degrees).map(|(unit_error, residuals)| {

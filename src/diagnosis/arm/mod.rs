@@ -194,7 +194,15 @@ fn diagnose_with(
         encoding.couplings.clone_from(&couplings);
     }
     let (changes, patches, compliance) = (Vec::new(), Vec::new(), Vec::new());
-    let joints = JointDiagnosis { encoding, offsets, scales, changes, patches, compliance };
+    let joints = JointDiagnosis {
+        encoding,
+        partial_encoding: None,
+        offsets,
+        scales,
+        changes,
+        patches,
+        compliance,
+    };
     ArmDiagnosis { joints, streams }
 }
 
@@ -341,6 +349,14 @@ impl JointDiagnosis {
         self.largest_change(column, |change| change.zero.as_ref())
     }
 
+    /// Encoding to report: that of the part of the run where it is wrong.
+    pub fn reported_encoding(&self) -> Result<&JointEncoding, &NotObservable> {
+        match &self.partial_encoding {
+            Some((encoding, _)) => Ok(encoding),
+            None => self.encoding.as_ref(),
+        }
+    }
+
     /// Largest change of a joint's scale, if any.
     pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.factor.as_ref())
@@ -360,6 +376,15 @@ impl JointDiagnosis {
         let mut reported = self.clone();
         reported.compliance.retain(|compliance| !compliance.is_eccentric());
         reported
+    }
+
+    /// Joint states in one encoding throughout the run.
+    pub fn in_one_encoding<'a>(&self, joints: &'a JointTrack) -> Cow<'a, JointTrack> {
+        let mut joints = Cow::Borrowed(joints);
+        if self.partial_encoding.is_some() {
+            self.patches.iter().for_each(|patch| patch.apply(joints.to_mut()));
+        }
+        joints
     }
 
     /// Corrects change points, names and units, compliance, and the selected model's joint offsets.

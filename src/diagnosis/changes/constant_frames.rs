@@ -1,7 +1,7 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
 use super::MIN_SEGMENT_SAMPLES;
-use crate::{AlignedSamples, ArmDiagnosis};
+use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
@@ -12,7 +12,7 @@ const LEVER_M: f64 = 0.3;
 const SEGMENTS: usize = 20;
 
 /// Whether constant tool and reference frames explain the run: every stream's residual must be below 1 mm
-/// and 0.1° rms in every segment.
+/// and 0.1° rms in every segment, and its rotations must follow the arm.
 pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
         let residuals = constant_frame_residuals(aligned, has_rotation);
@@ -26,9 +26,11 @@ pub(crate) fn constant_frames_suffice(diagnosis: &ArmDiagnosis) -> bool {
                 (0..2).all(|kind| rms(kind) < MAX_RESIDUAL_M_RAD[kind])
             })
     };
-    let mut streams = diagnosis.streams.iter();
-    !diagnosis.streams.is_empty()
-        && streams.all(|diagnosis| is_small(&diagnosis.aligned, diagnosis.encoding.is_ok()))
+    let is_explained = |stream: &PoseDiagnosis| {
+        !matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)))
+            && is_small(&stream.aligned, stream.encoding.is_ok())
+    };
+    !diagnosis.streams.is_empty() && diagnosis.streams.iter().all(is_explained)
 }
 
 /// Residuals, m and rad, after a least-squares fit of small changes of tool and reference.

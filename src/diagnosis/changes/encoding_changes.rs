@@ -2,7 +2,7 @@
 
 use super::split_run::Span;
 use super::{BaselineSegment, EncodingSpans, OtherSegment};
-use crate::{PoseDiagnosis, PoseEncoding};
+use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding};
 
 impl BaselineSegment {
     /// If an encoding differs between segments, reports the one not as logged, with its time span.
@@ -42,6 +42,33 @@ impl BaselineSegment {
         let [rotation, degrees, length, axes] =
             [rotation, degrees, length, axes].map(|component| component.map(|(_, span)| span));
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
+    }
+
+    /// The baseline's joint diagnosis with the unit of angles of another segment, if that is known.
+    pub(super) fn joints_in_unit_of(&self, own: &ArmDiagnosis) -> JointDiagnosis {
+        let mut joints = self.diagnosis.joints.clone();
+        if let (Ok(encoding), Ok(own)) = (&mut joints.encoding, &own.joints.encoding) {
+            encoding.degrees = own.degrees;
+        }
+        joints
+    }
+
+    /// Encoding and span of the segments whose joint angles are in degrees, if others are in radians.
+    pub(super) fn partial_joint_encoding(
+        &self,
+        others: &[OtherSegment],
+    ) -> Option<(JointEncoding, Span)> {
+        let own = std::iter::once((self.span, &self.diagnosis));
+        let others = others.iter().map(|other| (other.span, &other.alone));
+        let known = own
+            .chain(others)
+            .filter_map(|(span, diagnosis)| Some((span, diagnosis.joints.encoding.as_ref().ok()?)));
+        let (in_degrees, in_radians): (Vec<_>, Vec<_>) =
+            known.partition(|(_, encoding)| encoding.degrees.is_some());
+        let &(_, encoding) = in_degrees.first().filter(|_| !in_radians.is_empty())?;
+        let ends = in_degrees.iter().map(|(span, _)| *span);
+        let span = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        Some((encoding.clone(), span))
     }
 }
 

@@ -24,6 +24,7 @@ use crate::{
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
+use std::ops::Range;
 
 pub use change_points::{
     ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
@@ -142,7 +143,9 @@ fn diagnose_with_jumps(
     let jump_at = |at_s: f64| jumps.iter().find(|jump| jump.at_s == at_s);
     baseline.report_changes(run, &spans, &others, jump_at, &mut after);
     after.joints.patches = corrected.patches;
+    after.joints.partial_encoding = baseline.partial_joint_encoding(&others);
     let reports_a_change = !after.joints.changes.is_empty()
+        || after.joints.partial_encoding.is_some()
         || after.streams.iter().any(|after| after.has_changes() || has_latency_steps(after));
     (reports_a_change
         && is_justified(diagnosis, &before_reporting, parameter_count(&after, spans.len())))
@@ -164,6 +167,7 @@ fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
     let change_point_count = parts.saturating_sub(1);
     change_point_count
         + of_joints.sum::<usize>()
+        + usize::from(after.joints.partial_encoding.is_some())
         + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
@@ -266,7 +270,7 @@ impl BaselineSegment {
 
     fn other_segment(&self, run: &SplitRun, span: Span) -> OtherSegment {
         let (joints, alone) = run.diagnose(span);
-        let joints = self.diagnosis.joints.corrected_joints(&joints, run.is_prismatic);
+        let joints = self.joints_in_unit_of(&alone).corrected_joints(&joints, run.is_prismatic);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
             .map(|s| {
                 let decoded = decoded_poses(&alone.streams[s]);
@@ -338,7 +342,12 @@ impl BaselineSegment {
         let mut patches = Vec::new();
         for other in others {
             let (from_s, to_s) = other.span;
-            let map = joint_map(&self.diagnosis.joints, &other.difference.joints, run);
+            let map = joint_map(
+                &self.diagnosis.joints,
+                &self.joints_in_unit_of(&other.alone),
+                &other.difference.joints,
+                run,
+            );
             let own_patches = map.into_iter().map(|(column, factor, offset)| JointPatch {
                 column,
                 from_s,
@@ -416,21 +425,38 @@ struct CorrectedRun {
 impl JointPatch {
     /// Maps the joint's positions to the baseline segment.
     pub(super) fn apply(&self, joints: &mut JointTrack) {
-        let Self { column, from_s, to_s, factor, offset } = *self;
         let dof = joints.dof.max(1);
-        let [from, to] = [from_s, to_s].map(|at_s| joints.t_s.partition_point(|t_s| *t_s < at_s));
-        for row in from..to {
-            let at = row * dof + column;
-            joints.q[at] = factor * joints.q[at] + offset;
-            joints.qd[at] *= factor;
+        for row in self.rows(&joints.t_s) {
+            let at = row * dof + self.column;
+            self.apply_to_value(&mut joints.q[at], &mut joints.qd[at]);
         }
+    }
+
+    /// The same for the joint's own samples.
+    pub fn apply_to_samples(&self, t_s: &[f64], position: &mut [f64], velocity: &mut [f64]) {
+        for row in self.rows(t_s) {
+            self.apply_to_value(&mut position[row], &mut velocity[row]);
+        }
+    }
+
+    fn rows(&self, t_s: &[f64]) -> Range<usize> {
+        let [from, to] =
+            [self.from_s, self.to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+        from..to
+    }
+
+    fn apply_to_value(&self, position: &mut f64, velocity: &mut f64) {
+        *position = self.factor * *position + self.offset;
+        *velocity *= self.factor;
     }
 }
 
 /// Column, factor and offset that map joints of another segment to the baseline, from two test positions.
-/// Empty if joints are permuted or their encoding is undetermined.
+/// `in_its_unit` is the baseline in the other segment's unit. Empty if joints are permuted or their encoding
+/// is undetermined.
 fn joint_map(
     baseline: &JointDiagnosis,
+    in_its_unit: &JointDiagnosis,
     difference: &JointDiagnosis,
     run: &SplitRun,
 ) -> Vec<(usize, f64, f64)> {
@@ -449,10 +475,12 @@ fn joint_map(
         qd: vec![0.0; 2 * dof],
         noise: Vec::new(),
     };
-    let mut chained = baseline.clone();
-    chained.patches.clear();
-    let by_baseline = chained.corrected_joints(&probe, run.is_prismatic);
-    let by_both = difference.corrected_joints(&by_baseline, run.is_prismatic);
+    let corrected = |diagnosis: &JointDiagnosis, joints: &JointTrack| {
+        let unpatched = JointDiagnosis { patches: Vec::new(), ..diagnosis.clone() };
+        unpatched.corrected_joints(joints, run.is_prismatic)
+    };
+    let by_baseline = corrected(baseline, &probe);
+    let by_both = corrected(difference, &corrected(in_its_unit, &probe));
     let map = |column: usize| {
         let at = |row: usize| {
             let at = row * dof + column;
