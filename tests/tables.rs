@@ -6,7 +6,9 @@ use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::{Finding, Status};
-use poseaudit::geometry::{Convention, Pose, xyzw_from_rotation};
+use poseaudit::geometry::{
+    Convention, Pose, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
+};
 use poseaudit::log::ColumnSettings;
 use poseaudit::report::{Report, Trouble, Verdict};
 use poseaudit::robot::{Chain, catalogue};
@@ -100,6 +102,17 @@ pub fn csv_of_ur5e_with_elbow_offset(elbow_offset_rad: f64) -> String {
     Table { elbow_offset_rad, ..CLEAN }.text("q")
 }
 
+/// Writes columns of `rows` with a header.
+fn write_columns(path: &Path, header: &str, rows: &[Vec<f64>], columns: std::ops::Range<usize>) {
+    let mut text = header.to_owned();
+    for row in rows {
+        let cells = std::iter::once(row[0]).chain(row[columns.clone()].iter().copied());
+        let cells: Vec<String> = cells.map(|number| format!("{number:.9}")).collect();
+        write!(text, "\n{}", cells.join(",")).expect("text");
+    }
+    fs::write(path, text + "\n").expect("a file");
+}
+
 fn report_on_table(table: &Table, robot: Option<&str>) -> Report {
     let folder = tempfile::tempdir().expect("a folder");
     audit_table(&table.csv("q", folder.path()), robot, ColumnSettings::default()).expect("a report")
@@ -130,6 +143,46 @@ pub(crate) fn fault_codes(report: &Report) -> Vec<&str> {
         .iter()
         .filter(|finding| finding.severity > poseaudit::finding::Severity::Info);
     above.map(|finding| finding.code).collect()
+}
+
+#[test]
+fn a_tracker_that_names_no_frame_measures_in_its_own_world() {
+    let world = pose([1.2, -0.4, 0.8], rotation_from_rotvec(Vec3::new(0.4, -0.9, 1.3)));
+    let marker = pose([0.05, -0.02, 0.11], rotation_from_rotvec(Vec3::new(0.2, 0.5, -0.3)));
+    let mut rows = CLEAN.rows();
+    for row in &mut rows {
+        let q_xyzw = [row[10], row[11], row[12], row[13]];
+        let tip = pose([row[7], row[8], row[9]], rotation_from_xyzw(q_xyzw).expect("a rotation"));
+        let tracked = world * tip * marker;
+        row[7..10].copy_from_slice(tracked.translation.vector.as_slice());
+        row[10..].copy_from_slice(&xyzw_from_rotation(&tracked.rotation));
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    let pose_names = ["x", "y", "z", "qx", "qy", "qz", "qw"].map(|name| format!("vicon_{name}"));
+    let header = format!("time,q1,q2,q3,q4,q5,q6,{}", pose_names.join(","));
+    write_columns(&path, &header, &rows, 1..14);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert_eq!(
+        (report.verdict, fault_codes(&report)),
+        (Verdict::Pass, Vec::new()),
+        "{:?}",
+        report.findings
+    );
+}
+
+#[test]
+fn tables_of_joints_and_poses_with_the_same_clock_are_one_run() {
+    let rows = Table { latency_s: 0.03, ..CLEAN }.rows();
+    let folder = tempfile::tempdir().expect("a folder");
+    let [joints, poses] = ["joints.csv", "poses.csv"].map(|name| folder.path().join(name));
+    write_columns(&joints, "time,q1,q2,q3,q4,q5,q6", &rows, 1..7);
+    write_columns(&poses, "time,x,y,z,qx,qy,qz,qw", &rows, 7..14);
+    let run = RunOptions { robots: vec!["ur5e".into()], ..RunOptions::default() };
+    let options = Options { logs: vec![joints, poses], run, ..Options::default() };
+    let report = audit(&options).map(poseaudit::Audited::into_report).expect("a report");
+    assert_eq!(fault_codes(&report), ["LAT001"], "{:?}", report.findings);
+    assert!((value_of(&report, "LAT001") - 0.03).abs() < 5e-4);
 }
 
 #[test]

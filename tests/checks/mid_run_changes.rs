@@ -12,7 +12,7 @@ use poseaudit::synth::{JOINT_STATES, LoggedEncoding, POSE, ToolSlip};
 use serde_json::Value;
 
 use crate::checks::case::{Log, single_finding, summary};
-use crate::checks::recording::{Field, Message};
+use crate::checks::recording::{Field, Message, drop_messages};
 
 /// Time of every change, s from the start.
 const CHANGE_S: f64 = 4.5;
@@ -129,6 +129,31 @@ fn an_encoding_that_changes_mid_run_is_reported_with_its_time() {
         assert_eq!(changes.as_array().map(Vec::len), Some(1), "{changes}");
         assert_near_s(seconds_after_start(&report, &changes[0]), CHANGE_S);
     }
+}
+
+#[test]
+fn joint_angles_that_change_to_degrees_after_a_gap_are_reported_for_that_part() {
+    const GAP_S: f64 = 1.5;
+    let report = Log::modified(|log| {
+        log.run.tf.timing.rate_hz = 0.0;
+        log.run.duration_s *= 2.0;
+        log.edit = Some(|messages| {
+            let after = messages_after_change(messages).iter_mut();
+            after
+                .filter(|message| message.topic == JOINT_STATES)
+                .for_each(|message| message.scale_joints(1_f64.to_degrees()));
+            for topic in [JOINT_STATES, POSE] {
+                drop_messages(messages, topic, CHANGE_S, CHANGE_S + GAP_S);
+            }
+        });
+    })
+    .report();
+    let above: BTreeSet<&str> =
+        codes(&report).into_iter().filter(|code| *code != "TIM002").collect();
+    assert_eq!(above, ["ORD004"].into(), "{}", summary(&report.findings));
+    let finding = single_finding(&report, "ORD004", JOINT_STATES);
+    let at_s = seconds_after_start(&report, &finding.evidence.more["change_ns"][0]);
+    assert!((CHANGE_S - 0.05..CHANGE_S + GAP_S + 0.05).contains(&at_s), "{at_s} s");
 }
 
 #[test]

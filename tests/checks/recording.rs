@@ -163,6 +163,16 @@ impl Message {
         self.set_floats(at, &[q + by_rad]);
     }
 
+    /// Multiplies all positions of a joint state.
+    pub fn scale_joints(&mut self, factor: f64) {
+        let mut cdr = Reader { bytes: &self.cdr, at: 4 };
+        cdr.header();
+        (0..cdr.u32()).for_each(|_| drop(cdr.string()));
+        let positions = cdr.list();
+        let at = cdr.at - 8 * positions.len();
+        self.set_floats(at, &positions.iter().map(|q| factor * q).collect::<Vec<f64>>());
+    }
+
     /// Reorders the joints of a joint state, names and numbers alike.
     pub fn reorder_joints(&mut self, order: &[usize]) {
         let mut cdr = Reader { bytes: &self.cdr, at: 4 };

@@ -347,6 +347,9 @@ mod tests {
             profile(precise(0.012), true, vec![jump]);
         let (_, findings) = evaluate_rule(&LAT003, &run);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
+        run.robots[0].poses[0].diagnosis.latency_s = Err(NotObservable::Periodic(vec![0.0, 1.3]));
+        let (rows, findings) = evaluate_rule(&LAT003, &run);
+        assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 
     #[test]
@@ -367,7 +370,7 @@ mod tests {
             arm.imus[0].diagnosis.latency_profile = imu;
             if let Some(tf) = &mut arm.tf {
                 tf.has_independent_stamps = false;
-                tf.diagnosis.latency_profile = Err(crate::diagnosis::NotObservable::AtRest);
+                tf.diagnosis.latency_profile = Err(NotObservable::AtRest);
             }
             let found = evaluate_rule(&LAT003, &run).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()

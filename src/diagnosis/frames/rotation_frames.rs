@@ -234,3 +234,37 @@ pub(crate) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
     }
     mean
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::angle_between;
+
+    #[test]
+    fn frames_are_found_if_the_hand_turns_mostly_about_one_axis() {
+        let rotvec = |seed: usize| {
+            let part = |i: usize| ((seed * 37 + i * 101) % 89) as f64 / 89.0 - 0.5;
+            Vec3::new(part(1), part(2), part(3)) * 4.0
+        };
+        for seed in 0..40 {
+            let [reference, tool, axes] =
+                [0, 1, 2].map(|k| rotation_from_rotvec(rotvec(3 * seed + k)));
+            let fk: Vec<Rotation> = (0..60)
+                .map(|k| {
+                    let t = 0.21 * f64::from(k);
+                    let turn =
+                        Vec3::new(0.5 * t.sin(), 0.12 * (1.7 * t).cos(), 0.05 * (2.9 * t).sin());
+                    axes * rotation_from_rotvec(turn)
+                })
+                .collect();
+            let mut candidates = CandidateRotations::default();
+            fk.iter().for_each(|fk| candidates.push(&[reference * fk * tool]));
+            let (found, found_tool) = fit_both_frames_from_all_starts(&candidates, &fk);
+            let worst = fk.iter().enumerate().map(|(k, fk)| {
+                angle_between(&candidates.of_sample(k)[0], &(found * fk * found_tool))
+            });
+            let worst = worst.fold(0.0, f64::max);
+            assert!(worst < 1e-6, "seed {seed}: {worst} rad");
+        }
+    }
+}
