@@ -173,7 +173,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     }
 }
 
-/// Whether every stream's residual is below MDL001's thresholds.
+/// Whether every stream's residual counts as explained.
 fn explains_all(model: &SelectedModel) -> bool {
     model.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < MAX_EXPLAINED_M && rms(&stream.residual[1]) < MAX_EXPLAINED_RAD
@@ -181,7 +181,7 @@ fn explains_all(model: &SelectedModel) -> bool {
 }
 
 /// Causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
-/// radial scale. Causes below MDL001's thresholds are not faults.
+/// radial scale. Smaller causes count as explained.
 fn small_causes(model: &SelectedModel, s: usize) -> Vec<Cause> {
     let stream = &model.state.streams[s];
     let is_small_frame = |frame: &Pose| {

@@ -212,7 +212,7 @@ const FACTOR_TOLERANCE: f64 = 2e-4;
 const MIN_IMPROVEMENT: f64 = 5.0;
 /// For degrees indicated by the range of values.
 const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
-/// Excess residual that counts as explained, rms (MDL001's thresholds).
+/// Excess residual that counts as explained, rms: consistent with link deviations and calibration error.
 const MAX_EXPLAINED_M: f64 = 1e-3;
 pub(super) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
 /// For a valid joint encoding: of the motion's extent, or m.

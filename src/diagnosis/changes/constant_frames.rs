@@ -5,7 +5,7 @@ use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
-/// Warning thresholds of MDL001, 1 mm and 0.1°: consistent with link deviations and calibration error.
+/// 1 mm and 0.1°: consistent with link deviations and calibration error.
 const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
 /// Weights rotations relative to positions.
 const LEVER_M: f64 = 0.3;
