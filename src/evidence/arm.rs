@@ -204,7 +204,11 @@ pub(super) fn arm_evidence(
     });
     let samples = run.joint_samples(&arm.joint_sources);
     let change_points = change_points(&found, arm.joint_names.len());
-    let velocities = velocities(&samples, &change_points);
+    let mut velocities = velocities(&samples, &change_points);
+    if found.partial_encoding.is_some() {
+        let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
+        velocities.iter_mut().flatten().for_each(|velocity| *velocity = Err(why.clone()));
+    }
     let joint_correction = mending(arm, &found);
     let actual = arm
         .before_correction
