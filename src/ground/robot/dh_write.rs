@@ -16,8 +16,8 @@ impl Robot {
     /// Converts the joints from `base` to `tip` to a DH table in the format of [`Robot::from_toml`]. `None`
     /// if a joint is prismatic or a mimic, or if FK differs.
     ///
-    /// Joint axes are lines: row i leads from the common normal of axes i − 1 and i to that of axes i and i
-    /// + 1 (Craig, *Introduction to Robotics*, ch. 3.5). That of nearly parallel axes is far away and
+    /// Joint axes are lines: row i leads from the common normal of axes i − 1 and i to that of axes i and
+    /// i + 1 (Craig, *Introduction to Robotics*, ch. 3.5). That of nearly parallel axes is far away and
     /// causes large `d` that cancel.
     pub fn to_dh(&self, base: LinkId, tip: LinkId, convention: DhConvention) -> Option<String> {
         let chain = self.chain(base, tip).ok()?;
