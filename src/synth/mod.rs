@@ -126,7 +126,7 @@ pub struct Scenario {
     pub tf: TfStream,
     /// IMU at the tip.
     pub imu: ImuStream,
-    /// Target seen by a camera; see [`Scenario::watch`].
+    /// Target seen by a camera.
     pub target: TargetStream,
     /// Commands; off at rate 0.
     pub reference: ReferenceStream,
