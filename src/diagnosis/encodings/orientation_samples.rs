@@ -155,8 +155,8 @@ impl OrientationSamples<'_> {
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
     }
 
-    /// Interpretation under which rotations fit best. If none fits and the reference is unknown, weak motion may
-    /// have misled its rotation by positions, so `unanchored`, which leaves it free, is tried.
+    /// Interpretation under which rotations fit best. After weak motion, the rotation of an unknown reference by
+    /// positions may be wrong. If no interpretation fits, `unanchored` leaves it free.
     pub fn best_of(
         &self,
         interpretations: Vec<PositionInterpretation>,

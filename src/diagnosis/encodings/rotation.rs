@@ -7,8 +7,7 @@
 
 use crate::arm::MAX_EXPLAINED_RAD;
 use crate::frames::rotation_frames::{
-    CandidateRotations, Side, fit_both_frames, fit_both_frames_from_all_starts, fit_one_frame,
-    nearest,
+    CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
 };
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
@@ -467,9 +466,6 @@ fn fits_with(
             }
             FreeFrameErrors::Reference => {
                 (fit_one_frame(candidates, samples.fk, Side::Reference), Rotation::identity())
-            }
-            FreeFrameErrors::Both if matches!(encoding, PoseEncoding::AsLogged) => {
-                fit_both_frames_from_all_starts(candidates, samples.fk)
             }
             FreeFrameErrors::Both => fit_both_frames(candidates, samples.fk),
         };

@@ -119,38 +119,6 @@ pub(crate) fn fit_both_frames(
     refine_frames(&chosen, fk, reference, tool)
 }
 
-/// Same for rotations without branches, from several starts. If the hand turns mostly about one axis, minima
-/// differ by a rotation about it.
-pub(crate) fn fit_both_frames_from_all_starts(
-    candidates: &CandidateRotations,
-    fk: &[Rotation],
-) -> (Rotation, Rotation) {
-    const STARTS: usize = 8;
-    const START_SAMPLES: usize = 16;
-    let (reference, tool) = fit_both_frames(candidates, fk);
-    let truths: Vec<Option<Rotation>> =
-        (0..fk.len()).map(|sample| candidates.of_sample(sample).first().copied()).collect();
-    let Some(u) = relative_rotations(&truths, fk).svd(true, false).u else {
-        return (reference, tool);
-    };
-    let axis: Vec3 = u.column(0).into();
-    let step = fk.len().div_ceil(START_SAMPLES).max(1);
-    let thin_truths: Vec<Option<Rotation>> = truths.iter().step_by(step).copied().collect();
-    let thin_fk: Vec<Rotation> = fk.iter().step_by(step).copied().collect();
-    let rotated = |start: usize| {
-        let angle = std::f64::consts::TAU * start as f64 / STARTS as f64;
-        let reference = rotation_from_rotvec(axis * angle) * reference;
-        let tool = tool_for(&thin_truths, &thin_fk, &reference);
-        refine_frames(&thin_truths, &thin_fk, reference, tool)
-    };
-    let starts = (1..STARTS).map(rotated).chain([(reference, tool)]);
-    let error = |(reference, tool): &(Rotation, Rotation)| {
-        squared_error(&thin_truths, &thin_fk, reference, tool)
-    };
-    let best = starts.min_by(|a, b| error(a).total_cmp(&error(b)));
-    best.map_or((reference, tool), |(reference, tool)| refine_frames(&truths, fk, reference, tool))
-}
-
 /// Correlation `Σ stream·FKᵀ` of relative rotation vectors.
 fn relative_rotations(truths: &[Option<Rotation>], fk: &[Rotation]) -> Matrix3<f64> {
     let stride = (fk.len() / 3).max(1);
@@ -168,20 +136,6 @@ fn tool_for(truths: &[Option<Rotation>], fk: &[Rotation], reference: &Rotation) 
     let offset =
         |(truth, fk): (&Option<Rotation>, &Rotation)| Some((reference * fk).inverse() * (*truth)?);
     mean_rotation(&truths.iter().zip(fk).filter_map(offset).collect::<Vec<_>>())
-}
-
-fn squared_error(
-    truths: &[Option<Rotation>],
-    fk: &[Rotation],
-    reference: &Rotation,
-    tool: &Rotation,
-) -> f64 {
-    let square = |(truth, fk): (&Option<Rotation>, &Rotation)| {
-        truth.map(|truth| {
-            rotvec_from_rotation(&(truth * (reference * fk * tool).inverse())).norm_squared()
-        })
-    };
-    truths.iter().zip(fk).filter_map(square).sum()
 }
 
 fn refine_frames(
@@ -259,7 +213,7 @@ mod tests {
                 .collect();
             let mut candidates = CandidateRotations::default();
             fk.iter().for_each(|fk| candidates.push(&[reference * fk * tool]));
-            let (found, found_tool) = fit_both_frames_from_all_starts(&candidates, &fk);
+            let (found, found_tool) = fit_both_frames(&candidates, &fk);
             let worst = fk.iter().enumerate().map(|(k, fk)| {
                 angle_between(&candidates.of_sample(k)[0], &(found * fk * found_tool))
             });
