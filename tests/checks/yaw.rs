@@ -3,9 +3,10 @@
 use nalgebra::Matrix3;
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::geometry::{
-    Pose, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw, xyzw_from_rotation,
+    Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
+    xyzw_from_rotation,
 };
-use poseaudit::synth::{IMU, JOINT_STATES, Motion};
+use poseaudit::synth::{IMU, JOINT_STATES, LoggedEncoding, Motion, Task};
 
 use crate::checks::case::ExpectedEstimate::{Amount, Degrees, DegreesPerMinute};
 use crate::checks::case::ExpectedSubject::Topic;
@@ -320,4 +321,16 @@ fn gyro_scale_and_misalignment_are_reported() {
     };
     assert_near(shape("scale"), [0.03, 0.0, -0.02]);
     assert_near(shape("misalignment_rad"), [0.0, 0.0, 0.01]);
+}
+
+#[test]
+fn a_wrong_quaternion_order_is_not_reported_as_tilt() {
+    let report = Log::modified(|log| {
+        log.run.motion = Motion::Task(Task::Drawer);
+        log.run.imu.encoding =
+            LoggedEncoding::WrongQuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw);
+    })
+    .report();
+    let text = summary(&report.findings);
+    assert!(report.findings.iter().all(|finding| finding.code != "YAW002"), "{text}");
 }

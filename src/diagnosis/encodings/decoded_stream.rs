@@ -78,13 +78,15 @@ pub(crate) fn decode_stream<'a>(
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let metres = placement.metres();
-    let mut interpretations: Vec<PositionInterpretation> = placement
-        .candidates
-        .iter()
-        .flat_map(|position_encoding| {
-            PositionInterpretation::from_encoding(position_encoding, spread(&at))
-        })
-        .collect();
+    let mut interpretations: Vec<PositionInterpretation> = Vec::new();
+    for position_encoding in &placement.candidates {
+        for other in PositionInterpretation::from_encoding(position_encoding, spread(&at)) {
+            // Several candidates may leave the reference free.
+            if !interpretations.iter().any(|known| known.has_rotations_of(&other)) {
+                interpretations.push(other);
+            }
+        }
+    }
     if interpretations.is_empty() {
         interpretations.push(PositionInterpretation {
             metres,

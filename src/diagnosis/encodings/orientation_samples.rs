@@ -68,6 +68,12 @@ impl PositionInterpretation {
         }
     }
 
+    /// Whether rotations have the same interpretation.
+    pub fn has_rotations_of(&self, other: &Self) -> bool {
+        (self.axes, self.is_inverted, self.reference)
+            == (other.axes, other.is_inverted, other.reference)
+    }
+
     /// Copy with other rotation axes.
     pub fn with_rotations_in(&self, rotations: Axes) -> Self {
         PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }

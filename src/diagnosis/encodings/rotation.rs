@@ -30,8 +30,8 @@ const MAX_RESIDUAL_RAD: f64 = 0.35;
 
 const MIN_SCREENING_SAMPLES: usize = 16;
 const SCREENING_ERROR_FACTOR: f64 = 1.5;
-/// Approximate number compared on all samples.
-const SCREENED_CANDIDATES: usize = 48;
+/// Candidates fitted at a time, the nearest first.
+const MIN_FITTED: usize = 16;
 
 /// Cosine of the largest tilt of an upright world (10°).
 const MIN_UPRIGHT_COSINE: f64 = 0.985;
@@ -130,6 +130,9 @@ pub(crate) struct EncodingFit {
     pub residual_rad: f64,
 }
 
+/// Candidates of all samples, and of one.
+type Buffers = (CandidateRotations, Vec<Rotation>);
+
 fn fill(
     truths_of: &mut CandidateRotations,
     encoding: &PoseEncoding,
@@ -198,6 +201,22 @@ pub(crate) fn decode_nearest(
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
 
+/// Largest residual of a candidate as good as one of `residual_rad`.
+fn max_similar(residual_rad: f64) -> f64 {
+    (MAX_RESIDUAL_RATIO * residual_rad).max(residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD)
+}
+
+/// Largest residual as logged of a healthy arm with link deviations, if another encoding has
+/// `min_residual_rad`.
+fn max_by_links(min_residual_rad: f64) -> f64 {
+    (MAX_LINK_RESIDUAL_RATIO * min_residual_rad).clamp(MAX_EXPLAINED_RAD, MAX_TIP_CHANGE_RAD)
+}
+
+/// Largest residual of a candidate that may be accepted if the smallest is `min_residual_rad`.
+fn max_accepted(min_residual_rad: f64) -> f64 {
+    max_similar(min_residual_rad).max(max_by_links(min_residual_rad)).min(MAX_RESIDUAL_RAD)
+}
+
 /// Encoding that follows FK.
 ///
 /// # Errors
@@ -225,13 +244,21 @@ pub(crate) fn estimate_encoding_with_gravity(
     if min_residual > MAX_RESIDUAL_RAD {
         return Err(NotObservable::DoesNotFollow(min_residual.cos()));
     }
-    let accepted = (MAX_RESIDUAL_RATIO * min_residual)
-        .max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD)
-        .min(MAX_RESIDUAL_RAD);
+    let accepted = max_similar(min_residual).min(MAX_RESIDUAL_RAD);
+    // A common slip under which gravity is upright is likelier than a tilted world.
+    let is_upright_slip = |fit: &EncodingFit| {
+        matches!(fit.encoding, PoseEncoding::Transposed | PoseEncoding::QuaternionOrder(_))
+            && fit.frames == FreeFrameErrors::Reference
+            && fit.residual_rad <= accepted
+            && !tilts_gravity(fit, samples, forces)
+    };
+    let may_tilt_world = forces.is_empty() || !fits.iter().any(is_upright_slip);
     let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
-            let leans = fit.residual_rad <= accepted && tilts_gravity(fit, samples, forces);
+            let leans = fit.residual_rad <= accepted
+                && !(may_tilt_world && turns_world_only(fit))
+                && tilts_gravity(fit, samples, forces);
             (
                 simplicity(fit, samples.reference_known)
                     + if leans { TILT_RANK_PENALTY } else { 0 },
@@ -239,9 +266,7 @@ pub(crate) fn estimate_encoding_with_gravity(
             )
         })
         .collect();
-    // A healthy arm with link deviations may have this as logged.
-    let by_links =
-        (MAX_LINK_RESIDUAL_RATIO * min_residual).clamp(MAX_EXPLAINED_RAD, MAX_TIP_CHANGE_RAD);
+    let by_links = max_by_links(min_residual);
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
         fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= by_links)
     };
@@ -250,29 +275,25 @@ pub(crate) fn estimate_encoding_with_gravity(
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let min_residual =
         simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(min_residual);
-    let max_residual =
-        (MAX_RESIDUAL_RATIO * min_residual).max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let max_residual = max_similar(min_residual);
     // Prefer an upright world, then the most common encoding.
     let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
     let best = *simple()
         .filter(|fit| fit.residual_rad <= max_residual)
         .min_by_key(leaning)
         .unwrap_or(&fits[0]);
-    let near_best = (MAX_RESIDUAL_RATIO * best.residual_rad)
-        .max(best.residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let near_best = max_similar(best.residual_rad);
     let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
         (Vec::new(), None);
     let others = fits.iter().filter(|fit| {
         fit.frames == best.frames && !is_same_encoding(&fit.encoding, &best.encoding)
     });
-    let mut worse = 0;
     for fit in others {
         let named = samples.after.reported_encoding(fit.encoding);
         if fit.residual_rad <= near_best {
             equivalent.push(named);
             continue;
         }
-        worse += 1;
         if runner_up.is_none_or(|(_, residual)| fit.residual_rad < residual) {
             runner_up = Some((named, fit.residual_rad));
         }
@@ -291,7 +312,7 @@ pub(crate) fn estimate_encoding_with_gravity(
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
         runner_up,
-        is_determined: worse > equivalent.len(),
+        is_determined: candidate_encodings(samples).len() > 2 * equivalent.len() + 1,
         equivalent,
     };
     Ok((estimate, best))
@@ -313,13 +334,14 @@ fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)>
     kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
 }
 
-/// Whether the fit tilts gravity, except by rotating the world only.
+/// Whether the world's rotation is the only fault.
+fn turns_world_only(fit: &EncodingFit) -> bool {
+    matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference)
+        && matches!(fit.encoding, PoseEncoding::AsLogged)
+}
+
+/// Whether the fit tilts gravity.
 fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
-    let turned_world_only =
-        matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);
-    if turned_world_only && matches!(fit.encoding, PoseEncoding::AsLogged) {
-        return false;
-    }
     let mut buffer = Vec::new();
     let gravity: Vec3 = forces
         .iter()
@@ -381,58 +403,97 @@ fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
     }
 }
 
-/// Fits of all candidates. If the stream fits as logged without a fault, other frames cannot win and are
-/// not tried.
+/// Fits of the candidates that may be accepted, of at least [`MIN_FITTED`], and as logged. If the stream fits
+/// as logged without a fault, other frames cannot win and are not tried.
 fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let mut frames = allowed_frames(samples);
-    if let LoggedRotations::Rotations(_) = samples.logged {
-        let plain = &frames[..1];
-        let known = &mut Default::default();
-        let as_logged = fits_with(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
-        if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
-            frames = plain;
-        }
+    let buffers = &mut Default::default();
+    let as_logged = fits_with(samples, &frames[..1], PoseEncoding::AsLogged, buffers);
+    if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
+        frames = &frames[..1];
     }
-    let each_of =
-        |samples: &RotationSamples, readings: Vec<PoseEncoding>| -> Vec<Vec<EncodingFit>> {
-            let fits_with = |(candidates, buffer): &mut (CandidateRotations, Vec<_>),
-                             reading: PoseEncoding| {
-                fits_with(samples, frames, reading, candidates, buffer)
-            };
-            readings.into_par_iter().map_init(Default::default, fits_with).collect()
-        };
     let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
     let logged: Vec<Rotation> = match samples.logged {
         LoggedRotations::Rotations(all) if stride > 1 => {
             all.iter().step_by(stride).copied().collect()
         }
-        _ => return each_of(samples, candidate_encodings(samples)).concat(),
+        _ => return nearest_fits(samples, frames, 1.0).concat(),
     };
-    // Screen all on a few samples, then fit the near ones on all.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let coarse =
         RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
-    let screened = each_of(&coarse, candidate_encodings(samples));
-    let min_residual = |fits: &[EncodingFit]| {
-        fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+    let screened = nearest_fits(&coarse, frames, SCREENING_ERROR_FACTOR);
+    let refit = |buffers: &mut _, coarse: Vec<EncodingFit>| {
+        fits_with(samples, frames, coarse[0].encoding, buffers)
     };
-    let mut all: Vec<f64> = screened.iter().map(|fits| min_residual(fits)).collect();
-    all.sort_by(f64::total_cmp);
-    let max_screened = all[SCREENED_CANDIDATES.min(all.len() - 1)];
-    let near = match all[0] > SCREENING_ERROR_FACTOR * MAX_RESIDUAL_RAD {
-        true => max_screened,
-        false => max_screened.max(
-            SCREENING_ERROR_FACTOR
-                * (MAX_RESIDUAL_RATIO * all[0]).max(all[0] + MAX_RESIDUAL_DIFFERENCE_RAD),
-        ),
+    screened.into_par_iter().map_init(Default::default, refit).flatten_iter().collect()
+}
+
+/// Fits per candidate, in the order of the candidates. Keeps residuals up to `factor` times the largest
+/// that may be accepted, at least [`MIN_FITTED`], and as logged.
+fn nearest_fits(
+    samples: &RotationSamples,
+    frames: &[FreeFrameErrors],
+    factor: f64,
+) -> Vec<Vec<EncodingFit>> {
+    let encodings = candidate_encodings(samples);
+    let bound = |(candidates, buffer): &mut Buffers, encoding| {
+        fill(candidates, encoding, samples, buffer);
+        residual_bound(candidates, samples.fk)
     };
-    let refit = |coarse: Vec<EncodingFit>| match coarse[0].encoding {
-        reading if min_residual(&coarse) <= near || matches!(reading, PoseEncoding::AsLogged) => {
-            fits_with(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
+    let bounds: Vec<f64> = encodings.par_iter().map_init(Default::default, bound).collect();
+    let is_as_logged = |&candidate: &usize| matches!(encodings[candidate], PoseEncoding::AsLogged);
+    let mut nearest: Vec<usize> = (0..encodings.len()).collect();
+    nearest.sort_by(|a, b| {
+        let order = bounds[*a].total_cmp(&bounds[*b]);
+        is_as_logged(b).cmp(&is_as_logged(a)).then(order)
+    });
+    let mut fitted: Vec<(f64, usize, Vec<EncodingFit>)> = Vec::new();
+    let mut limit = f64::INFINITY;
+    for batch in nearest.chunks(MIN_FITTED) {
+        if !is_as_logged(&batch[0]) && bounds[batch[0]] > limit {
+            break;
         }
-        _ => coarse,
+        let fit = |buffers: &mut Buffers, &candidate: &usize| {
+            let fits = fits_with(samples, frames, encodings[candidate], buffers);
+            let residuals = fits.iter().map(|fit| fit.residual_rad);
+            (residuals.fold(f64::INFINITY, f64::min), candidate, fits)
+        };
+        fitted.par_extend(batch.par_iter().map_init(Default::default, fit));
+        let min_residual = fitted.iter().map(|(residual, ..)| *residual).min_by(f64::total_cmp);
+        limit = min_residual.map_or(limit, |residual_rad| factor * max_accepted(residual_rad));
+    }
+    fitted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let near = fitted.partition_point(|(residual, ..)| *residual <= limit).max(MIN_FITTED);
+    let kept = fitted.into_iter().enumerate();
+    let kept = kept.filter(|(rank, (_, candidate, _))| *rank < near || is_as_logged(candidate));
+    let mut kept: Vec<(usize, Vec<EncodingFit>)> =
+        kept.map(|(_, (_, candidate, fits))| (candidate, fits)).collect();
+    kept.sort_by_key(|(candidate, _)| *candidate);
+    kept.into_iter().map(|(_, fits)| fits).collect()
+}
+
+/// Lower bound of [`residual`] with any constant frames: they keep the angle between two rotations, so the
+/// angles of a pair differ by at most the sum of its residuals.
+fn residual_bound(candidates: &CandidateRotations, fk: &[Rotation]) -> f64 {
+    let half = fk.len() / 2;
+    let difference = |a: usize| {
+        let b = a + half;
+        let angle = angle_between(&fk[a], &fk[b]);
+        let pairs = candidates
+            .of_sample(a)
+            .iter()
+            .flat_map(|first| candidates.of_sample(b).iter().map(move |second| (first, second)));
+        pairs
+            .map(|(first, second)| (angle_between(first, second) - angle).abs())
+            .fold(std::f64::consts::PI, f64::min)
     };
-    screened.into_par_iter().flat_map_iter(refit).collect()
+    let mut squares: Vec<f64> = (0..half).map(|a| difference(a).powi(2)).collect();
+    squares.sort_unstable_by(f64::total_cmp);
+    let kept = kept_samples(fk.len());
+    let kept_pairs = half.saturating_sub(fk.len() - kept);
+    // (a + b)² ≤ 2a² + 2b².
+    (squares[..kept_pairs].iter().sum::<f64>() / (2 * kept) as f64).sqrt()
 }
 
 /// Frame errors to fit; only the first is faultless.
@@ -454,8 +515,7 @@ fn fits_with(
     samples: &RotationSamples,
     frames: &[FreeFrameErrors],
     encoding: PoseEncoding,
-    candidates: &mut CandidateRotations,
-    buffer: &mut Vec<Rotation>,
+    (candidates, buffer): &mut Buffers,
 ) -> Vec<EncodingFit> {
     fill(candidates, &encoding, samples, buffer);
     let fit = |&frames: &FreeFrameErrors| {
@@ -477,11 +537,9 @@ fn fits_with(
 
 /// Simplest among the close fits of a known encoding.
 pub(crate) fn fit_known(samples: &RotationSamples, encoding: PoseEncoding) -> Option<EncodingFit> {
-    let known = &mut CandidateRotations::default();
-    let fits = fits_with(samples, allowed_frames(samples), encoding, known, &mut Vec::new());
+    let fits = fits_with(samples, allowed_frames(samples), encoding, &mut Default::default());
     let min_residual = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
-    let max_residual =
-        (MAX_RESIDUAL_RATIO * min_residual).max(min_residual + MAX_RESIDUAL_DIFFERENCE_RAD);
+    let max_residual = max_similar(min_residual);
     let max_residual = fits.into_iter().filter(|fit| fit.residual_rad <= max_residual);
     max_residual.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
@@ -503,7 +561,52 @@ fn residual(
                 .powi(2)
         })
         .collect();
-    let kept = (squares.len() * 9).div_ceil(10);
+    let kept = kept_samples(squares.len());
     squares.sort_unstable_by(f64::total_cmp);
     (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+}
+
+fn kept_samples(count: usize) -> usize {
+    (count * 9).div_ceil(10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ground::geometry::rotation_from_rotvec;
+
+    #[test]
+    fn no_residual_is_below_its_bound() {
+        let rotation = |seed: usize| {
+            let part = |i: usize| ((seed * 37 + i * 101) % 89) as f64 / 89.0 - 0.5;
+            rotation_from_rotvec(Vec3::new(part(1), part(2), part(3)) * 4.0)
+        };
+        let fk: Vec<Rotation> = (0..21).map(rotation).collect();
+        let (mut smaller, mut buffers) = (0, Buffers::default());
+        for (case, encoding) in misinterpretation_classes().iter().enumerate().step_by(7) {
+            let [reference, tool, noise] = [1, 2, 3].map(|k| rotation(50 * case + k));
+            let noise = noise.powf(0.05);
+            let read = &encoding.members[0];
+            let logged: Vec<Rotation> = (0..fk.len())
+                .map(|k| reference * fk[k] * if k % 2 == 0 { tool } else { tool * noise })
+                .map(|truth| read.read_as.rotation(read.is.numbers(&truth)))
+                .collect();
+            let samples = RotationSamples {
+                logged: LoggedRotations::Rotations(&logged),
+                fk: &fk,
+                reference_free: true,
+                reference_known: false,
+                are_quaternions: true,
+                after: RotationCorrections::default(),
+            };
+            for encoding in candidate_encodings(&samples) {
+                let both = &[FreeFrameErrors::Both];
+                let residual = fits_with(&samples, both, encoding, &mut buffers)[0].residual_rad;
+                let bound = residual_bound(&buffers.0, &fk);
+                assert!(bound <= residual + 1e-9, "{encoding:?}: {residual} < {bound}");
+                smaller += usize::from(residual < 0.1);
+            }
+        }
+        assert!(smaller > 0);
+    }
 }

@@ -1,9 +1,7 @@
 //! Fits constant frames between two series of rotations.
 
-use ground::geometry::{
-    Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec, rotvec_from_rotation,
-};
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
+use ground::geometry::{Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector4, Vector6};
 
 /// Candidate rotations of every sample under one encoding.
 #[derive(Default)]
@@ -79,16 +77,11 @@ pub(crate) fn fit_one_frame(
         return Rotation::identity();
     };
     for _ in 0..2 {
-        let mean: Vec3 = fk
-            .iter()
-            .enumerate()
-            .filter_map(|(sample, fk)| {
-                let (truth, _) = nearest(candidates.of_sample(sample), &apply(&frame, fk))?;
-                Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
-            })
-            .sum::<Vec3>()
-            / fk.len() as f64;
-        frame *= rotation_from_rotvec(mean);
+        let frames = fk.iter().enumerate().filter_map(|(sample, fk)| {
+            let (truth, _) = nearest(candidates.of_sample(sample), &apply(&frame, fk))?;
+            Some(frame_at(&truth, fk))
+        });
+        frame = mean_near(&frame, frames);
     }
     frame
 }
@@ -119,14 +112,20 @@ pub(crate) fn fit_both_frames(
     refine_frames(&chosen, fk, reference, tool)
 }
 
-/// Correlation `Σ stream·FKᵀ` of relative rotation vectors.
+/// Axis times the sine of half the angle. It maps between frames as the rotation vector does, at less
+/// cost.
+fn half_angle_vector(rotation: &Rotation) -> Vec3 {
+    rotation.imag() * rotation.w.signum()
+}
+
+/// Correlation `Σ stream·FKᵀ` of relative rotations.
 fn relative_rotations(truths: &[Option<Rotation>], fk: &[Rotation]) -> Matrix3<f64> {
     let stride = (fk.len() / 3).max(1);
     let pair = |a: usize| {
         let b = (a + stride) % fk.len();
         let (truth_a, truth_b) = truths[a].zip(truths[b])?;
-        let by_stream = rotvec_from_rotation(&(truth_b * truth_a.inverse()));
-        let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
+        let by_stream = half_angle_vector(&(truth_b * truth_a.inverse()));
+        let by_fk = half_angle_vector(&(fk[b] * fk[a].inverse()));
         Some(by_stream * by_fk.transpose())
     };
     (0..fk.len()).filter_map(pair).sum()
@@ -154,7 +153,7 @@ fn refine_frames(
         for (truth, fk) in candidates.iter().zip(fk) {
             let Some(truth) = truth else { continue };
             let predicted = reference * fk * tool;
-            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
+            let residual = 2.0 * half_angle_vector(&(truth * predicted.inverse()));
             let hand = *predicted.to_rotation_matrix().matrix();
             let mut rows = SMatrix::<f64, 3, 6>::zeros();
             rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
@@ -176,17 +175,20 @@ fn refine_frames(
     (reference, tool)
 }
 
-/// Mean of similar rotations, by averaging rotation vectors.
+/// Mean of similar rotations ([`mean_near`]).
 pub(crate) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
     let Some(first) = rotations.get(rotations.len() / 2) else {
         return Rotation::identity();
     };
-    let mut mean = *first;
-    for _ in 0..4 {
-        let sum: Vec3 = rotations.iter().map(|r| rotvec_from_rotation(&(mean.inverse() * r))).sum();
-        mean *= rotation_from_rotvec(sum / rotations.len() as f64);
-    }
-    mean
+    (0..2).fold(*first, |mean, _| mean_near(&mean, rotations.iter().copied()))
+}
+
+/// Mean of the unit quaternions with the signs nearest to `guess`. For similar rotations, it has the least
+/// sum of squared distances (Markley et al., "Averaging quaternions", 2007).
+fn mean_near(guess: &Rotation, rotations: impl Iterator<Item = Rotation>) -> Rotation {
+    let signed = rotations.map(|one| one.coords * one.coords.dot(&guess.coords).signum());
+    let sum: Vector4<f64> = signed.sum();
+    if sum.norm_squared() == 0.0 { *guess } else { Rotation::new_normalize(sum.into()) }
 }
 
 #[cfg(test)]

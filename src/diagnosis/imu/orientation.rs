@@ -11,6 +11,7 @@ use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
     add_block, check_explained, mount_of, rms, rotated_noise,
 };
+use crate::arm::MAX_EXPLAINED_RAD;
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_encoding_with_gravity,
@@ -300,7 +301,8 @@ impl<'a> OrientationModel<'a> {
             free.retain(|&parameter| parameter != Self::SKEW);
         }
         let is_mount_wrong =
-            mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
+            mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE)
+                && model.residual_with_known_mount() > MAX_EXPLAINED_RAD;
         if let Some(known) = self.link.stream.link_from_imu
             && !is_mount_wrong
         {
@@ -312,6 +314,15 @@ impl<'a> OrientationModel<'a> {
             solved = solve(&mut model, &free);
         }
         OrientationSolution { model, solved, mount_rad, skew }
+    }
+
+    /// Residual with the logged mount and the average world, rms rad. If link deviations explain it, weak
+    /// motion does not determine the mount.
+    fn residual_with_known_mount(&self) -> f64 {
+        let Some(known) = self.link.stream.link_from_imu else { return f64::INFINITY };
+        let mut model = Self { link_from_imu: known.rotation, ..self.clone() };
+        model.init_world();
+        rms(lengths(&model.linearize()))
     }
 
     fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
