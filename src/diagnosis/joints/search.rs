@@ -250,6 +250,7 @@ fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
 }
 
 fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+    let thin = &view.thinned(ROUGH_SAMPLES);
     let none = JointMap::as_logged(view.chain.dof());
     let interpretation = arm_interpretations(view.chain)
         .into_iter()
@@ -257,16 +258,16 @@ fn one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal>
             unrefined(interpretation.map, if interpretation.is_unit { 1.0 } else { 1.25 })
         })
         .collect();
-    let mut proposals = best_proposals(view, interpretation, freedom, REFINED_PROPOSALS / 2);
+    let mut proposals = best_proposals(thin, interpretation, freedom, REFINED_PROPOSALS / 2);
     let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
         // They can be equivalent to one mirrored axis, which is a single cause.
         reversed.retain(|proposal| proposal.price < MIRROR_PRICE);
     }
-    proposals.extend(best_proposals(view, reversed, freedom, REFINED_PROPOSALS / 2));
-    proposals.extend(common_gear(view, &none, freedom));
+    proposals.extend(best_proposals(thin, reversed, freedom, REFINED_PROPOSALS / 2));
+    proposals.extend(common_gear(thin, &none, freedom));
     proposals.extend(
-        (0..view.chain.dof()).flat_map(|joint| single_joint(view, &none, 0.0, freedom, joint)),
+        (0..view.chain.dof()).flat_map(|joint| single_joint(thin, &none, 0.0, freedom, joint)),
     );
     proposals
 }
@@ -342,7 +343,7 @@ fn common_gear(
         let factor = MIN_RANGE_SHARE / widest * FACTOR_STEP.powi(step);
         [factor, -factor].map(|factor| unrefined(scaled(factor), 1.25 + ODD_SCALE_PRICE))
     });
-    let best = best_proposals(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
+    let best = best_proposals(view, tried.collect(), freedom, 1).pop()?;
     Some(JointProposal { factors: turning, ..best })
 }
 
@@ -394,11 +395,12 @@ fn unit_and_one_joint(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<Joint
     let units =
         arm_interpretations(view.chain).into_iter().filter(|interpretation| interpretation.is_unit);
     let joints = 0..view.chain.dof();
+    let thin = view.thinned(ROUGH_SAMPLES);
     let pairs: Vec<(JointMap, usize)> =
         units.flat_map(|unit| joints.clone().map(move |joint| (unit.map.clone(), joint))).collect();
     pairs
         .into_par_iter()
-        .flat_map_iter(|(unit, joint)| single_joint(view, &unit, 1.0, freedom, joint))
+        .flat_map_iter(|(unit, joint)| single_joint(&thin, &unit, 1.0, freedom, joint))
         .collect()
 }
 
