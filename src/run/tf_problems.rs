@@ -321,10 +321,24 @@ fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
             largest = if before.size_m() > largest.size_m() { before } else { largest };
         }
     }
-    (jumps >= MIN_JUMPS && jumps as f64 > MIN_JUMP_SHARE * rows as f64).then(|| TfProblem {
+    let alternates = jumps >= MIN_JUMPS && jumps as f64 > MIN_JUMP_SHARE * rows as f64;
+    (alternates && !is_resolution(piece, largest.size_m())).then(|| TfProblem {
         kind: TfProblemKind::Conflict { edge: piece.frame_pair(), by: largest, jumps, rows },
         topics: vec![piece.topic.to_owned()],
     })
+}
+
+/// Whether `jump_m` is one tick of the joint's encoder: the joint moves by several, and never by less.
+fn is_resolution(piece: &TransformPart<'_>, jump_m: f64) -> bool {
+    const MIN_MOTION_JUMPS: f64 = 4.0;
+    const MIN_STEP_SHARE: f64 = 0.75;
+    let poses = piece.poses;
+    let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();
+    let rows = || 1..poses.times.len();
+    let motion_m = rows().map(|row| size_m(0, row)).fold(0.0, f64::max);
+    let steps = rows().map(|row| size_m(row - 1, row)).filter(|step_m| *step_m > MAX_ROUNDING_M);
+    motion_m > MIN_MOTION_JUMPS * jump_m
+        && steps.fold(f64::INFINITY, f64::min) > MIN_STEP_SHARE * jump_m
 }
 
 impl Run {
@@ -456,6 +470,16 @@ mod tests {
             };
             assert!((by.length_m - 0.05).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn an_encoder_that_flickers_by_one_tick_is_no_second_publisher() {
+        const TICK_M: f64 = 2e-3;
+        let ticks = |row: usize| TICK_M * (row / 6 + row % 2) as f64;
+        let flickers = poses("a", "b", 0, ticks);
+        assert_eq!(problems_of(&[dynamic(&flickers)]), []);
+        let two = poses("a", "b", 0, |row| ticks(row) + 10.5 * TICK_M * (row % 2) as f64);
+        assert_eq!(problems_of(&[dynamic(&two)]).len(), 1);
     }
 
     #[test]
