@@ -6,7 +6,7 @@ use poseaudit::finding::{Estimate, Severity};
 use poseaudit::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use poseaudit::synth::{
     COMMANDED_JOINTS, COMMANDED_POSE, Commands, GOAL, LineMotion, Motion, POSE, TF, TF_STATIC,
-    ToolSlip,
+    Task, ToolSlip,
 };
 use serde_json::Value;
 
@@ -377,6 +377,28 @@ fn base_and_tool_poses_have_the_documented_sign() {
     );
     let report = Log::modified(|log| log.run.pose.tip_from_stream = tool_offset()).report();
     assert_pose(&single_finding(&report, "FRM003", POSE).evidence.more["pose"], &tool_offset());
+}
+
+/// At a constant orientation, only the tool's usual length limits how far the base is off.
+#[test]
+fn base_and_tool_are_reported_although_the_motion_does_not_separate_them() {
+    for task in [Task::Palletising, Task::Welding] {
+        let report = Log::modified(|log| {
+            log.run.motion = Motion::Task(task);
+            log.run.pose.reference_from_stream = distant_world();
+            log.run.pose.tip_from_stream = tool_offset();
+        })
+        .report();
+        let text = crate::checks::case::summary(&report.findings);
+        assert!(report.findings.iter().all(|finding| finding.code != "MDL001"), "{text}");
+        let Some(Estimate::Frame { ci95: Some([low_m, high_m]), .. }) =
+            single_finding(&report, "FRM002", POSE).estimate
+        else {
+            panic!("{text}")
+        };
+        let distance_m = distant_world().translation.vector.norm();
+        assert!((low_m - 0.1..high_m + 0.1).contains(&distance_m), "{text}");
+    }
 }
 
 #[test]

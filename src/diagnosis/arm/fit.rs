@@ -48,20 +48,33 @@ pub(super) fn fit(
     if decoded.is_empty() {
         return None;
     }
-    let single_stream: Vec<State> =
-        decoded.iter().map(|decoded| best_start(decoded, corrected, with_offsets)).collect();
     let observations: Vec<&PoseObservations> =
         decoded.iter().map(|decoded| &decoded.observations).collect();
-    let candidates = candidate_causes(decoded, corrected, with_offsets);
-    // The streams share the joints: start from the stream with most samples.
-    let largest_stream =
-        (0..decoded.len()).max_by_key(|&s| decoded[s].observations.len()).unwrap_or(0);
-    let start = State {
-        offsets: single_stream[largest_stream].offsets.clone(),
-        streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
+    let fit_with = |may_confound_frames: bool| {
+        let candidates = |decoded: &[&DecodedStream]| CandidateCauses {
+            may_confound_frames,
+            ..candidate_causes(decoded, corrected, with_offsets)
+        };
+        let start = common_start(decoded, corrected, with_offsets, &candidates);
+        let candidates = candidates(decoded);
+        let at_state = SelectionStart::AtState;
+        let model = select_model(&observations, start, &candidates, at_state, FIT_SAMPLES);
+        (model, candidates)
     };
-    let model =
-        select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
+    let (mut model, mut candidates) = fit_with(false);
+    let follows_in_other_frames = |s: usize| {
+        let State { offsets, streams } = &model.state;
+        let [m, rad] = constant_frame_residual(observations[s], &streams[s], offsets);
+        m < MAX_TIP_CHANGE_M && rad < MAX_TIP_CHANGE_RAD
+    };
+    let is_open = with_offsets && !explains_all(&model);
+    if is_open && (0..observations.len()).any(follows_in_other_frames) {
+        // Amounts along an unobservable direction are arbitrary, so this is tried last.
+        let (confounded, with_confounded) = fit_with(true);
+        if explains_all(&confounded) {
+            (model, candidates) = (confounded, with_confounded);
+        }
+    }
     let model = prefer_tool_frames(&observations, model, &candidates, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..observations.len()).map(|s| without_small_causes(&model, s)).collect();
@@ -105,7 +118,8 @@ pub(super) fn fit(
     };
     let (named, optional): (Vec<Cause>, Vec<Cause>) =
         candidates.optional.into_iter().filter(is_retained).partition(is_named);
-    let candidates = CandidateCauses { always: [candidates.always, named].concat(), optional };
+    let always = [candidates.always, named].concat();
+    let candidates = CandidateCauses { always, optional, ..candidates };
     let start = State { offsets: large_offsets, streams: plain };
     let model =
         select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
@@ -156,7 +170,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
             || (model.causes.contains(cause) && !imitated.contains(cause))
     };
     let optional = candidates.optional.iter().copied().filter(is_retained).collect();
-    let candidates = CandidateCauses { always: candidates.always.clone(), optional };
+    let candidates = CandidateCauses { optional, ..candidates.clone() };
     let start = without_causes(&imitated);
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
     let model =
@@ -266,12 +280,36 @@ fn candidate_causes(
             optional.extend([Cause::Tool(s), Cause::RadialScale(s)]);
         }
     }
-    CandidateCauses { always, optional }
+    CandidateCauses { always, optional, may_confound_frames: false }
+}
+
+/// State from which all streams fit best.
+fn common_start(
+    decoded: &[&DecodedStream],
+    corrected: &CorrectedJoints,
+    with_offsets: bool,
+    candidates: &dyn Fn(&[&DecodedStream]) -> CandidateCauses,
+) -> State {
+    let single_stream: Vec<State> = decoded
+        .iter()
+        .map(|stream| best_start(stream, corrected, with_offsets, &candidates(&[stream])))
+        .collect();
+    // The streams share the joints: start from the stream with most samples.
+    let largest_stream =
+        (0..decoded.len()).max_by_key(|&s| decoded[s].observations.len()).unwrap_or(0);
+    State {
+        offsets: single_stream[largest_stream].offsets.clone(),
+        streams: single_stream.into_iter().flat_map(|state| state.streams).collect(),
+    }
 }
 
 /// State from which a single stream fits best.
-fn best_start(decoded: &DecodedStream, corrected: &CorrectedJoints, with_offsets: bool) -> State {
-    let candidates = candidate_causes(&[decoded], corrected, with_offsets);
+fn best_start(
+    decoded: &DecodedStream,
+    corrected: &CorrectedJoints,
+    with_offsets: bool,
+    candidates: &CandidateCauses,
+) -> State {
     let best_lag = decoded.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if decoded.moves {
         let is_strong = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
@@ -310,7 +348,7 @@ fn best_start(decoded: &DecodedStream, corrected: &CorrectedJoints, with_offsets
             select_model(
                 &[&decoded.observations],
                 state,
-                &candidates,
+                candidates,
                 selection_start,
                 MAX_SEARCH_SAMPLES,
             )

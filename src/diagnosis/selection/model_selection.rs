@@ -154,12 +154,7 @@ impl Linearized {
         if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
             return Arc::clone(freed);
         }
-        let n = parameters.len();
-        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
-        for (s, linear) in self.streams.iter().enumerate() {
-            let columns = target_columns(parameters, state, s);
-            linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
-        }
+        let [information, scores] = self.information_and_scores(parameters, state);
         let freed = Arc::new(FreeFit {
             parameters: parameters.to_vec(),
             influence: influence(&information),
@@ -168,6 +163,35 @@ impl Linearized {
         });
         *known = Some(Arc::clone(&freed));
         freed
+    }
+
+    /// [`Self::covariance`] with a prior standard deviation of some parameters.
+    pub fn covariance_with_prior(
+        &self,
+        parameters: &[usize],
+        state: &State,
+        prior: impl Fn(usize) -> Option<f64>,
+    ) -> DMatrix<f64> {
+        let [mut information, mut scores] = self.information_and_scores(parameters, state);
+        for (i, &parameter) in parameters.iter().enumerate() {
+            let more = prior(parameter).map_or(0.0, |sigma| sigma.powi(-2));
+            information[(i, i)] += more;
+            scores[(i, i)] += more;
+        }
+        match information.cholesky() {
+            Some(cholesky) => cholesky.inverse() * scores * cholesky.inverse(),
+            None => DMatrix::from_element(parameters.len(), parameters.len(), f64::INFINITY),
+        }
+    }
+
+    fn information_and_scores(&self, parameters: &[usize], state: &State) -> [DMatrix<f64>; 2] {
+        let n = parameters.len();
+        let (mut information, mut scores) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+        for (s, linear) in self.streams.iter().enumerate() {
+            let columns = target_columns(parameters, state, s);
+            linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
+        }
+        [information, scores]
     }
 
     /// Information matrix of one stream, joints first.
@@ -234,6 +258,8 @@ pub(crate) struct CandidateCauses {
     pub always: Vec<Cause>,
     /// Must justify their price.
     pub optional: Vec<Cause>,
+    /// Whether a stream's reference and tool may both be wrong although the motion does not separate them.
+    pub may_confound_frames: bool,
 }
 
 impl CandidateCauses {
@@ -317,7 +343,12 @@ fn is_collinear(
     state: &State,
 ) -> bool {
     let is_unknown = |cause: &&Cause| match **cause {
-        Cause::Reference(s) | Cause::Tool(s) => candidates.always.contains(&Cause::Reference(s)),
+        Cause::Reference(s) | Cause::Tool(s) => {
+            candidates.always.contains(&Cause::Reference(s))
+                || (candidates.may_confound_frames
+                    && causes.contains(&Cause::Reference(s))
+                    && causes.contains(&Cause::Tool(s)))
+        }
         _ => false,
     };
     let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
