@@ -1,7 +1,7 @@
 //! ZER: zero offsets.
 
 use poseaudit::robot::Robot;
-use poseaudit::synth::{Motion, POSE, Scenario, SynthComplianceKind, urdf_text};
+use poseaudit::synth::{Motion, POSE, Scenario, SynthComplianceKind, Task, urdf_text};
 
 use crate::checks::case::ExpectedEstimate::{Amount, Degrees};
 use crate::checks::case::ExpectedSubject::{Joint, Topic};
@@ -169,4 +169,16 @@ fn tf_that_inherits_a_zero_offset_is_listed_in_the_finding() {
     // 0.6° at the elbow move forearm and wrist, which extend up to 0.49 m.
     let effect_m = finding.evidence.effect_m.expect("an effect");
     assert!((0.003..0.006).contains(&effect_m), "{effect_m}");
+}
+
+#[test]
+fn sag_over_a_small_range_is_not_reported_as_scale() {
+    let report = Log::modified(|log| {
+        set_compliance(log, &[(1, SynthComplianceKind::Sag, 1.2)]);
+        log.run.motion = Motion::Task(Task::Picking);
+    })
+    .report();
+    single_finding(&report, "ZER003", "shoulder_lift_joint");
+    let text = crate::checks::case::summary(&report.findings);
+    assert!(report.findings.iter().all(|finding| finding.code != "ORD009"), "{text}");
 }

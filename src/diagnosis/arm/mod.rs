@@ -193,17 +193,26 @@ fn diagnose_with(
         couplings.retain(|coupling| coupling.factor.value.abs() > FACTOR_TOLERANCE);
         encoding.couplings.clone_from(&couplings);
     }
-    let (changes, patches, compliance) = (Vec::new(), Vec::new(), Vec::new());
-    let joints = JointDiagnosis {
-        encoding,
-        partial_encoding: None,
-        offsets,
-        scales,
-        changes,
-        patches,
-        compliance,
-    };
-    ArmDiagnosis { joints, streams }
+    ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
+}
+
+/// Diagnoses joint states and streams without looking for another joint encoding.
+pub(super) fn diagnose_arm_as_logged(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    max_lag_s: f64,
+) -> ArmDiagnosis {
+    let is_prismatic = prismatic_columns(joints.dof, streams);
+    let corrected = CorrectedJoints::new(joints, &JointEncoding::default(), &is_prismatic);
+    let position_encodings = streams
+        .iter()
+        .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
+        .collect::<Vec<_>>();
+    let links = LinkModel::MayDeviate;
+    let EncodingResult { offsets, scales, streams, .. } =
+        diagnose(joints, &corrected, streams, &position_encodings, true, links);
+    let encoding = Ok(JointEncoding::default());
+    ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
 }
 
 /// Counts as 1: less than 0.1° per turn.
@@ -344,6 +353,22 @@ pub fn diagnose_derived(
 }
 
 impl JointDiagnosis {
+    fn without_changes(
+        encoding: EstimateResult<JointEncoding>,
+        offsets: Vec<JointOffset>,
+        scales: Vec<JointScale>,
+    ) -> Self {
+        Self {
+            encoding,
+            partial_encoding: None,
+            offsets,
+            scales,
+            changes: Vec::new(),
+            patches: Vec::new(),
+            compliance: Vec::new(),
+        }
+    }
+
     /// Largest change of a joint's zero, if any.
     pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.zero.as_ref())

@@ -64,6 +64,8 @@ pub(super) fn diagnose_with_changes(
         .iter()
         .zip(&diagnosis.streams)
         .map(|(stream, diagnosis)| match &diagnosis.latency_s {
+            // No latency is known.
+            _ if diagnosis.is_far_from_fk() => 0.0,
             Ok(latency) => latency.value,
             Err(_) => stream_lag_s(joints, stream, max_lag_s),
         })
@@ -100,7 +102,8 @@ fn diagnose_with_jumps(
     let baseline = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
     let baseline = (spans.len() > 1).then(|| BaselineSegment::diagnose(run, spans[baseline]))?;
     let residual = residual_m(&baseline.diagnosis);
-    if residual > MAX_BASELINE_SHARE * residual_m(diagnosis) {
+    let is_far = baseline.diagnosis.streams.iter().all(PoseDiagnosis::is_far_from_fk);
+    if is_far || residual > MAX_BASELINE_SHARE * residual_m(diagnosis) {
         return None;
     }
     let max_residual_m = (MAX_RESIDUAL_RATIO * residual)

@@ -11,7 +11,7 @@ mod search;
 mod shapes;
 mod system;
 
-use crate::arm::diagnose_arm;
+use crate::arm::diagnose_arm_as_logged;
 use crate::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
 use crate::joints::correct_joints;
 use crate::samples::sampling::stream_lag_s;
@@ -42,6 +42,8 @@ const CONVERGED_RAD: f64 = 2e-5;
 /// Tested against sag.
 const MIN_ZERO_RAD: f64 = 1e-3;
 const MAX_ROUNDS: usize = 3;
+/// Twice the log-likelihood ratio of causes that the log distinguishes.
+const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
 
 struct ComplianceRun<'a> {
     joints: &'a JointTrack,
@@ -102,7 +104,7 @@ pub(super) fn diagnose_with_compliance(
     }
     let corrected = correct_joints(joints, encoding, is_prismatic);
     let run = ComplianceRun { joints: &corrected, streams, is_prismatic, max_lag_s };
-    let mut after = diagnose_run(run, &diagnose_arm(&corrected, streams, max_lag_s))?;
+    let mut after = diagnose_run(run, &diagnose_arm_as_logged(&corrected, streams, max_lag_s))?;
     after.joints.encoding.clone_from(&diagnosis.joints.encoding);
     after.joints.scales.clone_from(&diagnosis.joints.scales);
     for ((stream, diagnosis), after) in
@@ -114,6 +116,27 @@ pub(super) fn diagnose_with_compliance(
         }
     }
     Some(after)
+}
+
+/// Diagnosis with compliance, if it explains a joint scale in `diagnosis` about as well. Over a small range,
+/// sag looks like a scale of 1 %, and no gear or encoder has such a ratio.
+pub(super) fn diagnose_scale_as_compliance(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    is_prismatic: &[bool],
+    diagnosis: &ArmDiagnosis,
+    max_lag_s: f64,
+) -> Option<ArmDiagnosis> {
+    let is_odd = |scale: &JointScale| {
+        !scale.is_coded() && (!scale.is_round() || scale.factor.value.round() == 1.0)
+    };
+    if !diagnosis.joints.scales.iter().any(is_odd) {
+        return None;
+    }
+    let run = ComplianceRun { joints, streams, is_prismatic, max_lag_s };
+    let after = run.fit_compliance(&diagnose_arm_as_logged(joints, streams, max_lag_s))?;
+    let (gain, _) = log_likelihood_gain(diagnosis, &after);
+    (gain > -MIN_LOG_RATIO_CONFOUNDER).then_some(after)
 }
 
 /// Residual of all pose streams. Angles are weighted by 0.3 m.
@@ -198,8 +221,7 @@ impl ComplianceRun<'_> {
         let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
         let max_ratio = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
         let (residual, mut after) = best?;
-        let is_as_logged = after.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
-        if !is_as_logged || !residual.is_within(max_ratio, &before) {
+        if !residual.is_within(max_ratio, &before) {
             return None;
         }
         if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
@@ -220,7 +242,6 @@ impl ComplianceRun<'_> {
     fn test_zeros_as_sag(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         /// Twice the log-likelihood ratio.
         const MIN_LOG_RATIO_TO_REPLACE: f64 = 16.0;
-        const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
         let is_as_logged =
             diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
         let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
@@ -329,7 +350,7 @@ impl ComplianceRun<'_> {
         }
         let mut joints = self.joints.clone();
         apply_compliance(&mut joints, compliances);
-        let diagnosis = diagnose_arm(&joints, self.streams, self.max_lag_s);
+        let diagnosis = diagnose_arm_as_logged(&joints, self.streams, self.max_lag_s);
         Some((joints, diagnosis))
     }
 

@@ -3,7 +3,9 @@
 use crate::changes::{
     constant_frames_suffice, diagnose_with_changes, has_latency_steps, has_slow_residual,
 };
-use crate::compliance::{diagnose_with_compliance, prefers_compliance};
+use crate::compliance::{
+    diagnose_scale_as_compliance, diagnose_with_compliance, prefers_compliance,
+};
 use crate::imu::diagnose_converted_imu;
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
@@ -30,7 +32,13 @@ pub fn diagnose_with_latency_compensation(
             .collect()
     };
     let mut changes = detect_changes(joints);
-    let mut diagnosis = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+    let as_detected = changes.clone();
+    let first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+    let diagnose_without = |changes: &[Option<CoarseLatencyChange>]| match changes == as_detected {
+        true => first.clone(),
+        false => diagnose_without_coarse_changes(joints, streams, changes, max_lag_s),
+    };
+    let mut diagnosis = first.clone();
     let are_joints_misinterpreted =
         !diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
     if are_joints_misinterpreted && changes.iter().all(Option::is_none) {
@@ -45,7 +53,7 @@ pub fn diagnose_with_latency_compensation(
         };
         changes = detect_changes(&corrected);
         if changes.iter().any(Option::is_some) {
-            diagnosis = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+            diagnosis = diagnose_without(&changes);
         }
     }
     for _ in 0..MAX_REFINEMENTS {
@@ -57,7 +65,7 @@ pub fn diagnose_with_latency_compensation(
         {
             break;
         }
-        diagnosis = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+        diagnosis = diagnose_without(&changes);
     }
     let steps: Vec<_> =
         changes.iter().map(|change| change.as_ref().and_then(CoarseLatencyChange::steps)).collect();
@@ -114,6 +122,13 @@ pub fn diagnose_with_latency_compensation(
     }
     let compensated_streams = with_tracks(&streams, &tracks);
     let is_within_links = constant_frames_suffice(&compensated);
+    let by_sag = diagnose_scale_as_compliance(
+        joints,
+        &compensated_streams,
+        is_prismatic,
+        &compensated,
+        max_lag_s,
+    );
     let by_compliance = diagnose_with_compliance(
         joints,
         &compensated_streams,
@@ -125,8 +140,9 @@ pub fn diagnose_with_latency_compensation(
     let is_smooth = |with_compliance: &ArmDiagnosis| {
         with_compliance.joints.compliance.iter().any(|compliance| !compliance.is_backlash())
     };
-    let by_compliance =
-        by_compliance.filter(|with_compliance| !is_within_links || !is_smooth(with_compliance));
+    let by_compliance = by_sag.or_else(|| {
+        by_compliance.filter(|with_compliance| !is_within_links || !is_smooth(with_compliance))
+    });
     let is_sufficient = |with_compliance: &ArmDiagnosis| {
         !with_compliance.joints.compliance.is_empty()
             && !with_compliance.streams.iter().any(has_slow_residual)
