@@ -245,7 +245,8 @@ pub const FAULT_SPECS: [FaultSpec; 63] = [
     fault_spec(FaultKind::OwnFrame, &["FRM007", "FRM002"], &["FRM", "ORD003"], POSE_SLOTS),
     fault_spec(
         FaultKind::Homed,
-        &["ZER001"],
+        // Quarter and half turns are ORD009.
+        &["ZER001", "ORD009"],
         &["FRM002", "FRM003", "MOT003"],
         &["joint numbers", "reference", "tool"],
     ),

@@ -1,4 +1,5 @@
 use std::borrow::Cow;
+use std::cmp::Reverse;
 
 use rayon::prelude::*;
 
@@ -151,7 +152,12 @@ pub(super) fn arm_evidence(
     options: &RunOptions,
 ) -> ArmEvidence {
     let arm = &run.arms[index];
-    let joints_stream = arm.joint_sources.first().map_or(0, |facts| facts.stream);
+    // A rail may have a topic of its own.
+    let joints_in =
+        |stream: usize| arm.joint_sources.iter().filter(|source| source.stream == stream).count();
+    let streams_of_joints = arm.joint_sources.iter().map(|source| source.stream);
+    let joints_stream =
+        streams_of_joints.max_by_key(|&stream| (joints_in(stream), Reverse(stream))).unwrap_or(0);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let corrected_track =
         found.without_eccentricity().corrected_joints(&arm.joints, &arm.are_prismatic());
