@@ -1,7 +1,6 @@
 //! Effects of a config on an audit, and the config that `init` writes.
 
-use std::collections::BTreeMap;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Cursor;
 use std::mem::discriminant;

@@ -331,6 +331,7 @@ fn detect_alternation(piece: &TransformPart<'_>) -> Option<TfProblem> {
 /// Whether `jump_m` is one tick of the joint's encoder: the joint moves by several, and never by less.
 fn is_resolution(piece: &TransformPart<'_>, jump_m: f64) -> bool {
     const MIN_MOTION_JUMPS: f64 = 4.0;
+    /// Below one tick, with rounding of the published numbers.
     const MIN_STEP_SHARE: f64 = 0.75;
     let poses = piece.poses;
     let size_m = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b)).size_m();

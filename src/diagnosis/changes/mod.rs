@@ -41,12 +41,12 @@ use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
 /// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
-/// The whole run's residual is a further limit, but never below this ratio, which noise alone may cause.
+/// The whole run's residual is a further limit, but never below this ratio: noise alone may cause it.
 const MIN_NOISE_RATIO: f64 = 2.0;
 /// Maximum residual of the baseline, relative to the whole run's. A larger one is not due to a change.
 const MAX_BASELINE_SHARE: f64 = 0.97;
 
-/// Diagnoses the run with its changes corrected, and reports them. `diagnosis` is that of the uncorrected run.
+/// Diagnoses the run with its changes corrected, and reports them. `diagnosis` is of the uncorrected run.
 /// `None` if there are no changes or they do not explain enough of the residual.
 pub(super) fn diagnose_with_changes(
     joints: &JointTrack,
@@ -64,7 +64,7 @@ pub(super) fn diagnose_with_changes(
         .iter()
         .zip(&diagnosis.streams)
         .map(|(stream, diagnosis)| match &diagnosis.latency_s {
-            // No latency is known.
+            // Its latency is arbitrary.
             _ if diagnosis.is_far_from_fk() => 0.0,
             Ok(latency) => latency.value,
             Err(_) => stream_lag_s(joints, stream, max_lag_s),
@@ -174,8 +174,7 @@ fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
         + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
-/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, which reports
-/// show.
+/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, for reports.
 pub(super) fn restore_recorded(
     joints: &JointTrack,
     stream: &PoseStream,

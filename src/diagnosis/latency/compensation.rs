@@ -129,19 +129,19 @@ pub fn diagnose_with_latency_compensation(
         &compensated,
         max_lag_s,
     );
-    let by_compliance = diagnose_with_compliance(
-        joints,
-        &compensated_streams,
-        is_prismatic,
-        &compensated,
-        max_lag_s,
-    );
     // Link deviations look like sag and eccentricity, not like backlash.
     let is_smooth = |with_compliance: &ArmDiagnosis| {
         with_compliance.joints.compliance.iter().any(|compliance| !compliance.is_backlash())
     };
     let by_compliance = by_sag.or_else(|| {
-        by_compliance.filter(|with_compliance| !is_within_links || !is_smooth(with_compliance))
+        diagnose_with_compliance(
+            joints,
+            &compensated_streams,
+            is_prismatic,
+            &compensated,
+            max_lag_s,
+        )
+        .filter(|with_compliance| !is_within_links || !is_smooth(with_compliance))
     });
     let is_sufficient = |with_compliance: &ArmDiagnosis| {
         !with_compliance.joints.compliance.is_empty()
