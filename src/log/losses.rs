@@ -85,15 +85,15 @@ impl Losses {
         }
     }
 
-    /// Infers unknown losses: `witness` reports `recorded` messages, `read` were read.
-    pub(super) fn infer_missing(&mut self, witness: &str, recorded: u64, read: u64) {
+    /// Infers unknown losses: `source` reports `recorded` messages, `read` were read.
+    pub(super) fn infer_missing(&mut self, source: &str, recorded: u64, read: u64) {
         let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
         let missing = recorded.saturating_sub(read).saturating_sub(known);
         let mut unknown: Vec<&mut Loss> =
             self.list.iter_mut().filter(|loss| loss.messages.is_none()).collect();
         match unknown.as_mut_slice() {
             [] if missing > 0 => {
-                let what = format!("{witness} counts {recorded} messages, but {read} were found");
+                let what = format!("{source} counts {recorded} messages, but {read} were found");
                 self.add_unplaced(Extent::Messages, Some(missing), what);
             }
             [only] if missing > 0 => only.messages = Some(missing),

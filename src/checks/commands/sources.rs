@@ -37,10 +37,10 @@ pub fn is_fk_different(arm: &ArmEvidence) -> bool {
 
 pub fn source_name(reference: &StreamEvidence<ReferenceEvidence>, index: usize) -> String {
     match reference.tip_poses.get(index) {
-        Some(witness) if witness.kind == TipPoseKind::Corrected => {
-            format!("{} as corrected", witness.name)
+        Some(source) if source.kind == TipPoseKind::Corrected => {
+            format!("{} as corrected", source.name)
         }
-        Some(witness) => witness.name.clone(),
+        Some(source) => source.name.clone(),
         None => String::new(),
     }
 }

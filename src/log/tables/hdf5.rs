@@ -12,14 +12,13 @@ use hdf5_reader::{
 use super::chunks::{ChunkAssembly, ChunkGrid};
 use super::npy;
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH, RATE_NAMES,
-    ReadColumn, ReadContext, RowLoss, Table, TableError, common_rows, is_rate, is_transposed,
-    most_frequent, names, rate_in,
+    Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_EPISODES, MAX_METADATA_BYTES, MAX_WIDTH,
+    RATE_NAMES, ReadColumn, ReadContext, RowLoss, Table, TableError, common_rows, is_rate,
+    is_transposed, most_frequent, names, rate_in,
 };
 use crate::memory_budget::MemoryBudget;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-const MAX_DEPTH: usize = 8;
 const MAX_GROUPS: usize = 10_000;
 /// For unchunked data sets that cannot be read whole.
 const FALLBACK_PARTS: usize = 64;

@@ -62,8 +62,11 @@ const MAX_COLUMNS: usize = 2000;
 const MAX_WIDTH: usize = 256;
 /// Real metadata files have up to 100 kB; parsed JSON takes up to 60 times as much memory.
 const MAX_METADATA_BYTES: u64 = 4 << 20;
+/// Nesting of groups and features.
+const MAX_DEPTH: usize = 8;
+/// Names of the sampling rate.
 const RATE_NAMES: &[&str] =
-    &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
+    &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "rate", "hz"];
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {

@@ -6,8 +6,8 @@ use std::io::{Cursor, Read};
 
 use super::chunks::unravel_index;
 use super::{
-    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadColumn, ReadContext, Table, TableError,
-    common_rows, is_transposed,
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, RATE_NAMES, ReadColumn, ReadContext, Table,
+    TableError, common_rows, is_transposed,
 };
 use crate::memory_budget::MemoryBudget;
 
@@ -165,9 +165,6 @@ pub(super) fn read_npz(bytes: &[u8], context: &mut ReadContext) -> Result<Episod
     table.unread.extend(unread);
     Ok(vec![("0".to_owned(), table)])
 }
-
-/// Names of scalar arrays with the rate.
-const RATE_NAMES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 

@@ -5,12 +5,11 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::lerobot::{Dataset, Feature, read_metadata};
-use super::rate_in;
 use super::tfrecord::STEP_PREFIX;
+use super::{MAX_DEPTH, rate_in};
 
 const FEATURES: &str = "features.json";
 const INFO: &str = "dataset_info.json";
-const MAX_DEPTH: usize = 8;
 
 pub(crate) fn metadata_files(path: &Path) -> Vec<PathBuf> {
     [FEATURES, INFO].map(|name| path.with_file_name(name)).into()

@@ -10,12 +10,11 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::containment::{Containment, LINK_LEADS_OUTSIDE};
-use crate::tables::{MAX_COLUMNS, MAX_METADATA_BYTES, TableError};
+use crate::tables::{MAX_COLUMNS, MAX_DEPTH, MAX_METADATA_BYTES, TableError};
 
 /// Metadata files of arrays and groups in Zarr 2 and 3.
 const METADATA_FILES: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
 const ATTRIBUTES_FILE: &str = ".zattrs";
-const MAX_DEPTH: usize = 8;
 /// Headers and incompressible blocks.
 const MAX_PACKING_BYTES: u64 = 1 << 16;
 
