@@ -19,6 +19,7 @@ mod reports;
 mod robot;
 mod rule_registry;
 mod tables;
+mod two_arms;
 mod unnamed_columns;
 mod viewer;
 mod watch;

@@ -370,8 +370,10 @@ impl Arm {
         link.is_some_and(|link| 2 * self.count_joints_above(link) > self.joint_names.len())
     }
 
-    /// Words of most joint names, and of the tip's name.
+    /// Words of most joint names, and of the tip's name unless they name a kind of frame.
     pub(super) fn name_words(&self) -> Vec<String> {
+        const FRAME_WORDS: [&str; 9] =
+            ["ee", "eef", "end", "effector", "flange", "link", "tcp", "tip", "tool"];
         let of_joints: Vec<Vec<String>> =
             self.joint_names.iter().map(|name| split_words(name)).collect();
         let is_of_most = |word: &String| {
@@ -379,7 +381,8 @@ impl Arm {
         };
         let mut own: Vec<String> = of_joints.iter().flatten().cloned().collect();
         own.retain(is_of_most);
-        own.extend(split_words(&self.frame_of(self.tip)));
+        let of_tip = split_words(&self.frame_of(self.tip)).into_iter();
+        own.extend(of_tip.filter(|word| !FRAME_WORDS.contains(&word.as_str())));
         own.sort_unstable();
         own.dedup();
         own

@@ -4,6 +4,7 @@
 //! maximum latency. Removal makes other faults estimable. Spans next to a rest are found later, when speeds
 //! give the lag.
 
+use crate::geometry::Vec3;
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
 
@@ -98,13 +99,22 @@ impl PoseSource {
     /// How far the joints move its link during its single value, m. `None` if it has several, or the joints
     /// do not move the link.
     pub fn unfollowed_motion_m(&self, joints: &JointTrack) -> Option<f64> {
+        let is_constant = (1..self.track.t_s.len()).all(|row| is_same(&self.track, 0, row));
+        is_constant.then(|| self.fk_motion_m(joints)).filter(|moved_m| *moved_m > MAX_REST_MOTION)
+    }
+
+    /// Whether the stream rests while the joints do, or while they move the tool. `None` if it moves.
+    pub fn rests_with(&self, joints: &JointTrack) -> Option<bool> {
+        let first = self.track.xyz.first()?;
+        let is_near = |xyz: &Vec3| (xyz - first).norm() < MAX_REST_MOTION;
+        self.track.xyz.iter().all(is_near).then(|| self.fk_motion_m(joints) < MAX_REST_MOTION)
+    }
+
+    /// Largest distance of the tool from its first place by FK, over the time of the stream, m.
+    fn fk_motion_m(&self, joints: &JointTrack) -> f64 {
         const MAX_POSES: usize = 64;
         let Self { track, chain, columns, .. } = self;
-        let ([first_s, .., last_s], true) =
-            (track.t_s.as_slice(), (1..track.t_s.len()).all(|row| is_same(track, 0, row)))
-        else {
-            return None;
-        };
+        let [first_s, .., last_s] = track.t_s.as_slice() else { return 0.0 };
         let row_of = |t_s: f64| joints.t_s.partition_point(|at_s| *at_s < t_s);
         let rows = row_of(*first_s)..row_of(*last_s);
         let pose = |row: usize| {
@@ -113,8 +123,7 @@ impl PoseSource {
         };
         let places: Vec<_> =
             rows.clone().step_by(rows.len().div_ceil(MAX_POSES).max(1)).map(pose).collect();
-        let from_first_m = places.iter().map(|place| (place - places[0]).norm());
-        Some(from_first_m.fold(0.0, f64::max)).filter(|moved_m| *moved_m > MAX_REST_MOTION)
+        places.iter().map(|place| (place - places[0]).norm()).fold(0.0, f64::max)
     }
 }
 

@@ -209,17 +209,12 @@ impl Run {
         let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
         let uses_receive_times = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
         PoseStream {
-            track: &source.track,
-            chain: &source.chain,
-            columns: &source.columns,
-            reference_known: source.reference_known,
             stamp_error_s: source.stamp_error_s.max(if uses_receive_times {
                 TRANSPORT_STD_ERROR_S
             } else {
                 0.0
             }),
-            stamps_copied: source.stamps_copied,
-            removed_ramp: None,
+            ..source.as_stream()
         }
     }
 

@@ -51,6 +51,13 @@ pub enum NotAuditedReason {
         /// Rotation of the base, rad.
         turn_rad: f64,
     },
+    /// Poses that names or frames assign to one arm, but that follow another; audited against that one.
+    OtherArm {
+        /// The arm by names and frames.
+        named: String,
+        /// The arm that they follow.
+        arm: String,
+    },
     /// A tool pose of an undetermined arm.
     WhoseArm {
         /// Names of the arms.

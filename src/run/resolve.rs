@@ -9,11 +9,11 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, best_lag_peak, candidate_lags,
     detect_base_motion, detect_tool_switching, diagnose_imu, estimate_moving_base_lag,
-    is_seen_from_tool, position_misfit_m, rotation_lag_peaks,
+    follows_as_logged, is_seen_from_tool, position_misfit_m, rotation_lag_peaks,
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, NotAudited, NotAuditedReason, PoseSource, Role, Run,
-    Stream,
+    SharedStream, Stream,
 };
 use crate::stream::{Orientations, PoseTrack};
 
@@ -356,7 +356,10 @@ pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnos
 fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
     /// Minimum correlation margin over the next arm.
     const MIN_CORRELATION_MARGIN: f64 = 0.1;
-    for shared in std::mem::take(&mut run.shared_streams) {
+    let (named, shared): (Vec<_>, Vec<_>) =
+        std::mem::take(&mut run.shared_streams).into_iter().partition(|shared| shared.is_named);
+    resolve_exchanged_streams(run, &named);
+    for shared in shared {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
         for candidate in &shared.candidates {
             let Some(arm) = run.arms.get(candidate.arm) else { continue };
@@ -388,6 +391,53 @@ fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
         };
         run.assign_shared_stream(&shared, nearest.or(follower));
     }
+}
+
+/// Assigns streams that names or frames assign to one arm, but that follow another. A resting arm follows
+/// anything, so a constant stream belongs to it if its own stream follows the arm that the stream is named
+/// after.
+fn resolve_exchanged_streams(run: &mut Run, named: &[SharedStream]) {
+    let named_arm = |shared: &SharedStream| shared.candidates.first().map(|one| one.arm);
+    let mut exchanged: Vec<(Option<usize>, usize)> = Vec::new();
+    let mut rest: Vec<&SharedStream> = Vec::new();
+    for shared in named {
+        match arm_followed(run, shared) {
+            Some(arm) => {
+                run.assign_shared_stream(shared, Some(arm));
+                exchanged.push((named_arm(shared), arm));
+            }
+            None => rest.push(shared),
+        }
+    }
+    for shared in rest {
+        let named = named_arm(shared);
+        let rests_with = |arm: usize| {
+            let arm = run.arms.get(arm)?;
+            let source = arm.poses.iter().find(|source| source.stream == shared.stream)?;
+            source.rests_with(&arm.joints)
+        };
+        let resting = exchanged
+            .iter()
+            .filter(|(_, followed)| Some(*followed) == named)
+            .filter_map(|(from, _)| *from)
+            .find(|&arm| rests_with(arm) == Some(true));
+        let moves = named.and_then(rests_with) == Some(false);
+        run.assign_shared_stream(shared, resting.filter(|_| moves).or(named));
+    }
+}
+
+/// Arm other than the named one that a stream follows. `None` if it follows the named arm, if it follows none
+/// or several others, or if another stream already follows that arm: arms may move alike.
+fn arm_followed(run: &Run, shared: &SharedStream) -> Option<usize> {
+    let follows = |arm: usize, is_wanted: &dyn Fn(&PoseSource) -> bool| {
+        let Some(arm) = run.arms.get(arm) else { return false };
+        let mut sources = arm.poses.iter().filter(|source| is_wanted(source));
+        sources.any(|source| follows_as_logged(&arm.joints, &run.pose_stream(source)) == Some(true))
+    };
+    let is_own = |source: &PoseSource| source.stream == shared.stream;
+    let followed = shared.candidates.iter().map(|one| one.arm).filter(|&arm| follows(arm, &is_own));
+    let [arm] = <[usize; 1]>::try_from(followed.collect::<Vec<_>>()).ok()?;
+    (!follows(arm, &|source| !is_own(source))).then_some(arm)
 }
 
 /// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.

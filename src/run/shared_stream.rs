@@ -14,6 +14,8 @@ pub struct SharedStream {
     pub stream: usize,
     /// Its frames, for each candidate arm.
     pub candidates: Vec<CandidateArm>,
+    /// Whether names and frames identify the first candidate.
+    pub is_named: bool,
 }
 
 /// A candidate arm, and the stream's frames for it.
@@ -37,7 +39,7 @@ impl CandidateArm {
 impl Run {
     /// Assigns a contested stream to the arm that it follows, or to none.
     pub fn assign_shared_stream(&mut self, shared: &SharedStream, winner: Option<usize>) {
-        let SharedStream { stream, candidates } = shared;
+        let SharedStream { stream, candidates, is_named } = shared;
         let names = candidates
             .iter()
             .filter_map(|candidate| Some(self.arms.get(candidate.arm)?.name.clone()));
@@ -60,10 +62,19 @@ impl Run {
                 arm.poses.retain(|source| source.stream != *stream);
             }
         }
+        let is_first = candidates.first().is_some_and(|first| first.arm == candidate.arm);
+        if *is_named && is_first {
+            return;
+        }
         let Some(awarded) = self.streams.get_mut(*stream) else { return };
         candidate.assign(awarded);
         if let Some(arm) = self.arms.get(candidate.arm) {
             awarded.reason += &format!("; belongs to {}, by its motion", arm.name);
+        }
+        if let ([named, ..], true) = (names.as_slice(), *is_named) {
+            let arm = self.arms[candidate.arm].name.clone();
+            let why = NotAuditedReason::OtherArm { named: named.clone(), arm };
+            self.not_audited.push(NotAudited { stream: *stream, reason: why });
         }
     }
 

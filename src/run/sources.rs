@@ -1,6 +1,6 @@
 //! Poses and IMUs of an arm.
 
-use crate::diagnosis::ImuStream;
+use crate::diagnosis::{ImuStream, PoseStream};
 use crate::geometry::Pose;
 use crate::robot::Chain;
 use crate::stream::{ImuTrack, PoseTrack};
@@ -29,6 +29,19 @@ pub struct PoseSource {
 }
 
 impl PoseSource {
+    /// As diagnosis input, with the error of its own stamps.
+    pub fn as_stream(&self) -> PoseStream<'_> {
+        PoseStream {
+            track: &self.track,
+            chain: &self.chain,
+            columns: &self.columns,
+            reference_known: self.reference_known,
+            stamp_error_s: self.stamp_error_s,
+            stamps_copied: self.stamps_copied,
+            removed_ramp: None,
+        }
+    }
+
     /// Hash key of copies: number of poses, bits of the first stamp and coordinate.
     pub fn copy_key(&self) -> (usize, Option<u64>, Option<u64>) {
         let PoseTrack { t_s, xyz, .. } = &self.track;

@@ -18,7 +18,7 @@ mod mdl;
 mod mid_run_changes;
 mod mot;
 mod ord;
-mod recording;
+pub mod recording;
 mod reports;
 mod tim;
 mod timing;

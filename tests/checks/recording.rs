@@ -47,7 +47,7 @@ pub fn read(bytes: &[u8]) -> Vec<Message> {
 }
 
 /// The log of `messages`, in chunks of about 64 KiB.
-fn encode(messages: &[Message]) -> Vec<u8> {
+pub fn encode(messages: &[Message]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let options = mcap::WriteOptions::new()
         .profile("ros2")

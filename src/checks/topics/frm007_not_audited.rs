@@ -18,12 +18,13 @@ rule! {
     /// - `scene-objects`: its bodies never move.
     /// - `other-frames`: some poses are in frames without a transform to the arm.
     /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
+    /// - `other-arm`: its name or frames are one arm's, but its poses follow another (an error).
     /// - `whose-arm`: it may belong to either of two arms.
     /// - `no-kinematics`: no kinematics can be compared with it.
     /// - `no-model`: no model has its joints.
     ///
-    /// Everything else is still audited: positions without orientations, and poses in the tool's own frame
-    /// as poses in an unknown frame.
+    /// Everything else is still audited: positions without orientations, poses in the tool's own frame as
+    /// poses in an unknown frame, and poses of another arm against that arm.
     ///
     /// ## Why it matters
     /// An unaudited stream may be wrong even if the run passes, and programs that trust its frame or
@@ -31,7 +32,8 @@ rule! {
     ///
     /// ## Evidence
     /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),
-    /// the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the
+    /// the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the arm
+    /// by name (`named`) and by motion (`arm`), the
     /// `frames`, the `bodies`, `missing` kinematics, or the `joints`.
     ///
     /// ## How to fix
@@ -65,6 +67,7 @@ fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<SubjectResult> {
         let NotAuditedReport { why: name, title, message, fix, evidence } = report(why);
         let severity = match why {
             NotAuditedReason::SceneObjects { .. } => Severity::Info,
+            NotAuditedReason::OtherArm { .. } => Severity::Error,
             _ => Severity::Warning,
         };
         let fault = Fault {
@@ -163,6 +166,15 @@ fn report(why: &NotAuditedReason) -> NotAuditedReport {
                 ("travel_m", json!(travel_m)),
                 ("turn_rad", json!(turn_rad)),
             ],
+        },
+        NotAuditedReason::OtherArm { named, arm } => NotAuditedReport {
+            why: "other-arm",
+            title: "poses of another arm",
+            message: format!(
+                "its name or frame is that of {named}, but its poses follow {arm}; audited against {arm}"
+            ),
+            fix: format!("check which controller publishes it, and exchange the names of {named} and {arm}"),
+            evidence: vec![("named", json!(named)), ("arm", json!(arm))],
         },
         NotAuditedReason::WhoseArm { arms } => NotAuditedReport {
             why: "whose-arm",

@@ -293,15 +293,7 @@ impl PoseRanking<'_> {
         knows_frame: bool,
         tried: FitHypotheses,
     ) -> Option<ModelFit> {
-        let stream = PoseStream {
-            track: &source.track,
-            chain: &source.chain,
-            columns: &source.columns,
-            reference_known: knows_frame,
-            stamp_error_s: source.stamp_error_s,
-            stamps_copied: source.stamps_copied,
-            removed_ramp: None,
-        };
+        let stream = PoseStream { reference_known: knows_frame, ..source.as_stream() };
         fit_model(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }
 }

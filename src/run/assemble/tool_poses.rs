@@ -1,5 +1,6 @@
 //! Assigns pose and IMU streams to arms and determines their links.
 
+use crate::diagnosis::{FitHypotheses, fit_model, follows_as_logged};
 use crate::geometry::Pose;
 use crate::robot::LinkId;
 use crate::stream::Columns;
@@ -124,11 +125,12 @@ impl Assembly<'_> {
             role = role_outside_arm(&stream.topic);
             reason += ", and there is no arm for it to follow";
         }
+        let is_named = candidate_arms.len() == 1;
         let other_sources: Vec<ArmPoseSource> = match &source {
-            Some(_) => candidate_arms
+            Some((own, _)) if is_named => self.sources_besides(own),
+            Some(_) => candidate_arms[1..]
                 .iter()
-                .skip(1)
-                .filter_map(|&arm| self.pose_source_of_other_arm(index, arm))
+                .filter_map(|&arm| self.pose_source_of_other_arm(index, arm, None))
                 .collect(),
             None => Vec::new(),
         };
@@ -149,8 +151,8 @@ impl Assembly<'_> {
             let candidates =
                 std::iter::once(&own).chain(&other_sources).map(|own| own.candidate.clone());
             if !other_sources.is_empty() {
-                self.shared_streams
-                    .push(SharedStream { stream: index, candidates: candidates.collect() });
+                let candidates = candidates.collect();
+                self.shared_streams.push(SharedStream { stream: index, candidates, is_named });
             }
             for ArmPoseSource { candidate, source } in std::iter::once(own).chain(other_sources) {
                 self.arms[candidate.arm].poses.push(source);
@@ -159,9 +161,50 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    fn pose_source_of_other_arm(&self, index: usize, arm: usize) -> Option<ArmPoseSource> {
+    /// Sources of the other arms, if the poses do not follow the arm that names and frames identify. If the
+    /// frame has the wrong arm's name, too, the poses are in the other arm's frame that is nearest to FK.
+    fn sources_besides(&self, own: &ArmPoseSource) -> Vec<ArmPoseSource> {
+        let (index, named) = (own.source.stream, &self.arms[own.candidate.arm]);
+        let follows = || follows_as_logged(&named.joints, &own.source.as_stream()) == Some(true);
+        if self.arms.len() < 2 || follows() {
+            return Vec::new();
+        }
+        let is_frame_of = |arm: &Arm, frame: &str| arm.match_names([frame]) == NamespaceMatch::Own;
+        let is_of_named = is_frame_of(named, &self.streams[index].frame_id);
+        let source_of = |arm: usize| {
+            let of = &self.arms[arm];
+            let distance_m = |one: &ArmPoseSource| {
+                let stream = one.source.as_stream();
+                let max_lag_s = self.options.max_latency_s;
+                let fit = fit_model(&of.joints, &stream, max_lag_s, FitHypotheses::Faultless);
+                fit.map_or(f64::INFINITY, |fit| fit.as_is_m)
+            };
+            let links = of.robot.links().filter(|&link| {
+                is_of_named && !of.can_move(link) && is_frame_of(of, &of.frame_of(link))
+            });
+            let as_logged = self.pose_source_of_other_arm(index, arm, None);
+            let renamed =
+                links.filter_map(|base| self.pose_source_of_other_arm(index, arm, Some(base)));
+            let all = as_logged.into_iter().chain(renamed);
+            all.min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)))
+        };
+        let others = (0..self.arms.len()).filter(|&arm| arm != own.candidate.arm);
+        others.filter_map(source_of).collect()
+    }
+
+    /// `base` replaces the stream's frame.
+    fn pose_source_of_other_arm(
+        &self,
+        index: usize,
+        arm: usize,
+        base: Option<LinkId>,
+    ) -> Option<ArmPoseSource> {
         let stream = &self.streams[index];
-        let stream_frames = self.locate_frames(&self.arms[arm], stream);
+        let mut stream_frames = self.locate_frames(&self.arms[arm], stream);
+        if let Some(link) = base {
+            stream_frames.base = FrameAnchor { link, link_from_frame: Pose::identity() };
+            stream_frames.frame = FrameKind::StillLink;
+        }
         let is_wanted = matches!(
             self.role_of(stream, Some(&stream_frames), false).0,
             Role::Pose | Role::Candidate { .. }
