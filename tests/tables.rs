@@ -172,6 +172,22 @@ fn a_tracker_that_names_no_frame_measures_in_its_own_world() {
 }
 
 #[test]
+fn a_unit_that_changes_within_an_undeclared_table_is_a_fault() {
+    const CHANGE_ROW: usize = 800;
+    let mut rows = CLEAN.rows();
+    for row in &mut rows[CHANGE_ROW..] {
+        row[7..10].iter_mut().for_each(|metres| *metres *= 1e3);
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    write_columns(&path, "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw", &rows, 1..14);
+    let report = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert_eq!((report.verdict, fault_codes(&report)), (Verdict::Fail, vec!["ORD008"]));
+    let message = &report.findings[0].message;
+    assert!(message.starts_with("from +15.99 s on: positions are millimetres"), "{message}");
+}
+
+#[test]
 fn tables_of_joints_and_poses_with_the_same_clock_are_one_run() {
     let rows = Table { latency_s: 0.03, ..CLEAN }.rows();
     let folder = tempfile::tempdir().expect("a folder");

@@ -173,7 +173,9 @@ pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult
         arm.diagnosis.partial_encoding.as_ref().map(|(_, span_s)| *span_s)
     };
     let segment_s = |subject: &Subject, cause: &Cause| {
-        if let (Cause::AngleUnit(_), Some(span_s)) = (cause, joints_segment_s(subject)) {
+        if let (Cause::AngleUnit(_) | Cause::JointOrder { .. }, Some(span_s)) =
+            (cause, joints_segment_s(subject))
+        {
             return Some(span_s);
         }
         let mut streams = case.evidence.poses_and_tf();
@@ -183,7 +185,7 @@ pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult
         })?;
         let EncodingSpans { rotation, degrees, length, axes } = stream.diagnosis.encoding_spans;
         match cause {
-            Cause::Rotation(_) => rotation,
+            Cause::Rotation(_) | Cause::InferredEncoding { .. } => rotation,
             Cause::AngleUnit(_) => degrees,
             Cause::LengthUnit(_) => length,
             Cause::Axes { .. } => axes,

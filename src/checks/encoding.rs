@@ -64,7 +64,8 @@ pub fn judge(
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
             let doubt = found.is_far_from_fk().then_some("its positions do not match FK");
-            let undeclared = stream.is_undeclared.then_some(found);
+            let is_changing = stream.has_bare_numbers && found.encoding_spans.rotation.is_some();
+            let undeclared = (stream.is_undeclared || is_changing).then_some(found);
             let unidentified = stream.unidentified_columns.as_slice();
             stream.with_value((
                 &found.encoding,
@@ -185,7 +186,10 @@ fn judge_undeclared(
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
-                severity: Severity::Info,
+                severity: match found.encoding_spans.rotation {
+                    Some(_) => Severity::Error,
+                    None => Severity::Info,
+                },
                 cause: Cause::InferredEncoding { coding: form, length, angle },
                 title: "encoding of undeclared numbers was inferred",
                 message: format!("assumed {description}: this encoding matches the arm's motion"),

@@ -30,7 +30,8 @@
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
 //! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects
-//!    the run and repeats steps 2 to 6; it must halve the residual or be clearly likelier.
+//!    the run and repeats steps 2 to 6; it must halve the residual or be clearly likelier. A run that
+//!    follows FK as logged only between gaps or jumps of the numbers starts here.
 //!
 //! Streams derived from joint states, such as /tf, are diagnosed one by one, for encoding and timing only
 //! (`diagnose_derived`). IMUs are compared with FK (`imu`). `residuals::residual_check` compares streams
@@ -124,6 +125,7 @@ pub use imu::{
 };
 pub use joints::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
+    follows_as_logged,
 };
 use latency::coarse::{
     CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes,

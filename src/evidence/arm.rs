@@ -10,8 +10,8 @@ use super::poses::{DeclaredUnits, ImuEvidence, PoseEvidence, euler, unidentified
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
-    ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, check_imu_residual,
-    check_residual,
+    ArmDiagnosis, EncodingSpans, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis,
+    check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::run::{CompetingModel, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions};
@@ -138,6 +138,17 @@ fn in_one_encoding<'a>(
 ) -> Vec<JointSamples<'a>> {
     if found.partial_encoding.is_some() {
         for patch in &found.patches {
+            if let Some(other) = patch.exchanged_with
+                && let Ok([a, b]) = samples.get_disjoint_mut([patch.column, other])
+                && a.has_same_times(b)
+            {
+                let rows = patch.rows(&a.t_s);
+                for (a, b) in
+                    [(&mut a.position, &mut b.position), (&mut a.velocity, &mut b.velocity)]
+                {
+                    a.to_mut()[rows.clone()].swap_with_slice(&mut b.to_mut()[rows.clone()]);
+                }
+            }
             let JointSamples { t_s, position, velocity } = &mut samples[patch.column];
             patch.apply_to_samples(t_s, position.to_mut(), velocity.to_mut());
         }
@@ -163,6 +174,8 @@ pub(super) fn arm_evidence(
         found.without_eccentricity().corrected_joints(&arm.joints, &arm.are_prismatic());
     let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
     let max_lag_s = options.max_latency_s;
+    // Numbers whose encoding changes contradict themselves, declared or not.
+    let has_one_encoding = |found: &PoseDiagnosis| found.encoding_spans == EncodingSpans::default();
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
         proof: check_residual(&arm.joints, &corrected_track, &run.pose_stream(source), &found),
         reference: if source.reference_known {
@@ -176,13 +189,16 @@ pub(super) fn arm_evidence(
         is_tip_declared: source.tip_named,
         source_kind: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
         euler,
-        labels: run.streams[source.stream].labels.filter(|_| source.track.declared.is_none()),
+        labels: run.streams[source.stream]
+            .labels
+            .filter(|_| source.track.declared.is_none() && has_one_encoding(&found)),
         is_of_table: !run.streams[source.stream].cells.is_empty(),
         unidentified_columns: unidentified_columns(run, source),
         has_independent_stamps: !source.stamps_copied,
         has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         is_undeclared: source.track.declared.is_none()
-            && run.streams[source.stream].lacks_encoding(),
+            && run.streams[source.stream].lacks_encoding()
+            && has_one_encoding(&found),
         declared: source.track.declared.as_ref().map(|units| DeclaredUnits {
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,

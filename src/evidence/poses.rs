@@ -27,7 +27,7 @@ pub struct PoseEvidence {
     pub has_independent_stamps: bool,
     /// Rotations are bare numbers, possibly degrees.
     pub has_bare_numbers: bool,
-    /// Bare numbers without a declaration, which cannot violate a convention.
+    /// Bare numbers in one encoding, without a declaration, which cannot violate a convention.
     pub is_undeclared: bool,
     /// Units declared by the caller.
     pub declared: Option<DeclaredUnits>,

@@ -8,7 +8,7 @@ use poseaudit::geometry::{
     Pose, QuaternionOrderError, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
 };
 use poseaudit::report::{Report, Verdict};
-use poseaudit::synth::{JOINT_STATES, LoggedEncoding, POSE, ToolSlip};
+use poseaudit::synth::{JOINT_STATES, LoggedEncoding, POSE, Scenario, ToolSlip};
 use serde_json::Value;
 
 use crate::checks::case::{Log, single_finding, summary};
@@ -154,6 +154,30 @@ fn joint_angles_that_change_to_degrees_after_a_gap_are_reported_for_that_part() 
     let finding = single_finding(&report, "ORD004", JOINT_STATES);
     let at_s = seconds_after_start(&report, &finding.evidence.more["change_ns"][0]);
     assert!((CHANGE_S - 0.05..CHANGE_S + GAP_S + 0.05).contains(&at_s), "{at_s} s");
+}
+
+#[test]
+fn joints_that_change_unit_or_order_without_a_gap_are_reported_for_that_part() {
+    let of = |change: fn(&mut Scenario)| {
+        Log::modified(|log| {
+            log.run.tf.timing.rate_hz = 0.0;
+            log.run.duration_s *= 2.0;
+            let mut changed = log.run.clone();
+            change(&mut changed);
+            log.run.changes = vec![(CHANGE_S, changed)];
+        })
+        .report()
+    };
+    let reports = [
+        ("ORD004", of(|run| run.joints.is_in_degrees = true)),
+        ("ORD005", of(|run| run.joints.number_order = Some(vec![0, 1, 4, 3, 2, 5]))),
+    ];
+    for (code, report) in reports {
+        assert_eq!(codes(&report), [code].into(), "{}", summary(&report.findings));
+        let finding = single_finding(&report, code, JOINT_STATES);
+        let at_s = seconds_after_start(&report, &finding.evidence.more["change_ns"][0]);
+        assert_near_s(at_s, CHANGE_S);
+    }
 }
 
 #[test]

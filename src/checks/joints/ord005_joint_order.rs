@@ -45,7 +45,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 
 fn judge(arm: &ArmEvidence) -> SubjectResult {
     let subject = arm.topic(&arm.joints_topic);
-    match &arm.diagnosis.encoding {
+    match arm.diagnosis.reported_encoding() {
         Err(why) => SubjectResult::new(subject, not_observable(why, "also log a pose that does not come from /tf")),
         Ok(JointEncoding { permutation: None, .. }) => SubjectResult::new(subject, Outcome::pass()),
         Ok(JointEncoding { permutation: Some((order, error)), runner_up_m, .. }) => {

@@ -27,8 +27,8 @@ rule! {
     /// - `felt`: median magnitude of an accelerometer's specific force at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
-    /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit; ORD001 reports the
-    /// unit assumed for them. Declare millimetres to check them: `--declare TOPIC=CONVENTION,mm`.
+    /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit, unless it changes
+    /// within the run; ORD001 reports the unit assumed for them. Declare millimetres to check them: `--declare TOPIC=CONVENTION,mm`.
     ///
     /// ## When it misleads
     /// A factor of 1000 and a scale error of 1000 are the same. Factors within 25 % of 1 are a radial scale

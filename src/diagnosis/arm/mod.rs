@@ -224,6 +224,8 @@ const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
 /// Excess residual that counts as explained, rms: consistent with link deviations and calibration error.
 const MAX_EXPLAINED_M: f64 = 1e-3;
 pub(super) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
+/// Of scales that count as one, as for a round scale.
+const MAX_SCALE_RATIO: f64 = 1.01;
 /// For a valid joint encoding: of the motion's extent, or m.
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_M: f64 = 5e-3;
@@ -266,12 +268,20 @@ impl EncodingResult {
         pairs.into_iter().all(|(after, before)| !agrees(before) || agrees(after))
     }
 
-    /// Some stream must be close to FK. A scale that is not a plausible gear ratio must explain everything.
+    /// Some stream must be close to FK. A scale that is not a plausible gear ratio must explain everything, and
+    /// several such scales must be equal: scales of one joint each fit almost any short motion.
     fn is_credible(&self) -> bool {
+        let implausible = || {
+            let scales = self.scales.iter().filter(|scale| !scale.is_coded() && !scale.is_round());
+            scales.map(|scale| scale.factor.value.abs())
+        };
+        let (least, most) =
+            (implausible().fold(f64::INFINITY, f64::min), implausible().fold(0.0, f64::max));
         let has_implausible_scale =
-            self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
-                || self.couplings.iter().any(|coupling| !coupling.is_round());
-        self.is_close_to_fk() && (!has_implausible_scale || self.largest_unexplained().is_none())
+            most > 0.0 || self.couplings.iter().any(|coupling| !coupling.is_round());
+        self.is_close_to_fk()
+            && (!has_implausible_scale || self.largest_unexplained().is_none())
+            && most <= MAX_SCALE_RATIO * least
     }
 
     /// Sum over the streams. Angles are weighted by 0.3 m.

@@ -43,11 +43,13 @@ pub struct JointChange {
     pub factor: Option<ScalarChange>,
 }
 
-/// Correction of a joint in one segment to match the baseline segment.
+/// Correction of a joint in one segment to match the baseline segment. Applied in the order of the list.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointPatch {
     /// Joint's column.
     pub column: usize,
+    /// Column with which it is exchanged, before the rest.
+    pub exchanged_with: Option<usize>,
     /// Start, inclusive, from the run's origin.
     pub from_s: f64,
     /// End, exclusive.

@@ -44,16 +44,17 @@ impl BaselineSegment {
         after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
     }
 
-    /// The baseline's joint diagnosis with the unit of angles of another segment, if that is known.
-    pub(super) fn joints_in_unit_of(&self, own: &ArmDiagnosis) -> JointDiagnosis {
+    /// The baseline's joint diagnosis with the unit of angles and the order of another segment, if known.
+    pub(super) fn joints_in_encoding_of(&self, own: &ArmDiagnosis) -> JointDiagnosis {
         let mut joints = self.diagnosis.joints.clone();
         if let (Ok(encoding), Ok(own)) = (&mut joints.encoding, &own.joints.encoding) {
             encoding.degrees = own.degrees;
+            encoding.permutation.clone_from(&own.permutation);
         }
         joints
     }
 
-    /// Encoding and span of the segments whose joint angles are in degrees, if others are in radians.
+    /// Encoding and span of the segments whose joints are in degrees or in another order, if others are not.
     pub(super) fn partial_joint_encoding(
         &self,
         others: &[OtherSegment],
@@ -63,10 +64,11 @@ impl BaselineSegment {
         let known = own
             .chain(others)
             .filter_map(|(span, diagnosis)| Some((span, diagnosis.joints.encoding.as_ref().ok()?)));
-        let (in_degrees, in_radians): (Vec<_>, Vec<_>) =
-            known.partition(|(_, encoding)| encoding.degrees.is_some());
-        let &(_, encoding) = in_degrees.first().filter(|_| !in_radians.is_empty())?;
-        let ends = in_degrees.iter().map(|(span, _)| *span);
+        let (wrong, right): (Vec<_>, Vec<_>) = known.partition(|(_, encoding)| {
+            encoding.degrees.is_some() || encoding.permutation.is_some()
+        });
+        let &(_, encoding) = wrong.first().filter(|_| !right.is_empty())?;
+        let ends = wrong.iter().map(|(span, _)| *span);
         let span = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         Some((encoding.clone(), span))
     }

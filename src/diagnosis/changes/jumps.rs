@@ -61,6 +61,12 @@ pub(super) fn detect_jumps(
     strongest(jumps)
 }
 
+/// [`jumps_in_path`] of the logged poses.
+pub(super) fn jumps_in_logged_path(joints: &JointTrack, stream: &PoseStream) -> Vec<Jump> {
+    let logged = align_with_fk(joints, stream, 0.0);
+    jumps_in_path(&logged.t_s, &logged.logged)
+}
+
 /// Detects steps that exceed the mean of the adjacent ones, without FK.
 fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     /// Numerical floor.
@@ -126,7 +132,7 @@ fn min_gap_s(t_s: &[f64]) -> f64 {
 }
 
 /// Anything may change during a gap.
-fn gaps(t_s: &[f64]) -> Vec<Jump> {
+pub(super) fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const MAX_GAPS: usize = 3;
     let min_gap_s = min_gap_s(t_s);
     let mut gaps: Vec<(f64, f64)> = t_s

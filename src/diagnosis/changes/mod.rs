@@ -14,16 +14,19 @@ mod justification;
 mod report;
 mod split_run;
 
-use crate::arm::{diagnose_arm, diagnose_other_segment};
+use crate::arm::{diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
 use crate::compliance::diagnose_with_compliance;
+use crate::joints::follows_as_logged;
 use crate::residuals::residual_check::align_with_fk;
 use crate::samples::sampling::stream_lag_s;
 use crate::{
-    ArmDiagnosis, EstimateResult, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream,
+    ArmDiagnosis, EstimateResult, FrameCorrection, FrameEstimate, JointDiagnosis, NotObservable,
+    PoseDiagnosis, PoseStream,
 };
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
+use std::cell::LazyCell;
 use std::ops::Range;
 
 pub use change_points::{
@@ -31,12 +34,12 @@ pub use change_points::{
 };
 pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
-use jumps::{Jump, jumps_in_joints};
+use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use justification::is_justified;
 pub(super) use justification::{
     has_large_residual, has_latency_steps, has_slow_residual, log_likelihood_gain, residual_m,
 };
-use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
+use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun, set_velocity};
 
 /// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
@@ -92,12 +95,49 @@ pub(super) fn diagnose_with_changes(
     }
 }
 
+/// Same, for a run of which some segment follows FK as logged, but not the whole, for example because a unit
+/// changes. The run itself then needs no search for an encoding that fits all of it. It is split at gaps, or
+/// also at jumps of the recorded numbers.
+pub(super) fn diagnose_with_recorded_changes(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    is_prismatic: &[bool],
+    max_lag_s: f64,
+) -> Option<ArmDiagnosis> {
+    let lags = vec![0.0; streams.len()];
+    let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
+    // Some stream does not follow, or all do, as far as the motion tells.
+    let all_follow = |span: &Span| {
+        let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
+        let streams = run.with_tracks(&tracks);
+        let known = streams.iter().filter_map(|stream| follows_as_logged(&joints, stream));
+        known.reduce(|all, one| all && one)
+    };
+    let whole = all_follow(&(f64::NEG_INFINITY, f64::INFINITY));
+    let as_logged = LazyCell::new(|| diagnose_arm_as_logged(joints, streams, max_lag_s));
+    let is_explained = |after: &ArmDiagnosis| {
+        constant_frames_suffice(after) || !after.streams.iter().any(has_slow_residual)
+    };
+    let times = streams.iter().map(|stream| &stream.track.t_s).chain([&joints.t_s]);
+    let gaps: Vec<Jump> = times.flat_map(|t_s| gaps(t_s)).collect();
+    let jumps = streams.iter().flat_map(|stream| jumps_in_logged_path(joints, stream));
+    let jumps = [gaps.clone(), jumps_in_joints(joints), jumps.collect()].concat();
+    [gaps, jumps].into_iter().map(strongest).find_map(|jumps| {
+        let parts: Vec<Option<bool>> = run.split_at(&jumps).iter().map(all_follow).collect();
+        let differs = whole == Some(false) || parts.contains(&Some(false));
+        if parts.len() < 2 || !parts.contains(&Some(true)) || !differs {
+            return None;
+        }
+        diagnose_with_jumps(&run, &jumps, &as_logged).filter(is_explained)
+    })
+}
+
 fn diagnose_with_jumps(
     run: &SplitRun,
     jumps: &[Jump],
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let SplitRun { joints, streams, is_prismatic, max_lag_s, .. } = *run;
+    let SplitRun { joints, streams, .. } = *run;
     let spans = run.split_at(jumps);
     let baseline = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
     let baseline = (spans.len() > 1).then(|| BaselineSegment::diagnose(run, spans[baseline]))?;
@@ -113,25 +153,18 @@ fn diagnose_with_jumps(
     let mut spans: Vec<Span> =
         others.iter().map(|other| other.span).chain([baseline.span]).collect();
     spans.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let corrected = baseline.correct_changes(run, &others)?;
-    let tracks = corrected.tracks.iter().zip(streams);
-    let corrected_streams: Vec<PoseStream> = tracks
-        .map(|(track, stream)| PoseStream {
-            track: track.as_ref().unwrap_or(stream.track),
-            ..*stream
-        })
-        .collect();
-    let mut after = diagnose_arm(&corrected.joints, &corrected_streams, max_lag_s);
-    // Compliance persists across change points.
-    if let Some(with_compliance) = diagnose_with_compliance(
-        &corrected.joints,
-        &corrected_streams,
-        is_prismatic,
-        &after,
-        max_lag_s,
-    ) {
-        after = with_compliance;
-    }
+    // Link deviations act differently in each segment, so with another encoding nothing else must change if
+    // constant frames explain the run.
+    let by_encoding: Vec<OtherSegment> =
+        others.iter().map(OtherSegment::with_encoding_only).collect();
+    let by_encoding = baseline
+        .diagnose_corrected(run, &by_encoding)
+        .filter(|(_, after)| constant_frames_suffice(after))
+        .map(|corrected| (corrected, by_encoding));
+    let ((corrected, mut after), others) = match by_encoding {
+        Some(by_encoding) => by_encoding,
+        None => (baseline.diagnose_corrected(run, &others)?, others),
+    };
     let before_reporting = after.clone();
     for (s, after) in after.streams.iter_mut().enumerate() {
         if corrected.tracks[s].is_some() {
@@ -254,7 +287,9 @@ impl BaselineSegment {
             }
             let other = Some(other).filter(has_small_residual)?;
             // Adjacent segments may differ from the baseline in the same way.
-            let before = others.last().filter(|before| before.span.1 == part.0);
+            let before = others
+                .last()
+                .filter(|before| before.span.1 == part.0 && before.has_encoding_of(&other));
             let both = before.map(|before| self.other_segment(run, (before.span.0, part.1)));
             let is_one = |both: &OtherSegment| {
                 has_small_residual(both) && is_as_good(run, both, &others, &other)
@@ -272,7 +307,7 @@ impl BaselineSegment {
 
     fn other_segment(&self, run: &SplitRun, span: Span) -> OtherSegment {
         let (joints, alone) = run.diagnose(span);
-        let joints = self.joints_in_unit_of(&alone).corrected_joints(&joints, run.is_prismatic);
+        let joints = self.joints_in_encoding_of(&alone).corrected_joints(&joints, run.is_prismatic);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
             .map(|s| {
                 let decoded = decoded_poses(&alone.streams[s]);
@@ -338,24 +373,57 @@ impl BaselineSegment {
             .then_some(increase)
     }
 
+    /// Run with the changes corrected, and its diagnosis. `None` if nothing changed.
+    fn diagnose_corrected(
+        &self,
+        run: &SplitRun,
+        others: &[OtherSegment],
+    ) -> Option<(CorrectedRun, ArmDiagnosis)> {
+        let SplitRun { streams, is_prismatic, max_lag_s, .. } = *run;
+        let corrected = self.correct_changes(run, others)?;
+        let tracks = corrected.tracks.iter().zip(streams);
+        let streams: Vec<PoseStream> = tracks
+            .map(|(track, stream)| PoseStream {
+                track: track.as_ref().unwrap_or(stream.track),
+                ..*stream
+            })
+            .collect();
+        let joints = &corrected.joints;
+        let after = diagnose_arm(joints, &streams, max_lag_s);
+        // Compliance persists across change points.
+        let with_compliance =
+            diagnose_with_compliance(joints, &streams, is_prismatic, &after, max_lag_s);
+        Some((corrected, with_compliance.unwrap_or(after)))
+    }
+
     /// `None` if nothing changed.
     fn correct_changes(&self, run: &SplitRun, others: &[OtherSegment]) -> Option<CorrectedRun> {
         let mut joints = run.joints.clone();
         let mut patches = Vec::new();
         for other in others {
             let (from_s, to_s) = other.span;
-            let map = joint_map(
-                &self.diagnosis.joints,
-                &self.joints_in_unit_of(&other.alone),
-                &other.difference.joints,
-                run,
-            );
-            let own_patches = map.into_iter().map(|(column, factor, offset)| JointPatch {
-                column,
+            let in_its_encoding = self.joints_in_encoding_of(&other.alone);
+            let unchanged = JointPatch {
+                column: 0,
+                exchanged_with: None,
                 from_s,
                 to_s,
+                factor: 1.0,
+                offset: 0.0,
+            };
+            let exchanges = exchanges(&self.diagnosis.joints, &in_its_encoding, run.joints.dof);
+            patches.extend(exchanges.into_iter().map(|(column, other)| JointPatch {
+                column,
+                exchanged_with: Some(other),
+                ..unchanged
+            }));
+            let map =
+                joint_map(&self.diagnosis.joints, &in_its_encoding, &other.difference.joints, run);
+            let own_patches = map.into_iter().map(|(column, factor, offset)| JointPatch {
+                column,
                 factor,
                 offset,
+                ..unchanged
             });
             patches.extend(own_patches);
         }
@@ -417,6 +485,35 @@ impl BaselineSegment {
     }
 }
 
+impl OtherSegment {
+    fn has_encoding_of(&self, other: &OtherSegment) -> bool {
+        let (own, theirs) = (&self.alone, &other.alone);
+        let is_same_of_joints = match (&own.joints.encoding, &theirs.joints.encoding) {
+            (Ok(own), Ok(theirs)) => own.is_same(theirs),
+            (own, theirs) => own.is_ok() == theirs.is_ok(),
+        };
+        let mut streams = own.streams.iter().zip(&theirs.streams);
+        is_same_of_joints && streams.all(|(own, theirs)| is_same_encoding(own, theirs))
+    }
+
+    /// Same, but only the encoding differs from the baseline's.
+    fn with_encoding_only(&self) -> Self {
+        let Self { span, alone, difference } = self;
+        let mut difference = difference.clone();
+        difference.joints.offsets.iter_mut().for_each(|offset| offset.is_chosen = false);
+        for stream in &mut difference.streams {
+            stream.aligned.corrected = decoded_poses(stream).collect();
+            stream.frame_correction = FrameCorrection::default();
+            for frame in [&mut stream.tool, &mut stream.reference].into_iter().flatten() {
+                frame.is_chosen = false;
+            }
+            stream.is_radial_scale_chosen = false;
+            stream.latency_s = Err(NotObservable::NotExcited);
+        }
+        Self { span: *span, alone: alone.clone(), difference }
+    }
+}
+
 struct CorrectedRun {
     joints: JointTrack,
     patches: Vec<JointPatch>,
@@ -428,9 +525,21 @@ impl JointPatch {
     /// Maps the joint's positions to the baseline segment.
     pub(super) fn apply(&self, joints: &mut JointTrack) {
         let dof = joints.dof.max(1);
-        for row in self.rows(&joints.t_s) {
+        let rows = self.rows(&joints.t_s);
+        for row in rows.clone() {
             let at = row * dof + self.column;
+            if let Some(other) = self.exchanged_with {
+                let other = row * dof + other;
+                joints.q.swap(at, other);
+                joints.qd.swap(at, other);
+            }
             self.apply_to_value(&mut joints.q[at], &mut joints.qd[at]);
+        }
+        for edge in [rows.start, rows.end].into_iter().filter(|edge| *edge > 1) {
+            for column in std::iter::once(self.column).chain(self.exchanged_with) {
+                set_velocity(joints, column, edge - 1, edge - 2);
+                set_velocity(joints, column, edge, edge + 1);
+            }
         }
     }
 
@@ -441,7 +550,8 @@ impl JointPatch {
         }
     }
 
-    fn rows(&self, t_s: &[f64]) -> Range<usize> {
+    /// Rows of the segment.
+    pub fn rows(&self, t_s: &[f64]) -> Range<usize> {
         let [from, to] =
             [self.from_s, self.to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
         from..to
@@ -453,22 +563,47 @@ impl JointPatch {
     }
 }
 
-/// Column, factor and offset that map joints of another segment to the baseline, from two test positions.
-/// `in_its_unit` is the baseline in the other segment's unit. Empty if joints are permuted or their encoding
-/// is undetermined.
+/// The joint under each joint's name.
+fn joint_order(diagnosis: &JointDiagnosis, dof: usize) -> Vec<usize> {
+    let permutation =
+        diagnosis.encoding.as_ref().ok().and_then(|encoding| encoding.permutation.as_ref());
+    permutation.map_or_else(|| (0..dof).collect(), |(order, _)| order.clone())
+}
+
+/// Exchanges of two columns, one after another, that put joints of another segment into the baseline's order.
+fn exchanges(
+    baseline: &JointDiagnosis,
+    in_its_encoding: &JointDiagnosis,
+    dof: usize,
+) -> Vec<(usize, usize)> {
+    let (wanted, mut own) = (joint_order(baseline, dof), joint_order(in_its_encoding, dof));
+    let mut exchanges = Vec::new();
+    for (column, joint) in wanted.into_iter().enumerate() {
+        let at = own.iter().position(|one| *one == joint).filter(|at| *at != column);
+        if let Some(at) = at {
+            own.swap(column, at);
+            exchanges.push((column, at));
+        }
+    }
+    exchanges
+}
+
+/// Column, factor and offset that map joints of another segment to the baseline, from two test positions,
+/// after [`exchanges`]. `in_its_encoding` is the baseline in the other segment's unit and order. Empty if an
+/// encoding is undetermined.
 fn joint_map(
     baseline: &JointDiagnosis,
-    in_its_unit: &JointDiagnosis,
+    in_its_encoding: &JointDiagnosis,
     difference: &JointDiagnosis,
     run: &SplitRun,
 ) -> Vec<(usize, f64, f64)> {
-    let is_in_order = |diagnosis: &JointDiagnosis| {
-        diagnosis.encoding.as_ref().is_ok_and(|encoding| encoding.permutation.is_none())
-    };
-    if !is_in_order(difference) || !is_in_order(baseline) {
+    let dof = run.joints.dof;
+    let order = joint_order(baseline, dof);
+    let is_in_order =
+        difference.encoding.as_ref().is_ok_and(|encoding| encoding.permutation.is_none());
+    if !is_in_order || baseline.encoding.is_err() {
         return Vec::new();
     }
-    let dof = run.joints.dof;
     // Corrected by the baseline, then by the other segment.
     let probe = JointTrack {
         t_s: vec![0.0, 1.0],
@@ -482,10 +617,10 @@ fn joint_map(
         unpatched.corrected_joints(joints, run.is_prismatic)
     };
     let by_baseline = corrected(baseline, &probe);
-    let by_both = corrected(difference, &corrected(in_its_unit, &probe));
+    let by_both = corrected(difference, &corrected(in_its_encoding, &probe));
     let map = |column: usize| {
         let at = |row: usize| {
-            let at = row * dof + column;
+            let at = row * dof + order[column];
             (by_baseline.q[at], by_both.q[at])
         };
         let ((zero, zero_both), (one, one_both)) = (at(0), at(1));

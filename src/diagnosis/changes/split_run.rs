@@ -24,6 +24,17 @@ pub(super) struct SplitRun<'a> {
 /// Start (inclusive) and end (exclusive), s.
 pub(super) type Span = (f64, f64);
 
+/// Velocity of a joint in `row` from the positions there and in row `beside`, as velocities that were derived
+/// from positions are wrong next to a jump.
+pub(super) fn set_velocity(joints: &mut JointTrack, column: usize, row: usize, beside: usize) {
+    let JointTrack { t_s, dof, q, qd, .. } = joints;
+    if row == beside || row.max(beside) >= t_s.len() {
+        return;
+    }
+    let [here, there] = [row, beside].map(|row| row * *dof + column);
+    qd[here] = (q[there] - q[here]) / (t_s[beside] - t_s[row]);
+}
+
 impl SplitRun<'_> {
     /// Times are on the joint states' clock.
     pub fn change_points(&self, diagnosis: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
@@ -65,19 +76,29 @@ impl SplitRun<'_> {
         (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }
 
-    fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
+    pub fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
         let JointTrack { t_s, dof, q, qd, noise } = self.joints;
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
-        JointTrack {
+        let mut segment = JointTrack {
             t_s: t_s[from..to].to_vec(),
             dof: *dof,
             q: q[from * dof..to * dof].to_vec(),
             qd: qd[from * dof..to * dof].to_vec(),
             noise: noise.clone(),
-        }
+        };
+        let last = segment.t_s.len().saturating_sub(1);
+        (0..*dof).for_each(|column| {
+            if from > 0 {
+                set_velocity(&mut segment, column, 0, 1);
+            }
+            if to < t_s.len() {
+                set_velocity(&mut segment, column, last, last.saturating_sub(1));
+            }
+        });
+        segment
     }
 
-    fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
+    pub fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
         let track = |s: usize| {
             let track = self.streams[s].track;
             let rows: Vec<(usize, f64)> =

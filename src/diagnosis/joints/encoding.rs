@@ -46,6 +46,19 @@ impl JointEncoding {
             && self.couplings.is_empty()
     }
 
+    /// Same units, order and couplings, whatever the amounts.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        let parts = |encoding: &Self| {
+            let order = encoding.permutation.as_ref().map(|(order, _)| order.clone());
+            let units = encoding.unit_errors.iter().map(|error| (error.column, error.unit));
+            let couplings =
+                encoding.couplings.iter().map(|coupling| (coupling.column, coupling.by));
+            let degrees = encoding.degrees.is_some();
+            (degrees, order, units.collect::<Vec<_>>(), couplings.collect::<Vec<_>>())
+        };
+        parts(self) == parts(other)
+    }
+
     /// Joints with this unit, with the residual as logged and as corrected.
     pub fn unit_errors(
         &self,

@@ -220,11 +220,7 @@ pub(super) fn likely_encodings(
         }
     }
     likely.sort_by_key(|one| !one.by_range);
-    let is_same = |one: &LikelyEncoding| {
-        let order = one.encoding.permutation.as_ref().map(|(order, _)| order.clone());
-        (one.encoding.degrees.is_some(), order, one.encoding.unit_errors.clone())
-    };
-    likely.dedup_by(|a, b| is_same(a) == is_same(b));
+    likely.dedup_by(|a, b| a.encoding.is_same(&b.encoding));
     likely
 }
 
@@ -460,6 +456,20 @@ pub(super) fn follows_arm(
     let samples = slow_simultaneous_samples(joints, stream, scale, lag_s);
     samples.xyz.len() >= 6
         && misfit(stream.chain, &samples) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&samples.xyz)
+}
+
+/// Whether the poses follow FK as logged, up to constant frames. `None` if a resting tip or few samples do not
+/// tell.
+pub fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> Option<bool> {
+    let samples = slow_simultaneous_samples(joints, stream, 1.0, 0.0);
+    let extent = spread(&samples.xyz);
+    let view = views(joints, stream, &samples).into_iter().next()?;
+    let fk = view.fk(&JointMap::as_logged(stream.chain.dof()));
+    let residual = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
+    (view.len() >= 6 && extent > MAX_REST_SPREAD_M).then(|| {
+        residual.m < MAX_LOGGED_RESIDUAL_SHARE * extent
+            && residual.rad.is_none_or(|rad| rad < MAX_RESIDUAL_RAD)
+    })
 }
 
 /// Zero and peaks of the speed correlation. At slow samples a remaining error has little effect, a wrong

@@ -1,7 +1,8 @@
 //! Diagnoses streams with a variable latency after correcting their stamps.
 
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_changes, has_latency_steps, has_slow_residual,
+    constant_frames_suffice, diagnose_with_changes, diagnose_with_recorded_changes,
+    has_latency_steps, has_slow_residual,
 };
 use crate::compliance::{
     diagnose_scale_as_compliance, diagnose_with_compliance, prefers_compliance,
@@ -25,6 +26,11 @@ pub fn diagnose_with_latency_compensation(
     is_prismatic: &[bool],
     max_lag_s: f64,
 ) -> ArmDiagnosis {
+    let by_recorded_changes =
+        diagnose_with_recorded_changes(joints, streams, is_prismatic, max_lag_s);
+    if let Some(diagnosis) = by_recorded_changes {
+        return diagnosis;
+    }
     let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
         streams
             .par_iter()
