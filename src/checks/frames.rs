@@ -39,19 +39,20 @@ pub struct FrameRule {
 }
 
 pub fn judge(case: &Case, end: &FrameRule) -> Vec<SubjectResult> {
-    let streams = case.evidence.robots.iter().flat_map(|arm| {
-        arm.poses.iter().enumerate().map(move |(index, stream)| (arm, index, stream))
-    });
-    let judged = streams.map(|(arm, index, stream)| {
-        let subject = arm.frame(stream.topic(), (end.frame)(stream));
-        judge_stream(case, arm, index, end, subject).within(stream.span)
+    let judged = case.evidence.robots.iter().flat_map(|arm| {
+        let residual_m = residual_attribution::largest_residual_m(arm);
+        arm.poses.iter().enumerate().map(move |(index, stream)| {
+            let subject = arm.frame(stream.topic(), (end.frame)(stream));
+            judge_stream(case, (arm, residual_m), index, end, subject).within(stream.span)
+        })
     });
     judged.collect()
 }
 
+/// `residual_m` is the largest of the arm.
 fn judge_stream(
     case: &Case,
-    arm: &ArmEvidence,
+    (arm, residual_m): (&ArmEvidence, f64),
     index: usize,
     end: &FrameRule,
     subject: Subject,
@@ -75,7 +76,7 @@ fn judge_stream(
         (Err(_), Some(why)) => return SubjectResult::new(subject, Outcome::Skipped(why.clone())),
         (Err(why), None) => {
             let outcome = match confounders.iter().find(|(offset, _)| offset.is_chosen) {
-                Some((_, cause)) => reported_instead(arm, cause),
+                Some((_, cause)) => reported_instead(residual_m, cause),
                 None => not_observable(why, SETTLE),
             };
             return SubjectResult::new(subject, outcome);
@@ -85,7 +86,7 @@ fn judge_stream(
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
         (_, Some(why)) => Outcome::pass_with_remark(why),
         (Decision::Fail(severity), None) if frame.is_chosen => {
-            match residual_attribution::model_doubt(arm, effect_m) {
+            match residual_attribution::residual_doubt(residual_m, effect_m) {
                 Some(why) => Outcome::Inconclusive(why),
                 None => {
                     let mut fault = (end.fault)(arm, stream, frame, severity);
@@ -100,7 +101,7 @@ fn judge_stream(
         (Decision::Pass, None) => Outcome::pass(),
         (decision, None) => {
             match confounders.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
-                Some((_, cause)) => reported_instead(arm, cause),
+                Some((_, cause)) => reported_instead(residual_m, cause),
                 None => Outcome::Inconclusive(undecided_reason(&decision, frame)),
             }
         }
@@ -110,8 +111,8 @@ fn judge_stream(
         .with_evidence("pose", pose_json(&frame.pose))
 }
 
-fn reported_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
-    if let Some(why) = residual_attribution::model_doubt(arm, 0.0) {
+fn reported_instead(residual_m: f64, cause: &Alternative) -> Outcome {
+    if let Some(why) = residual_attribution::residual_doubt(residual_m, 0.0) {
         return Outcome::Inconclusive(why);
     }
     let (code, joint) = (cause.code, cause.subject.label());

@@ -1,9 +1,11 @@
 //! Merges the evaluations of several segments of one run.
 
+use std::collections::{HashMap, HashSet};
+
 use serde_json::{Value, json};
 
 use super::{Evaluation, rank};
-use crate::finding::{CheckRow, Status};
+use crate::finding::{CheckRow, Status, Subject};
 
 /// Evaluation of one segment.
 #[derive(Clone, Debug)]
@@ -22,6 +24,7 @@ pub fn merge_segments(parts: Vec<SegmentEvaluation>, main: usize) -> Evaluation 
     let count = parts.len();
     let mut whole = Evaluation::default();
     let mut ranks: Vec<u8> = Vec::new();
+    let mut places: HashMap<(&str, Subject), usize> = HashMap::new();
     for (index, SegmentEvaluation { evaluation, is_short }) in parts.into_iter().enumerate() {
         let is_reported = |code: &str| index > 0 && is_rule_on_files(code);
         for mut row in evaluation.checks.into_iter().filter(|row| !is_reported(row.code)) {
@@ -31,16 +34,13 @@ pub fn merge_segments(parts: Vec<SegmentEvaluation>, main: usize) -> Evaluation 
             {
                 *reason = format!("in segment {} of {count}: {reason}", index + 1);
             }
-            let same = |other: &CheckRow| other.code == row.code && other.subject == row.subject;
-            match whole.checks.iter().position(same) {
-                Some(at) if rank > ranks[at] => {
-                    (whole.checks[at], ranks[at]) = (row, rank);
-                }
-                Some(_) => {}
-                None => {
-                    whole.checks.push(row);
-                    ranks.push(rank);
-                }
+            let place = places.entry((row.code, row.subject.clone()));
+            let place = *place.or_insert(ranks.len());
+            if place == ranks.len() {
+                whole.checks.push(row);
+                ranks.push(rank);
+            } else if rank > ranks[place] {
+                (whole.checks[place], ranks[place]) = (row, rank);
             }
         }
         for mut finding in evaluation.findings.into_iter().filter(|found| !is_reported(found.code))
@@ -87,23 +87,23 @@ fn status_rank(row: &CheckRow, is_short: bool) -> u8 {
 
 /// Drops whole-arm rows that only short segments leave inconclusive if another segment decides the rule.
 fn drop_undecided_short_segments(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
-    let decided: Vec<&str> =
+    let decided: HashSet<&str> =
         rows.iter().zip(ranks).filter(|(_, rank)| **rank > 1).map(|(row, _)| row.code).collect();
     let mut ranks = ranks.iter();
     rows.retain(|row| {
         let is_open = ranks.next() == Some(&1);
         let is_of_arm = row.subject.topic.is_none() && row.subject.joint.is_none();
-        !(is_open && is_of_arm && decided.contains(&row.code))
+        !(is_open && is_of_arm && decided.contains(row.code))
     });
 }
 
 /// Drops the skipped row without a subject if another segment had a subject.
 fn drop_skipped_if_evaluated(rows: &mut Vec<CheckRow>) {
-    let evaluated: Vec<&str> =
+    let evaluated: HashSet<&str> =
         rows.iter().filter(|row| row.status != Status::Skipped).map(|row| row.code).collect();
     let is_skipped =
         |row: &CheckRow| row.status == Status::Skipped && row.subject == Default::default();
-    rows.retain(|row| !(is_skipped(row) && evaluated.contains(&row.code)));
+    rows.retain(|row| !(is_skipped(row) && evaluated.contains(row.code)));
 }
 
 #[cfg(test)]

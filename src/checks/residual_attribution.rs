@@ -1,6 +1,8 @@
 //! Residual of a stream after correcting every reported cause. MDL001 judges it, and a pass requires it to
 //! be small.
 
+use std::collections::HashMap;
+
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, SubjectResult, find};
 use crate::diagnosis::{
@@ -26,9 +28,13 @@ const PUBLISHER_DISTANCE_TOLERANCE: f64 = 1.2;
 /// In rad.
 const MAX_ROUNDING_RAD: f64 = 1e-3;
 
+/// Robot, and topic or joint.
+type RobotAndLabel = (Option<String>, String);
+
 /// Outcomes of the rules on causes.
 pub(super) struct CauseOutcomes {
-    judged: Vec<(&'static str, SubjectResult)>,
+    /// In the order of the rules.
+    judged: HashMap<RobotAndLabel, Vec<(&'static str, Outcome)>>,
     /// Topics with two conflicting publishers, and the number of transforms.
     doubled: Vec<(String, PoseDistance, usize)>,
 }
@@ -41,17 +47,20 @@ impl CauseOutcomes {
             "ZER002", "ZER003", "MOT006",
         ];
         let rules = CODES.into_iter().filter_map(|code| find(code).ok());
-        let judged = rules.flat_map(|rule| {
-            let judged = (rule.check)(case).into_iter();
-            judged.map(|judged| (rule.code, judged))
-        });
+        let mut judged: HashMap<_, Vec<_>> = HashMap::new();
+        for rule in rules {
+            for SubjectResult { subject, outcome, .. } in (rule.check)(case) {
+                let key = (subject.robot.clone(), subject.label().to_owned());
+                judged.entry(key).or_default().push((rule.code, outcome));
+            }
+        }
         let doubled = case.evidence.tf.problems.iter().filter_map(|problem| match &problem.kind {
             TfProblemKind::Publishers { by: Some(by), edges, .. } => {
                 Some((problem.topics.first()?.clone(), *by, *edges))
             }
             _ => None,
         });
-        Self { judged: judged.collect(), doubled: doubled.collect() }
+        Self { judged, doubled: doubled.collect() }
     }
 
     /// Outcomes of `codes` on a topic or joint of `arm`.
@@ -61,12 +70,9 @@ impl CauseOutcomes {
         label: &'a str,
         codes: &'a [&str],
     ) -> impl Iterator<Item = (&'static str, &'a Outcome)> {
-        let is_meant = move |(code, judged): &&(&str, SubjectResult)| {
-            let subject = &judged.subject;
-            let is_of_arm = subject.robot.as_ref() == Some(&arm.name);
-            is_of_arm && subject.label() == label && codes.contains(code)
-        };
-        self.judged.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
+        let key = (Some(arm.name.clone()), label.to_owned());
+        let judged = self.judged.get(&key).into_iter().flatten();
+        judged.filter(|(code, _)| codes.contains(code)).map(|(code, outcome)| (*code, outcome))
     }
 
     /// Whether the residual of /tf is already reported: by FRM001, or by FRM004 as two publishers that are
@@ -448,10 +454,19 @@ const MIN_UNEXPLAINED_M: f64 = 5e-3;
 /// A cause is reported despite the residual if its effect is this multiple of it.
 const MIN_EFFECT_RATIO: f64 = 10.0;
 
+/// Largest residual of the pose streams, rms m.
+pub(super) fn largest_residual_m(arm: &ArmEvidence) -> f64 {
+    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    residual.map(|residual| residual.excess_m.value).fold(0.0, f64::max)
+}
+
 /// Reason for not reporting a cause of this effect: an unexplained residual of the model could produce it.
 pub(super) fn model_doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
-    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let residual_m = residual.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
+    residual_doubt(largest_residual_m(arm), effect_m)
+}
+
+/// The same, from the [`largest_residual_m`].
+pub(super) fn residual_doubt(residual_m: f64, effect_m: f64) -> Option<String> {
     (residual_m > MIN_UNEXPLAINED_M && effect_m < MIN_EFFECT_RATIO * residual_m).then(|| {
         let residual = Unit::Metre.show(residual_m);
         format!("unexplained residual of {residual} (MDL001); check the model")

@@ -106,7 +106,7 @@ fn rows_of(
     joints: &JointColumns,
     places: &[usize],
 ) -> Option<(Vec<f64>, Vec<f64>)> {
-    let clock = run.clocks.iter().find(|clock| clock.stream == stream)?;
+    let clock = run.clocks_of(stream).first()?;
     let (mut t_s, mut q): (Vec<f64>, Vec<f64>) = Default::default();
     for row in 0..joints.times.len() {
         let Some(stamp) = clock.stamp_of(&joints.times, row) else { continue };

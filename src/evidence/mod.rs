@@ -226,7 +226,7 @@ fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
     let subject = Subject {
         robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
         topic: Some(stream.topic.clone()),
-        frame: frame_of_several(run, stream),
+        frame: frame_of_several(stream),
         ..Subject::default()
     };
     StreamEvidence { subject, span: stream_span(run, index), value }

@@ -88,7 +88,7 @@ pub(super) fn euler(
 ) -> Option<EulerEvidence> {
     let stream = run.streams.get(source.stream)?;
     let Some(Columns::Array(array)) = &stream.columns else { return None };
-    let clock = run.clocks.iter().find(|clock| clock.stream == source.stream)?;
+    let clock = run.clocks_of(source.stream).first()?;
     if array.width != 6 {
         return None;
     }

@@ -1,7 +1,8 @@
 use super::{StreamEvidence, stream_evidence};
 use crate::robot::JointKind;
 use crate::run::{
-    FrozenSpan, NormDefects, Outliers, PoseSource, RepeatedValues, Role, Run, Stream,
+    FrozenSpan, NormDefects, Outliers, PoseSource, RepeatedValues, Role, Run, Stream, tf_topics,
+    with_key,
 };
 use crate::stream::Columns;
 
@@ -44,9 +45,7 @@ pub struct RepeatedValueEvidence {
 
 /// Grouped by stream.
 pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<NormDefects>>> {
-    let is_tf = |topic: &str| {
-        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
-    };
+    let tf_topics = tf_topics(&run.streams);
     let mut streams: Vec<StreamEvidence<Vec<NormDefects>>> = Vec::new();
     let mut last = None;
     for norms in &run.norm_defects {
@@ -55,7 +54,9 @@ pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<NormDefects>>> {
             // Only a pose has a quaternion as four bare numbers.
             Some(Columns::Array(_)) => stream.role == Role::Pose,
             // Judged on their own topic.
-            Some(Columns::Poses(_)) => stream.role != Role::Ignored && !is_tf(&stream.topic),
+            Some(Columns::Poses(_)) => {
+                stream.role != Role::Ignored && !tf_topics.contains(&stream.topic)
+            }
             _ => true,
         };
         if !is_rotations {
@@ -98,8 +99,8 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
             }
             Some(Columns::Poses(_) | Columns::Transforms(_)) => {
                 // Without any orientation, the part has no rotations.
-                let some =
-                    run.norm_defects.iter().filter(|norms| norms.stream == index && norms.rows > 0);
+                let own = with_key(&run.norm_defects, index, |norms| norms.stream).iter();
+                let some = own.filter(|norms| norms.rows > 0);
                 facts.unset = some.map(|norms| norms.unset as u64).sum();
             }
             Some(Columns::Array(array)) => {
@@ -116,13 +117,11 @@ pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>>
 }
 
 pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
-    let is_tf = |topic: &str| {
-        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
-    };
+    let tf_topics = tf_topics(&run.streams);
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf => true,
         // Judged on their own topic.
-        Role::Pose => !is_tf(&stream.topic),
+        Role::Pose => !tf_topics.contains(&stream.topic),
         _ => false,
     };
     let sliding: Vec<String> = run
@@ -134,11 +133,11 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
         .collect();
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let strays = |(index, stream): (usize, &Stream)| {
-        let parts = run.sample_filter.outliers.iter().filter(|strays| strays.stream == index);
+        let parts = with_key(&run.sample_filter.outliers, index, |strays| strays.stream);
         let found = OutlierEvidence {
             samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
-            parts: parts.cloned().collect(),
+            parts: parts.to_vec(),
         };
         stream_evidence(run, index, found)
     };
@@ -147,32 +146,31 @@ pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
 
 /// Frozen intervals of streams compared with an arm.
 pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<FrozenSpan>>> {
+    let mut all = run.frozen.clone();
+    all.sort_by_key(|found| found.stream);
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
-        let times = run.frozen.iter().filter(|found| found.stream == index);
+        let times = with_key(&all, index, |found| found.stream);
         let is_asked = matches!(stream.role, Role::Pose | Role::Joints);
-        if !is_asked && !times.clone().any(|found| found.is_whole_stream) {
+        if !is_asked && !times.iter().any(|found| found.is_whole_stream) {
             return None;
         }
-        Some(stream_evidence(run, index, times.copied().collect()))
+        Some(stream_evidence(run, index, times.to_vec()))
     };
     let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
     joints.chain(run.searched_for_frozen.iter().copied()).filter_map(frozen).collect()
 }
 
 pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvidence>> {
-    let is_tf = |topic: &str| {
-        run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
-    };
+    let tf_topics = tf_topics(&run.streams);
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf | Role::Imu => true,
         // Judged on their own topic.
-        Role::Pose => !is_tf(&stream.topic),
+        Role::Pose => !tf_topics.contains(&stream.topic),
         _ => false,
     };
-    let of_stream =
-        |index: usize| run.sample_filter.repeated.iter().filter(move |held| held.stream == index);
-    let repeats = |index: usize| of_stream(index).any(|held| held.is_deduplicated());
+    let of_stream = |index: usize| with_key(&run.sample_filter.repeated, index, |held| held.stream);
+    let repeats = |index: usize| of_stream(index).iter().any(|held| held.is_deduplicated());
     let is_of_joints = |index: usize| {
         run.arms.iter().any(|arm| {
             let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;
@@ -183,7 +181,7 @@ pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvid
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let held = |(index, stream): (usize, &Stream)| {
         let found = RepeatedValueEvidence {
-            parts: of_stream(index).cloned().collect(),
+            parts: of_stream(index).to_vec(),
             is_latched: stream.topic.to_lowercase().contains("latched"),
             is_of_joints: is_of_joints(index),
         };

@@ -1,8 +1,10 @@
+use std::collections::HashMap;
+
 use super::{StreamEvidence, stream_evidence};
 use crate::finding::Subject;
 use crate::run::{
     Cadence, NotAudited, NotAuditedReason, Role, RoundedStamps, Run, Stream, StreamClock,
-    StreamExtent,
+    StreamExtent, with_key,
 };
 use crate::time::Clock;
 
@@ -89,14 +91,18 @@ fn expected_timing(run: &Run, stream: &Stream) -> Option<ExpectedTiming> {
 }
 
 /// Frame of the stream's poses, if its topic has several streams.
-pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
-    // Most poses have no child frame, and a log may have thousands.
-    let of_topic = || run.streams.iter().filter(|other| other.topic == stream.topic);
-    let is_one_of_several = !stream.child_frame_id.is_empty() && of_topic().nth(1).is_some();
+pub(crate) fn frame_of_several(stream: &Stream) -> Option<String> {
+    let is_one_of_several = stream.shares_topic && !stream.child_frame_id.is_empty();
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
 pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<RhythmEvidence>> {
+    let mut in_other_frames: HashMap<usize, u64> = HashMap::new();
+    for found in others {
+        if let NotAuditedReason::OtherFrames { samples, .. } = found.reason {
+            *in_other_frames.entry(found.stream).or_default() += samples;
+        }
+    }
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmEvidence {
@@ -104,19 +110,12 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
             rate_hz: stream.rate_hz,
             declared_hz: stream.expected_hz,
             unstamped: run
-                .clocks
+                .clocks_of(rhythm.stream)
                 .iter()
-                .filter(|clock| clock.stream == rhythm.stream && clock.clock == Clock::Header)
+                .filter(|clock| clock.clock == Clock::Header)
                 .map(|clock| clock.zero)
                 .sum(),
-            in_other_frames: others
-                .iter()
-                .filter(|found| found.stream == rhythm.stream)
-                .map(|found| match found.reason {
-                    NotAuditedReason::OtherFrames { samples, .. } => samples,
-                    _ => 0,
-                })
-                .sum(),
+            in_other_frames: in_other_frames.get(&rhythm.stream).copied().unwrap_or(0),
             // Rows of joint states are never excluded.
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),
@@ -130,7 +129,7 @@ pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<Rh
 pub(super) fn stamps(run: &Run) -> Vec<StreamEvidence<StampEvidence>> {
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
-        let own = run.rounded.iter().filter(|own| own.stream == clock.stream);
+        let own = with_key(&run.rounded, clock.stream, |own| own.stream).iter();
         let rounded = own.max_by(|a, b| a.resolution_s.total_cmp(&b.resolution_s)).cloned();
         let found =
             StampEvidence { due: expected_timing(run, stream)?, clock: clock.clone(), rounded };

@@ -151,9 +151,12 @@ pub(super) fn not_audited(
     if run.arms.is_empty() {
         return Vec::new();
     }
+    let mut reasons: HashMap<usize, Vec<NotAuditedReason>> = HashMap::new();
+    for found in run.not_audited.iter().chain(unset) {
+        reasons.entry(found.stream).or_default().push(found.reason.clone());
+    }
     let why_not = |(index, stream): (usize, &Stream)| {
-        let known = run.not_audited.iter().chain(unset).filter(|found| found.stream == index);
-        let why: Vec<NotAuditedReason> = known.map(|found| found.reason.clone()).collect();
+        let why = reasons.remove(&index).unwrap_or_default();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
         is_asked.then(|| stream_evidence(run, index, why))
     };

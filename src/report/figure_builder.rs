@@ -186,7 +186,7 @@ fn timeline_rows(clock: &RunClock) -> Vec<TimelineRow> {
         let (gaps, omitted) = stream_gaps(clock, rhythm);
         Some(TimelineRow {
             topic: stream.topic.clone(),
-            frame: frame_of_several(run, stream),
+            frame: frame_of_several(stream),
             span_s: [clock.seconds_of_stamp(stream.start?), clock.seconds_of_stamp(stream.end?)],
             rate_hz: stream.rate_hz,
             count: stream.count,

@@ -3,7 +3,8 @@
 mod inconclusive;
 mod passed;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap, HashSet};
+use std::hash::Hash;
 
 use super::{Report, RobotRow, StreamRow, Verdict, undecided};
 use crate::finding::{
@@ -194,12 +195,10 @@ impl<'a> Outline<'a> {
 
     /// One line per reason.
     pub fn skipped_checks(&self) -> Vec<String> {
-        let is_said = |row: &&CheckRow| {
-            let mut known = self.report.ignored.iter().map(|known| &known.finding);
-            known.any(|it| it.code == row.code && it.subject == row.subject)
-        };
+        let ignored = self.report.ignored.iter().map(|known| &known.finding);
+        let ignored: HashSet<(&str, &Subject)> = ignored.map(|it| (it.code, &it.subject)).collect();
         let rows = self.report.checks.iter().filter(|row| row.status == Status::Skipped);
-        let rows = rows.filter(|row| !is_said(row));
+        let rows = rows.filter(|row| !ignored.contains(&(row.code, &row.subject)));
         let said = self.report.error.as_ref().map(|trouble| trouble.what.as_str());
         let groups = group_by_key(rows, |row| row.reason.as_deref()).into_iter();
         let lines = groups.map(|(reason, rows)| {
@@ -209,16 +208,6 @@ impl<'a> Outline<'a> {
             format!("{}: {reason}", code_ranges(&codes).join(", "))
         });
         lines.collect()
-    }
-
-    fn rows(&self, code: &str) -> impl Iterator<Item = &'a CheckRow> {
-        self.report.checks.iter().filter(move |row| row.code == code)
-    }
-
-    fn codes(&self) -> Vec<&'static str> {
-        let mut codes: Vec<&str> = self.report.checks.iter().map(|row| row.code).collect();
-        codes.dedup();
-        codes
     }
 }
 
@@ -239,17 +228,20 @@ fn group_digits(count: u64) -> String {
     text
 }
 
-fn group_by_key<'a, R, K: PartialEq>(
+/// Groups in the order of their first rows.
+fn group_by_key<'a, R, K: Copy + Eq + Hash>(
     rows: impl Iterator<Item = &'a R>,
     key: impl Fn(&'a R) -> K,
 ) -> Vec<(K, Vec<&'a R>)> {
     let mut groups: Vec<(K, Vec<&R>)> = Vec::new();
+    let mut places: HashMap<K, usize> = HashMap::new();
     for row in rows {
         let key = key(row);
-        match groups.iter_mut().find(|(known, _)| *known == key) {
-            Some((_, rows)) => rows.push(row),
-            None => groups.push((key, vec![row])),
+        let place = *places.entry(key).or_insert(groups.len());
+        if place == groups.len() {
+            groups.push((key, Vec::new()));
         }
+        groups[place].1.push(row);
     }
     groups
 }

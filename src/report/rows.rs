@@ -1,5 +1,7 @@
 //! Rows that describe the log.
 
+use std::collections::HashMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -72,14 +74,12 @@ pub struct StreamRow {
 /// One row per stream of all segments.
 pub(crate) fn join_segments(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     let mut joined: Vec<StreamRow> = Vec::new();
+    let mut places: HashMap<_, usize> = HashMap::new();
     for row in rows {
-        let is_same = |other: &&mut StreamRow| {
-            let names = |row: &StreamRow| {
-                (row.topic.clone(), row.frame_id.clone(), row.child_frame_id.clone())
-            };
-            other.type_name == row.type_name && names(other) == names(&row)
-        };
-        match joined.iter_mut().find(is_same) {
+        let StreamRow { topic, type_name, frame_id, child_frame_id, .. } = row.clone();
+        let place = places.entry((topic, type_name, frame_id, child_frame_id));
+        let place = *place.or_insert(joined.len());
+        match joined.get_mut(place) {
             Some(known) => {
                 known.count += row.count;
                 known.dropped += row.dropped;

@@ -26,7 +26,7 @@ use super::norm_defects::{measure_norm_defects, release_values};
 use super::resolve::resolve;
 use super::role::Role;
 use super::stale;
-use super::streams::{Stream, split};
+use super::streams::{Stream, mark_shared_topics, split, tf_topics};
 use super::tf_problems::detect_tf_problems;
 use super::timing::Timing;
 use super::topics;
@@ -93,6 +93,7 @@ impl Run {
             logged_calibrations.into_iter().map(|found| (found.name, found.text)).collect();
         let mut assembly = Assembly {
             options,
+            tf_topics: tf_topics(&streams),
             streams,
             timing,
             origin,
@@ -120,6 +121,7 @@ impl Run {
         let Assembly { streams, arms, tf, .. } = &assembly;
         topics::check_frames(&options.topics, streams, arms, tf)?;
         assembly.measured_transforms();
+        mark_shared_topics(&mut assembly.streams);
         for stream in 0..assembly.streams.len() {
             assembly.assign(stream)?;
         }

@@ -289,8 +289,13 @@ fn align(
         .filter(|&i| clocks[i].clock == Clock::Header)
         .filter_map(|i| Some((i, delays[i]?)))
         .collect();
+    let mut medians: Vec<i64> = votes.iter().map(|(_, delay)| delay.median).collect();
+    medians.sort_unstable();
     let agreeing = |delay: DelayStats| {
-        votes.iter().filter(|(_, other)| other.is_within(max_latency_s, delay.median)).count()
+        let is_within = |median: &i64| delay.is_within(max_latency_s, *median);
+        let first = medians.partition_point(|median| *median < delay.median && !is_within(median));
+        let end = medians.partition_point(|median| *median <= delay.median || is_within(median));
+        end - first
     };
     // Joint states, then the earlier stream.
     let rank = |&&(i, delay): &&(usize, DelayStats)| {

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
+use crate::stream::{Columns, JointColumn, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
 use super::Run;
@@ -43,9 +43,12 @@ impl JointTopic<'_> {
     /// Whether it has samples of the joint.
     pub fn has_joint(&self, name: &str) -> bool {
         let joint = self.columns.joints.iter().find(|joint| joint.name == name);
-        let has_sample =
-            |position: &[f64]| self.rows.iter().any(|(_, row)| position[*row].is_finite());
-        joint.is_some_and(|joint| has_sample(&joint.position))
+        joint.is_some_and(|joint| self.has_samples(joint))
+    }
+
+    /// Whether `joint`, one of its joints, has samples.
+    pub fn has_samples(&self, joint: &JointColumn) -> bool {
+        self.rows.iter().any(|(_, row)| joint.position[*row].is_finite())
     }
 }
 
@@ -188,7 +191,7 @@ impl Run {
         let Columns::Joints(columns) = self.streams.get(stream)?.columns.as_ref()? else {
             return None;
         };
-        let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
+        let clock = self.clocks_of(stream).first()?;
         let mut rows: Rows = clock.rows_of(&columns.times).collect();
         self.sample_filter.apply(stream, 0, &mut rows);
         let topic = JointTopic { stream, columns, rows };

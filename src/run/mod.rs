@@ -89,6 +89,7 @@ pub use source_kind::PoseSourceKind;
 pub use sources::MovingBase;
 pub use sources::{ImuSource, PoseSource};
 pub use streams::Stream;
+pub(crate) use streams::{tf_topics, with_key};
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_error::TfError;
 pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
@@ -162,9 +163,9 @@ pub struct Run {
     pub references: Vec<ReferenceSource>,
     /// All frames and transforms.
     pub tf: Arc<TfTree>,
-    /// Clocks of the stamped streams.
+    /// Clocks of the stamped streams, sorted by stream.
     pub clocks: Vec<StreamClock>,
-    /// Streams with rounded stamps, restored from row order.
+    /// Streams with rounded stamps, restored from row order; sorted by stream.
     pub rounded: Vec<RoundedStamps>,
     /// Regularity of streams with a role.
     pub rhythms: Vec<Rhythm>,
@@ -172,7 +173,7 @@ pub struct Run {
     pub tf_problems: Vec<TfProblem>,
     /// Joints logged modulo one turn, now unwrapped.
     pub wrapped: Vec<WrappedJoint>,
-    /// Norm defects of quaternions and matrices.
+    /// Norm defects of quaternions and matrices, sorted by stream.
     pub norm_defects: Vec<NormDefects>,
     /// Streams that may belong to several arms.
     pub shared_streams: Vec<SharedStream>,
@@ -206,7 +207,7 @@ const TRANSPORT_STD_ERROR_S: f64 = 1e-3;
 impl Run {
     /// Pose source as diagnosis input.
     pub fn pose_stream<'a>(&self, source: &'a PoseSource) -> PoseStream<'a> {
-        let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
+        let mut clocks = self.clocks_of(source.stream).iter();
         let uses_receive_times = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
         PoseStream {
             stamp_error_s: source.stamp_error_s.max(if uses_receive_times {
@@ -216,6 +217,11 @@ impl Run {
             }),
             ..source.as_stream()
         }
+    }
+
+    /// Clocks of a stream; a TF topic may have several.
+    pub fn clocks_of(&self, stream: usize) -> &[StreamClock] {
+        with_key(&self.clocks, stream, |clock| clock.stream)
     }
 
     /// Stream indices of the candidates.
@@ -255,8 +261,9 @@ impl Run {
     /// Decides whether candidate `stream` is a tool pose. `peak` is its highest speed correlation with the
     /// arm, 0 to 1, or `None` if the motion does not decide.
     ///
-    /// A rejected candidate becomes a command or camera target if its name says so, else unassigned.
-    pub fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
+    /// A rejected candidate becomes a command or camera target if its name says so, else unassigned. Its
+    /// sources remain until [`Run::remove_rejected`].
+    pub(crate) fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
         let Some(resolved) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = resolved.role else { return };
         let (is_pose, verdict) = match peak {
@@ -291,15 +298,16 @@ impl Run {
         }
     }
 
-    /// Removes a stream from its arm. Its topic name may still make it a command or camera target.
+    /// Clears the role of a stream. Its topic name may still make it a command or camera target.
     pub(crate) fn assign_role_by_name(&mut self, stream: usize, reason: String) {
-        self.unassign(stream, reason);
+        self.clear_role(stream, reason);
         let Some(resolved) = self.streams.get_mut(stream) else { return };
         resolved.role = role::role_outside_arm(&resolved.topic);
     }
 
-    /// Makes candidate `stream` a command: it leads the arm by `lead_s`.
-    pub fn resolve_leader(&mut self, stream: usize, lead_s: f64) {
+    /// Makes candidate `stream` a command: it leads the arm by `lead_s`. Its sources remain until
+    /// [`Run::remove_rejected`].
+    pub(crate) fn resolve_leader(&mut self, stream: usize, lead_s: f64) {
         let Some(resolved) = self.streams.get(stream) else { return };
         let reason = format!(
             "{}; it leads the arm: received {:.0} ms before the arm made the same motion, like a command \
@@ -307,7 +315,7 @@ impl Run {
             resolved.reason,
             1e3 * lead_s
         );
-        self.unassign(stream, reason);
+        self.clear_role(stream, reason);
         if let Some(leader) = self.streams.get_mut(stream) {
             leader.role = Role::Reference;
         }

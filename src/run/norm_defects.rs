@@ -1,6 +1,8 @@
 //! Norm defects of logged rotations: quaternions off unit norm, matrices off orthonormality. Checks all
 //! rows.
 
+use std::collections::HashSet;
+
 use rayon::prelude::*;
 
 use crate::stats::median;
@@ -9,7 +11,7 @@ use crate::time::Stamp;
 
 use super::Run;
 use super::poses::MatrixOrder;
-use super::streams::{Stream, StreamClocks};
+use super::streams::{Stream, StreamClocks, with_key};
 
 /// Maximum defect by rounding; larger ones are kept for the report.
 const MAX_ROUNDING_DEFECT: f64 = 1e-5;
@@ -67,8 +69,8 @@ pub(super) fn measure_norm_defects(streams: &[Stream], clocks: &StreamClocks) ->
 /// Releases values of poses and IMUs. Keeps stamps, invalid rotations, and rows with repeated stamps.
 pub(super) fn release_values(streams: &mut [Stream], norm_defects: &[NormDefects]) {
     for (index, stream) in streams.iter_mut().enumerate() {
-        let own = norm_defects.iter().filter(|norm_defects| norm_defects.stream == index);
-        let odd: Vec<usize> = own
+        let own = with_key(norm_defects, index, |norm_defects| norm_defects.stream).iter();
+        let odd: HashSet<usize> = own
             .filter(|norm_defects| norm_defects.largest > MAX_ROUNDING_DEFECT)
             .map(|norm_defects| norm_defects.piece)
             .collect();
@@ -88,10 +90,7 @@ impl Run {
     /// Stamp and defect of each rotation. Empty if all are valid up to rounding.
     pub fn defect_series(&self, norm_defects: &NormDefects) -> Vec<(Stamp, f64)> {
         let Some(stream) = self.streams.get(norm_defects.stream) else { return Vec::new() };
-        let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norm_defects.stream)
-        else {
-            return Vec::new();
-        };
+        let Some(clock) = self.clocks_of(norm_defects.stream).first() else { return Vec::new() };
         let times = stream.times();
         let pieces = pieces(stream).into_iter().zip(times);
         let mut own = pieces.filter(|((frame, ..), _)| *frame == norm_defects.frame);

@@ -18,7 +18,7 @@ use super::publishers::TwoPublishers;
 use super::role::Role;
 use super::rows::Rows;
 use super::stale::MAX_ACCELERATION;
-use super::streams::{Stream, StreamClocks};
+use super::streams::{Stream, StreamClocks, with_key};
 
 /// Maximum number of consecutive outliers.
 const MAX_CONSECUTIVE: usize = 3;
@@ -66,8 +66,8 @@ impl Outliers {
 }
 
 pub(super) fn remove_outliers(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
-    let of_it = outliers.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
-    let outlier: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
+    let of_it = with_key(outliers, (stream, piece), |found| (found.stream, found.piece));
+    let outlier: HashSet<usize> = of_it.iter().flat_map(|found| &found.rows).copied().collect();
     if !outlier.is_empty() {
         rows.retain(|(_, row)| !outlier.contains(row));
     }
@@ -79,9 +79,8 @@ pub(super) fn detect_outliers(
     clocks: &StreamClocks,
     publishers: &[TwoPublishers],
 ) -> Vec<Outliers> {
-    let is_of_two = |stream: usize, piece: usize| {
-        publishers.iter().any(|two| (two.stream, two.piece) == (stream, piece))
-    };
+    let is_of_two =
+        |stream: usize, piece: usize| TwoPublishers::of_part(publishers, stream, piece).is_some();
     let may_jump = |role| {
         matches!(
             role,

@@ -16,6 +16,7 @@ use super::periodic::{
 };
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
+use super::streams::with_key;
 use super::tick_grid::TickGrid;
 
 /// Two publishers of one part of a stream.
@@ -38,14 +39,20 @@ pub struct TwoPublishers {
     pub(super) second_rows: HashSet<usize>,
 }
 
+impl TwoPublishers {
+    /// Publishers of one part, if it has two; `sorted` by stream and part.
+    pub(super) fn of_part(sorted: &[Self], stream: usize, piece: usize) -> Option<&Self> {
+        with_key(sorted, (stream, piece), |two| (two.stream, two.piece)).first()
+    }
+}
+
 pub(super) fn remove_second_publisher(
     found: &[TwoPublishers],
     stream: usize,
     piece: usize,
     rows: &mut Rows,
 ) {
-    let of_it = |found: &&TwoPublishers| (found.stream, found.piece) == (stream, piece);
-    if let Some(found) = found.iter().find(of_it) {
+    if let Some(found) = TwoPublishers::of_part(found, stream, piece) {
         rows.retain(|(_, row)| !found.second_rows.contains(row));
     }
 }

@@ -13,6 +13,7 @@ use crate::time::Stamp;
 use super::part_series::{PartSeries, PartValues};
 use super::pose_distance::PoseDistance;
 use super::rows::Rows;
+use super::streams::with_key;
 
 /// Repeated values of one part of a stream.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -56,9 +57,16 @@ const MIN_MOTION: f64 = 5e-3;
 const MIN_ROWS: usize = 40;
 
 pub(super) fn is_deduplicated(repeats: &[RepeatedValues], stream: usize, piece: usize) -> bool {
-    repeats.iter().any(|repeats| {
-        (repeats.stream, repeats.piece) == (stream, piece) && repeats.is_deduplicated()
-    })
+    deduplicated_part(repeats, stream, piece).is_some()
+}
+
+fn deduplicated_part(
+    repeats: &[RepeatedValues],
+    stream: usize,
+    piece: usize,
+) -> Option<&RepeatedValues> {
+    let of_part = with_key(repeats, (stream, piece), |repeats| (repeats.stream, repeats.piece));
+    of_part.iter().find(|repeats| repeats.is_deduplicated())
 }
 
 pub(super) fn deduplicate(
@@ -67,10 +75,7 @@ pub(super) fn deduplicate(
     piece: usize,
     rows: &mut Rows,
 ) {
-    let of_it = |repeats: &&RepeatedValues| {
-        (repeats.stream, repeats.piece) == (stream, piece) && !repeats.new_rows.is_empty()
-    };
-    let Some(repeats) = repeats.iter().find(of_it) else { return };
+    let Some(repeats) = deduplicated_part(repeats, stream, piece) else { return };
     rows.retain_mut(|(stamp, row)| {
         match repeats.new_rows.binary_search_by_key(row, |(row, _)| *row) {
             Ok(at) => {

@@ -2,7 +2,7 @@
 //! stream follows the arm.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use crate::diagnosis::{
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, NotAudited, NotAuditedReason, PoseSource, Role, Run,
-    SharedStream, Stream,
+    SharedStream, Stream, with_key,
 };
 use crate::stream::{Orientations, PoseTrack};
 
@@ -64,9 +64,14 @@ const MAX_COMMON_STREAMS: usize = 6;
 
 fn order_for_common_diagnosis(run: &mut Run) {
     for arm in &mut run.arms {
-        let is_copy =
-            |index: usize| arm.poses[..index].iter().any(|one| arm.poses[index].is_copy_of(one));
-        let copies: Vec<bool> = (0..arm.poses.len()).map(is_copy).collect();
+        let mut first: HashMap<u64, Vec<&PoseSource>> = HashMap::new();
+        let is_copy = |source| {
+            let alike = first.entry(PoseSource::content_hash(source)).or_default();
+            let is_copy = alike.iter().any(|one| source.is_copy_of(one));
+            alike.extend((!is_copy).then_some(source));
+            is_copy
+        };
+        let copies: Vec<bool> = arm.poses.iter().map(is_copy).collect();
         if arm.poses.len() <= MAX_COMMON_STREAMS && !copies.contains(&true) {
             continue;
         }
@@ -199,24 +204,33 @@ const MIN_REPEAT_CORRELATION_RATIO: f64 = 0.9;
 
 fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
+    // Arm and place of the first source of each stream.
+    let mut places: HashMap<usize, (usize, usize)> = HashMap::new();
+    for (arm, of) in run.arms.iter().enumerate() {
+        for (place, source) in of.poses.iter().enumerate() {
+            places.entry(source.stream).or_insert((arm, place));
+        }
+    }
     let lag_of = |&candidate: &usize| {
-        let (arm, source) = find_pose_source(run, candidate)?;
+        let (arm, source) = pose_source(run, &places, candidate)?;
         Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), max_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = LagCache { max_lag_s, poses, imus: BTreeMap::new() };
-    for candidate in candidates {
-        let found = find_pose_source(run, candidate);
+    let is_own_frame =
+        |found: &&NotAudited| matches!(found.reason, NotAuditedReason::OwnFrame { .. });
+    let of_own_frame = run.not_audited.iter().filter(is_own_frame);
+    let of_own_frame: HashSet<usize> = of_own_frame.map(|found| found.stream).collect();
+    for &candidate in &candidates {
+        let found = pose_source(run, &places, candidate);
         let peak = found.and_then(|(arm, source)| lags.pose_peak(run, arm, source));
-        let is_of_own_frame = run.not_audited.iter().any(|found| {
-            found.stream == candidate && matches!(found.reason, NotAuditedReason::OwnFrame { .. })
-        });
+        let is_of_own_frame = of_own_frame.contains(&candidate);
         let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
             is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
         });
         if is_of_own_frame && is_seen {
             let reason = "it moves like a fixed object seen from the tool".to_owned();
-            run.unassign(candidate, reason);
+            run.clear_role(candidate, reason);
             continue;
         }
         if is_seen && role_outside_arm(&run.streams[candidate].topic) == Role::Target {
@@ -232,6 +246,7 @@ fn resolve_candidates(run: &mut Run, max_lag_s: f64) {
             None => run.resolve_candidate(candidate, peak.map(|peak| peak.correlation)),
         }
     }
+    run.remove_rejected(&candidates);
 }
 
 /// Lead over the arm, s.
@@ -247,7 +262,7 @@ fn stream_lead_s(
 ) -> Option<f64> {
     let joints = arm.joint_sources.first()?.stream;
     let delay_s = |stream: usize| {
-        let clock = run.clocks.iter().find(|clock| clock.stream == stream);
+        let clock = run.clocks_of(stream).first();
         clock.and_then(|clock| clock.log_minus_header_s).unwrap_or(0.0)
     };
     let received_s = peak.lag_s + delay_s(source.stream) - delay_s(joints);
@@ -300,9 +315,14 @@ impl LagCache {
     }
 }
 
-fn find_pose_source(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
-    let sources = run.arms.iter().flat_map(|arm| arm.poses.iter().map(move |source| (arm, source)));
-    sources.into_iter().find(|(_, source)| source.stream == stream)
+fn pose_source<'a>(
+    run: &'a Run,
+    places: &HashMap<usize, (usize, usize)>,
+    stream: usize,
+) -> Option<(&'a Arm, &'a PoseSource)> {
+    let &(arm, place) = places.get(&stream)?;
+    let arm = &run.arms[arm];
+    Some((arm, &arm.poses[place]))
 }
 
 fn align_moving_bases(run: &mut Run, max_lag_s: f64) {
@@ -358,14 +378,14 @@ fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
     const MIN_CORRELATION_MARGIN: f64 = 0.1;
     let (named, shared): (Vec<_>, Vec<_>) =
         std::mem::take(&mut run.shared_streams).into_iter().partition(|shared| shared.is_named);
-    resolve_exchanged_streams(run, &named);
+    let mut decided = exchanged_streams(run, named);
     for shared in shared {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
         for candidate in &shared.candidates {
             let Some(arm) = run.arms.get(candidate.arm) else { continue };
-            let Some(source) = arm.poses.iter().find(|one| one.stream == shared.stream) else {
-                continue;
-            };
+            // Sources are in the order of the streams until the common diagnosis.
+            let sources = with_key(&arm.poses, shared.stream, |source| source.stream);
+            let Some(source) = sources.first() else { continue };
             let stream = run.pose_stream(source);
             let peak = best_lag_peak(&arm.joints, &stream, max_lag_s);
             let lag_s = peak.map_or(0.0, |peak| peak.lag_s);
@@ -389,46 +409,49 @@ fn resolve_shared_streams(run: &mut Run, max_lag_s: f64) {
             }
             _ => None,
         };
-        run.assign_shared_stream(&shared, nearest.or(follower));
+        decided.push((shared, nearest.or(follower)));
     }
+    run.assign_shared_streams(&decided);
 }
 
-/// Assigns streams that names or frames assign to one arm, but that follow another. A resting arm follows
+/// Arms of streams that names or frames assign to one arm, but that may follow another. A resting arm follows
 /// anything, so a constant stream belongs to it if its own stream follows the arm that the stream is named
 /// after.
-fn resolve_exchanged_streams(run: &mut Run, named: &[SharedStream]) {
+fn exchanged_streams(run: &Run, named: Vec<SharedStream>) -> Vec<(SharedStream, Option<usize>)> {
     let named_arm = |shared: &SharedStream| shared.candidates.first().map(|one| one.arm);
-    let mut exchanged: Vec<(Option<usize>, usize)> = Vec::new();
-    let mut rest: Vec<&SharedStream> = Vec::new();
-    for shared in named {
-        match arm_followed(run, shared) {
-            Some(arm) => {
-                run.assign_shared_stream(shared, Some(arm));
-                exchanged.push((named_arm(shared), arm));
-            }
-            None => rest.push(shared),
-        }
-    }
-    for shared in rest {
+    let followed: Vec<Option<usize>> =
+        named.iter().map(|shared| arm_followed(run, &named, shared)).collect();
+    let arm_of = |shared: &SharedStream, followed: Option<usize>, all: &[(usize, usize)]| {
         let named = named_arm(shared);
         let rests_with = |arm: usize| {
             let arm = run.arms.get(arm)?;
             let source = arm.poses.iter().find(|source| source.stream == shared.stream)?;
             source.rests_with(&arm.joints)
         };
-        let resting = exchanged
+        let moves = || named.and_then(rests_with) == Some(false);
+        let mut resting = all
             .iter()
             .filter(|(_, followed)| Some(*followed) == named)
-            .filter_map(|(from, _)| *from)
-            .find(|&arm| rests_with(arm) == Some(true));
-        let moves = named.and_then(rests_with) == Some(false);
-        run.assign_shared_stream(shared, resting.filter(|_| moves).or(named));
-    }
+            .map(|(from, _)| *from)
+            .filter(|&arm| rests_with(arm) == Some(true));
+        followed.or_else(|| resting.next().filter(|_| moves())).or(named)
+    };
+    let all: Vec<(usize, usize)> = named
+        .iter()
+        .zip(&followed)
+        .filter_map(|(shared, followed)| Some((named_arm(shared)?, (*followed)?)))
+        .collect();
+    let arms: Vec<Option<usize>> = named
+        .iter()
+        .zip(followed)
+        .map(|(shared, followed)| arm_of(shared, followed, &all))
+        .collect();
+    named.into_iter().zip(arms).collect()
 }
 
 /// Arm other than the named one that a stream follows. `None` if it follows the named arm, if it follows none
-/// or several others, or if another stream already follows that arm: arms may move alike.
-fn arm_followed(run: &Run, shared: &SharedStream) -> Option<usize> {
+/// or several others, or if a stream of that arm follows it already: arms may move alike.
+fn arm_followed(run: &Run, named: &[SharedStream], shared: &SharedStream) -> Option<usize> {
     let follows = |arm: usize, is_wanted: &dyn Fn(&PoseSource) -> bool| {
         let Some(arm) = run.arms.get(arm) else { return false };
         let mut sources = arm.poses.iter().filter(|source| is_wanted(source));
@@ -437,7 +460,11 @@ fn arm_followed(run: &Run, shared: &SharedStream) -> Option<usize> {
     let is_own = |source: &PoseSource| source.stream == shared.stream;
     let followed = shared.candidates.iter().map(|one| one.arm).filter(|&arm| follows(arm, &is_own));
     let [arm] = <[usize; 1]>::try_from(followed.collect::<Vec<_>>()).ok()?;
-    (!follows(arm, &|source| !is_own(source))).then_some(arm)
+    let is_named_after = |source: &PoseSource| {
+        let other = named.iter().find(|other| other.stream == source.stream);
+        other.is_none_or(|other| other.candidates.first().is_some_and(|first| first.arm == arm))
+    };
+    (!follows(arm, &is_named_after)).then_some(arm)
 }
 
 /// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.
@@ -455,11 +482,13 @@ fn exclude_unmoved(run: &mut Run) {
     });
     let unmoved: Vec<(usize, usize, f64)> = unmoved.collect();
     // A simulator's topic has all bodies of its world.
+    let mut bodies: HashMap<&str, HashSet<&str>> = HashMap::new();
+    for Stream { topic, child_frame_id, .. } in &run.streams {
+        bodies.entry(topic).or_default().insert(child_frame_id);
+    }
     let is_object = |stream: usize| {
         let Stream { topic, child_frame_id, role, .. } = &run.streams[stream];
-        let is_other =
-            |other: &Stream| other.topic == *topic && other.child_frame_id != *child_frame_id;
-        *role != Role::Pose && !child_frame_id.is_empty() && run.streams.iter().any(is_other)
+        *role != Role::Pose && !child_frame_id.is_empty() && bodies[topic.as_str()].len() > 1
     };
     let (objects, unmoved): (Vec<_>, Vec<_>) =
         unmoved.into_iter().partition(|(stream, ..)| is_object(*stream));
@@ -467,19 +496,24 @@ fn exclude_unmoved(run: &mut Run) {
     for (stream, ..) in objects {
         by_topic.entry(run.streams[stream].topic.clone()).or_default().push(stream);
     }
+    let (mut objects, mut scenes) = (HashSet::new(), Vec::new());
     for streams in by_topic.into_values() {
         let name = |stream: &usize| run.streams[*stream].child_frame_id.clone();
         let names: Vec<String> = streams.iter().map(name).collect();
         for &stream in &streams {
-            run.unassign(stream, "an object of the scene: it never moves".to_owned());
+            run.clear_role(stream, "an object of the scene: it never moves".to_owned());
         }
         let why = NotAuditedReason::SceneObjects { names };
-        run.not_audited.push(NotAudited { stream: streams[0], reason: why });
+        scenes.push(NotAudited { stream: streams[0], reason: why });
+        objects.extend(streams);
     }
-    for (stream, samples, moved_m) in unmoved {
+    run.remove_sources(&objects);
+    run.not_audited.extend(scenes);
+    let excluded = unmoved.into_iter().map(|(stream, samples, moved_m)| {
         let reason = "all its poses are the same while the joints move the tool".to_owned();
-        run.exclude(stream, NotAuditedReason::NeverChanges { samples, moved_m }, reason);
-    }
+        (NotAudited { stream, reason: NotAuditedReason::NeverChanges { samples, moved_m } }, reason)
+    });
+    run.exclude(excluded.collect());
 }
 
 /// Excludes streams in whose frame the base moves unpredictably: constant causes cannot be estimated.
@@ -496,16 +530,15 @@ fn exclude_moving_bases(run: &mut Run, max_lag_s: f64) {
             moving.extend(travel.map(|travel| (source.stream, base, travel)));
         }
     }
-    for (stream, base, BaseMotion { travel_m, turn_rad }) in moving {
+    let excluded = moving.into_iter().map(|(stream, base, BaseMotion { travel_m, turn_rad })| {
         let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
         let reason =
             format!("'{base}' moves in its frame '{frame}', and the log has no transforms for it");
-        run.exclude(
-            stream,
-            NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad },
-            reason,
-        );
-    }
+        let why = NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad };
+        (NotAudited { stream, reason: why }, reason)
+    });
+    let excluded = excluded.collect();
+    run.exclude(excluded);
 }
 
 /// Minimum correlation of angular speeds of target and hand.

@@ -5,6 +5,8 @@
 //! intervals of the rounded stamps (O'Rourke, "An on-line algorithm for fitting straight lines between data
 //! ranges", 1981).
 
+use std::collections::HashMap;
+
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
 
@@ -42,7 +44,7 @@ const MIN_TICK_S: f64 = 2e-4;
 
 pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
-    let mut known: Vec<(Vec<i64>, RestoredStamps)> = Vec::new();
+    let mut known: HashMap<Vec<i64>, (usize, RestoredStamps)> = HashMap::new();
     for (index, stream) in streams.iter_mut().enumerate() {
         let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
         let Some(columns) = stream.columns.as_mut().filter(|_| is_of_use) else { continue };
@@ -50,16 +52,17 @@ pub(super) fn restore_stamps(streams: &mut [Stream], clock: Clock) -> Vec<Rounde
             let times = columns.times()[piece];
             let column = clock_of_rows(times, clock);
             let raw = times.nanos_on(column);
-            let restored = match known.iter().position(|(of, _)| of == raw) {
-                Some(group) => (group, known[group].1.clone()),
+            let restored = match known.get(raw) {
+                Some(restored) => restored.clone(),
                 None => {
                     let Some(restored) = values_of(columns, piece)
                         .and_then(|values| RestoredStamps::restore(raw, &values))
                     else {
                         continue;
                     };
-                    known.push((raw.to_vec(), restored.clone()));
-                    (known.len() - 1, restored)
+                    let restored = (known.len(), restored);
+                    known.insert(raw.to_vec(), restored.clone());
+                    restored
                 }
             };
             let (group, RestoredStamps { nanos, tick_s, shared, resolution_s }) = restored;

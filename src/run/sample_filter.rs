@@ -9,9 +9,9 @@ use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
 use super::rows::Rows;
 use super::stale::{self, StaleJoints, detect_stale_joints};
-use super::streams::{Stream, StreamClocks};
+use super::streams::{Stream, StreamClocks, with_key};
 
-/// Samples excluded from estimation.
+/// Samples excluded from estimation; each list is sorted by stream and part.
 #[derive(Debug, Default)]
 pub struct SampleFilter {
     /// Outliers.
@@ -66,26 +66,30 @@ impl SampleFilter {
     pub(super) fn share(&mut self, (stream, piece): (usize, usize), to: usize) {
         fn shared<T: Clone>(
             all: &mut Vec<T>,
-            is_of_it: impl Fn(&T) -> bool,
+            part: (usize, usize),
+            part_of: impl Fn(&T) -> (usize, usize),
             moved: impl Fn(T) -> T,
         ) {
-            let new: Vec<T> = all.iter().filter(|one| is_of_it(one)).cloned().map(moved).collect();
+            let new: Vec<T> = with_key(all, part, part_of).iter().cloned().map(moved).collect();
             all.extend(new);
         }
-        let of_it = |own: (usize, usize)| own == (stream, piece);
+        let part = (stream, piece);
         shared(
             &mut self.outliers,
-            |one| of_it((one.stream, one.piece)),
+            part,
+            |one| (one.stream, one.piece),
             |one| Outliers { stream: to, piece: 0, ..one },
         );
         shared(
             &mut self.publishers,
-            |one| of_it((one.stream, one.piece)),
+            part,
+            |one| (one.stream, one.piece),
             |one| TwoPublishers { stream: to, piece: 0, ..one },
         );
         shared(
             &mut self.repeated,
-            |one| of_it((one.stream, one.piece)),
+            part,
+            |one| (one.stream, one.piece),
             |one| RepeatedValues { stream: to, piece: 0, ..one },
         );
     }

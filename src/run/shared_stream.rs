@@ -1,5 +1,7 @@
 //! Resolves streams and transforms of several possible arms, and leader arms.
 
+use std::collections::{HashMap, HashSet};
+
 use super::Run;
 use super::arm::TfUnavailable;
 use super::not_audited::{NotAudited, NotAuditedReason};
@@ -37,8 +39,23 @@ impl CandidateArm {
 }
 
 impl Run {
-    /// Assigns a contested stream to the arm that it follows, or to none.
-    pub fn assign_shared_stream(&mut self, shared: &SharedStream, winner: Option<usize>) {
+    /// Assigns contested streams to the arms that they follow, or to none.
+    pub(super) fn assign_shared_streams(&mut self, decided: &[(SharedStream, Option<usize>)]) {
+        let winners: HashMap<usize, Option<usize>> =
+            decided.iter().map(|(shared, winner)| (shared.stream, *winner)).collect();
+        for (index, arm) in self.arms.iter_mut().enumerate() {
+            arm.poses.retain(|source| {
+                winners.get(&source.stream).is_none_or(|winner| *winner == Some(index))
+            });
+        }
+        let is_open = |unaudited: &NotAudited| winners.get(&unaudited.stream) == Some(&None);
+        self.not_audited.retain(|unaudited| !is_open(unaudited));
+        for (shared, winner) in decided {
+            self.set_arm_of_shared_stream(shared, *winner);
+        }
+    }
+
+    fn set_arm_of_shared_stream(&mut self, shared: &SharedStream, winner: Option<usize>) {
         let SharedStream { stream, candidates, is_named } = shared;
         let names = candidates
             .iter()
@@ -50,18 +67,11 @@ impl Run {
                 "it may belong to {}, and the motion does not distinguish them",
                 names.join(" or ")
             );
-            self.unassign(*stream, reason);
+            self.clear_role(*stream, reason);
             let why = NotAuditedReason::WhoseArm { arms: names };
             self.not_audited.push(NotAudited { stream: *stream, reason: why });
             return;
         };
-        for (index, arm) in
-            self.arms.iter_mut().enumerate().filter(|(index, _)| *index != candidate.arm)
-        {
-            if candidates.iter().any(|candidate| candidate.arm == index) {
-                arm.poses.retain(|source| source.stream != *stream);
-            }
-        }
         let is_first = candidates.first().is_some_and(|first| first.arm == candidate.arm);
         if *is_named && is_first {
             return;
@@ -110,20 +120,35 @@ impl Run {
         }
     }
 
-    /// Removes a stream from its arm, with its findings.
-    pub fn unassign(&mut self, stream: usize, reason: String) {
-        for arm in &mut self.arms {
-            arm.poses.retain(|source| source.stream != stream);
-        }
-        self.not_audited.retain(|unaudited| unaudited.stream != stream);
+    /// Removes the sources and findings of `candidates` that were resolved to other roles.
+    pub(super) fn remove_rejected(&mut self, candidates: &[usize]) {
+        let is_pose = |stream: &usize| self.streams[*stream].role == Role::Pose;
+        let rejected = candidates.iter().copied().filter(|stream| !is_pose(stream)).collect();
+        self.remove_sources(&rejected);
+    }
+
+    /// Makes a stream unassigned. [`Run::remove_sources`] must follow.
+    pub(super) fn clear_role(&mut self, stream: usize, reason: String) {
         let Some(stream) = self.streams.get_mut(stream) else { return };
         (stream.role, stream.reason) = (Role::Unassigned, reason);
         (stream.arm, stream.reference, stream.link, stream.source_kind) = (None, None, None, None);
     }
 
-    /// Unassigns a stream, and records the reason.
-    pub fn exclude(&mut self, stream: usize, why: NotAuditedReason, reason: String) {
-        self.unassign(stream, reason);
-        self.not_audited.push(NotAudited { stream, reason: why });
+    /// Removes the pose sources and findings of `streams`.
+    pub(super) fn remove_sources(&mut self, streams: &HashSet<usize>) {
+        for arm in &mut self.arms {
+            arm.poses.retain(|source| !streams.contains(&source.stream));
+        }
+        self.not_audited.retain(|unaudited| !streams.contains(&unaudited.stream));
+    }
+
+    /// Unassigns streams, and records the reasons: for the report, and of the role.
+    pub(super) fn exclude(&mut self, excluded: Vec<(NotAudited, String)>) {
+        let streams = excluded.iter().map(|(unaudited, _)| unaudited.stream).collect();
+        self.remove_sources(&streams);
+        for (unaudited, reason) in excluded {
+            self.clear_role(unaudited.stream, reason);
+            self.not_audited.push(unaudited);
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! Poses and IMUs of an arm.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
+
 use crate::diagnosis::{ImuStream, PoseStream};
 use crate::geometry::Pose;
 use crate::robot::Chain;
@@ -42,17 +44,20 @@ impl PoseSource {
         }
     }
 
-    /// Hash key of copies: number of poses, bits of the first stamp and coordinate.
-    pub fn copy_key(&self) -> (usize, Option<u64>, Option<u64>) {
+    /// Hash of times and positions, equal for copies.
+    pub fn content_hash(&self) -> u64 {
         let PoseTrack { t_s, xyz, .. } = &self.track;
-        let first = |value: Option<f64>| value.map(f64::to_bits);
-        (t_s.len(), first(t_s.first().copied()), first(xyz.first().map(|xyz| xyz[0])))
+        let mut hasher = DefaultHasher::new();
+        for number in t_s.iter().chain(xyz.iter().flatten()) {
+            // Zeros of both signs are equal.
+            (number + 0.0).to_bits().hash(&mut hasher);
+        }
+        hasher.finish()
     }
 
     /// Whether both have the same poses of the same link at the same times.
     pub fn is_copy_of(&self, other: &Self) -> bool {
         let (own, theirs) = (&self.track, &other.track);
-        // Times first: thousands of streams are compared in pairs.
         own.t_s == theirs.t_s
             && self.chain.base_name() == other.chain.base_name()
             && self.chain.tip_name() == other.chain.tip_name()

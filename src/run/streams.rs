@@ -1,6 +1,6 @@
 //! Streams of a run: topics, or each pose of a topic with several.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
@@ -48,6 +48,8 @@ pub struct Stream {
     pub start: Option<Stamp>,
     /// Last row.
     pub end: Option<Stamp>,
+    /// Whether its topic has other streams too.
+    pub shares_topic: bool,
     /// Whether it should be audited, but has no usable messages.
     pub is_empty: bool,
     /// How table columns were identified.
@@ -135,6 +137,30 @@ impl Stream {
     }
 }
 
+/// Elements with this key, in a slice sorted by key.
+pub(crate) fn with_key<T, K: Ord>(sorted: &[T], key: K, key_of: impl Fn(&T) -> K) -> &[T] {
+    let first = sorted.partition_point(|one| key_of(one) < key);
+    let end = sorted.partition_point(|one| key_of(one) <= key);
+    &sorted[first..end]
+}
+
+/// Sets [`Stream::shares_topic`] once all streams exist.
+pub(super) fn mark_shared_topics(streams: &mut [Stream]) {
+    let mut counts: HashMap<String, usize> = HashMap::new();
+    for stream in &*streams {
+        *counts.entry(stream.topic.clone()).or_default() += 1;
+    }
+    for stream in streams {
+        stream.shares_topic = counts[&stream.topic] > 1;
+    }
+}
+
+/// Topics of dynamic transforms.
+pub(crate) fn tf_topics(streams: &[Stream]) -> HashSet<String> {
+    let of_tf = streams.iter().filter(|stream| stream.role == Role::Tf);
+    of_tf.map(|stream| stream.topic.clone()).collect()
+}
+
 /// Streams in topic order, with roles that need no robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     let mut streams: Vec<Stream> = topics.into_iter().flat_map(streams_of_topic).collect();
@@ -211,6 +237,7 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
         expected_hz: None,
         start: topic.span.map(|(start, _)| start),
         end: topic.span.map(|(_, end)| end),
+        shares_topic: false,
         is_empty: false,
         read_as: topic.read_as,
         labels: topic.cells.iter().find_map(|cell| cell.labels),
@@ -386,7 +413,7 @@ impl StreamClocks {
 
     /// Rounding of a part's stamps, if rounded.
     pub fn rounded_stamps(&self, stream: usize, piece: usize) -> Option<&RoundedStamps> {
-        self.rounded.iter().find(|own| (own.stream, own.piece) == (stream, piece))
+        with_key(&self.rounded, (stream, piece), |own| (own.stream, own.piece)).first()
     }
 
     /// Standard error between two streams by clock alignment and rounding, s.

@@ -139,6 +139,7 @@ fn a_candidate_that_does_not_follow_is_unassigned_with_the_reason() {
     for (stream, peak) in [(1, Some(0.5)), (2, Some(0.5))] {
         run.resolve_candidate(stream, peak);
     }
+    run.remove_rejected(&[1, 2]);
     assert_eq!(role_of(&run, "/camera_mount_pose").0, "unassigned");
     assert!(role_of(&run, "/camera_mount_pose").1.contains("speed correlation 0.50"));
     assert_eq!(role_of(&run, "/hand_pose").0, "pose");

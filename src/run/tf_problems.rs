@@ -1,6 +1,6 @@
 //! TF problems: violations of tf2's tree structure.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use crate::stream::{Columns, PoseColumns};
 
@@ -8,9 +8,8 @@ use super::Run;
 use super::pose_distance::PoseDistance;
 use super::publishers::TwoPublishers;
 use super::role::{FrameKind, Role};
-use super::streams::Stream;
-use super::tf_error::TfError;
-use super::tf_tree::{Edge, EdgeKind, strip_slash};
+use super::streams::{Stream, with_key};
+use super::tf_tree::{EdgeKind, strip_slash};
 
 /// A TF problem, and its topics.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,8 +123,7 @@ pub(super) fn detect_tf_problems(
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
         let space = stream.topic.rsplit_once('/').map_or("", |(space, _)| space);
         let is_static = stream.role == Role::TfStatic;
-        let of_two =
-            |piece: usize| publishers.iter().any(|two| (two.stream, two.piece) == (index, piece));
+        let of_two = |piece: usize| TwoPublishers::of_part(publishers, index, piece).is_some();
         let filled = transforms.iter().enumerate().filter(|(_, poses)| !poses.times.is_empty());
         let pieces = filled.map(|(piece, poses)| TransformPart {
             topic: &stream.topic,
@@ -138,13 +136,12 @@ pub(super) fn detect_tf_problems(
     let mut problems: Vec<TfProblem> =
         spaces.values().flat_map(|pieces| problems_of(pieces)).collect();
     problems.extend(streams.iter().enumerate().filter_map(|(index, stream)| {
-        let of_it = publishers.iter().filter(|two| two.stream == index);
-        several_publishers(stream, &of_it.collect::<Vec<_>>())
+        several_publishers(stream, with_key(publishers, index, |two| two.stream))
     }));
     problems
 }
 
-fn several_publishers(stream: &Stream, found: &[&TwoPublishers]) -> Option<TfProblem> {
+fn several_publishers(stream: &Stream, found: &[TwoPublishers]) -> Option<TfProblem> {
     let size = |two: &TwoPublishers| two.distance.map_or(0.0, PoseDistance::size_m);
     let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
     let between = |(parent, child): &(String, String)| FramePair {
@@ -232,7 +229,7 @@ fn cycles(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
     for start in pieces.iter().map(TransformPart::child) {
         let mut trail: Vec<&str> = Vec::new();
         let mut frame = start;
-        while !done.contains(frame) && !trail.contains(&frame) {
+        while done.insert(frame) {
             trail.push(frame);
             let Some(piece) = parent_of.get(frame) else { break };
             frame = piece.parent();
@@ -247,7 +244,6 @@ fn cycles(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
                 topics: topic_names(of_ring),
             });
         }
-        done.extend(trail);
     }
     found
 }
@@ -264,11 +260,14 @@ fn static_that_moves(piece: &TransformPart<'_>) -> Option<TfProblem> {
 }
 
 fn conflicts(pieces: &[TransformPart<'_>]) -> Vec<TfProblem> {
+    let mut fixed: HashMap<(&str, &str), Vec<&TransformPart<'_>>> = HashMap::new();
+    for piece in pieces.iter().filter(|piece| piece.is_static) {
+        fixed.entry((piece.parent(), piece.child())).or_default().push(piece);
+    }
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
         found.extend((!piece.has_two_publishers).then(|| detect_alternation(piece)).flatten());
-        let fixed = pieces.iter().filter(|other| other.is_static);
-        let same = fixed.filter(|other| other.frame_pair() == piece.frame_pair());
+        let same = fixed.get(&(piece.parent(), piece.child())).into_iter().flatten();
         found.extend(same.filter_map(|other| conflict_with_static(other, piece)));
     }
     found
@@ -346,27 +345,31 @@ impl Run {
     /// Disconnected frames that an audited stream needs: both frame and base are in the log's transforms,
     /// and the frame is not tied to the robot.
     pub fn disconnected_frames(&self) -> Vec<TfProblem> {
+        let poses = self.streams.iter();
+        let poses = poses.filter(|stream| matches!(stream.columns, Some(Columns::Poses(_))));
+        let poses: HashSet<(&str, &str)> =
+            poses.map(|stream| (&*stream.frame_id, &*stream.child_frame_id)).collect();
+        // Frames of the transforms that are neither the model's nor streams of poses.
+        let logged = self.tf.edges().iter().filter(|edge| edge.kind != EdgeKind::Model);
+        let logged = logged.map(|edge| self.tf.names(edge)).filter(|names| !poses.contains(names));
+        let logged: HashSet<&str> = logged.flat_map(<[&str; 2]>::from).collect();
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
             let (place, _) = arm.classify_frame(&stream.frame_id);
             let base = arm.frame_of(arm.base);
             let is_loose = place == FrameKind::Unknown;
-            is_loose.then(|| self.disconnection(&stream.topic, &stream.frame_id, &base)).flatten()
+            let are_logged =
+                [stream.frame_id.as_str(), &base].iter().all(|&frame| logged.contains(frame));
+            (is_loose && are_logged)
+                .then(|| self.disconnection(&stream.topic, &stream.frame_id, &base))
+                .flatten()
         });
         of_streams.collect()
     }
 
     fn disconnection(&self, needed_by: &str, frame: &str, base: &str) -> Option<TfProblem> {
-        let is_logged = |frame: &str| {
-            let mut logged = self.tf.edges().iter().filter(|edge| !self.is_stream(edge));
-            logged.any(|edge| <[&str; 2]>::from(self.tf.names(edge)).contains(&frame))
-        };
-        let has_no_way = || {
-            let path = self.tf.path(base, frame, |_| true);
-            matches!(path, Err(TfError::NotConnected { .. }))
-        };
-        let are_disconnected = is_logged(frame) && is_logged(base) && has_no_way();
+        let are_disconnected = self.tf.find_path(base, frame, |_| true).is_none();
         let is_tf = |stream: &&Stream| matches!(stream.role, Role::Tf | Role::TfStatic);
         are_disconnected.then(|| TfProblem {
             kind: TfProblemKind::Disconnected {
@@ -376,15 +379,6 @@ impl Run {
             },
             topics: self.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
         })
-    }
-
-    fn is_stream(&self, edge: &Edge) -> bool {
-        let names = self.tf.names(edge);
-        edge.kind == EdgeKind::Model
-            || self.streams.iter().any(|stream| {
-                matches!(stream.columns, Some(Columns::Poses(_)))
-                    && (stream.frame_id.as_str(), stream.child_frame_id.as_str()) == names
-            })
     }
 }
 

@@ -143,13 +143,25 @@ impl TfTree {
 
     /// First inserted transform in this direction.
     pub fn edge(&self, parent: &str, child: &str) -> Option<&Edge> {
-        let names = (strip_slash(parent), strip_slash(child));
-        self.edges.iter().find(|edge| self.names(edge) == names)
+        let parent = self.known(parent)?;
+        self.edges_to(self.known(child)?).find(|edge| edge.parent == parent)
     }
 
     /// Whether the frame has a parent.
     pub fn has_parent(&self, child: &str) -> bool {
-        self.edges.iter().any(|edge| self.names(edge).1 == strip_slash(child))
+        self.known(child).is_some_and(|child| self.edges_to(child).next().is_some())
+    }
+
+    /// Whether the frame has a child.
+    pub(super) fn has_child(&self, parent: &str) -> bool {
+        let edges = |parent: usize| self.touching[parent].iter().map(|&edge| &self.edges[edge]);
+        self.known(parent).is_some_and(|parent| edges(parent).any(|edge| edge.parent == parent))
+    }
+
+    /// Transforms to the frame from its parents, in insertion order.
+    fn edges_to(&self, child: usize) -> impl Iterator<Item = &Edge> {
+        let edges = self.touching[child].iter().map(|&edge| &self.edges[edge]);
+        edges.filter(move |edge| edge.child == child)
     }
 
     /// Transforms, in insertion order.
@@ -182,24 +194,41 @@ impl TfTree {
         admits: impl Fn(&Edge) -> bool,
     ) -> Result<TfPath<'_>, TfError> {
         let (from, to) = (self.id(target)?, self.id(source)?);
+        self.shortest_path(from, to, admits).ok_or_else(|| TfError::NotConnected {
+            target: self.frames[from].clone(),
+            source_frame: self.frames[to].clone(),
+            target_root: self.root_above(from).to_owned(),
+            source_root: self.root_above(to).to_owned(),
+        })
+    }
+
+    /// The same, without an explanation if the frames are not connected.
+    pub(super) fn find_path(
+        &self,
+        target: &str,
+        source: &str,
+        admits: impl Fn(&Edge) -> bool,
+    ) -> Option<TfPath<'_>> {
+        self.shortest_path(self.known(target)?, self.known(source)?, admits)
+    }
+
+    fn shortest_path(
+        &self,
+        from: usize,
+        to: usize,
+        admits: impl Fn(&Edge) -> bool,
+    ) -> Option<TfPath<'_>> {
         let came_by = self.flood(from, |frame| frame == to, admits);
         let mut steps = Vec::new();
         let mut frame = to;
         while frame != from {
-            let Some(edge) = came_by[frame] else {
-                return Err(TfError::NotConnected {
-                    target: self.frames[from].clone(),
-                    source_frame: self.frames[to].clone(),
-                    target_root: self.root_above(from).to_owned(),
-                    source_root: self.root_above(to).to_owned(),
-                });
-            };
+            let edge = *came_by.get(&frame)?;
             let downwards = self.edges[edge].child == frame;
             steps.push(Step { edge: &self.edges[edge], downwards });
             frame = if downwards { self.edges[edge].parent } else { self.edges[edge].child };
         }
         steps.reverse();
-        Ok(TfPath { tree: self, steps })
+        Some(TfPath { tree: self, steps })
     }
 
     /// Nearest accepted frame that is statically tied to `frame`, with `accepted_from_frame`.
@@ -208,7 +237,7 @@ impl TfTree {
         frame: &str,
         accepts: impl Fn(&str) -> bool,
     ) -> Option<(&str, Pose)> {
-        let from = self.id(frame).ok()?;
+        let from = self.known(frame)?;
         let fixed = |edge: &Edge| edge.kind != EdgeKind::Dynamic;
         let mut found = None;
         self.flood(
@@ -228,7 +257,7 @@ impl TfTree {
     }
 
     fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
-        let path = self.path(target, source, |edge| edge.kind != EdgeKind::Dynamic).ok()?;
+        let path = self.find_path(target, source, |edge| edge.kind != EdgeKind::Dynamic)?;
         path.pose_at(Stamp::default()).ok()
     }
 
@@ -238,10 +267,8 @@ impl TfTree {
         from: usize,
         mut stop: impl FnMut(usize) -> bool,
         admits: impl Fn(&Edge) -> bool,
-    ) -> Vec<Option<usize>> {
-        let mut came_by = vec![None; self.frames.len()];
-        let mut seen = vec![false; self.frames.len()];
-        seen[from] = true;
+    ) -> HashMap<usize, usize> {
+        let mut came_by = HashMap::new();
         let mut pending = VecDeque::from([from]);
         while let Some(frame) = pending.pop_front() {
             if stop(frame) {
@@ -250,9 +277,8 @@ impl TfTree {
             for &index in &self.touching[frame] {
                 let edge = &self.edges[index];
                 let next = if edge.parent == frame { edge.child } else { edge.parent };
-                if !seen[next] && admits(edge) {
-                    seen[next] = true;
-                    came_by[next] = Some(index);
+                if next != from && !came_by.contains_key(&next) && admits(edge) {
+                    came_by.insert(next, index);
                     pending.push_back(next);
                 }
             }
@@ -262,22 +288,21 @@ impl TfTree {
 
     /// Whether `upper` is an ancestor by first parents.
     pub fn is_above(&self, upper: &str, lower: &str) -> bool {
-        let (Ok(upper), Ok(lower)) = (self.id(upper), self.id(lower)) else { return false };
+        let (Some(upper), Some(lower)) = (self.known(upper), self.known(lower)) else {
+            return false;
+        };
         self.ancestors(lower).any(|frame| frame == upper)
     }
 
     /// Transforms up to the root, by first parents.
     pub(super) fn edges_above(&self, frame: &str) -> Vec<&Edge> {
-        let Ok(id) = self.id(frame) else { return Vec::new() };
-        let up = |frame: usize| {
-            let edge = self.touching[frame].iter().find(|&&edge| self.edges[edge].child == frame);
-            edge.map(|&edge| &self.edges[edge])
-        };
+        let Some(id) = self.known(frame) else { return Vec::new() };
+        let up = |frame: usize| self.edges_to(frame).next();
         std::iter::once(id).chain(self.ancestors(id)).filter_map(up).collect()
     }
 
     pub(super) fn root_of(&self, frame: &str) -> &str {
-        self.id(frame).map_or("", |id| self.root_above(id))
+        self.known(frame).map_or("", |id| self.root_above(id))
     }
 
     /// Root by first parents, or a frame of the cycle.
@@ -287,16 +312,17 @@ impl TfTree {
 
     /// Ancestors by first parents; limited in number for cycles.
     fn ancestors(&self, frame: usize) -> impl Iterator<Item = usize> {
-        let parent = |frame: &usize| {
-            let up = self.touching[*frame].iter().find(|&&edge| self.edges[edge].child == *frame);
-            up.map(|&edge| self.edges[edge].parent)
-        };
+        let parent = |frame: &usize| self.edges_to(*frame).next().map(|edge| edge.parent);
         std::iter::successors(parent(&frame), parent).take(self.frames.len())
+    }
+
+    fn known(&self, frame: &str) -> Option<usize> {
+        self.ids.get(strip_slash(frame)).copied()
     }
 
     fn id(&self, frame: &str) -> Result<usize, TfError> {
         let frame = strip_slash(frame);
-        self.ids.get(frame).copied().ok_or_else(|| TfError::UnknownFrame {
+        self.known(frame).ok_or_else(|| TfError::UnknownFrame {
             frame: frame.to_owned(),
             nearest: nearest(frame, self.frames()).into_iter().map(str::to_owned).collect(),
         })

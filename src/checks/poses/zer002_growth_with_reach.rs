@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult, changes, residual_attribution};
 use crate::diagnosis::{Measured, PoseDiagnosis, ScalarChange};
-use crate::evidence::ArmEvidence;
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -48,7 +48,7 @@ const RADIAL_SCALE: ScalarRule = ScalarRule {
 };
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    let judged = case.evidence.poses().map(|(arm, stream)| {
+    let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>, residual_m| {
         if let Some(change) = ScalarChange::largest(&stream.diagnosis.radial_scale_changes) {
             let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
             let title = "growth with reach changes mid-run";
@@ -66,20 +66,24 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let radial_scale = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.radial_scale,
             is_chosen: stream.diagnosis.is_radial_scale_chosen,
-            doubt: doubt(arm, &stream.diagnosis),
+            doubt: doubt(residual_m, &stream.diagnosis),
         });
         RADIAL_SCALE.judge(&ZER002, case, arm, &radial_scale)
+    };
+    let judged = case.evidence.robots.iter().flat_map(|arm| {
+        let residual_m = residual_attribution::largest_residual_m(arm);
+        arm.poses.iter().map(move |stream| judge(arm, stream, residual_m))
     });
     judged.collect()
 }
 
-fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
+fn doubt(residual_m: f64, diagnosis: &PoseDiagnosis) -> Option<String> {
     if diagnosis.is_periodic() {
         let why = "depends on a latency that fits at several lags; record non-periodic motion";
         return Some(why.to_owned());
     }
     // Two arms differ mainly in size.
-    residual_attribution::model_doubt(arm, 0.0)
+    residual_attribution::residual_doubt(residual_m, 0.0)
 }
 
 fn fault(arm: &ArmEvidence, radial_scale: &Measured, severity: Severity) -> Fault {

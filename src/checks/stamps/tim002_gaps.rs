@@ -1,3 +1,5 @@
+use std::collections::HashMap;
+
 use serde_json::{Value, json};
 
 use crate::checks::topics::tim006_incomplete_stream::{SlowRateLimits, slow_stretches};
@@ -100,30 +102,25 @@ impl GapLimits {
 fn check(case: &Case) -> Vec<SubjectResult> {
     let steady =
         case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != ExpectedTiming::Occasional);
-    let mut reported: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
+    // First stream with each list of gaps, to the nanosecond, like columns of one table.
+    let mut reported: HashMap<Vec<(Stamp, Stamp)>, &StreamEvidence<RhythmEvidence>> =
+        HashMap::new();
     let judge_once = |rhythm| {
-        if let Some(first) = reported.iter().find(|first| has_same_gaps(first, rhythm)) {
+        let bounds = gap_bounds(rhythm);
+        if let Some(first) = reported.get(&bounds).filter(|_| !bounds.is_empty()) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
             return SubjectResult::new(rhythm.subject.clone(), Outcome::pass_with_remark(why))
                 .within(rhythm.span);
         }
-        reported.push(rhythm);
+        reported.insert(bounds, rhythm);
         judge(case, rhythm)
     };
     steady.map(judge_once).collect()
 }
 
-/// To the nanosecond, like columns of one table.
-fn has_same_gaps(
-    one: &StreamEvidence<RhythmEvidence>,
-    other: &StreamEvidence<RhythmEvidence>,
-) -> bool {
-    let holes = |of: &StreamEvidence<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
-        let holes = of.required_parts().flat_map(|part| &part.missing_rows);
-        holes.map(|hole| (hole.span.start, hole.span.end)).collect()
-    };
-    let holes_of_one = holes(one);
-    !holes_of_one.is_empty() && holes_of_one == holes(other)
+fn gap_bounds(rhythm: &StreamEvidence<RhythmEvidence>) -> Vec<(Stamp, Stamp)> {
+    let holes = rhythm.required_parts().flat_map(|part| &part.missing_rows);
+    holes.map(|hole| (hole.span.start, hole.span.end)).collect()
 }
 
 /// Parts expected to be periodic; for a stream without a role, those that are.

@@ -164,10 +164,20 @@ impl NumericTable {
     }
 
     fn paired_with_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
-        let (values, own) = (&self.columns[column], &self.columns[of]);
-        (1..own.len().saturating_sub(1)).map(|row| {
-            let h = self.t_s[row + 1] - self.t_s[row - 1];
-            (values[row], (own[row + 1] - own[row - 1]) / h)
+        self.inner_values(column).zip(self.rates(of))
+    }
+
+    /// Values of all rows but the first and last.
+    fn inner_values(&self, column: usize) -> impl Iterator<Item = f64> + '_ {
+        let values = &self.columns[column];
+        (1..values.len().saturating_sub(1)).map(|row| values[row])
+    }
+
+    /// Central differences per second, for the same rows.
+    fn rates(&self, column: usize) -> impl Iterator<Item = f64> + '_ {
+        let values = &self.columns[column];
+        (1..values.len().saturating_sub(1)).map(|row| {
+            (values[row + 1] - values[row - 1]) / (self.t_s[row + 1] - self.t_s[row - 1])
         })
     }
 
@@ -198,17 +208,30 @@ impl NumericTable {
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
+        // Of unit length, the products are the correlations.
+        let of_all = |series: &dyn Fn(usize) -> Vec<f64>| -> Vec<Vec<f64>> {
+            (0..count).map(|column| normalized(series(column))).collect()
+        };
+        let values = of_all(&|column| self.inner_values(column).collect());
+        let rates = of_all(&|column| self.rates(column).collect());
+        let correlation = |column: usize, of: usize| -> f64 {
+            values[column].iter().zip(&rates[of]).map(|(value, rate)| value * rate).sum()
+        };
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
         // Positions and velocities share an array.
         let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
         for behind in MIN_MOVING_JOINTS..widest {
             let is_pair = |at: &usize| {
                 self.homes[*at] == self.homes[at + behind]
-                    && (!moves[*at]
-                        || self.rate_correlation(at + behind, *at) > MIN_RATE_CORRELATION)
+                    && (!moves[*at] || correlation(at + behind, *at) > MIN_RATE_CORRELATION)
             };
             let mut from = 0;
-            while from + behind < count {
+            while from + MIN_MOVING_JOINTS + behind <= count {
+                // Any long enough run from here on contains this column.
+                if !is_pair(&(from + MIN_MOVING_JOINTS - 1)) {
+                    from += MIN_MOVING_JOINTS;
+                    continue;
+                }
                 let end = from + (from..count - behind).take_while(is_pair).count();
                 let moving = (from..end).filter(|&at| moves[at]).count();
                 if moving >= MIN_MOVING_JOINTS && best.as_ref().is_none_or(|best| moving > best.0) {
@@ -223,6 +246,16 @@ impl NumericTable {
         let (_, own, behind) = best?;
         Some((own.clone().collect(), own.map(|at| at + behind).collect()))
     }
+}
+
+/// Without its mean, and of unit length; zero if it is constant.
+fn normalized(mut series: Vec<f64>) -> Vec<f64> {
+    let mean = series.iter().sum::<f64>() / series.len().max(1) as f64;
+    series.iter_mut().for_each(|value| *value -= mean);
+    let length = series.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let scale = if length > 0.0 { 1.0 / length } else { 0.0 };
+    series.iter_mut().for_each(|value| *value *= scale);
+    series
 }
 
 fn correlation(pairs: &[(f64, f64)]) -> f64 {

@@ -97,7 +97,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
 }
 
 fn receive_times(run: &Run, stream: usize) -> ReceiveTimes {
-    let clock = run.clocks.iter().find(|clock| clock.stream == stream);
+    let clock = run.clocks_of(stream).first();
     let Some((clock, stream)) = clock.zip(run.streams.get(stream)) else {
         return ReceiveTimes::default();
     };

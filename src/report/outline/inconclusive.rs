@@ -5,7 +5,7 @@ use crate::checks::{self, motion_description, resolving_motion};
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum ResolvingAction<'a> {
     /// Record another motion.
     Motion,
@@ -73,15 +73,14 @@ impl Outline<'_> {
     /// resolves them.
     fn items(&self, action: ResolvingAction<'_>, rows: &[&CheckRow]) -> Vec<String> {
         let by_rule = group_by_key(rows.iter().copied(), |row| (row.code, own_reason(action, row)));
-        let mut items: Vec<(Vec<&str>, String, Option<&str>)> = Vec::new();
-        for ((code, why), rows) in by_rule {
+        let by_rule = by_rule.into_iter().map(|((code, why), rows)| {
             let on = format!("{}{}", self.subject_suffix(&rows), half_width_suffix(&rows));
-            match items.iter_mut().find(|(_, known, said)| *known == on && *said == why) {
-                Some((codes, ..)) => codes.push(code),
-                None => items.push((vec![code], on, why)),
-            }
-        }
-        let said = items.into_iter().map(|(codes, on, why)| {
+            (code, on, why)
+        });
+        let by_rule: Vec<(&str, String, Option<&str>)> = by_rule.collect();
+        let items = group_by_key(by_rule.iter(), |(_, on, why)| (on.as_str(), *why));
+        let said = items.into_iter().map(|((on, why), rules)| {
+            let codes: Vec<&str> = rules.into_iter().map(|(code, ..)| *code).collect();
             let why = why.map_or(String::new(), |why| format!(": {why}"));
             format!("{}{on}{why}", code_ranges(&codes).join(", "))
         });

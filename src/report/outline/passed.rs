@@ -1,6 +1,6 @@
 //! Passed checks and the amounts that they bound.
 
-use super::{Outline, RuleRows, code_ranges};
+use super::{Outline, RuleRows, code_ranges, group_by_key};
 use crate::checks;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 use crate::report::amounts::format_amount;
@@ -54,8 +54,8 @@ impl Outline<'_> {
             return checks;
         }
         let (mut whole, mut parts) = (Vec::new(), Vec::<(Vec<&str>, String)>::new());
-        for code in self.codes() {
-            let rows = RuleRows::from_rows(self.rows(code));
+        for (code, rows) in group_by_key(self.report.checks.iter(), |row| row.code) {
+            let rows = RuleRows::from_rows(rows);
             let (bounded, without_amount): (Vec<&CheckRow>, Vec<&CheckRow>) =
                 rows.passed.iter().copied().partition(|row| max_magnitude(row).is_some());
             let bound = self.bound(code, &bounded, rows.evaluated);
@@ -113,11 +113,12 @@ impl Outline<'_> {
 }
 
 impl<'a> RuleRows<'a> {
-    fn from_rows(rows: impl Iterator<Item = &'a CheckRow>) -> Self {
-        let evaluated: Vec<&CheckRow> = rows.filter(|row| row.status != Status::Skipped).collect();
-        let passed = evaluated.iter().copied().filter(|row| row.status == Status::Pass);
+    fn from_rows(mut rows: Vec<&'a CheckRow>) -> Self {
+        rows.retain(|row| row.status != Status::Skipped);
+        let evaluated = rows.len();
+        let passed = rows.into_iter().filter(|row| row.status == Status::Pass);
         let (without_remark, with_remark) = passed.partition(|row| row.reason.is_none());
-        Self { passed: without_remark, passed_with_remark: with_remark, evaluated: evaluated.len() }
+        Self { passed: without_remark, passed_with_remark: with_remark, evaluated }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Finds the arms of a log: its robot models, and the joint states of each arm.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use crate::robot::nearest;
@@ -229,14 +229,12 @@ fn are_arm_joints(joints: &[&JointColumn]) -> bool {
 }
 
 fn joints_in(topics: &[JointTopic<'_>]) -> Vec<String> {
-    let mut joints: Vec<String> = Vec::new();
-    for topic in topics {
-        let names = topic.columns.joints.iter().map(|joint| &joint.name);
-        let new: Vec<String> =
-            names.filter(|name| !joints.contains(name) && topic.has_joint(name)).cloned().collect();
-        joints.extend(new);
-    }
-    joints
+    let mut known: HashSet<&str> = HashSet::new();
+    let all = topics
+        .iter()
+        .flat_map(|topic| topic.columns.joints.iter().filter(|joint| topic.has_samples(joint)));
+    let names = all.map(|joint| &joint.name).filter(|name| known.insert(name));
+    names.cloned().collect()
 }
 
 /// Distinguishes arms of equal names by words of their topics, the tip or the first joint.

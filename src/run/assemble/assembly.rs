@@ -1,5 +1,6 @@
 //! State of a run during assembly.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use crate::run::RunOptions;
@@ -15,6 +16,8 @@ use crate::time::Stamp;
 pub(super) struct Assembly<'a> {
     pub(super) options: &'a RunOptions,
     pub(super) streams: Vec<Stream>,
+    /// Topics of dynamic transforms.
+    pub(super) tf_topics: HashSet<String>,
     pub(super) timing: Timing,
     pub(super) origin: Stamp,
     pub(super) tf: Arc<TfTree>,

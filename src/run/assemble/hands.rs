@@ -72,7 +72,7 @@ impl Assembly<'_> {
             })
         });
         let by_transforms = targets::hand_frame(&self.tf, camera).and_then(|(base, hand)| {
-            let path = self.tf.path(&base, &hand, |_| true).ok()?;
+            let path = self.tf.find_path(&base, &hand, |_| true)?;
             let stamps = path.stamps().into_iter();
             let samples: Vec<(Stamp, Pose)> =
                 stamps.filter_map(|stamp| Some((stamp, path.pose_at(stamp).ok()?))).collect();

@@ -247,7 +247,7 @@ impl PoseRanking<'_> {
         let mut without_fit: HashMap<_, Vec<PoseSource>> = HashMap::new();
         for stream in longest {
             let Some(source) = self.source_of(&arm, stream) else { continue };
-            let key = source.copy_key();
+            let key = source.content_hash();
             let alike = without_fit.get(&key).into_iter().flatten();
             let mut others = fits.iter().map(|fitted| &fitted.source).chain(alike);
             if others.any(|other| source.is_copy_of(other)) {

@@ -1,5 +1,7 @@
 //! Commanded poses and joint positions of an arm.
 
+use std::collections::HashSet;
+
 use crate::geometry::Pose;
 use crate::run::role::{Role, find_word, may_have_role, split_words};
 use crate::stream::{ArrayColumns, Columns, JointColumns, PoseTrack};
@@ -71,7 +73,7 @@ const MAX_ROWS: usize = 20_000;
 impl Assembly<'_> {
     /// The commands to the arms. Skips streams that command none of their joints.
     pub(super) fn references(&self) -> Vec<ReferenceSource> {
-        let mut known_plans: Vec<&str> = Vec::new();
+        let mut known_plans: HashSet<&str> = HashSet::new();
         let mut found = Vec::new();
         for (index, stream) in self.streams.iter().enumerate() {
             if !may_have_role(stream, Role::Reference) {
@@ -79,10 +81,9 @@ impl Assembly<'_> {
             }
             let source = match &stream.columns {
                 Some(Columns::Poses(_)) if is_plan(stream) => {
-                    if known_plans.contains(&stream.topic.as_str()) {
+                    if !known_plans.insert(&stream.topic) {
                         continue;
                     }
-                    known_plans.push(&stream.topic);
                     let why = "each message contains several poses: a plan, not a goal".to_owned();
                     self.likeliest_arm(stream).map(|arm| (arm, Err(why)))
                 }

@@ -311,7 +311,7 @@ impl Assembly<'_> {
     }
 
     pub(super) fn is_transform(&self, stream: &Stream) -> bool {
-        self.streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
+        self.tf_topics.contains(&stream.topic)
     }
 
     /// Candidate arms. Applies each criterion if a candidate remains: the arm moves the child frame, the
@@ -487,7 +487,7 @@ impl Assembly<'_> {
             let (parent, child) = arm.tree.names(edge);
             edge.kind != EdgeKind::Dynamic || !arm.has_logged_joint_between(parent, child)
         };
-        let path = arm.tree.path(&arm.frame_of(arm.base), frame, is_free).ok()?;
+        let path = arm.tree.find_path(&arm.frame_of(arm.base), frame, is_free)?;
         let mut stamps = path.stamps();
         poses::thin(&mut stamps);
         let samples: Vec<(Stamp, Pose)> = stamps

@@ -69,7 +69,7 @@ pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timin
             link.is_some_and(|link| !arm.can_move(link))
                 && arm.frames.link_of(&arm.robot, frame).is_none()
         };
-        if arms.iter().any(is_base) && tree.path(frame, child, |_| true).is_err() {
+        if arms.iter().any(is_base) && tree.find_path(frame, child, |_| true).is_none() {
             let (stamps, poses) = samples_of(streams, timing, (index, 0), poses);
             if stamps.len() > 1 {
                 tree.insert_samples(frame, child, stamps, poses);
@@ -228,9 +228,7 @@ impl Assembly<'_> {
                 (None, (FrameKind::MovingLink, _)) => false,
                 (None, (_, FrameKind::MovingLink)) => arm.is_moved_by_most_joints(child),
                 (None, (_, place)) => {
-                    let carries_more =
-                        arm.tree.edges().iter().any(|edge| arm.tree.names(edge).0 == child);
-                    place == FrameKind::Unknown && carries_none() && !carries_more
+                    place == FrameKind::Unknown && carries_none() && !arm.tree.has_child(child)
                 }
             };
         }

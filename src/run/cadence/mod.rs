@@ -12,7 +12,7 @@ mod sequence_numbers;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use rayon::prelude::*;
 
@@ -27,8 +27,9 @@ use self::parts::{CadencePart, split_parts};
 use super::arm::Arm;
 use super::clock::{HeaderStamps, StreamClock};
 use super::joints::JointTopic;
+use super::publishers::TwoPublishers;
 use super::role::Role;
-use super::streams::Stream;
+use super::streams::{Stream, tf_topics};
 use super::timing::Timing;
 
 pub use self::extent::StreamExtent;
@@ -78,13 +79,6 @@ pub struct Rhythm {
     pub extent: Option<StreamExtent>,
 }
 
-impl Rhythm {
-    fn has_relabelled(&self, streams: &[Stream]) -> bool {
-        let own = &streams[self.stream];
-        streams.iter().any(|other| is_relabelled(own, other, streams))
-    }
-}
-
 impl Cadence {
     fn remove_filled(&mut self, other_stamps: &[Stamp]) {
         self.missing_rows.retain(|hole| {
@@ -110,22 +104,29 @@ pub(super) fn measure_rhythms(
     arms: &[Arm],
 ) -> Vec<Rhythm> {
     let motion = ArmMotion::new(topics, arms);
+    let tf_topics = tf_topics(streams);
+    // Transforms that are also separate streams.
+    let separate = streams.iter().filter(|stream| is_tool_pose(stream));
+    let separate: HashSet<(&str, &str)> = separate.map(body).collect();
     let rhythm = |(index, stream): (usize, &Stream)| {
-        let has_rhythm = has_rhythm(stream) && !is_within_tf(stream, streams);
+        // Other transforms are handled with their TF topic.
+        let is_own = matches!(stream.role, Role::Tf) || is_tool_pose(stream);
+        let has_rhythm = has_rhythm(stream) && (is_own || !tf_topics.contains(&stream.topic));
         let columns = stream.columns.as_ref().filter(|_| has_rhythm)?;
         let mut parts: Vec<CadencePart<'_>> = split_parts(columns, arms)
             .into_iter()
             .flat_map(|part| {
-                let two = timing.sample_filter.publishers.iter();
-                let mut two = two.filter(|two| (two.stream, two.piece) == (index, part.piece));
-                match two.next() {
+                let publishers = &timing.sample_filter.publishers;
+                match TwoPublishers::of_part(publishers, index, part.piece) {
                     Some(two) => Vec::from(part.by_publisher(&two.second_rows)),
                     None => vec![part],
                 }
             })
             .collect();
         if stream.role == Role::Tf {
-            parts.retain(|part| !is_separate_stream(part, stream, streams));
+            parts.retain(|part| {
+                !part.frame.is_some_and(|frame| separate.contains(&(&stream.topic, frame)))
+            });
         }
         let bounds = parts
             .iter()
@@ -162,36 +163,47 @@ pub(super) fn measure_rhythms(
         Some(((rhythm, bounds), numbers))
     };
     let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
-    let (mut rhythms, counted): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    let (mut rhythms, numbers): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    let skipped_numbers = sequence_numbers::count_skipped(&numbers);
+    let mut bounds_by_stream: Vec<Option<PartBounds>> = vec![None; streams.len()];
+    for (rhythm, bounds) in &rhythms {
+        bounds_by_stream[rhythm.stream] = *bounds;
+    }
+    // Poses of one body on one topic, perhaps in several frames.
+    let mut bodies: HashMap<(&str, &str), Vec<usize>> = HashMap::new();
+    for (index, stream) in streams.iter().enumerate() {
+        if matches!(stream.columns, Some(Columns::Poses(_))) && !tf_topics.contains(&stream.topic) {
+            bodies.entry(body(stream)).or_default().push(index);
+        }
+    }
+    let relabelled = |index: usize| -> Vec<usize> {
+        let own = &streams[index];
+        let of_body =
+            bodies.get(&body(own)).filter(|of_body| of_body.binary_search(&index).is_ok());
+        let is_other = |other: &&usize| streams[**other].frame_id != own.frame_id;
+        of_body.into_iter().flatten().filter(is_other).copied().collect()
+    };
     // A stream that continues with another frame_id has not ended.
     let with_others = |(rhythm, own): &(Rhythm, Option<PartBounds>)| {
-        let stream = &streams[rhythm.stream];
-        let others = rhythms.iter().filter(|(other, _)| {
-            other.stream != rhythm.stream && is_relabelled(stream, &streams[other.stream], streams)
-        });
-        let all = others.filter_map(|(_, bounds)| *bounds).chain(*own).reduce(PartBounds::join);
-        all.filter(|_| is_expected(stream))
+        let others = relabelled(rhythm.stream).into_iter();
+        let bounds = others.filter_map(|other| bounds_by_stream[other]).chain(*own);
+        bounds.reduce(PartBounds::join).filter(|_| is_expected(&streams[rhythm.stream]))
     };
     let bounds: Vec<Option<PartBounds>> = rhythms.iter().map(with_others).collect();
     let ends = SortedEnds::collect(&bounds);
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
         rhythm.extent = compare_extent(&bounds, &ends, index, &motion);
-        let own = &streams[rhythm.stream];
-        let other_stamps = || {
-            let others = streams.iter().enumerate().filter(|(other, _)| *other != rhythm.stream);
-            let others = others.filter(|(_, other)| is_relabelled(own, other, streams));
-            let mut other_stamps: Vec<Stamp> = others
-                .flat_map(|(other, _)| timing.clocks.rows(streams, other, 0))
-                .map(|(stamp, _)| stamp)
-                .collect();
-            other_stamps.sort_unstable();
-            other_stamps
-        };
-        if let (true, [only]) = (rhythm.has_relabelled(streams), rhythm.parts.as_mut_slice()) {
-            only.remove_filled(&other_stamps());
+        let [only] = rhythm.parts.as_mut_slice() else { continue };
+        only.skipped_numbers = skipped_numbers[index];
+        if only.missing_rows.is_empty() {
+            continue;
         }
-        if let [only] = rhythm.parts.as_mut_slice() {
-            only.skipped_numbers = sequence_numbers::count_skipped(&counted, index);
+        let others = relabelled(rhythm.stream);
+        if !others.is_empty() {
+            let rows = others.into_iter().flat_map(|other| timing.clocks.rows(streams, other, 0));
+            let mut other_stamps: Vec<Stamp> = rows.map(|(stamp, _)| stamp).collect();
+            other_stamps.sort_unstable();
+            only.remove_filled(&other_stamps);
         }
     }
     rhythms.into_iter().map(|(rhythm, _)| rhythm).collect()
@@ -215,28 +227,13 @@ fn is_expected(stream: &Stream) -> bool {
     matches!(stream.role, Role::Joints | Role::Pose | Role::Candidate { .. } | Role::Tf | Role::Imu)
 }
 
-/// Whether two streams are poses of one body on one topic, in different frames.
-fn is_relabelled(stream: &Stream, other: &Stream, streams: &[Stream]) -> bool {
-    stream.topic == other.topic
-        && stream.child_frame_id == other.child_frame_id
-        && stream.frame_id != other.frame_id
-        && [stream, other].iter().all(|one| matches!(one.columns, Some(Columns::Poses(_))))
-        && !streams.iter().any(|tf| tf.role == Role::Tf && tf.topic == stream.topic)
+fn is_tool_pose(stream: &Stream) -> bool {
+    matches!(stream.role, Role::Pose | Role::Candidate { .. })
 }
 
-/// Whether a stream is a transform handled with its TF topic.
-fn is_within_tf(stream: &Stream, streams: &[Stream]) -> bool {
-    !matches!(stream.role, Role::Tf | Role::Pose | Role::Candidate { .. })
-        && streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
-}
-
-/// Whether a transform of the TF topic is also a measured pose.
-fn is_separate_stream(part: &CadencePart<'_>, stream: &Stream, streams: &[Stream]) -> bool {
-    streams.iter().any(|other| {
-        matches!(other.role, Role::Pose | Role::Candidate { .. })
-            && other.topic == stream.topic
-            && part.frame == Some(other.child_frame_id.as_str())
-    })
+/// Topic and child frame of a stream.
+fn body(stream: &Stream) -> (&str, &str) {
+    (&stream.topic, &stream.child_frame_id)
 }
 
 impl CadencePart<'_> {

@@ -7,12 +7,20 @@ const MIN_NUMBERS: usize = 20;
 /// Minimum share of steps of one, if the numbers count messages.
 const MIN_STEP_OF_ONE_SHARE: f64 = 0.6;
 
-/// Rows missing from stream `index`; `None` if its numbers are unusable. `counted` has all streams' numbers
-/// in receive order.
-pub(super) fn count_skipped(counted: &[Vec<u32>], index: usize) -> Option<usize> {
-    let own = counted.get(index).filter(|own| is_counted(own))?;
-    let others = counted.iter().enumerate().filter(|(other, _)| *other != index);
-    let mut others = others.map(|(_, other)| other).filter(|other| is_counted(other)).peekable();
+/// Rows missing from each stream, given its numbers in receive order; `None` if they are unusable.
+pub(super) fn count_skipped(numbers: &[Vec<u32>]) -> Vec<Option<usize>> {
+    let is_counted = |index: &usize| is_counted(&numbers[*index]);
+    let counted: Vec<usize> = (0..numbers.len()).filter(is_counted).collect();
+    let mut skipped = vec![None; numbers.len()];
+    for &index in &counted {
+        let others = counted.iter().filter(|other| **other != index).map(|&other| &*numbers[other]);
+        skipped[index] = count_skipped_beside(&numbers[index], others);
+    }
+    skipped
+}
+
+fn count_skipped_beside<'a>(own: &[u32], others: impl Iterator<Item = &'a [u32]>) -> Option<usize> {
+    let mut others = others.peekable();
     // A counter shared by two topics is useless for both.
     others.peek()?;
     others.all(|other| have_separate_counters(own, other)).then_some(())?;
@@ -52,29 +60,27 @@ mod tests {
     fn skipped_sequence_numbers_are_missing_rows() {
         let lossy = without(1..101, &[7, 8, 50]);
         let counted = [lossy, (1..201).collect(), (5000..5100).collect()];
-        let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
-        assert_eq!(skipped, [Some(3), Some(0), Some(0)]);
+        assert_eq!(count_skipped(&counted), [Some(3), Some(0), Some(0)]);
     }
 
     #[test]
     fn regular_decimation_gives_no_missing_rows() {
         let counted = [without((0..300).step_by(3), &[30]), (1..201).collect()];
-        assert_eq!(count_skipped(&counted, 0), None);
+        assert_eq!(count_skipped(&counted)[0], None);
     }
 
     #[test]
     fn a_counter_shared_by_two_topics_is_ignored_for_both() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
         let counted = [a, b, (1..201).collect()];
-        let skipped: Vec<_> = (0..3).map(|index| count_skipped(&counted, index)).collect();
-        assert_eq!(skipped, [None, None, Some(0)]);
+        assert_eq!(count_skipped(&counted), [None, None, Some(0)]);
     }
 
     #[test]
     fn a_counter_shared_by_all_topics_is_ignored() {
         let (a, b) = (1..400).partition(|number| number % 5 != 0);
-        assert_eq!([count_skipped(&[a, b], 0)], [None]);
-        assert_eq!(count_skipped(&[without(1..101, &[7])], 0), None);
+        assert_eq!(count_skipped(&[a, b])[0], None);
+        assert_eq!(count_skipped(&[without(1..101, &[7])]), [None]);
     }
 
     #[test]
@@ -84,7 +90,7 @@ mod tests {
         let (square, anew) =
             ((1..100).map(|n| n * n).collect(), (1..60).chain(90_000..90_050).collect());
         for numbers in [none, back, square, anew] {
-            assert_eq!(count_skipped(&[numbers, other()], 0), None);
+            assert_eq!(count_skipped(&[numbers, other()])[0], None);
         }
     }
 }
