@@ -208,7 +208,7 @@ impl NumericTable {
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
-        // Of unit length, the products are the correlations.
+        // The scalar product of two normalized series is their correlation.
         let of_all = |series: &dyn Fn(usize) -> Vec<f64>| -> Vec<Vec<f64>> {
             (0..count).map(|column| normalized(series(column))).collect()
         };
@@ -227,7 +227,7 @@ impl NumericTable {
             };
             let mut from = 0;
             while from + MIN_MOVING_JOINTS + behind <= count {
-                // Any long enough run from here on contains this column.
+                // Long enough runs that begin before this column contain it.
                 if !is_pair(&(from + MIN_MOVING_JOINTS - 1)) {
                     from += MIN_MOVING_JOINTS;
                     continue;
