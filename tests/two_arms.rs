@@ -64,3 +64,13 @@ fn a_joint_zero_does_not_assign_the_poses_to_an_arm_that_moves_alike() {
     let codes: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
     assert_eq!(codes, ["ZER001"]);
 }
+
+#[test]
+fn an_arm_without_poses_gets_none_of_an_arm_that_moves_alike() {
+    let (mut left, mut right) = (arm("left", 1), arm("right", 1));
+    left.joints.is_in_degrees = true;
+    right.pose.timing.rate_hz = 0.0;
+    let report = audit_edited(&[left, right], |_| {});
+    let codes: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
+    assert!(codes.contains(&"ORD004") && !codes.contains(&"FRM007"), "{codes:?}");
+}

@@ -449,8 +449,8 @@ fn exchanged_streams(run: &Run, named: Vec<SharedStream>) -> Vec<(SharedStream, 
     named.into_iter().zip(arms).collect()
 }
 
-/// Arm other than the named one that a stream follows. `None` if it follows the named arm, if it follows none
-/// or several others, or if a stream of that arm follows it already: arms may move alike.
+/// The only other arm that a stream follows. Arms may move alike, so that arm must have poses, too, and they
+/// must not follow it.
 fn arm_followed(run: &Run, named: &[SharedStream], shared: &SharedStream) -> Option<usize> {
     let follows = |arm: usize, is_wanted: &dyn Fn(&PoseSource) -> bool| {
         let Some(arm) = run.arms.get(arm) else { return false };
@@ -464,7 +464,8 @@ fn arm_followed(run: &Run, named: &[SharedStream], shared: &SharedStream) -> Opt
         let other = named.iter().find(|other| other.stream == source.stream);
         other.is_none_or(|other| other.candidates.first().is_some_and(|first| first.arm == arm))
     };
-    (!follows(arm, &is_named_after)).then_some(arm)
+    let has_streams = run.arms.get(arm)?.poses.iter().any(is_named_after);
+    (has_streams && !follows(arm, &is_named_after)).then_some(arm)
 }
 
 /// Excludes streams with a constant pose while joints move the tool: stationary, or from another time.

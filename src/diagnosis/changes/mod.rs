@@ -106,7 +106,7 @@ pub(super) fn diagnose_with_recorded_changes(
 ) -> Option<ArmDiagnosis> {
     let lags = vec![0.0; streams.len()];
     let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
-    // Some stream does not follow, or all do, as far as the motion tells.
+    // `None` if the motion determines it for no stream.
     let all_follow = |span: &Span| {
         let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
         let streams = run.with_tracks(&tracks);

@@ -24,15 +24,15 @@ pub(super) struct SplitRun<'a> {
 /// Start (inclusive) and end (exclusive), s.
 pub(super) type Span = (f64, f64);
 
-/// Velocity of a joint in `row` from the positions there and in row `beside`, as velocities that were derived
-/// from positions are wrong next to a jump.
-pub(super) fn set_velocity(joints: &mut JointTrack, column: usize, row: usize, beside: usize) {
+/// Sets a joint's velocity in `row` from its positions there and in row `neighbour`. Velocities derived from
+/// positions are wrong next to a jump.
+pub(super) fn set_velocity(joints: &mut JointTrack, column: usize, row: usize, neighbour: usize) {
     let JointTrack { t_s, dof, q, qd, .. } = joints;
-    if row == beside || row.max(beside) >= t_s.len() {
+    if row == neighbour || row.max(neighbour) >= t_s.len() {
         return;
     }
-    let [here, there] = [row, beside].map(|row| row * *dof + column);
-    qd[here] = (q[there] - q[here]) / (t_s[beside] - t_s[row]);
+    let [here, there] = [row, neighbour].map(|row| row * *dof + column);
+    qd[here] = (q[there] - q[here]) / (t_s[neighbour] - t_s[row]);
 }
 
 impl SplitRun<'_> {
