@@ -24,7 +24,7 @@ pub use encoding::{
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stats::Measured;
-use ground::stream::JointTrack;
+use ground::stream::{JointTrack, sample_noise};
 use interpreted_poses::{ConstantFrames, FRAME_ITERATIONS, FreeFrames, InterpretedPoses};
 use map::{Coupling, JointMap};
 use search::{InterpretationKind, JointInterpretation, SearchOutcome, search_kind};
@@ -41,6 +41,9 @@ const MIN_RESIDUAL_RATIO: f64 = 5.0;
 const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.05;
 /// Stricter: reversed joint order moves an arm much like the inverse of an arm with rotated frames.
 const MAX_LOGGED_RESIDUAL_SHARE_ROTATED: f64 = 0.005;
+/// Residual over the noise of the positions, for a residual that is only noise: no interpretation has a smaller
+/// one. Residuals of 60 samples scatter by 5 %.
+const MAX_NOISE_RATIO: f64 = 1.5;
 /// Limits for another interpretation at slow samples, before correcting latency and small causes.
 const MAX_RESIDUAL_SHARE: f64 = 0.02;
 const MAX_RESIDUAL_RAD: f64 = 0.03;
@@ -68,6 +71,7 @@ pub(super) fn estimate_joint_encoding(
         .max_by_key(|(stream, _)| (stream.columns.len(), stream.track.t_s.len()))
         .ok_or(NotObservable::NoOverlap)?;
     let chain = stream.chain;
+    let noise_m = scale * position_noise(stream);
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
     for lag_s in latency_candidates(joints, stream, max_lag_s) {
@@ -85,7 +89,9 @@ pub(super) fn estimate_joint_encoding(
         }
         extent = spread(&samples.xyz).max(0.01).min(extent);
         let misfit_m = misfit(chain, &samples);
-        if misfit_m <= MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent
+        let max_noise_m =
+            (MAX_NOISE_RATIO * noise_m).min(MAX_LOGGED_RESIDUAL_SHARE * spread(&samples.xyz));
+        if misfit_m <= (MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent).max(max_noise_m)
             || tool_misfit(chain, &samples) <= MAX_LOGGED_RESIDUAL_SHARE * extent
         {
             return Ok(JointEncoding::default());
@@ -496,6 +502,14 @@ fn tool_misfit(chain: &Chain, samples: &SimultaneousSamples) -> f64 {
     let expected = FkColumns::from_poses(&poses);
     let plain = expected.tool_misfit(&samples.xyz);
     samples.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
+}
+
+/// Rms distance of a position from the mean, due to noise, in the unit of the stream.
+fn position_noise(stream: &PoseStream) -> f64 {
+    let axis = |axis: usize| {
+        sample_noise(&stream.track.xyz.iter().map(|xyz| xyz[axis]).collect::<Vec<f64>>())
+    };
+    (0..3).map(|one| axis(one).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Position residual with constant frames, rms m.

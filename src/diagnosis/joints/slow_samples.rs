@@ -37,7 +37,8 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(rms).collect()
 }
 
-/// Spread over the run.
+/// Spread over the run: half by time and half by path, so that an arm that dwells in one place is seen elsewhere,
+/// too. From each stretch the slowest sample, and of these the slower half.
 pub(super) fn slow_simultaneous_samples(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -50,15 +51,33 @@ pub(super) fn slow_simultaneous_samples(
     let mut covered: Vec<(usize, f64, Vec<f64>)> = Vec::new();
     for (k, t_s) in track.t_s.iter().enumerate() {
         if joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
-            let speed = qd.iter().zip(&rms).map(|(speed, rms)| (speed / rms).powi(2)).sum();
+            let speed =
+                qd.iter().zip(&rms).map(|(speed, rms)| (speed / rms).powi(2)).sum::<f64>().sqrt();
             covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
         }
     }
-    let mut by_speed: Vec<usize> = (0..covered.len()).collect();
-    by_speed.sort_by(|&a, &b| covered[a].1.total_cmp(&covered[b].1));
-    by_speed.truncate(covered.len().div_ceil(2));
-    by_speed.sort_unstable();
-    let step = by_speed.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1);
+    let mean_speed = (covered.iter().map(|(_, speed, _)| speed).sum::<f64>()
+        / covered.len().max(1) as f64)
+        .max(f64::MIN_POSITIVE);
+    let mut distance = 0.0;
+    let distances: Vec<f64> = covered
+        .iter()
+        .map(|(_, speed, _)| {
+            distance += speed + mean_speed;
+            distance
+        })
+        .collect();
+    let stretches = (2 * JOINT_ENCODING_SAMPLES) as f64;
+    let stretch = |i: &usize| (stretches * distances[*i] / distance) as usize;
+    let by_index: Vec<usize> = (0..covered.len()).collect();
+    let speed = |i: &usize| covered[*i].1;
+    let slower = |a: &usize, b: &usize| speed(a).total_cmp(&speed(b));
+    let slowest = by_index.chunk_by(|a, b| stretch(a) == stretch(b));
+    let mut slow: Vec<usize> =
+        slowest.filter_map(|stretch| stretch.iter().copied().min_by(slower)).collect();
+    slow.sort_by(slower);
+    slow.truncate(slow.len().div_ceil(2));
+    slow.sort_unstable();
     let rotations = match &track.orientation {
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
@@ -69,7 +88,7 @@ pub(super) fn slow_simultaneous_samples(
         inverse_xyz: rotations.map(|_| Vec::new()),
         q: Vec::new(),
     };
-    for &i in by_speed.iter().step_by(step) {
+    for i in slow {
         let k = covered[i].0;
         let xyz = track.xyz[k] * scale;
         samples.xyz.push(xyz);

@@ -1,9 +1,13 @@
 use super::interpreted_poses::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
+use super::slow_samples::{JOINT_ENCODING_SAMPLES, slow_simultaneous_samples};
+use crate::PoseStream;
+use crate::frames::position_fit::spread;
 use crate::test_random::Lcg;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
+use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::f64::consts::{PI, TAU};
 
 const MOST: ResidualSize = ResidualSize { m: 5e-3, rad: Some(0.03) };
@@ -173,4 +177,50 @@ fn a_coupled_pair_is_identified_with_its_factor() {
         assert_eq!((coupling.joint, coupling.by), (joint, by));
         assert!((coupling.factor - factor).abs() < 1e-3, "{coupling:?}");
     }
+}
+
+/// A pick motion: the arm dwells at one place for most of the time.
+#[test]
+fn samples_of_an_arm_that_dwells_show_other_places() {
+    const DWELL_ROWS: usize = 400;
+    let chain = ur5e();
+    let home = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0];
+    let moves = |row: usize| match row.checked_sub(DWELL_ROWS) {
+        Some(moving) => 0.5 * (1.0 - (TAU * moving as f64 / 100.0).cos()),
+        None => 0.0,
+    };
+    let rows: Vec<Vec<f64>> =
+        (0..DWELL_ROWS + 100).map(|row| home.map(|q| q + moves(row)).to_vec()).collect();
+    let poses: Vec<Pose> = rows.iter().map(|q| chain.forward(q)).collect();
+    let t_s: Vec<f64> = (0..rows.len()).map(|row| 0.01 * row as f64).collect();
+    let rates = (1..=rows.len()).map(|row| {
+        let rate = 100.0 * (moves(row.min(rows.len() - 1)) - moves(row - 1));
+        [rate; 6]
+    });
+    let joints = JointTrack {
+        t_s: t_s.clone(),
+        dof: chain.dof(),
+        qd: rates.flatten().collect(),
+        q: rows.concat(),
+        noise: Vec::new(),
+    };
+    let track = PoseTrack {
+        t_s,
+        xyz: poses.iter().map(|pose| pose.translation.vector).collect(),
+        orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
+        declared: None,
+    };
+    let columns: Vec<usize> = (0..chain.dof()).collect();
+    let stream = PoseStream {
+        track: &track,
+        chain: &chain,
+        columns: &columns,
+        reference_known: true,
+        stamp_error_s: 0.0,
+        stamps_copied: false,
+        removed_ramp: None,
+    };
+    let samples = slow_simultaneous_samples(&joints, &stream, 1.0, 0.0);
+    assert!(samples.xyz.len() >= JOINT_ENCODING_SAMPLES / 2, "{} samples", samples.xyz.len());
+    assert!(spread(&samples.xyz) > 0.2 * spread(&track.xyz), "{} m", spread(&samples.xyz));
 }
