@@ -1,8 +1,7 @@
 //! Compares positions with FK before rotations are decoded.
 
-use ground::geometry::rotation_by_wahba;
-use ground::geometry::{Pose, Rotation, Vec3, pose};
-use nalgebra::Matrix3;
+use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_by_wahba, rotation_from_rotvec};
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
@@ -77,29 +76,91 @@ impl FkColumns {
         self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
     }
 
-    /// Fits reference (Kabsch 1976) and tool (mean) alternately. `None` if positions are collinear.
+    /// Reference and tool offset with the smallest misfit, from the reference of Kabsch (1976) without a tool.
+    /// `None` if positions are collinear.
     pub fn fit_rigid(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
         self.fit_rigid_iterations(xyz, 30)
     }
 
-    fn fit_rigid_iterations(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
+    /// Levenberg–Marquardt, with a prior on the tool's length as large as the residual allows: a wrong model
+    /// would fit with a tool of several metres. Directions that the motion does not determine stay at the start.
+    fn fit_rigid_iterations(&self, xyz: &[Vec3], iterations: usize) -> Option<(Pose, Vec3)> {
+        const FIRST_DAMPING: f64 = 1e-6;
+        const MAX_DAMPING: f64 = 1e3;
+        /// Standard deviation of a marker's or tool's offset, m.
+        const TOOL_PRIOR_M: f64 = 0.5;
+        let mut rotation = rigid_transform(&self.xyz, xyz)?.rotation;
         let mut tool = Vec3::zeros();
-        let mut reference = Pose::identity();
-        for _ in 0..turns {
-            let points: Vec<Vec3> = self
-                .xyz
-                .iter()
-                .zip(&self.rotation)
-                .map(|(fk, rotation)| fk + rotation * tool)
-                .collect();
-            reference = rigid_transform(&points, xyz)?;
-            let before = std::mem::replace(&mut tool, self.tool(xyz, &reference));
-            if (tool - before).norm() < CONVERGED_TOOL_CHANGE {
+        let mut fit = self.linearized(xyz, &rotation, &tool);
+        let mut damping = FIRST_DAMPING;
+        for _ in 0..iterations {
+            let prior = fit.cost / (3 * xyz.len()) as f64 / TOOL_PRIOR_M.powi(2);
+            let (mut damped, mut gradient) = (fit.information, fit.gradient);
+            (3..6).for_each(|i| {
+                damped[(i, i)] += prior;
+                gradient[i] -= prior * tool[i - 3];
+            });
+            (0..6).for_each(|i| damped[(i, i)] *= 1.0 + damping);
+            let Some(damped) = damped.cholesky() else { break };
+            let step = damped.solve(&gradient);
+            let turn = Vec3::new(step[0], step[1], step[2]);
+            let change = Vec3::new(step[3], step[4], step[5]);
+            let next = (rotation_from_rotvec(turn) * rotation, tool + change);
+            let next_fit = self.linearized(xyz, &next.0, &next.1);
+            let penalized =
+                |fit: &LinearizedFit, tool: &Vec3| fit.cost + prior * tool.norm_squared();
+            if penalized(&next_fit, &next.1) > penalized(&fit, &tool) {
+                damping *= 100.0;
+                if damping > MAX_DAMPING {
+                    break;
+                }
+                continue;
+            }
+            damping = (damping / 100.0).max(FIRST_DAMPING);
+            ((rotation, tool), fit) = (next, next_fit);
+            if change.norm() < CONVERGED_TOOL_CHANGE {
                 break;
             }
         }
-        Some((reference, tool))
+        Some((pose(fit.origin.into(), rotation), tool))
     }
+
+    /// Residuals `xyz − rotation·(fk + R·tool) − origin` at the best `origin`, linearised in a small turn of
+    /// `rotation` and in `tool`.
+    fn linearized(&self, xyz: &[Vec3], rotation: &Rotation, tool: &Vec3) -> LinearizedFit {
+        let reference = rotation.to_rotation_matrix();
+        let (mut products, mut weighted) = (Matrix6::zeros(), Vector6::zeros());
+        let (mut columns, mut sum, mut squares) = (Matrix3x6::zeros(), Vec3::zeros(), 0.0);
+        for (xyz, (fk, rotation)) in xyz.iter().zip(self.xyz.iter().zip(&self.rotation)) {
+            let turned = reference * rotation.to_rotation_matrix();
+            let point = reference * fk + turned * tool;
+            let mut own = Matrix3x6::zeros();
+            own.fixed_view_mut::<3, 3>(0, 0).copy_from(&-point.cross_matrix());
+            own.fixed_view_mut::<3, 3>(0, 3).copy_from(turned.matrix());
+            let residual = xyz - point;
+            products += own.transpose() * own;
+            weighted += own.transpose() * residual;
+            columns += own;
+            sum += residual;
+            squares += residual.norm_squared();
+        }
+        let n = xyz.len().max(1) as f64;
+        let origin = sum / n;
+        LinearizedFit {
+            information: products - columns.transpose() * columns / n,
+            gradient: weighted - columns.transpose() * origin,
+            origin,
+            cost: squares - n * origin.norm_squared(),
+        }
+    }
+}
+
+struct LinearizedFit {
+    information: Matrix6<f64>,
+    gradient: Vector6<f64>,
+    origin: Vec3,
+    /// Sum of squares.
+    cost: f64,
 }
 
 /// `None` if collinear.
@@ -170,10 +231,27 @@ mod tests {
         let xyz: Vec<Vec3> = samples
             .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
             .collect();
-        let (found, _) = arm.fit_rigid(&xyz).expect("a reference");
-        assert!(angle_between(&found.rotation, &reference.rotation) < 0.01);
-        assert!((found.translation.vector - reference.translation.vector).norm() < 0.01);
-        assert!(arm.misfit(&xyz) < 0.01 * spread(&arm.xyz));
+        let (found, offset) = arm.fit_rigid(&xyz).expect("a reference");
+        assert!(angle_between(&found.rotation, &reference.rotation) < 1e-6);
+        assert!((found.translation.vector - reference.translation.vector).norm() < 1e-6);
+        assert!((offset - tool).norm() < 1e-6);
+        assert!(arm.misfit(&xyz) < 1e-6);
+    }
+
+    /// The height of the tool and of the reference are then one unknown.
+    #[test]
+    fn a_hand_that_turns_about_one_axis_still_fits_and_needs_no_long_tool() {
+        let arm = arm();
+        let vertical = |k: usize| rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.1 * k as f64));
+        let rotation: Vec<Rotation> = (0..arm.xyz.len()).map(vertical).collect();
+        let arm = FkColumns { rotation, ..arm };
+        let tool = Vec3::new(0.06, -0.03, 0.2);
+        let both = arm.xyz.iter().zip(&arm.rotation);
+        let xyz: Vec<Vec3> = both.map(|(fk, rotation)| fk + rotation * tool).collect();
+        let (_, found) = arm.fit_rigid(&xyz).expect("a reference");
+        assert!((found - tool).xy().norm() < 1e-6, "{found}");
+        assert!(found.z.abs() < 0.5, "{found}");
+        assert!(arm.misfit(&xyz) < 1e-6);
     }
 
     #[test]
