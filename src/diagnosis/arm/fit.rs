@@ -11,13 +11,12 @@ use crate::selection::link_deviations::{
     LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,
 };
 use crate::selection::model_selection::{
-    CandidateCauses, Cause, SelectedModel, SelectionStart, best_model, select_model,
+    CandidateCauses, Cause, SelectedModel, SelectionStart, select_from_starts, select_model,
 };
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
 use crate::selection::tool_preference::prefer_tool_frames;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
-use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
 /// Per stream.
@@ -81,7 +80,8 @@ pub(super) fn fit(
     let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     // Calibrations do not change a zero by more, rad or m.
     let large_offsets = large_zeros(&model.state, corrected, 0.1);
-    let is_open = with_offsets && allows_link_deviations(&model);
+    let may_deviate = with_offsets && links == LinkModel::MayDeviate;
+    let is_open = may_deviate && allows_link_deviations(&model);
     let deviations = if is_open {
         estimate_link_deviations(
             observations[largest_stream],
@@ -98,7 +98,7 @@ pub(super) fn fit(
         |s: usize| is_nominal(observations[s], s, &model.state, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
-        return Some(match with_offsets && links == LinkModel::MayDeviate {
+        return Some(match may_deviate {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
         });
@@ -339,22 +339,8 @@ fn best_start(
             }
         }
     }
-    let models = starts
-        .into_par_iter()
-        .flat_map_iter(|state| {
-            [(state.clone(), SelectionStart::AtState), (state, SelectionStart::AllCausesFree)]
-        })
-        .map(|(state, selection_start)| {
-            select_model(
-                &[&decoded.observations],
-                state,
-                candidates,
-                selection_start,
-                MAX_SEARCH_SAMPLES,
-            )
-        })
-        .collect();
-    let state = best_model(models)
+    let best = select_from_starts(&decoded.observations, starts, candidates, MAX_SEARCH_SAMPLES);
+    let state = best
         .map_or_else(|| start(&corrected.offsets, StreamState::at_latency(0.0)), |best| best.state);
     with_base_turned(state, &decoded.observations)
 }

@@ -11,6 +11,7 @@ use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Minimum share of a parameter's effect that the others cannot imitate. Below it, causes are collinear and the
@@ -413,12 +414,54 @@ pub(crate) fn select_model(
     selection_start: SelectionStart,
     max_samples: usize,
 ) -> SelectedModel {
+    const MAX_ROUNDS: usize = 12;
+    model_after_rounds(observations, start, candidates, selection_start, max_samples, MAX_ROUNDS)
+}
+
+/// Best model of one stream from several `starts`. Few rounds of each show which to continue.
+pub(crate) fn select_from_starts(
+    observations: &PoseObservations,
+    starts: Vec<State>,
+    candidates: &CandidateCauses,
+    max_samples: usize,
+) -> Option<SelectedModel> {
+    const FIRST_ROUNDS: usize = 4;
+    const CONTINUED: usize = 4;
+    let both = [SelectionStart::AtState, SelectionStart::AllCausesFree];
+    let starts: Vec<(State, SelectionStart)> =
+        starts.into_iter().flat_map(|state| both.map(|start| (state.clone(), start))).collect();
+    let observations = &[observations];
+    let first: Vec<SelectedModel> = starts
+        .into_par_iter()
+        .map(|(state, start)| {
+            model_after_rounds(observations, state, candidates, start, max_samples, FIRST_ROUNDS)
+        })
+        .collect();
+    let continued: Vec<SelectedModel> = ranked(first)
+        .into_par_iter()
+        .take(CONTINUED)
+        .map(|model| {
+            let at_state = SelectionStart::AtState;
+            select_model(observations, model.state, candidates, at_state, max_samples)
+        })
+        .collect();
+    ranked(continued).into_iter().next()
+}
+
+fn model_after_rounds(
+    observations: &[&PoseObservations],
+    start: State,
+    candidates: &CandidateCauses,
+    selection_start: SelectionStart,
+    max_samples: usize,
+    rounds: usize,
+) -> SelectedModel {
     let all = candidates.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
     let mut linear = Linearized::new(observations, &state, max_samples, &all);
     let all_free_rounds = if selection_start == SelectionStart::AllCausesFree { 3 } else { 0 };
-    for round in 0..12 {
+    for round in 0..rounds {
         let frees_all = round < all_free_rounds;
         let next = if frees_all {
             candidates.optional.clone()
@@ -445,17 +488,18 @@ fn is_negligible(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
-/// Best of several models of the same streams, by `Σ n·ln σ²` of the residuals plus the price of parameters
+/// Several models of the same streams, best first, by `Σ n·ln σ²` of the residuals plus the price of parameters
 /// and of round frame errors, such as a quarter turn.
 ///
 /// The autocorrelation, which reduces `n`, is that of the model with the smallest residual. Otherwise small
 /// differences of it would decide between equally good models.
-pub(crate) fn best_model(models: Vec<SelectedModel>) -> Option<SelectedModel> {
+fn ranked(models: Vec<SelectedModel>) -> Vec<SelectedModel> {
     let noises: Vec<Vec<Noise>> = models.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
-    let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
+    let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)));
     // Capped, so a smooth residual keeps enough samples.
-    let inflations: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
+    let inflations: Vec<f64> =
+        quietest.into_iter().flatten().map(|noise| noise.inflation().min(20.0)).collect();
     let score = |(model, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / model.linear.streams.len().max(1);
         let samples = model
@@ -469,11 +513,10 @@ pub(crate) fn best_model(models: Vec<SelectedModel>) -> Option<SelectedModel> {
             .sum();
         fit + model.price()
     };
-    models
-        .into_iter()
-        .zip(noises)
-        .min_by(|a, b| score(a).total_cmp(&score(b)))
-        .map(|(model, _)| model)
+    let mut scored: Vec<(f64, SelectedModel)> =
+        models.into_iter().zip(noises).map(|pair| (score(&pair), pair.0)).collect();
+    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+    scored.into_iter().map(|(_, model)| model).collect()
 }
 
 impl SelectedModel {
