@@ -8,6 +8,7 @@
 //! cargo bench --bench verdicts -- --logs 5000 --seed 7
 //! cargo bench --bench verdicts -- --verbose --keep /tmp/logs    # and what went wrong, with the logs
 //! cargo bench --bench verdicts -- --only 812 --keep /tmp/logs   # one log with its complete result
+//! cargo bench --bench verdicts -- --keep /tmp/logs --all         # every log, and the list for `examples/corpus.rs`
 //! ```
 //!
 //! Motion is usual (random and wide), industrial (most of it excites only some directions) or short
@@ -30,7 +31,7 @@ mod scenes;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write as _};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -59,6 +60,8 @@ pub struct Options {
     pub threads: usize,
     /// Folder for logs with wrong outcomes; with `only`, for that log.
     pub keep: Option<PathBuf>,
+    /// Keeps all logs, not only those with a wrong answer.
+    pub all: bool,
     pub only: Option<usize>,
     /// Numbers of faults to plant, used in turn.
     pub faults: Option<Vec<usize>>,
@@ -86,6 +89,7 @@ impl Options {
             seed: 1,
             threads: 2,
             keep: None,
+            all: false,
             only: None,
             faults: None,
             kinds: Vec::new(),
@@ -105,6 +109,7 @@ impl Options {
                 "--seed" => options.seed = number(&name, &value()),
                 "--threads" => options.threads = number(&name, &value()),
                 "--keep" => options.keep = Some(value().into()),
+                "--all" => options.all = true,
                 "--only" => options.only = Some(number(&name, &value())),
                 "--faults" => {
                     let counts = list(value());
@@ -130,7 +135,7 @@ fn number<T: std::str::FromStr>(name: &str, text: &str) -> T {
 
 fn misuse(name: &str) -> ! {
     eprintln!(
-        "{name}: not understood; options are --logs N --seed N --threads N --keep DIR --only CASE \
+        "{name}: not understood; options are --logs N --seed N --threads N --keep DIR --all --only CASE \
          --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --backgrounds links --motions industrial,short --minutes N --verbose"
     );
     std::process::exit(2)
@@ -225,7 +230,7 @@ fn audit_case(case: &Case, dir: &Path, options: &Options) -> Outcome {
         }
     }
     if let Some(keep) = &options.keep
-        && (is_wrong || options.only.is_some())
+        && (is_wrong || options.all || options.only.is_some())
     {
         fs::create_dir_all(keep).expect("the folder to keep logs in");
         let name = format!("s{}-{}", options.seed, case.index);
@@ -234,7 +239,11 @@ fn audit_case(case: &Case, dir: &Path, options: &Options) -> Outcome {
             if case.names_tip { format!(" --tip {}", case.scenario.tip) } else { String::new() };
         let robot = case.named_robot.iter().map(|name| format!(" --robot {name}"));
         let robot: String = robot.collect();
-        let mut text = format!("{case}\nBIN audit {name}.mcap{tip}{robot}\n");
+        let audit = format!("{name}.mcap{tip}{robot}");
+        let list = fs::File::options().create(true).append(true).open(keep.join("audits.txt"));
+        list.and_then(|mut list| list.write_all(format!("{audit}\n").as_bytes()))
+            .expect("the list can be written");
+        let mut text = format!("{case}\nBIN audit {audit}\n");
         if let Ok(verdict) = &outcome {
             for (kind, what) in &verdict.wrong_outcomes {
                 writeln!(text, "{kind}: {what}").expect("text takes text");
