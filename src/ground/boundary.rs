@@ -8,34 +8,54 @@ use std::io::{self, Write};
 use std::ops::Deref;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, Once, PoisonError};
 
 use tempfile::TempPath;
 
-/// Runs `work` without printing a panic.
+/// Panics while [`catch_panic`] runs on some thread.
+#[derive(Default)]
+struct CaughtPanics {
+    /// Number of calls that run.
+    calls: usize,
+    /// Messages without and with their source location.
+    located: Vec<[String; 2]>,
+}
+
+static CAUGHT: Mutex<CaughtPanics> = Mutex::new(CaughtPanics { calls: 0, located: Vec::new() });
+
+/// Runs `work` without printing a panic, also one of a worker thread. Calls may be nested and concurrent.
 ///
 /// # Errors
 /// If it panics: first line of the message, and source location.
 pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    let message_of_panic = Arc::new(Mutex::new(None));
-    let before = panic::take_hook();
-    let hook_message = Arc::clone(&message_of_panic);
-    panic::set_hook(Box::new(move |info| {
-        let mut message_of_panic = hook_message.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = info.location().map(|at| format!(" ({}:{})", at.file(), at.line()));
-        message_of_panic.get_or_insert(format!(
-            "{}{}",
-            message(info.payload()),
-            place.unwrap_or_default()
-        ));
-    }));
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let before = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            let mut caught = CAUGHT.lock().unwrap_or_else(PoisonError::into_inner);
+            if caught.calls == 0 {
+                drop(caught);
+                return before(info);
+            }
+            let message = message(info.payload());
+            let place = info.location().map(|at| format!(" ({}:{})", at.file(), at.line()));
+            let located = format!("{message}{}", place.unwrap_or_default());
+            caught.located.push([message, located]);
+        }));
+    });
+    CAUGHT.lock().unwrap_or_else(PoisonError::into_inner).calls += 1;
     let outcome = panic::catch_unwind(AssertUnwindSafe(work));
-    panic::set_hook(before);
-    outcome.map_err(|payload| {
-        let message_of_panic =
-            message_of_panic.lock().unwrap_or_else(PoisonError::into_inner).take();
-        message_of_panic.unwrap_or_else(|| message(payload.as_ref()))
-    })
+    let mut caught = CAUGHT.lock().unwrap_or_else(PoisonError::into_inner);
+    let outcome = outcome.map_err(|payload| {
+        let message = message(payload.as_ref());
+        let located = caught.located.iter().find(|[plain, _]| *plain == message);
+        located.map_or(message.clone(), |[_, located]| located.clone())
+    });
+    caught.calls -= 1;
+    if caught.calls == 0 {
+        caught.located.clear();
+    }
+    outcome
 }
 
 fn message(payload: &(dyn Any + Send)) -> String {
@@ -143,12 +163,8 @@ fn abort_without_memory(bytes: usize) -> ! {
 mod tests {
     use super::*;
 
-    /// The panic hook is global, so its tests run one at a time.
-    static HOOK: Mutex<()> = Mutex::new(());
-
     #[test]
     fn a_panic_is_reported_in_one_line_with_its_place() {
-        let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let error = catch_panic(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
         let error = error.expect_err("a panic");
         assert!(error.starts_with("index 7 is out of bounds ("), "{error}");
@@ -158,9 +174,19 @@ mod tests {
 
     #[test]
     fn a_panic_of_a_worker_thread_keeps_its_first_message() {
-        let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let work = || rayon::join(|| panic!("of a worker"), || 1);
         let error = catch_panic(work).expect_err("a panic");
         assert!(error.starts_with("of a worker (") && error.contains("boundary.rs:"), "{error}");
+    }
+
+    #[test]
+    fn a_panic_within_a_panic_is_caught_where_it_happened() {
+        let inner = || catch_panic(|| panic!("inner")).map(|()| 1);
+        let outer = catch_panic(|| {
+            let inner = inner();
+            assert!(inner.is_err_and(|error| error.starts_with("inner (")));
+            panic!("outer");
+        });
+        assert!(outer.is_err_and(|error: String| error.starts_with("outer (")));
     }
 }

@@ -24,6 +24,7 @@ use super::{
     Table, TableError, most_frequent,
 };
 use crate::memory_budget::MemoryBudget;
+use ground::boundary::catch_panic;
 
 const EPISODE_COLUMN: &str = "episode_index";
 /// Rows per call.
@@ -416,9 +417,13 @@ impl LeafValues {
             if !own.is_empty() {
                 let begin = self.count();
                 let rows = own.start - first..own.end - first;
-                let read = reader.column(group, at, memory).and_then(|(column, damaged)| {
+                let decode = || {
+                    let (column, damaged) = reader.column(group, at, memory)?;
                     self.column(column, rows.clone(), &damaged, memory)
-                });
+                };
+                // Damaged levels and indices overflow in the decoder, which panics in builds that check it.
+                let read = catch_panic(decode)
+                    .unwrap_or_else(|what| Err(format!("its decoder failed: {what}").into()));
                 match read {
                     // The memory limit ends the reading.
                     Err(refusal @ TableError::Memory(_)) => return Err(refusal),
