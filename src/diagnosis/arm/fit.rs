@@ -94,8 +94,18 @@ pub(super) fn fit(
     let offsets = deviations
         .as_ref()
         .map_or_else(|| large_offsets.clone(), |it| it.with_zeros(&large_offsets));
+    let is_retained = |cause: &Cause| match *cause {
+        Cause::Zero(joint) => offsets[joint] != 0.0,
+        Cause::RadialScale(_) => false,
+        Cause::JointScale(_) => true,
+        Cause::Latency(_) | Cause::Skew(_) => true,
+        Cause::Reference(s) => plain[s].reference != Pose::identity(),
+        Cause::Tool(s) => plain[s].tool != Pose::identity(),
+    };
+    let dropped = model.causes.iter().filter(|cause| !is_retained(cause));
+    let dropped: usize = dropped.map(|cause| cause.parameters(&model.state).len()).sum();
     let is_of_calibrated =
-        |s: usize| is_nominal(observations[s], s, &model.state, &plain[s], &offsets);
+        |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
         return Some(match may_deviate {
@@ -103,15 +113,6 @@ pub(super) fn fit(
             false => fitted,
         });
     }
-    let large_offsets = offsets;
-    let is_retained = |cause: &Cause| match *cause {
-        Cause::Zero(joint) => large_offsets[joint] != 0.0,
-        Cause::RadialScale(_) => false,
-        Cause::JointScale(_) => true,
-        Cause::Latency(_) | Cause::Skew(_) => true,
-        Cause::Reference(s) => plain[s].reference != Pose::identity(),
-        Cause::Tool(s) => plain[s].tool != Pose::identity(),
-    };
     let is_named = |cause: &Cause| match *cause {
         Cause::Zero(joint) => deviations.as_ref().is_some_and(|it| it.confounders(joint).is_some()),
         _ => false,
@@ -120,17 +121,17 @@ pub(super) fn fit(
         candidates.optional.into_iter().filter(is_retained).partition(is_named);
     let always = [candidates.always, named].concat();
     let candidates = CandidateCauses { always, optional, ..candidates };
-    let start = State { offsets: large_offsets, streams: plain };
+    let start = State { offsets, streams: plain };
     let model =
         select_model(&observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
     Some(ArmFit { model, candidates, deviations })
 }
 
-/// Applies if constant frames have a small residual of stream `s` without them.
+/// Drops causes that usual link deviations imitate in stream `s`, if the residual is then that of a nominal model.
 fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: usize) -> ArmFit {
     let ArmFit { model, candidates, .. } = &fitted;
     let imitable = small_causes(model, s);
-    if imitable.is_empty() || !explains_all(model) {
+    if imitable.is_empty() {
         return fitted;
     }
     let is_always_or_selected =
@@ -175,13 +176,10 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
     let nominal = estimate_link_deviations(observations[s], &start.streams[s], &start.offsets);
     let model =
         select_model(observations, start, &candidates, SelectionStart::AtState, FIT_SAMPLES);
-    let State { offsets, streams } = &model.state;
-    // Dropped causes may leave a constant offset in a known frame, as usual links do.
-    let is_constant = || {
-        let [m, rad] = constant_frame_residual(observations[s], &streams[s], offsets);
-        observations[s].reference_known && m < MAX_EXPLAINED_M && rad < MAX_EXPLAINED_RAD
-    };
-    match explains_all(&model) || is_constant() {
+    let is_within_calibration = model.linear.streams.iter().all(|stream| {
+        rms(&stream.residual[0]) < MAX_TIP_CHANGE_M && rms(&stream.residual[1]) < MAX_TIP_CHANGE_RAD
+    });
+    match is_within_calibration {
         true => ArmFit { model, candidates, deviations: nominal },
         false => fitted,
     }

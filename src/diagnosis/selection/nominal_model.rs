@@ -37,11 +37,13 @@ const MAX_SAMPLES: usize = 1000;
 const FIT_ROUNDS: usize = 4;
 
 /// Whether small changes of the link frames explain `observations` better than the causes in `state`. `stream_state`
-/// has only latency and large frames, `offsets` the joint zeros too large for link deviations.
+/// has only latency and large frames, `offsets` the joint zeros too large for link deviations. `dropped` is the
+/// number of parameters of the other causes.
 pub(crate) fn is_nominal(
     observations: &PoseObservations,
     stream: usize,
     state: &State,
+    dropped: usize,
     stream_state: &StreamState,
     offsets: &[f64],
 ) -> bool {
@@ -60,7 +62,8 @@ pub(crate) fn is_nominal(
     }
     let explained = observations.linearize(&state.streams[stream], &state.offsets, stride);
     let without_change = explained.weights_after(&vec![0.0; explained.width]);
-    calibration.gain_over(&without_change) > calibration.price
+    let saved = price(calibration.samples as f64) * dropped as f64;
+    calibration.gain_over(&without_change) + saved > calibration.price
 }
 
 /// Whether usual link deviations with a constant latency are likelier than an exact arm with the unsteady
