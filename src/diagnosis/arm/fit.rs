@@ -80,8 +80,7 @@ pub(super) fn fit(
     let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     // Calibrations do not change a zero by more, rad or m.
     let large_offsets = large_zeros(&model.state, corrected, 0.1);
-    let may_deviate = with_offsets && links == LinkModel::MayDeviate;
-    let is_open = may_deviate && allows_link_deviations(&model);
+    let is_open = with_offsets && allows_link_deviations(&model);
     let deviations = if is_open {
         estimate_link_deviations(
             observations[largest_stream],
@@ -108,7 +107,7 @@ pub(super) fn fit(
         |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
-        return Some(match may_deviate {
+        return Some(match with_offsets && links == LinkModel::MayDeviate {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
         });
