@@ -37,8 +37,7 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(rms).collect()
 }
 
-/// Spread over the run: half by time and half by path, so that an arm that dwells in one place is seen elsewhere,
-/// too. From each stretch the slowest sample, and of these the slower half.
+/// Spread over the run, see [`slow_rows`].
 pub(super) fn slow_simultaneous_samples(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -56,28 +55,6 @@ pub(super) fn slow_simultaneous_samples(
             covered.push((k, speed, stream.columns.iter().map(|&c| q[c]).collect()));
         }
     }
-    let mean_speed = (covered.iter().map(|(_, speed, _)| speed).sum::<f64>()
-        / covered.len().max(1) as f64)
-        .max(f64::MIN_POSITIVE);
-    let mut distance = 0.0;
-    let distances: Vec<f64> = covered
-        .iter()
-        .map(|(_, speed, _)| {
-            distance += speed + mean_speed;
-            distance
-        })
-        .collect();
-    let stretches = (2 * JOINT_ENCODING_SAMPLES) as f64;
-    let stretch = |i: &usize| (stretches * distances[*i] / distance) as usize;
-    let by_index: Vec<usize> = (0..covered.len()).collect();
-    let speed = |i: &usize| covered[*i].1;
-    let slower = |a: &usize, b: &usize| speed(a).total_cmp(&speed(b));
-    let slowest = by_index.chunk_by(|a, b| stretch(a) == stretch(b));
-    let mut slow: Vec<usize> =
-        slowest.filter_map(|stretch| stretch.iter().copied().min_by(slower)).collect();
-    slow.sort_by(slower);
-    slow.truncate(slow.len().div_ceil(2));
-    slow.sort_unstable();
     let rotations = match &track.orientation {
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
@@ -88,7 +65,8 @@ pub(super) fn slow_simultaneous_samples(
         inverse_xyz: rotations.map(|_| Vec::new()),
         q: Vec::new(),
     };
-    for i in slow {
+    let speeds: Vec<f64> = covered.iter().map(|(_, speed, _)| *speed).collect();
+    for i in slow_rows(&speeds) {
         let k = covered[i].0;
         let xyz = track.xyz[k] * scale;
         samples.xyz.push(xyz);
@@ -101,6 +79,30 @@ pub(super) fn slow_simultaneous_samples(
         samples.q.extend_from_slice(&covered[i].2);
     }
     samples
+}
+
+/// Rows of slow samples, ascending. The run is divided into stretches, equally by time and by path, so an arm that
+/// dwells in one place is also seen elsewhere. The slowest row of each stretch is taken, and of these the slower
+/// half.
+fn slow_rows(speeds: &[f64]) -> Vec<usize> {
+    const STRETCHES: f64 = 2.0 * JOINT_ENCODING_SAMPLES as f64;
+    let total: f64 = speeds.iter().sum();
+    let mean = (total / speeds.len().max(1) as f64).max(f64::MIN_POSITIVE);
+    let length = total + mean * speeds.len() as f64;
+    let mut reached = 0.0;
+    let stretches = speeds.iter().map(|speed| {
+        reached += speed + mean;
+        (STRETCHES * reached / length) as usize
+    });
+    let rows: Vec<(usize, usize)> = stretches.enumerate().collect();
+    let slower = |a: &usize, b: &usize| speeds[*a].total_cmp(&speeds[*b]);
+    let slowest = rows.chunk_by(|a, b| a.1 == b.1);
+    let mut slow: Vec<usize> =
+        slowest.filter_map(|stretch| stretch.iter().map(|(row, _)| *row).min_by(slower)).collect();
+    slow.sort_by(slower);
+    slow.truncate(slow.len().div_ceil(2));
+    slow.sort_unstable();
+    slow
 }
 
 pub(super) fn converted_to_radians(
