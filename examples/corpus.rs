@@ -1,4 +1,4 @@
-//! Records the answers to a list of audits, and prints what changed between two records:
+//! Records the reports of a list of audits, and prints the differences between two records:
 //!
 //! ```sh
 //! cargo run --release --example corpus -- record FOLDER LIST...   # each line of LIST: arguments of `audit`
@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Paths in a list are relative to the list. `cargo bench --bench verdicts -- --keep DIR --all` writes one.
-//! Options: `--bin PROGRAM` (default: `poseaudit` beside this example), `--threads N`, `--sigma N` (estimates
+//! Options: `--bin PROGRAM` (default: `poseaudit` in the build folder), `--threads N`, `--sigma N` (estimates
 //! that moved by fewer standard errors are equal, default 0.01).
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +36,7 @@ fn main() -> Result<ExitCode> {
     }
     match rest.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["record", folder, lists @ ..] if !lists.is_empty() => {
-            let program = program.map_or_else(program_beside, Ok)?;
+            let program = program.map_or_else(built_program, Ok)?;
             record(&program, Path::new(folder), lists, threads)?;
             Ok(ExitCode::SUCCESS)
         }
@@ -48,7 +48,7 @@ fn main() -> Result<ExitCode> {
     }
 }
 
-fn program_beside() -> Result<PathBuf> {
+fn built_program() -> Result<PathBuf> {
     let example = env::current_exe()?;
     let profile = example.ancestors().nth(2).context("the example is not in a build folder")?;
     Ok(profile.join(format!("poseaudit{}", env::consts::EXE_SUFFIX)))
@@ -100,7 +100,7 @@ fn record_one(program: &Path, folder: &Path, directory: &Path, line: &str) -> Re
     Ok(())
 }
 
-/// Prints what differs between two folders of reports, and whether anything does.
+/// Prints the differences between two folders of reports. True if there are any.
 fn compare(before: &Path, after: &Path, sigma: f64) -> Result<bool> {
     let names = |folder: &Path| -> Result<BTreeSet<_>> {
         let files = fs::read_dir(folder).with_context(|| folder.display().to_string())?;
@@ -127,7 +127,7 @@ fn compare(before: &Path, after: &Path, sigma: f64) -> Result<bool> {
 /// Status or severity, value and standard error.
 type Answer = (String, Option<(f64, f64)>);
 
-/// Answers of a report: the verdict, and one per check and finding. Empty if there is no report.
+/// Answers of a report: the verdict, and one per check and finding. Empty without a report.
 fn answers(report: &Path) -> BTreeMap<String, Answer> {
     let text = fs::read_to_string(report).unwrap_or_default();
     let Ok(report) = serde_json::from_str::<Value>(&text) else { return BTreeMap::new() };

@@ -13,7 +13,6 @@ use std::sync::{Mutex, Once, PoisonError};
 use tempfile::TempPath;
 
 /// Panics while [`catch_panic`] runs on some thread.
-#[derive(Default)]
 struct CaughtPanics {
     /// Number of calls that run.
     calls: usize,
@@ -48,8 +47,8 @@ pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let mut caught = CAUGHT.lock().unwrap_or_else(PoisonError::into_inner);
     let outcome = outcome.map_err(|payload| {
         let message = message(payload.as_ref());
-        let located = caught.located.iter().find(|[plain, _]| *plain == message);
-        located.map_or(message.clone(), |[_, located]| located.clone())
+        let at = caught.located.iter().position(|[plain, _]| *plain == message);
+        at.map(|at| caught.located.swap_remove(at)).map_or(message, |[_, located]| located)
     });
     caught.calls -= 1;
     if caught.calls == 0 {

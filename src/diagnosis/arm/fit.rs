@@ -126,7 +126,7 @@ pub(super) fn fit(
     Some(ArmFit { model, candidates, deviations })
 }
 
-/// Drops causes that usual link deviations imitate in stream `s`, if the residual is then that of a nominal model.
+/// Drops causes that usual link deviations imitate in stream `s`, if a nominal model explains the residual.
 fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: usize) -> ArmFit {
     let ArmFit { model, candidates, .. } = &fitted;
     let imitable = small_causes(model, s);
@@ -280,7 +280,7 @@ fn candidate_causes(
     CandidateCauses { always, optional, may_confound_frames: false }
 }
 
-/// State from which all streams fit best.
+/// Best starting state of all streams.
 fn common_start(
     decoded: &[&DecodedStream],
     corrected: &CorrectedJoints,
@@ -300,7 +300,7 @@ fn common_start(
     }
 }
 
-/// State from which a single stream fits best.
+/// Best starting state of a single stream.
 fn best_start(
     decoded: &DecodedStream,
     corrected: &CorrectedJoints,

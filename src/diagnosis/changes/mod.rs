@@ -95,9 +95,9 @@ pub(super) fn diagnose_with_changes(
     }
 }
 
-/// Same, for a run of which some segment follows FK as logged, but not the whole, for example because a unit
-/// changes. The run itself then needs no search for an encoding that fits all of it. It is split at gaps, or
-/// also at jumps of the recorded numbers.
+/// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run
+/// itself then needs no search for an encoding that fits all of it. It is split at gaps, or also at jumps of the
+/// recorded numbers.
 pub(super) fn diagnose_with_recorded_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -353,7 +353,7 @@ impl BaselineSegment {
 
     /// Increase over the baseline's latency extrapolated with its skew, s. `None` if not significant.
     fn latency_increase(&self, s: usize, other: &OtherSegment) -> Option<Measured> {
-        /// Smaller steps are left to the latency profile.
+        /// The latency profile detects smaller steps.
         const MIN_LATENCY_STEP_S: f64 = 1e-3;
         const MIN_STD_ERRORS: f64 = 6.0;
         let (here, there) = (&self.diagnosis.streams[s], &other.difference.streams[s]);
