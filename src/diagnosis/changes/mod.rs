@@ -122,7 +122,9 @@ pub(super) fn diagnose_with_recorded_changes(
     let gaps: Vec<Jump> = times.flat_map(|t_s| gaps(t_s)).collect();
     let jumps = streams.iter().flat_map(|stream| jumps_in_logged_path(joints, stream));
     let jumps = [gaps.clone(), jumps_in_joints(joints), jumps.collect()].concat();
-    [gaps, jumps].into_iter().map(strongest).find_map(|jumps| {
+    let mut attempts = [gaps, jumps].map(strongest).to_vec();
+    attempts.dedup_by_key(|jumps| run.split_at(jumps));
+    attempts.into_iter().find_map(|jumps| {
         let parts: Vec<Option<bool>> = run.split_at(&jumps).iter().map(all_follow).collect();
         let differs = whole == Some(false) || parts.contains(&Some(false));
         if parts.len() < 2 || !parts.contains(&Some(true)) || !differs {
@@ -275,26 +277,22 @@ impl BaselineSegment {
         spans: &[Span],
         max_residual_m: f64,
     ) -> Option<Vec<OtherSegment>> {
-        let has_small_residual = |other: &OtherSegment| {
-            residual_m(&other.difference) <= max_residual_m && self.is_reliable(other)
-        };
+        let diagnose = |span: Span| self.other_segment(run, span, max_residual_m);
         let mut others: Vec<OtherSegment> = Vec::new();
         for &part in spans.iter().filter(|part| **part != self.span) {
-            let mut other = self.other_segment(run, part);
-            if !has_small_residual(&other) {
-                let before = others.pop_if(|before| before.span.1 == part.0)?;
-                other = self.other_segment(run, (before.span.0, part.1));
-            }
-            let other = Some(other).filter(has_small_residual)?;
+            let other = match diagnose(part) {
+                Some(other) => other,
+                None => {
+                    let before = others.pop_if(|before| before.span.1 == part.0)?;
+                    diagnose((before.span.0, part.1))?
+                }
+            };
             // Adjacent segments may differ from the baseline in the same way.
             let before = others
                 .last()
                 .filter(|before| before.span.1 == part.0 && before.has_encoding_of(&other));
-            let both = before.map(|before| self.other_segment(run, (before.span.0, part.1)));
-            let is_one = |both: &OtherSegment| {
-                has_small_residual(both) && is_as_good(run, both, &others, &other)
-            };
-            match both.filter(is_one) {
+            let both = before.and_then(|before| diagnose((before.span.0, part.1)));
+            match both.filter(|both| is_as_good(run, both, &others, &other)) {
                 Some(both) => {
                     others.pop();
                     others.push(both);
@@ -305,8 +303,18 @@ impl BaselineSegment {
         Some(others)
     }
 
-    fn other_segment(&self, run: &SplitRun, span: Span) -> OtherSegment {
+    /// `None` if its residual exceeds `max_residual_m` or its encoding is unreliable. A residual far above, which
+    /// the segment has even alone, is not due to the baseline.
+    fn other_segment(
+        &self,
+        run: &SplitRun,
+        span: Span,
+        max_residual_m: f64,
+    ) -> Option<OtherSegment> {
         let (joints, alone) = run.diagnose(span);
+        if residual_m(&alone) > MAX_RESIDUAL_RATIO * max_residual_m {
+            return None;
+        }
         let joints = self.joints_in_encoding_of(&alone).corrected_joints(&joints, run.is_prismatic);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
             .map(|s| {
@@ -321,7 +329,10 @@ impl BaselineSegment {
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
         let difference = diagnose_other_segment(&joints, &known, run.max_lag_s);
-        OtherSegment { span, alone, difference }
+        let other = OtherSegment { span, alone, difference };
+        let is_explained =
+            residual_m(&other.difference) <= max_residual_m && self.is_reliable(&other);
+        is_explained.then_some(other)
     }
 
     /// If a segment's encoding is undetermined, it must match the baseline's, and no frame may rotate much.

@@ -139,8 +139,10 @@ pub(super) fn other_encoding(
         m: (MAX_RESIDUAL_SHARE * spread(&samples.xyz).max(0.01)).min(better_m),
         rad: as_logged.rad.map(|rad| (rad / MIN_RESIDUAL_RATIO).clamp(1e-3, MAX_RESIDUAL_RAD)),
     };
-    let is_far = as_logged.m > MAX_LOGGED_RESIDUAL_SHARE * spread(&samples.xyz)
-        || as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD);
+    // Only the last joint does not move the positions.
+    let is_far = !turns_only
+        && (as_logged.m > MAX_LOGGED_RESIDUAL_SHARE * spread(&samples.xyz)
+            || as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD));
     let kinds = if is_far {
         &InterpretationKind::ALL[..]
     } else {
