@@ -2,10 +2,12 @@
 
 use super::position_fit::FkColumns;
 use super::rotation_frames::mean_rotation;
+use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{
     PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
 };
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
@@ -158,8 +160,7 @@ const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
 /// Prior on the marker's distance from the tip: a hand with its tool. It bounds unobservable directions.
 const MARKER_PRIOR_M: f64 = 0.5;
-const MAX_ITERATIONS: usize = 25;
-const CONVERGED_COST_DECREASE: f64 = 1e-6;
+const LIMITS: Limits = Limits { steps: 25, min_gain: 1e-6 };
 
 /// Closed-form reference and tool frame (`A X = X B`; Park and Martin 1994).
 pub(crate) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
@@ -178,9 +179,9 @@ fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let starts =
         turns.into_iter().map(|turn| frames_for_rotation(turn, fk, logged)).chain([by_positions]);
     starts
-        .map(|(reference, tool)| refine_frames(fk, logged, reference, tool))
+        .filter_map(|start| minimize(&FramePair { fk, logged }, start, LIMITS))
         .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
+        .map_or_else(Default::default, |(_, frames)| frames)
 }
 
 /// Residual after fitting constant frames, rms m and rad.
@@ -262,88 +263,42 @@ fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, P
     (pose(xyz(0), turn), pose(xyz(3), tool_turn))
 }
 
-/// Twelve parameters, reference first.
-type Frames12 = (SMatrix<f64, 12, 12>, SVector<f64, 12>);
-
-/// Predicted pose, weighted position residual, weighted rotation residual.
-fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, Vec3, Vec3) {
-    let predicted = reference * fk * tool;
-    let position = (logged.translation.vector - predicted.translation.vector) / START_NOISE_M;
-    let rotation = rotvec_from_rotation(&(logged.rotation * predicted.rotation.inverse()));
-    (predicted, position, rotation * (START_LEVER_M / START_NOISE_M))
+/// Reference and tool frame between FK and logged poses.
+struct FramePair<'a> {
+    fk: &'a [Pose],
+    logged: &'a [Pose],
 }
 
-/// Includes the prior on the marker's distance.
-fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
-    let square = |(fk, l): (&Pose, &Pose)| {
-        let (_, position, rotation) = residuals(fk, l, reference, tool);
-        position.norm_squared() + rotation.norm_squared()
-    };
-    let prior = tool.translation.vector.norm_squared() / MARKER_PRIOR_M.powi(2);
-    fk.iter().zip(logged).map(square).sum::<f64>() + prior
-}
+impl LeastSquares for FramePair<'_> {
+    type State = (Pose, Pose);
 
-fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> Frames12 {
-    let (mut normal, mut right) = (SMatrix::zeros(), SVector::zeros());
-    let turn_weight = START_LEVER_M / START_NOISE_M;
-    for (fk, l) in fk.iter().zip(logged) {
-        let (predicted, position, rotation) = residuals(fk, l, reference, tool);
-        let hand = *predicted.rotation.to_rotation_matrix().matrix();
-        let lever = predicted.translation.vector.cross_matrix();
-        let mut rows = SMatrix::<f64, 6, 12>::zeros();
-        let identity = Matrix3::<f64>::identity();
-        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&(identity / START_NOISE_M));
-        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-lever / START_NOISE_M));
-        rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(hand / START_NOISE_M));
-        rows.fixed_view_mut::<3, 3>(3, 3).copy_from(&(identity * turn_weight));
-        rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(hand * turn_weight));
-        let mut residual = SVector::<f64, 6>::zeros();
-        residual.fixed_rows_mut::<3>(0).copy_from(&position);
-        residual.fixed_rows_mut::<3>(3).copy_from(&rotation);
-        normal += rows.transpose() * rows;
-        right += rows.transpose() * residual;
-    }
-    let prior = MARKER_PRIOR_M.powi(-2);
-    let pull = tool.rotation.inverse() * tool.translation.vector * prior;
-    for axis in 0..3 {
-        normal[(6 + axis, 6 + axis)] += prior;
-        right[6 + axis] -= pull[axis];
-    }
-    (normal, right)
-}
-
-/// Levenberg–Marquardt. Returns the cost first.
-fn refine_frames(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
-    let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
-    let mut damping = 1e-6;
-    for _ in 0..MAX_ITERATIONS {
-        let (normal, right) = normal_equations(fk, logged, &best.1, &best.2);
-        let before = best.0;
-        while damping < 1e3 {
-            let mut damped = normal;
-            for i in 0..12 {
-                damped[(i, i)] *= 1.0 + damping;
-            }
-            let step = damped.cholesky().map(|cholesky| cholesky.solve(&right));
-            let moved = step.map(|step| {
-                let reference = pose_of_twist(&step.as_slice()[..6]) * best.1;
-                let tool = best.2 * pose_of_twist(&step.as_slice()[6..]);
-                (cost_of(fk, logged, &reference, &tool), reference, tool)
+    fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
+        const WEIGHTS: [f64; 2] = [1.0 / START_NOISE_M, START_LEVER_M / START_NOISE_M];
+        let mut normal = NormalEquations::zeros(12);
+        for (fk, logged) in self.fk.iter().zip(self.logged) {
+            let jacobian = PoseJacobian::new(&[], reference, fk, tool);
+            let turn = logged.rotation * jacobian.pose.rotation.inverse();
+            let position = logged.translation.vector - jacobian.pose.translation.vector;
+            let residual = [position, rotvec_from_rotation(&turn)];
+            let derivatives: [Derivative; 12] = std::array::from_fn(|i| match i {
+                0..6 => jacobian.reference(i),
+                _ => jacobian.tool(i - 6),
             });
-            match moved.filter(|moved| moved.0 < best.0) {
-                Some(moved) => {
-                    best = moved;
-                    damping = (damping * 0.1).max(1e-9);
-                    break;
-                }
-                None => damping *= 10.0,
-            }
+            normal.add_pose(&derivatives, residual, WEIGHTS);
         }
-        if before - best.0 <= CONVERGED_COST_DECREASE * before {
-            break;
+        for axis in 0..3 {
+            let mut prior = [0.0; 12];
+            prior[6 + axis] = 1.0 / MARKER_PRIOR_M;
+            // Changes of the tool are along its own axes.
+            let own = tool.rotation.inverse() * tool.translation.vector;
+            normal.add(&prior, -own[axis] / MARKER_PRIOR_M);
         }
+        Some(normal)
     }
-    best
+
+    fn moved(&self, (reference, tool): &Self::State, step: &[f64]) -> Self::State {
+        (pose_of_twist(&step[..6]) * reference, tool * pose_of_twist(&step[6..]))
+    }
 }
 
 /// Nearest quarter turn within [`ROUND_TOLERANCE_RAD`], excluding the identity.

@@ -1,15 +1,13 @@
 //! Compares positions with FK before rotations are decoded.
 
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_by_wahba, rotation_from_rotvec};
-use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
 /// Minimum ratio of the second direction to the first, to determine a rotation.
 const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
-
-/// In the unit of the positions.
-const CONVERGED_TOOL_CHANGE: f64 = 1e-8;
 
 /// FK poses at a stream's samples.
 pub(crate) struct FkColumns {
@@ -82,85 +80,90 @@ impl FkColumns {
         self.fit_rigid_iterations(xyz, 30)
     }
 
-    /// Levenberg–Marquardt, with a prior on the tool's length as large as the residual allows: a wrong model
-    /// would fit with a tool of several metres. Directions that the motion does not determine stay at the start.
-    fn fit_rigid_iterations(&self, xyz: &[Vec3], iterations: usize) -> Option<(Pose, Vec3)> {
-        const FIRST_DAMPING: f64 = 1e-6;
-        const MAX_DAMPING: f64 = 1e3;
-        /// Standard deviation of a marker's or tool's offset, m: a TCP beyond 0.5 m is rare.
-        const TOOL_PRIOR_M: f64 = 0.5;
-        let mut rotation = rigid_transform(&self.xyz, xyz)?.rotation;
-        let mut tool = Vec3::zeros();
-        let mut fit = self.linearized(xyz, &rotation, &tool);
-        let mut damping = FIRST_DAMPING;
-        for _ in 0..iterations {
-            let prior = fit.cost / (3 * xyz.len()) as f64 / TOOL_PRIOR_M.powi(2);
-            let (mut damped, mut gradient) = (fit.information, fit.gradient);
-            (3..6).for_each(|i| {
-                damped[(i, i)] += prior;
-                gradient[i] -= prior * tool[i - 3];
-            });
-            (0..6).for_each(|i| damped[(i, i)] *= 1.0 + damping);
-            let Some(damped) = damped.cholesky() else { break };
-            let step = damped.solve(&gradient);
-            let turn = Vec3::new(step[0], step[1], step[2]);
-            let change = Vec3::new(step[3], step[4], step[5]);
-            let next = (rotation_from_rotvec(turn) * rotation, tool + change);
-            let next_fit = self.linearized(xyz, &next.0, &next.1);
-            let penalized =
-                |fit: &LinearizedFit, tool: &Vec3| fit.cost + prior * tool.norm_squared();
-            if penalized(&next_fit, &next.1) > penalized(&fit, &tool) {
-                damping *= 100.0;
-                if damping > MAX_DAMPING {
-                    break;
-                }
-                continue;
-            }
-            damping = (damping / 100.0).max(FIRST_DAMPING);
-            ((rotation, tool), fit) = (next, next_fit);
-            if change.norm() < CONVERGED_TOOL_CHANGE {
-                break;
-            }
-        }
-        Some((pose(fit.origin.into(), rotation), tool))
+    /// The prior on the tool's length is as large as the residual allows: a wrong model would fit with a tool of
+    /// several metres.
+    fn fit_rigid_iterations(&self, xyz: &[Vec3], steps: usize) -> Option<(Pose, Vec3)> {
+        const MIN_GAIN: f64 = 1e-9;
+        let start = (rigid_transform(&self.xyz, xyz)?.rotation, Vec3::zeros());
+        let limits = Limits { steps, min_gain: MIN_GAIN };
+        let fit = PositionFit { fk: self, xyz };
+        let (_, (rotation, tool)) = minimize(&fit, start, limits)?;
+        Some((pose(fit.sums(&rotation, &tool).origin.into(), rotation), tool))
     }
+}
 
-    /// Residuals `xyz − rotation·(fk + R·tool) − origin` at the best `origin`, linearised in a small turn of
-    /// `rotation` and in `tool`.
-    fn linearized(&self, xyz: &[Vec3], rotation: &Rotation, tool: &Vec3) -> LinearizedFit {
+/// Rotation and tool offset between FK and positions, at the best origin.
+struct PositionFit<'a> {
+    fk: &'a FkColumns,
+    xyz: &'a [Vec3],
+}
+
+struct Sums {
+    /// `AᵀA` and `Aᵀr` about the mean.
+    products: Matrix6<f64>,
+    weighted: Vector6<f64>,
+    origin: Vec3,
+    squares: f64,
+}
+
+impl PositionFit<'_> {
+    /// Residuals `xyz − rotation·(fk + R·tool) − origin` with their derivatives by a small turn of `rotation` and by
+    /// `tool`.
+    fn sums(&self, rotation: &Rotation, tool: &Vec3) -> Sums {
         let reference = rotation.to_rotation_matrix();
         let (mut products, mut weighted) = (Matrix6::zeros(), Vector6::zeros());
         let (mut columns, mut sum, mut squares) = (Matrix3x6::zeros(), Vec3::zeros(), 0.0);
-        for (xyz, (fk, rotation)) in xyz.iter().zip(self.xyz.iter().zip(&self.rotation)) {
+        let FkColumns { xyz, rotation } = self.fk;
+        for (logged, (fk, rotation)) in self.xyz.iter().zip(xyz.iter().zip(rotation)) {
             let turned = reference * rotation.to_rotation_matrix();
             let point = reference * fk + turned * tool;
             let mut own = Matrix3x6::zeros();
             own.fixed_view_mut::<3, 3>(0, 0).copy_from(&-point.cross_matrix());
             own.fixed_view_mut::<3, 3>(0, 3).copy_from(turned.matrix());
-            let residual = xyz - point;
+            let residual = logged - point;
             products += own.transpose() * own;
             weighted += own.transpose() * residual;
             columns += own;
             sum += residual;
             squares += residual.norm_squared();
         }
-        let n = xyz.len().max(1) as f64;
+        let n = self.xyz.len().max(1) as f64;
         let origin = sum / n;
-        LinearizedFit {
-            information: products - columns.transpose() * columns / n,
-            gradient: weighted - columns.transpose() * origin,
+        Sums {
+            products: products - columns.transpose() * columns / n,
+            weighted: weighted - columns.transpose() * origin,
             origin,
-            cost: squares - n * origin.norm_squared(),
+            squares: squares - n * origin.norm_squared(),
         }
     }
 }
 
-struct LinearizedFit {
-    information: Matrix6<f64>,
-    gradient: Vector6<f64>,
-    origin: Vec3,
-    /// Sum of squares.
-    cost: f64,
+impl LeastSquares for PositionFit<'_> {
+    type State = (Rotation, Vec3);
+
+    /// The cost is the sum of squares times `1 + |tool|² / (3n·TOOL_PRIOR_M²)`: a prior in units of the residual.
+    fn linearize(&self, (rotation, tool): &Self::State) -> Option<NormalEquations> {
+        /// Standard deviation of a marker's or tool's offset, m: a TCP beyond 0.5 m is rare.
+        const TOOL_PRIOR_M: f64 = 0.5;
+        let Sums { products, weighted, squares, .. } = self.sums(rotation, tool);
+        let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * TOOL_PRIOR_M.powi(2));
+        let factor = 1.0 + prior * tool.norm_squared();
+        let mut normal = NormalEquations {
+            matrix: DMatrix::from_column_slice(6, 6, (products * factor).as_slice()),
+            right: DVector::from_column_slice((weighted * factor).as_slice()),
+            cost: squares * factor,
+        };
+        for axis in 0..3 {
+            normal.matrix[(3 + axis, 3 + axis)] += squares * prior;
+            normal.right[3 + axis] -= squares * prior * tool[axis];
+        }
+        Some(normal)
+    }
+
+    fn moved(&self, (rotation, tool): &Self::State, step: &[f64]) -> Self::State {
+        let part = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
+        (rotation_from_rotvec(part(0)) * rotation, tool + part(3))
+    }
 }
 
 /// `None` if collinear.

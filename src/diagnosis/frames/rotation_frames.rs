@@ -1,7 +1,8 @@
 //! Fits constant frames between two series of rotations.
 
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec};
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector4, Vector6};
+use nalgebra::{Matrix3, Vector4};
 
 /// Candidate rotations of every sample under one encoding.
 #[derive(Default)]
@@ -109,7 +110,9 @@ pub(crate) fn fit_both_frames(
         reference = rotation_by_wahba(&relative_rotations(&chosen, fk));
         tool = tool_for(&chosen, fk, &reference);
     }
-    refine_frames(&chosen, fk, reference, tool)
+    const LIMITS: Limits = Limits { steps: 6, min_gain: 1e-6 };
+    let pair = RotationPair { candidates: &chosen, fk };
+    minimize(&pair, (reference, tool), LIMITS).map_or((reference, tool), |found| found.1)
 }
 
 /// Axis times the sine of half the angle. It maps between frames as the rotation vector does, at less
@@ -137,42 +140,43 @@ fn tool_for(truths: &[Option<Rotation>], fk: &[Rotation], reference: &Rotation) 
     mean_rotation(&truths.iter().zip(fk).filter_map(offset).collect::<Vec<_>>())
 }
 
-fn refine_frames(
-    candidates: &[Option<Rotation>],
-    fk: &[Rotation],
-    mut reference: Rotation,
-    mut tool: Rotation,
-) -> (Rotation, Rotation) {
-    /// Relative damping of the diagonal (Levenberg 1944): rotations about one axis leave a direction
-    /// unobservable.
-    const MAX_STEPS: usize = 6;
-    const DAMPING: f64 = 1e-6;
-    const CONVERGED_RAD: f64 = 1e-7;
-    for _ in 0..MAX_STEPS {
-        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
-        for (truth, fk) in candidates.iter().zip(fk) {
+/// Reference and tool rotation between FK and candidates.
+struct RotationPair<'a> {
+    candidates: &'a [Option<Rotation>],
+    fk: &'a [Rotation],
+}
+
+impl LeastSquares for RotationPair<'_> {
+    type State = (Rotation, Rotation);
+
+    fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
+        let mut normal = NormalEquations::zeros(6);
+        let (mut products, mut sum) = (Matrix3::zeros(), Vec3::zeros());
+        let (mut weighted, mut count) = (Vec3::zeros(), 0.0);
+        for (truth, fk) in self.candidates.iter().zip(self.fk) {
             let Some(truth) = truth else { continue };
             let predicted = reference * fk * tool;
             let residual = 2.0 * half_angle_vector(&(truth * predicted.inverse()));
-            let hand = *predicted.to_rotation_matrix().matrix();
-            let mut rows = SMatrix::<f64, 3, 6>::zeros();
-            rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
-            rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&hand);
-            normal += rows.transpose() * rows;
-            right += rows.transpose() * residual;
+            let hand = predicted.to_rotation_matrix();
+            products += hand.matrix();
+            sum += residual;
+            weighted += hand.inverse() * residual;
+            count += 1.0;
+            normal.cost += residual.norm_squared();
         }
-        for i in 0..6 {
-            normal[(i, i)] *= 1.0 + DAMPING;
-        }
-        let Some(cholesky) = normal.cholesky() else { break };
-        let step: Vector6<f64> = cholesky.solve(&right);
-        reference = rotation_from_rotvec(step.fixed_rows::<3>(0).into()) * reference;
-        tool *= rotation_from_rotvec(step.fixed_rows::<3>(3).into());
-        if step.amax() < CONVERGED_RAD {
-            break;
-        }
+        // The design of a sample is `[I, hand]`.
+        normal.matrix.fill_diagonal(count);
+        normal.matrix.view_mut((3, 0), (3, 3)).copy_from(&products.transpose());
+        normal.right.rows_mut(0, 3).copy_from(&sum);
+        normal.right.rows_mut(3, 3).copy_from(&weighted);
+        Some(normal)
     }
-    (reference, tool)
+
+    fn moved(&self, (reference, tool): &Self::State, step: &[f64]) -> Self::State {
+        let turn =
+            |first: usize| rotation_from_rotvec(Vec3::from_column_slice(&step[first..first + 3]));
+        (turn(0) * reference, tool * turn(3))
+    }
 }
 
 /// Mean of similar rotations ([`mean_near`]).

@@ -1,13 +1,15 @@
 //! Scale and zero of one joint in closed form, given the others.
 //!
-//! A revolute joint moves the tip on circles, so the twelve numbers of a pose are `c + a·cos θ + b·sin θ`.
-//! The residual sum of squares is a constant minus `2·Re Σ zₖ·exp(−iθₖ)`, with `zₖ` from the logged poses.
-//! With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of `Σ zₖ·exp(−i·s·vₖ)`, and the best
-//! `s` maximises its magnitude. A spectrum of a few hundred lines covers every scale, sign and zero.
+//! A revolute joint moves the tip and the ends of its axes on circles, so the four vectors of a pose are
+//! `c + a·cos θ + b·sin θ`. The residual sum of squares is a constant minus `2·Re Σ zₖ·exp(−iθₖ)`, with `zₖ`
+//! from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
+//! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines covers every
+//! scale, sign and zero.
 
 use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
 use super::map::JointMap;
-use ground::geometry::Pose;
+use crate::model::jacobian::PoseJacobian;
+use ground::geometry::{Pose, Vec3};
 use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
@@ -20,23 +22,21 @@ pub(super) struct SingleJoint {
     span: [f64; 2],
 }
 
-/// Rotations scaled by the lever; three numbers without one.
-fn pose_numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
-    let mut numbers = [0.0; 12];
-    numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
-    if let Some(lever_m) = lever_m {
-        let matrix = pose.rotation.to_rotation_matrix();
-        // The squared Frobenius norm of a matrix change is twice the squared angle.
-        let scale = lever_m / 2f64.sqrt();
-        for (number, entry) in numbers[3..].iter_mut().zip(matrix.matrix().iter()) {
-            *number = scale * entry;
-        }
-    }
-    numbers
+/// Position, and the columns of the rotation matrix scaled by the lever, if any.
+fn pose_vectors(pose: &Pose, lever_m: Option<f64>) -> [Vec3; 4] {
+    let position = pose.translation.vector;
+    let Some(lever_m) = lever_m else {
+        return [position, Vec3::zeros(), Vec3::zeros(), Vec3::zeros()];
+    };
+    let matrix = pose.rotation.to_rotation_matrix();
+    // The squared Frobenius norm of a matrix change is twice the squared angle.
+    let scale = lever_m / 2f64.sqrt();
+    let column = |axis: usize| scale * matrix.matrix().column(axis);
+    [position, column(0), column(1), column(2)]
 }
 
-fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+fn dot(a: &[Vec3; 4], b: &[Vec3; 4]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
 }
 
 impl SingleJoint {
@@ -50,34 +50,29 @@ impl SingleJoint {
         let dof = view.chain.dof();
         let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
-        let mut q = vec![0.0; dof];
+        let (mut q, mut columns) = (vec![0.0; dof], vec![[0.0; 6]; dof]);
         let (mut values, mut required) = (Vec::new(), Vec::new());
         for (k, row) in view.q.chunks_exact(dof).enumerate() {
             map.apply(row, &mut q);
             values.push(row[map.from[joint]]);
-            let mut at = |position: f64| {
-                q[joint] = position;
-                pose_numbers(&(frames.reference * view.chain.forward(&q) * frames.tool), lever_m)
-            };
+            let link = view.chain.forward_with_jacobian(&q, &mut columns);
+            let jacobian = PoseJacobian::new(&columns, &frames.reference, &link, &frames.tool);
+            let [velocity, axis] = jacobian.joint(joint);
+            let predicted = pose_vectors(&jacobian.pose, lever_m);
+            let [_, u, v, w] = predicted;
+            let along = [velocity, axis.cross(&u), axis.cross(&v), axis.cross(&w)];
             let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
-            let logged = pose_numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
-            let between = |a: &[f64; 12], b: &[f64; 12]| std::array::from_fn(|i| a[i] - b[i]);
+            let logged = pose_vectors(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
+            let off: [Vec3; 4] = std::array::from_fn(|i| logged[i] - predicted[i]);
             required.push(if slides {
-                let (zero, one) = (at(0.0), at(1.0));
-                let along = between(&one, &zero);
-                [dot(&along, &between(&logged, &zero)) / dot(&along, &along).max(1e-12), 0.0]
+                [q[joint] + dot(&along, &off) / dot(&along, &along).max(1e-12), 0.0]
             } else {
-                // c, a and b from three angles 120° apart.
-                let third = [at(0.0), at(TAU / 3.0), at(2.0 * TAU / 3.0)];
-                let part = |weights: [f64; 3]| -> [f64; 12] {
-                    std::array::from_fn(|i| (0..3).map(|n| weights[n] * third[n][i]).sum())
-                };
-                let (cos, sin) = ((TAU / 3.0).cos(), (TAU / 3.0).sin());
-                let centre = part([1.0 / 3.0; 3]);
-                let a = part([1.0, cos, cos].map(|w| w * 2.0 / 3.0));
-                let b = part([0.0, sin, -sin].map(|w| w * 2.0 / 3.0));
-                let off = between(&logged, &centre);
-                [dot(&a, &off), dot(&b, &off)]
+                // On the circle about the axis, at angle `q` from the joint's zero.
+                let radius = along.map(|along| along.cross(&axis));
+                let off = std::array::from_fn(|i| off[i] + radius[i]);
+                let (cos, sin) = (dot(&radius, &off), dot(&along, &off));
+                let (sin_q, cos_q) = q[joint].sin_cos();
+                [cos * cos_q - sin * sin_q, cos * sin_q + sin * cos_q]
             });
         }
         Self { values, required, is_prismatic: slides, span: view.spans[map.from[joint]] }

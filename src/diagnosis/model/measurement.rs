@@ -3,6 +3,7 @@
 //! Perturbations of `reference` multiply on the left, those of `tool` on the right. Residuals are in the
 //! reference frame: position in m, and the rotation vector of `logged · predicted⁻¹` in rad.
 
+use super::jacobian::{Derivative, PoseJacobian};
 use crate::FrameCorrection;
 use crate::solver::linear::{Linear, Rows};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -221,10 +222,20 @@ impl State {
 }
 
 struct Predicted {
-    pose: Pose,
-    /// `base_from_link · tool`.
+    base_from_link: Pose,
+    /// `base_from_link · tool`, scaled.
     in_base: Pose,
+    pose: Pose,
     moving: bool,
+}
+
+impl Predicted {
+    fn jacobian<'a>(&self, link: &'a [[f64; 6]], stream: &StreamState) -> PoseJacobian<'a> {
+        let mut jacobian =
+            PoseJacobian::new(link, &stream.reference, &self.base_from_link, &stream.tool);
+        jacobian.pose = self.pose;
+        jacobian
+    }
 }
 
 pub(crate) struct PredictionBuffers {
@@ -250,28 +261,12 @@ impl PredictionBuffers {
     }
 }
 
-impl PredictionBuffers {
-    /// Last joint positions, in chain order.
-    pub fn q(&self) -> &[f64] {
-        &self.q
-    }
-
-    /// Linear and angular Jacobian column for a point at `lever` from the link origin, in the base.
-    pub fn column(&self, joint: usize, lever: &Vec3) -> (Vec3, Vec3) {
-        let [x, y, z, rx, ry, rz] = self.jacobian[joint];
-        let angular = Vec3::new(rx, ry, rz);
-        (Vec3::new(x, y, z) + angular.cross(lever), angular)
-    }
-
-    /// Linear and angular link velocity, in the base.
-    pub fn twist(&self) -> (Vec3, Vec3) {
-        let mut twist = (Vec3::zeros(), Vec3::zeros());
-        for (column, rate) in self.jacobian.iter().zip(&self.qd) {
-            twist.0 += Vec3::new(column[0], column[1], column[2]) * *rate;
-            twist.1 += Vec3::new(column[3], column[4], column[5]) * *rate;
-        }
-        twist
-    }
+/// Prediction of one sample with its derivatives.
+pub(crate) struct LinearPrediction<'a> {
+    pub jacobian: PoseJacobian<'a>,
+    /// Joint positions and velocities, in chain order.
+    pub q: &'a [f64],
+    pub qd: &'a [f64],
 }
 
 impl PoseObservations<'_> {
@@ -315,7 +310,20 @@ impl PoseObservations<'_> {
         let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
         let mut in_base = base_from_link * stream.tool;
         in_base.translation.vector *= 1.0 + stream.radial_scale;
-        Some(Predicted { pose: stream.reference * in_base, in_base, moving })
+        Some(Predicted { base_from_link, in_base, pose: stream.reference * in_base, moving })
+    }
+
+    /// Prediction of sample `k` with its derivatives. `None` if joint states do not cover it.
+    pub fn prediction_at<'a>(
+        &self,
+        k: usize,
+        stream: &StreamState,
+        offsets: &[f64],
+        sweep: &'a mut PredictionBuffers,
+    ) -> Option<LinearPrediction<'a>> {
+        let predicted = self.predict(k, stream, offsets, sweep)?;
+        let PredictionBuffers { jacobian, q, qd, .. } = sweep;
+        Some(LinearPrediction { jacobian: predicted.jacobian(jacobian, stream), q, qd })
     }
 
     /// Samples, out of about `most`, at which a joint moves.
@@ -376,7 +384,8 @@ impl PoseObservations<'_> {
                 continue;
             };
             let mut rows = linear.push(&self.residual(k, &predicted.pose));
-            self.fill(k, stream, &predicted, &sweep, joints, &mut rows);
+            let jacobian = predicted.jacobian(&sweep.jacobian, stream);
+            self.fill(k, &predicted, &jacobian, &sweep, joints, &mut rows);
         }
         linear
     }
@@ -384,47 +393,34 @@ impl PoseObservations<'_> {
     fn fill(
         &self,
         k: usize,
-        stream: &StreamState,
         predicted: &Predicted,
+        jacobian: &PoseJacobian,
         sweep: &PredictionBuffers,
         joints: usize,
         rows: &mut Rows,
     ) {
-        let mut set = |column: usize, linear: Vec3, angular: Vec3| {
+        let mut set = |column: usize, [linear, angular]: Derivative| {
             rows.set(POSITION, column, self.excluded.mask_position(linear.into()));
             rows.set(ROTATION, column, self.excluded.mask_rotation(angular.into()));
         };
-        let to_reference = stream.reference.rotation;
-        let at = predicted.pose.translation.vector;
-        let in_base = predicted.in_base.translation.vector;
-        let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
-        // The Jacobian is for the link origin; the lever moves it to the tool.
-        let base_from_link = predicted.in_base.rotation * stream.tool.rotation.inverse();
-        let lever = base_from_link * stream.tool.translation.vector;
-        for i in 0..sweep.jacobian.len() {
-            let (linear, angular) = sweep.column(i, &lever);
-            let (linear, angular) = (to_reference * linear, to_reference * angular);
-            set(self.columns[i], linear, angular);
-            for (gain, by) in self.gains_of(self.columns[i]).filter(|(gain, _)| *gain < joints) {
-                let number = sweep.track_q[by];
-                set(gain, linear * number, angular * number);
+        let scaled = |derivative: Derivative, factor: f64| derivative.map(|part| part * factor);
+        for (i, &column) in self.columns.iter().enumerate() {
+            let derivative = jacobian.joint(i);
+            set(column, derivative);
+            for (gain, by) in self.gains_of(column).filter(|(gain, _)| *gain < joints) {
+                set(gain, scaled(derivative, sweep.track_q[by]));
             }
-            v += linear * sweep.qd[i];
-            w += angular * sweep.qd[i];
         }
         if predicted.moving {
-            set(joints + LATENCY_COLUMN, -v, -w);
-            let lever_s = self.t_s[k] - self.middle_s;
-            set(joints + SKEW_COLUMN, -v * lever_s, -w * lever_s);
+            let by_latency = scaled(jacobian.velocity(&sweep.qd), -1.0);
+            set(joints + LATENCY_COLUMN, by_latency);
+            set(joints + SKEW_COLUMN, scaled(by_latency, self.t_s[k] - self.middle_s));
         }
-        set(joints + RADIAL_SCALE_COLUMN, to_reference * in_base, Vec3::zeros());
-        for axis in 0..3 {
-            let unit = Vec3::ith(axis, 1.0);
-            set(joints + REFERENCE_COLUMNS_START + axis, unit, Vec3::zeros());
-            set(joints + REFERENCE_COLUMNS_START + 3 + axis, unit.cross(&at), unit);
-            let tool_axis = predicted.pose.rotation * unit;
-            set(joints + TOOL_COLUMNS_START + axis, tool_axis, Vec3::zeros());
-            set(joints + TOOL_COLUMNS_START + 3 + axis, Vec3::zeros(), tool_axis);
+        let outward = jacobian.reference * predicted.in_base.translation.vector;
+        set(joints + RADIAL_SCALE_COLUMN, [outward, Vec3::zeros()]);
+        for axis in 0..6 {
+            set(joints + REFERENCE_COLUMNS_START + axis, jacobian.reference(axis));
+            set(joints + TOOL_COLUMNS_START + axis, jacobian.tool(axis));
         }
     }
 }

@@ -2,19 +2,20 @@
 //! joint zero, or another reference frame. Among arms with the same joint names, the log belongs to the one
 //! that needs least. The ranking decides no verdict.
 //!
-//! Each hypothesis is a Gauss–Newton fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency
+//! Each hypothesis is a least-squares fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency
 //! on a few dozen slow samples. No rotation encoding matters.
 
 use crate::PoseStream;
 use crate::encodings::position::metres_by_size;
 use crate::frames::position_fit::FkColumns;
 use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
+use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
 use crate::samples::sampling::slow_samples;
-use ground::geometry::{Pose, Vec3};
+use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
+use ground::geometry::{Pose, Rotation, Vec3, pose};
 use ground::robot::JointKind;
 use ground::stream::{JointTrack, Orientations};
-use nalgebra::{DMatrix, DVector, Point3};
 
 const MIN_SAMPLES: usize = 12;
 /// If all residuals are larger, inverted poses and joints in degrees are tried.
@@ -357,15 +358,8 @@ impl<'a> StreamWithFk<'a> {
     }
 
     fn poses(&self) -> Vec<Pose> {
-        let parameters = self.initial_parameters();
-        let mut chain_state = ChainState::new(self);
         let mut poses = Vec::with_capacity(self.t_s.len());
-        for &t_s in &self.t_s {
-            if chain_state.at(t_s, &parameters) {
-                chain_state.pose = self.stream.chain.forward(&chain_state.q);
-                poses.push(chain_state.pose);
-            }
-        }
+        self.predict(&self.initial_parameters(), |jacobian, _, _| poses.push(jacobian.pose));
         poses
     }
 
@@ -425,109 +419,113 @@ impl<'a> StreamWithFk<'a> {
         fits.collect()
     }
 
-    /// Gauss–Newton on `free`, indexed as latency, joint zeros, reference, tool.
+    /// Fits `free`, indexed as latency, joint zeros, reference, tool. Returns the residual over the best 90 %, rms m;
+    /// infinite if joint states cover too few samples.
     fn solve(
         &self,
-        mut parameters: FittedParameters,
+        parameters: FittedParameters,
         free: &[usize],
         prior: ToolPrior,
     ) -> (f64, FittedParameters) {
-        const MAX_ROUNDS: usize = 10;
-        const CONVERGED_COST_CHANGE: f64 = 1e-5;
-        let mut min_residual_m = f64::INFINITY;
-        let mut best = (f64::INFINITY, parameters.clone());
-        for round in 0..=MAX_ROUNDS {
-            let (residual_m, step) = self.step(&parameters, free, prior);
-            let cost = residual_m.hypot(prior.pull(&parameters.tool).norm());
-            let gain = min_residual_m - cost;
-            if gain > 0.0 {
-                (min_residual_m, best) = (cost, (residual_m, parameters.clone()));
-            }
-            let Some(step) =
-                step.filter(|_| round < MAX_ROUNDS && gain.abs() > CONVERGED_COST_CHANGE * cost)
-            else {
-                break;
-            };
-            let dof = parameters.zeros.len();
-            for (&at, &change) in free.iter().zip(step.iter()) {
-                match at {
-                    0 => {
-                        let most_s = self.max_lag_s;
-                        parameters.lag_s = (parameters.lag_s + change).clamp(-most_s, most_s);
-                    }
-                    at if at <= dof => parameters.zeros[at - 1] += change,
-                    at if at > 6 + dof => parameters.tool[at - 7 - dof] += change,
-                    _ => {}
-                }
-            }
-            let twist: [f64; 6] = std::array::from_fn(|axis| {
-                let at = free.iter().position(|&at| at == 1 + dof + axis);
-                at.map_or(0.0, |at| step[at])
-            });
-            parameters.reference = pose_of_twist(&twist) * parameters.reference;
-        }
-        best
+        const LIMITS: Limits = Limits { steps: 10, min_gain: 2e-5 };
+        let hypothesis = Hypothesis { stream: self, free, prior };
+        let Some((_, fitted)) = minimize(&hypothesis, parameters.clone(), LIMITS) else {
+            return (f64::INFINITY, parameters);
+        };
+        let mut squares = Vec::with_capacity(self.t_s.len());
+        self.predict(&fitted, |jacobian, _, logged| {
+            squares.push((logged - jacobian.pose.translation.vector).norm_squared());
+        });
+        (trimmed_rms(squares), fitted)
     }
 
-    /// Residual over the best 90 %, rms m, and the next step. Infinite and `None` if joint states cover too
-    /// few samples.
-    fn step(
+    /// Visits the covered samples: predicted pose with derivatives, joint velocities, logged position.
+    fn predict(
         &self,
         parameters: &FittedParameters,
-        free: &[usize],
-        prior: ToolPrior,
-    ) -> (f64, Option<DVector<f64>>) {
-        /// Unobservable parameters keep their value.
-        const DAMPING_SCALE: f64 = 0.5;
-        /// At the fitted latency.
-        const MIN_COVERED_SHARE: f64 = 0.75;
-        let (n, dof) = (free.len(), parameters.zeros.len());
-        let mut chain_state = ChainState::new(self);
-        let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
-        let mut rows: Vec<Vec3> = Vec::with_capacity(n);
-        let turn = parameters.reference.rotation;
+        mut visit: impl FnMut(&PoseJacobian, &[f64], &Vec3),
+    ) {
+        let (chain, columns) = (self.stream.chain, self.stream.columns);
+        let (mut cursor, track) = (0, self.joints.dof);
+        let (mut track_q, mut track_qd) = (vec![0.0; track], vec![0.0; track]);
+        let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
+        let mut link_columns = vec![[0.0; 6]; chain.dof()];
+        let tool = pose(parameters.tool.into(), Rotation::identity());
         for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
-            if !chain_state.at(t_s, parameters) {
+            let truth_s = t_s - parameters.lag_s;
+            if !self.joints.at(truth_s, &mut cursor, &mut track_q, &mut track_qd) {
                 continue;
             }
-            chain_state.pose =
-                self.stream.chain.forward_with_jacobian(&chain_state.q, &mut chain_state.jacobian);
-            let at = chain_state.tip(parameters);
-            let lever = chain_state.pose.rotation * parameters.tool;
-            rows.clear();
-            rows.extend(free.iter().map(|&parameter| match parameter {
-                0 => -(turn * chain_state.velocity(&lever)),
-                p if p <= dof => turn * chain_state.along(p - 1, &lever),
-                p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
-                p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
-                p => turn * (chain_state.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
+            for (at, (&column, kind)) in columns.iter().zip(chain.joint_kinds()).enumerate() {
+                let turns = self.in_degrees && *kind != JointKind::Prismatic;
+                let unit = if turns { 1_f64.to_radians() } else { 1.0 };
+                q[at] = unit * track_q[column] + parameters.zeros[at];
+                qd[at] = unit * track_qd[column];
+            }
+            let link = chain.forward_with_jacobian(&q, &mut link_columns);
+            let jacobian = PoseJacobian::new(&link_columns, &parameters.reference, &link, &tool);
+            visit(&jacobian, &qd, logged);
+        }
+    }
+}
+
+struct Hypothesis<'a> {
+    stream: &'a StreamWithFk<'a>,
+    free: &'a [usize],
+    prior: ToolPrior,
+}
+
+impl LeastSquares for Hypothesis<'_> {
+    type State = FittedParameters;
+
+    fn linearize(&self, parameters: &FittedParameters) -> Option<NormalEquations> {
+        /// At the fitted latency. Few covered samples fit too easily.
+        const MIN_COVERED_SHARE: f64 = 0.75;
+        let dof = parameters.zeros.len();
+        let mut normal = NormalEquations::zeros(self.free.len());
+        let mut samples = 0;
+        let mut derivatives = Vec::with_capacity(self.free.len());
+        self.stream.predict(parameters, |jacobian, qd, logged| {
+            derivatives.clear();
+            derivatives.extend(self.free.iter().map(|&parameter| match parameter {
+                0 => jacobian.velocity(qd).map(|part| -part),
+                p if p <= dof => jacobian.joint(p - 1),
+                p if p <= 6 + dof => jacobian.reference(p - 1 - dof),
+                p => jacobian.tool(p - 7 - dof),
             }));
-            let residual = logged - at;
-            squares.push(residual.norm_squared());
-            for (i, a) in rows.iter().enumerate() {
-                right[i] += a.dot(&residual);
-                for (j, b) in rows[..=i].iter().enumerate() {
-                    normal[(i, j)] += a.dot(b);
-                }
-            }
+            let position = logged - jacobian.pose.translation.vector;
+            normal.add_pose(&derivatives, [position, Vec3::zeros()], [1.0, 0.0]);
+            samples += 1;
+        });
+        let min_covered = (MIN_COVERED_SHARE * self.stream.t_s.len() as f64) as usize;
+        if samples < MIN_SAMPLES.max(min_covered) {
+            return None;
         }
-        // Few covered samples fit too easily.
-        if squares.len() < MIN_SAMPLES.max((MIN_COVERED_SHARE * self.t_s.len() as f64) as usize) {
-            return (f64::INFINITY, None);
-        }
-        let samples = squares.len() as f64;
-        let (weights, pull) = (prior.weights(), prior.pull(&parameters.tool));
-        for (at, &parameter) in free.iter().enumerate() {
-            normal[(at, at)] += 1e-9 * samples / (DAMPING_SCALE * DAMPING_SCALE);
+        let weights = self.prior.weights() * (samples as f64).sqrt();
+        for (at, &parameter) in self.free.iter().enumerate() {
             if let Some(axis) = parameter.checked_sub(7 + dof) {
-                normal[(at, at)] += samples * weights[axis].powi(2);
-                right[at] -= samples * weights[axis] * pull[axis];
+                let mut row = vec![0.0; self.free.len()];
+                row[at] = weights[axis];
+                normal.add(&row, -weights[axis] * parameters.tool[axis]);
             }
         }
-        let residual_m = trimmed_rms(squares);
-        // The factorisation reads the lower triangle.
-        (residual_m, normal.cholesky().map(|factor| factor.solve(&right)))
+        Some(normal)
+    }
+
+    fn moved(&self, parameters: &FittedParameters, step: &[f64]) -> FittedParameters {
+        let mut moved = parameters.clone();
+        let (dof, max_lag_s) = (moved.zeros.len(), self.stream.max_lag_s);
+        let mut twist = [0.0; 6];
+        for (&at, change) in self.free.iter().zip(step) {
+            match at {
+                0 => moved.lag_s = (moved.lag_s + change).clamp(-max_lag_s, max_lag_s),
+                at if at <= dof => moved.zeros[at - 1] += change,
+                at if at <= 6 + dof => twist[at - 1 - dof] = *change,
+                at => moved.tool[at - 7 - dof] += change,
+            }
+        }
+        moved.reference = pose_of_twist(&twist) * moved.reference;
+        moved
     }
 }
 
@@ -567,67 +565,5 @@ impl ToolPrior {
             Self::AlongAxis => Vec3::new(each, each, 0.0),
             Self::Deviation => Vec3::repeat(each),
         }
-    }
-
-    fn pull(self, tool_m: &Vec3) -> Vec3 {
-        self.weights().component_mul(tool_m)
-    }
-}
-
-struct ChainState<'a> {
-    stream: &'a StreamWithFk<'a>,
-    cursor: usize,
-    track: (Vec<f64>, Vec<f64>),
-    q: Vec<f64>,
-    qd: Vec<f64>,
-    jacobian: Vec<[f64; 6]>,
-    pose: Pose,
-}
-
-impl<'a> ChainState<'a> {
-    fn new(stream_with_fk: &'a StreamWithFk<'a>) -> Self {
-        let (dof, track) = (stream_with_fk.stream.chain.dof(), stream_with_fk.joints.dof);
-        Self {
-            stream: stream_with_fk,
-            cursor: 0,
-            track: (vec![0.0; track], vec![0.0; track]),
-            q: vec![0.0; dof],
-            qd: vec![0.0; dof],
-            jacobian: vec![[0.0; 6]; dof],
-            pose: Pose::identity(),
-        }
-    }
-
-    /// Moves the joints to the time of measurement. False if joint states do not cover it.
-    fn at(&mut self, t_s: f64, parameters: &FittedParameters) -> bool {
-        let StreamWithFk { joints, stream, in_degrees, .. } = self.stream;
-        let (q, qd) = &mut self.track;
-        if !joints.at(t_s - parameters.lag_s, &mut self.cursor, q, qd) {
-            return false;
-        }
-        for (at, (&column, kind)) in
-            stream.columns.iter().zip(stream.chain.joint_kinds()).enumerate()
-        {
-            let turns = *in_degrees && *kind != JointKind::Prismatic;
-            let unit = if turns { 1_f64.to_radians() } else { 1.0 };
-            self.q[at] = unit * q[column] + parameters.zeros[at];
-            self.qd[at] = unit * qd[column];
-        }
-        true
-    }
-
-    /// Tip in the stream's reference frame.
-    fn tip(&self, parameters: &FittedParameters) -> Vec3 {
-        (parameters.reference * (self.pose * Point3::from(parameters.tool))).coords
-    }
-
-    /// Derivative in the base; `lever` is from the link origin.
-    fn along(&self, joint: usize, lever: &Vec3) -> Vec3 {
-        let [x, y, z, a, b, c] = self.jacobian[joint];
-        Vec3::new(x, y, z) + Vec3::new(a, b, c).cross(lever)
-    }
-
-    fn velocity(&self, lever: &Vec3) -> Vec3 {
-        self.qd.iter().enumerate().map(|(joint, rate)| *rate * self.along(joint, lever)).sum()
     }
 }

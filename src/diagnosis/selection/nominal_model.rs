@@ -11,8 +11,9 @@
 //! causes reduce the residual to noise.
 
 use super::model_selection::price;
+use crate::model::jacobian::Derivative;
 use crate::model::measurement::{
-    FLOOR_M, FLOOR_RAD, PoseObservations, PredictionBuffers, State, StreamState,
+    FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
 };
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{LatencyProfile, LatencyRamp};
@@ -246,41 +247,34 @@ pub(crate) fn link_frames(
     let mut sweep = PredictionBuffers::new(observations);
     let mut links = Vec::new();
     for k in rows {
-        let Some(predicted) = observations.pose_at(k, stream_state, offsets, &mut sweep) else {
+        let Some(LinearPrediction { jacobian, q, qd }) =
+            observations.prediction_at(k, stream_state, offsets, &mut sweep)
+        else {
             continue;
         };
-        observations.chain.joint_frames(sweep.q(), &mut links);
-        let (velocity, rate) = sweep.twist();
-        let mut rows = linear.push(&observations.residual(k, &predicted));
-        let tip = predicted.translation.vector;
-        let base = [stream_state.reference];
+        observations.chain.joint_frames(q, &mut links);
+        let mut rows = linear.push(&observations.residual(k, &jacobian.pose));
+        let mut set = |column: usize, [linear, angular]: Derivative| {
+            rows.set(0, column, blind.mask_position(linear.into()));
+            rows.set(1, column, blind.mask_rotation(angular.into()));
+        };
+        let tip = jacobian.pose.translation.vector;
         let frames = links.iter().map(|link| stream_state.reference * link);
-        for (i, frame) in base.into_iter().chain(frames).enumerate() {
+        for (i, frame) in [stream_state.reference].into_iter().chain(frames).enumerate() {
             for axis in 0..3 {
                 let unit = frame.rotation * Vec3::ith(axis, 1.0);
                 let lever = unit.cross(&(tip - frame.translation.vector));
-                rows.set(0, 6 * i + axis, blind.mask_position(unit.into()));
-                rows.set(0, 6 * i + 3 + axis, blind.mask_position(lever.into()));
-                rows.set(1, 6 * i + 3 + axis, blind.mask_rotation(unit.into()));
+                set(6 * i + axis, [unit, Vec3::zeros()]);
+                set(6 * i + 3 + axis, [lever, unit]);
             }
         }
-        let (velocity, rate) =
-            (stream_state.reference.rotation * velocity, stream_state.reference.rotation * rate);
-        rows.set(0, latency, blind.mask_position((-velocity).into()));
-        rows.set(1, latency, blind.mask_rotation((-rate).into()));
-        let reference = stream_state.reference.rotation;
-        let base_from_link =
-            reference.inverse() * predicted.rotation * stream_state.tool.rotation.inverse();
-        let lever = base_from_link * stream_state.tool.translation.vector;
+        set(latency, jacobian.velocity(qd).map(|part| -part));
         for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
-            let (linear, angular) = sweep.column(joint, &lever);
-            let (linear, angular) = (reference * linear, reference * angular);
-            rows.set(0, latency + 1 + joint, blind.mask_position(linear.into()));
-            rows.set(1, latency + 1 + joint, blind.mask_rotation(angular.into()));
+            set(latency + 1 + joint, jacobian.joint(joint));
         }
         if with == FreeAlongside::ZerosAndRadialScale {
             let from_base = tip - stream_state.reference.translation.vector;
-            rows.set(0, latency + 1 + joints, blind.mask_position(from_base.into()));
+            set(latency + 1 + joints, [from_base, Vec3::zeros()]);
         }
     }
     linear

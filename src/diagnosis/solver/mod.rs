@@ -1,5 +1,6 @@
-//! Linear least squares under correlated noise, robust weights and covariances.
+//! Least squares: linear under correlated noise, and nonlinear; robust weights and covariances.
 
 pub(crate) mod linear;
+pub(crate) mod minimize;
 pub(crate) mod noise;
 pub(crate) mod robust;

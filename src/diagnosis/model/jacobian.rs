@@ -1,0 +1,115 @@
+//! Derivatives of a predicted pose `reference · FK(q) · tool`.
+
+use ground::geometry::{Pose, Rotation, Vec3};
+
+/// Change of the position in m, and of the rotation as a rotation vector in rad on the left, both in the stream's
+/// frame.
+pub(crate) type Derivative = [Vec3; 2];
+
+pub(crate) struct PoseJacobian<'a> {
+    /// Geometric Jacobian of the link's origin in the base ([`ground::robot::Chain::forward_with_jacobian`]).
+    link: &'a [[f64; 6]],
+    pub reference: Rotation,
+    /// From the link's origin to the pose, in the base.
+    lever: Vec3,
+    /// Predicted pose.
+    pub pose: Pose,
+}
+
+impl<'a> PoseJacobian<'a> {
+    pub fn new(link: &'a [[f64; 6]], reference: &Pose, base_from_link: &Pose, tool: &Pose) -> Self {
+        Self {
+            link,
+            reference: reference.rotation,
+            lever: base_from_link.rotation * tool.translation.vector,
+            pose: reference * base_from_link * tool,
+        }
+    }
+
+    /// By the position of one joint.
+    pub fn joint(&self, joint: usize) -> Derivative {
+        let [x, y, z, rx, ry, rz] = self.link[joint];
+        let angular = Vec3::new(rx, ry, rz);
+        let linear = Vec3::new(x, y, z) + angular.cross(&self.lever);
+        [self.reference * linear, self.reference * angular]
+    }
+
+    /// By time, at joint velocities `rates`.
+    pub fn velocity(&self, rates: &[f64]) -> Derivative {
+        let mut velocity = [Vec3::zeros(); 2];
+        for (joint, rate) in rates.iter().enumerate() {
+            let own = self.joint(joint);
+            velocity = [velocity[0] + own[0] * *rate, velocity[1] + own[1] * *rate];
+        }
+        velocity
+    }
+
+    /// By a change of the reference, multiplied on the left: translation along `axis` 0 to 2, rotation about 3
+    /// to 5.
+    pub fn reference(&self, axis: usize) -> Derivative {
+        let unit = Vec3::ith(axis % 3, 1.0);
+        match axis {
+            0..3 => [unit, Vec3::zeros()],
+            _ => [unit.cross(&self.pose.translation.vector), unit],
+        }
+    }
+
+    /// By a change of the tool, multiplied on the right.
+    pub fn tool(&self, axis: usize) -> Derivative {
+        let along = self.pose.rotation * Vec3::ith(axis % 3, 1.0);
+        match axis {
+            0..3 => [along, Vec3::zeros()],
+            _ => [Vec3::zeros(), along],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::measurement::pose_of_twist;
+    use ground::geometry::rotvec_from_rotation;
+    use ground::robot::catalogue;
+
+    #[test]
+    fn derivatives_equal_differences_of_predictions() {
+        const STEP: f64 = 1e-6;
+        let robot = catalogue::find("ur5e").expect("in the catalogue");
+        let link = |name: &str| robot.link(name).expect("a link");
+        let chain = robot.chain(link("base_link"), link("tool0")).expect("a chain");
+        let reference = pose_of_twist(&[0.4, -0.2, 0.9, 0.3, 1.1, -0.7]);
+        let tool = pose_of_twist(&[0.05, 0.02, 0.21, -0.4, 0.2, 0.9]);
+        let q = [0.3, -1.2, 1.4, -0.9, -1.5, 0.6];
+        let rates = [0.5, -0.3, 0.8, 0.1, -0.6, 1.2];
+        let mut columns = [[0.0; 6]; 6];
+        let base_from_link = chain.forward_with_jacobian(&q, &mut columns);
+        let jacobian = PoseJacobian::new(&columns, &reference, &base_from_link, &tool);
+        let assert_equal = |derivative: Derivative, moved: &dyn Fn(f64) -> Pose, name: &str| {
+            let (before, after) = (moved(-STEP), moved(STEP));
+            let linear = (after.translation.vector - before.translation.vector) / (2.0 * STEP);
+            let turn = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
+            assert!((derivative[0] - linear).norm() < 1e-6, "{name}: {derivative:?} {linear}");
+            assert!((derivative[1] - turn / (2.0 * STEP)).norm() < 1e-6, "{name}");
+        };
+        let along = |axis: usize, step: f64| {
+            pose_of_twist(&std::array::from_fn::<f64, 6, _>(|i| if i == axis { step } else { 0.0 }))
+        };
+        for axis in 0..6 {
+            let with_joint = |step: f64| {
+                let mut q = q;
+                q[axis] += step;
+                reference * chain.forward(&q) * tool
+            };
+            assert_equal(jacobian.joint(axis), &with_joint, "joint");
+            let with_reference = |step: f64| along(axis, step) * reference * base_from_link * tool;
+            assert_equal(jacobian.reference(axis), &with_reference, "reference");
+            let with_tool = |step: f64| reference * base_from_link * tool * along(axis, step);
+            assert_equal(jacobian.tool(axis), &with_tool, "tool");
+        }
+        let later = |step: f64| {
+            let q: Vec<f64> = q.iter().zip(&rates).map(|(q, rate)| q + rate * step).collect();
+            reference * chain.forward(&q) * tool
+        };
+        assert_equal(jacobian.velocity(&rates), &later, "velocity");
+    }
+}
