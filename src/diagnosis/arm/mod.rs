@@ -17,8 +17,8 @@ use crate::joints::{
     CorrectedJoints, ResidualSize, correct_joints, estimate_joint_encoding, follows_arm,
     likely_encodings, other_encoding,
 };
-use crate::latency::correlation::{ArmSpeeds, LagPeak};
-use crate::samples::sampling::{as_rotations, stream_lag_s, stream_peaks};
+use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
+use crate::samples::sampling::as_rotations;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,

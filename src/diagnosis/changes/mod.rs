@@ -17,8 +17,8 @@ mod split_run;
 use crate::arm::{diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
+use crate::latency::correlation::stream_lag_s;
 use crate::residuals::residual_check::align_with_fk;
-use crate::samples::sampling::stream_lag_s;
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, FrameEstimate, JointDiagnosis, NotObservable,
     PoseDiagnosis, PoseStream,

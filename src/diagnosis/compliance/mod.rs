@@ -14,7 +14,7 @@ mod system;
 use crate::arm::diagnose_arm_as_logged;
 use crate::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
 use crate::joints::correct_joints;
-use crate::samples::sampling::stream_lag_s;
+use crate::latency::correlation::stream_lag_s;
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
     PoseDistances, PoseStream,

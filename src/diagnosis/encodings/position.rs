@@ -7,8 +7,8 @@ use super::axis_convention::{
 use super::orientation_samples::MAX_ENCODING_RESIDUAL_RAD;
 use crate::frames::constant_frames::misfit_of_frames;
 use crate::frames::position_fit::spread;
-use crate::latency::correlation::{ArmSpeeds, LagPeak};
-use crate::samples::sampling::{MIN_SPEED_CORRELATION, as_rotations, slow_samples, stream_peaks};
+use crate::latency::correlation::{ArmSpeeds, LagPeak, MIN_SPEED_CORRELATION, stream_peaks};
+use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
 use ground::stream::{JointTrack, PoseTrack};

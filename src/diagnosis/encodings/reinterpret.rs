@@ -3,7 +3,7 @@
 use super::rotation::{
     LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
 };
-use crate::samples::sampling::stream_lag_s;
+use crate::latency::correlation::stream_lag_s;
 use crate::{AxesError, PoseEncoding, PoseStream};
 use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};

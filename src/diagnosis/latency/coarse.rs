@@ -4,10 +4,12 @@
 //! In each window of several seconds, the stream's speed matches the arm's at some lag. These lags form
 //! steps ([`super::steps`]) or a piecewise linear profile ([`super::ramp`]).
 
-use super::correlation::{
-    ArmSpeeds, SpeedSeries, angular_speed, lag_peaks, linear_speed, norm_series,
-};
+use super::correlation::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, norm_series};
+use super::lag_windows::{LagWindow, lag_windows};
 use super::ramp::{LatencyRamp, RampFit};
+use super::speed_residual::{
+    MAX_SPEED_RESIDUAL_SHARE, fit_rows, squared_deviation, squared_residual,
+};
 use super::steps::{LatencySteps, detect_steps};
 use crate::{ImuStream, PoseStream};
 use ground::stats::quantile;
@@ -16,10 +18,6 @@ use ground::stream::{JointTrack, Orientations};
 const MIN_CORRELATION: f64 = 0.85;
 /// A piecewise linear profile must reduce the residual of simpler models to this fraction.
 const MAX_RESIDUAL_RATIO: f64 = 0.9;
-pub(crate) const MAX_PROFILE_SAMPLES: usize = 4000;
-/// After compensation, as a fraction of the speeds' variation.
-pub(crate) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
-
 /// Large latency change within the run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CoarseLatencyChange {
@@ -101,16 +99,6 @@ pub fn detect_imu_latency_changes(
     detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], max_lag_s)
 }
 
-/// Window with the lag of the highest correlation.
-pub(crate) struct LagWindow {
-    /// In the arm's time, s.
-    pub middle_s: f64,
-    /// Latency, s.
-    pub lag_s: f64,
-    /// −1 to 1.
-    pub correlation: f64,
-}
-
 /// Uses the pair (arm, stream) that correlates best.
 fn detect_changes(
     pairs: &[(SpeedSeries, SpeedSeries)],
@@ -143,110 +131,6 @@ fn detect_changes(
         true => Some(CoarseLatencyChange::Ramp(gradual, fallback)),
         false => fallback.map(CoarseLatencyChange::Steps),
     }
-}
-
-/// Drops rows whose compensated stamps precede an earlier one.
-pub(crate) fn monotonic_rows(
-    compensated_s: impl Iterator<Item = (usize, f64)>,
-) -> Vec<(usize, f64)> {
-    let mut retained: Vec<(usize, f64)> = Vec::with_capacity(compensated_s.size_hint().0);
-    for (row, t_s) in compensated_s {
-        if retained.last().is_none_or(|(_, before_s)| t_s > *before_s) {
-            retained.push((row, t_s));
-        }
-    }
-    retained
-}
-
-pub(crate) fn squared_residual(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    lag_s: &dyn Fn(f64) -> f64,
-) -> f64 {
-    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
-}
-
-pub(crate) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
-    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
-}
-
-fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, max_lag_s: f64) -> Vec<LagWindow> {
-    const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
-    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
-        return Vec::new();
-    };
-    let length_s =
-        (0.25 * (end_s - begin_s)).clamp(WINDOW_LENGTH_LIMITS_S.0, WINDOW_LENGTH_LIMITS_S.1);
-    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
-    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
-    let window = |index: usize| {
-        let from_s = from_s(index);
-        let own = between(arm, from_s, from_s + length_s);
-        let best = lag_peaks(&own, stream, max_lag_s).into_iter().next()?;
-        let middle_s = from_s + 0.5 * length_s;
-        Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
-    };
-    let (mut windows, mut index) = (Vec::new(), 0);
-    while index < count {
-        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
-        let Some(next_s) = arm.t_s.get(next) else { break };
-        // Skip gaps, however long.
-        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
-        index = index.max(reaching.saturating_sub(1));
-        windows.extend(window(index));
-        index += 1;
-    }
-    windows
-}
-
-fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
-    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
-    SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
-}
-
-pub(crate) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
-    let values = || rows.iter().map(|&row| speed.value[row]);
-    let mean = values().sum::<f64>() / rows.len().max(1) as f64;
-    values().map(|value| (value - mean).powi(2)).sum()
-}
-
-/// Squared differences of the two speeds at a lag. 0 if the arm's speed is unknown.
-pub(crate) fn differences(
-    arm: &SpeedSeries,
-    stream: &SpeedSeries,
-    rows: &[usize],
-    lag_s: impl Fn(f64) -> f64,
-) -> Vec<f64> {
-    /// For interpolation, s.
-    const MAX_GAP_S: f64 = 0.5;
-    let mut after = 0;
-    let arm_at = |t_s: f64, after: &mut usize| {
-        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
-            *after += 1;
-        }
-        while *after > 0 && arm.t_s[*after - 1] >= t_s {
-            *after -= 1;
-        }
-        let before = after.checked_sub(1)?;
-        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
-        let part = (t_s - a_s) / (b_s - a_s);
-        (b_s - a_s < MAX_GAP_S)
-            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
-    };
-    let pairs: Vec<Option<(f64, f64)>> = rows
-        .iter()
-        .map(|&row| {
-            Some((arm_at(stream.t_s[row] - lag_s(stream.t_s[row]), &mut after)?, stream.value[row]))
-        })
-        .collect();
-    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
-    // The stream may use another length unit.
-    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
-    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
-    pairs
-        .into_iter()
-        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
-        .collect()
 }
 
 #[cfg(test)]

@@ -4,11 +4,12 @@
 
 use std::cell::RefCell;
 
-use crate::samples::sampling::row_blocks;
+use crate::PoseStream;
+use crate::samples::sampling::{as_rotations, row_blocks};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::median;
-use ground::stream::JointTrack;
+use ground::stream::{JointTrack, PoseTrack};
 use realfft::RealFftPlanner;
 
 /// Candidate lag.
@@ -338,6 +339,23 @@ impl CorrelationSums {
         };
         (0..self.sums[0].len()).map(at).collect()
     }
+}
+
+/// For a stream that follows the arm.
+pub(crate) const MIN_SPEED_CORRELATION: f64 = 0.3;
+
+/// Candidate lags, most likely first.
+pub(crate) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, max_lag_s: f64) -> Vec<LagPeak> {
+    let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
+    arm.lag_peaks(t_s, xyz, as_rotations(orientation), max_lag_s)
+}
+
+/// Lag of the highest correlation, s; 0 if none is high enough.
+pub(crate) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> f64 {
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let peaks = stream_peaks(&arm, stream, max_lag_s);
+    let best = peaks.first().filter(|peak| peak.correlation > MIN_SPEED_CORRELATION);
+    best.map_or(0.0, |peak| peak.lag_s)
 }
 
 #[cfg(test)]

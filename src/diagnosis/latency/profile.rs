@@ -5,12 +5,27 @@
 //! error, which changes slowly with the configuration.
 
 mod shapes;
+
+/// Weighted mean, with a standard error scaled by the scatter.
+pub(crate) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
+    const MIN_STD_ERROR_S: f64 = 2e-5;
+    let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
+    let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();
+    if windows.len() < 2 || !weight.is_finite() {
+        return None;
+    }
+    let value = windows.iter().map(|one| one.value * one.std_error.powi(-2)).sum::<f64>() / weight;
+    let chi2: f64 = windows.iter().map(|one| ((one.value - value) / one.std_error).powi(2)).sum();
+    let birge = (chi2 / (windows.len() as f64 - 1.0)).max(1.0).sqrt();
+    let std_error = (birge / weight.sqrt()).max(MIN_STD_ERROR_S);
+    Some(Measured { value, std_error, dof: windows.len() as f64 })
+}
+
 #[cfg(test)]
 mod tests;
 mod windows;
 
-use super::coarse::monotonic_rows;
-use super::steps::mean;
+use crate::samples::sampling::monotonic_rows;
 use crate::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use shapes::{

@@ -1,8 +1,10 @@
 //! Large piecewise linear latency of a stream.
 
-use super::coarse::{LagWindow, monotonic_rows, squared_residual};
 use super::correlation::SpeedSeries;
+use super::lag_windows::LagWindow;
+use super::speed_residual::squared_residual;
 use crate::LatencyProfile;
+use crate::samples::sampling::monotonic_rows;
 
 /// Piecewise linear latency of a stream.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,12 +1,13 @@
 //! Large latency steps: assigns a candidate lag to each time, minimising speed differences plus a price per
 //! step (Viterbi 1967).
 
-use super::coarse::{
-    LagWindow, MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows,
-    monotonic_rows, squared_deviation,
-};
 use super::correlation::SpeedSeries;
-use super::profile::{LatencyProfile, LatencyShape, LatencyStep};
+use super::lag_windows::LagWindow;
+use super::profile::{LatencyProfile, LatencyShape, LatencyStep, mean};
+use super::speed_residual::{
+    MAX_PROFILE_SAMPLES, MAX_SPEED_RESIDUAL_SHARE, differences, fit_rows, squared_deviation,
+};
+use crate::samples::sampling::monotonic_rows;
 use crate::{EstimateResult, Measured};
 
 /// Between two candidate lags.
@@ -238,21 +239,6 @@ impl LatencySteps {
             steps: jumps,
         }
     }
-}
-
-/// Weighted mean, with a standard error scaled by the scatter.
-pub(crate) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
-    const MIN_STD_ERROR_S: f64 = 2e-5;
-    let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
-    let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();
-    if windows.len() < 2 || !weight.is_finite() {
-        return None;
-    }
-    let value = windows.iter().map(|one| one.value * one.std_error.powi(-2)).sum::<f64>() / weight;
-    let chi2: f64 = windows.iter().map(|one| ((one.value - value) / one.std_error).powi(2)).sum();
-    let birge = (chi2 / (windows.len() as f64 - 1.0)).max(1.0).sqrt();
-    let std_error = (birge / weight.sqrt()).max(MIN_STD_ERROR_S);
-    Some(Measured { value, std_error, dof: windows.len() as f64 })
 }
 
 #[cfg(test)]

@@ -1,15 +1,10 @@
-//! Selects samples of a stream and the lags at which it follows the arm.
+//! Selects samples of a stream.
 
-use crate::PoseStream;
-use crate::latency::correlation::{ArmSpeeds, LagPeak};
 use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
 use ground::stats::{STD_DEV_PER_MEDIAN, median};
-use ground::stream::{JointTrack, Orientations, PoseTrack};
+use ground::stream::{JointTrack, Orientations};
 use std::ops::Range;
-
-/// For a stream that follows the arm.
-pub(crate) const MIN_SPEED_CORRELATION: f64 = 0.3;
 
 /// Per stream, in the search for causes.
 pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
@@ -23,25 +18,24 @@ pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usi
     (0..count).map(move |at| at * len / count..at * len / count + rows)
 }
 
+/// Drops rows whose compensated stamps precede an earlier one.
+pub(crate) fn monotonic_rows(
+    compensated_s: impl Iterator<Item = (usize, f64)>,
+) -> Vec<(usize, f64)> {
+    let mut retained: Vec<(usize, f64)> = Vec::with_capacity(compensated_s.size_hint().0);
+    for (row, t_s) in compensated_s {
+        if retained.last().is_none_or(|(_, before_s)| t_s > *before_s) {
+            retained.push((row, t_s));
+        }
+    }
+    retained
+}
+
 pub(crate) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     match orientation {
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
     }
-}
-
-/// Candidate lags, most likely first.
-pub(crate) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, max_lag_s: f64) -> Vec<LagPeak> {
-    let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
-    arm.lag_peaks(t_s, xyz, as_rotations(orientation), max_lag_s)
-}
-
-/// Lag of the highest correlation, s; 0 if none is high enough.
-pub(crate) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, max_lag_s: f64) -> f64 {
-    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
-    let peaks = stream_peaks(&arm, stream, max_lag_s);
-    let best = peaks.first().filter(|peak| peak.correlation > MIN_SPEED_CORRELATION);
-    best.map_or(0.0, |peak| peak.lag_s)
 }
 
 /// Slow samples over the run, with FK.

@@ -1,0 +1,51 @@
+//! Lag of the highest correlation in each window of several seconds.
+
+use super::correlation::{SpeedSeries, lag_peaks};
+
+/// Window with the lag of the highest correlation.
+pub(crate) struct LagWindow {
+    /// In the arm's time, s.
+    pub middle_s: f64,
+    /// Latency, s.
+    pub lag_s: f64,
+    /// −1 to 1.
+    pub correlation: f64,
+}
+
+pub(crate) fn lag_windows(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    max_lag_s: f64,
+) -> Vec<LagWindow> {
+    const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
+    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
+        return Vec::new();
+    };
+    let length_s =
+        (0.25 * (end_s - begin_s)).clamp(WINDOW_LENGTH_LIMITS_S.0, WINDOW_LENGTH_LIMITS_S.1);
+    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
+    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
+    let window = |index: usize| {
+        let from_s = from_s(index);
+        let own = between(arm, from_s, from_s + length_s);
+        let best = lag_peaks(&own, stream, max_lag_s).into_iter().next()?;
+        let middle_s = from_s + 0.5 * length_s;
+        Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
+    };
+    let (mut windows, mut index) = (Vec::new(), 0);
+    while index < count {
+        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
+        let Some(next_s) = arm.t_s.get(next) else { break };
+        // Skip gaps, however long.
+        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
+        index = index.max(reaching.saturating_sub(1));
+        windows.extend(window(index));
+        index += 1;
+    }
+    windows
+}
+
+fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
+    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
+    SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+}
