@@ -73,6 +73,8 @@ mod latency;
 mod residuals;
 mod selection;
 
+mod joint_diagnosis;
+
 // Other streams and questions.
 mod calibration;
 mod columns;

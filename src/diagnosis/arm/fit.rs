@@ -1,11 +1,12 @@
 //! Fits all streams of an arm together, from the best starting state of each.
 
-use super::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD};
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::frames::constant_frames::{constant_frame_residual, starting_states};
 use crate::joints::{CorrectedJoints, is_quarter_turn, single_zeros};
 use crate::latency::correlation::LagPeak;
-use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::model::measurement::{
+    MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, State, StreamState,
+};
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::selection::link_deviations::{
     LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,

@@ -6,24 +6,22 @@ mod fit;
 mod stream;
 mod zeros;
 
-use std::borrow::Cow;
 use std::cell::LazyCell;
 
-use crate::compliance::apply_compliance;
 use crate::encodings::decoded_stream::{DecodedStream, decode_stream};
 use crate::encodings::position::{PositionEncodingEstimate, metres_by_reach};
 use crate::frames::position_fit::spread;
 use crate::joints::{
-    CorrectedJoints, ResidualSize, correct_joints, estimate_joint_encoding, follows_arm,
-    likely_encodings, other_encoding,
+    CorrectedJoints, ResidualSize, estimate_joint_encoding, follows_arm, likely_encodings,
+    other_encoding,
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
+use crate::model::measurement::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD};
 use crate::samples::sampling::as_rotations;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
-    ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,
-    JointEncoding, JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseStream,
-    ScalarChange, StreamResidual,
+    ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
+    JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
 use fit::{LinkModel, fit};
@@ -221,9 +219,6 @@ const FACTOR_TOLERANCE: f64 = 2e-4;
 const MIN_IMPROVEMENT: f64 = 5.0;
 /// For degrees indicated by the range of values.
 const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
-/// Excess residual that counts as explained, rms: consistent with link deviations and calibration error.
-const MAX_EXPLAINED_M: f64 = 1e-3;
-pub(super) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
 /// Of scales that count as one, as for a round scale.
 const MAX_SCALE_RATIO: f64 = 1.01;
 /// For a valid joint encoding: of the motion's extent, or m.
@@ -359,97 +354,6 @@ pub fn diagnose_derived(
             }
         }
         _ => as_recorded,
-    }
-}
-
-impl JointDiagnosis {
-    fn without_changes(
-        encoding: EstimateResult<JointEncoding>,
-        offsets: Vec<JointOffset>,
-        scales: Vec<JointScale>,
-    ) -> Self {
-        Self {
-            encoding,
-            partial_encoding: None,
-            offsets,
-            scales,
-            changes: Vec::new(),
-            patches: Vec::new(),
-            compliance: Vec::new(),
-        }
-    }
-
-    /// Largest change of a joint's zero, if any.
-    pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
-        self.largest_change(column, |change| change.zero.as_ref())
-    }
-
-    /// Encoding to report: that of the part of the run where it is wrong.
-    pub fn reported_encoding(&self) -> Result<&JointEncoding, &NotObservable> {
-        match &self.partial_encoding {
-            Some((encoding, _)) => Ok(encoding),
-            None => self.encoding.as_ref(),
-        }
-    }
-
-    /// Largest change of a joint's scale, if any.
-    pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
-        self.largest_change(column, |change| change.factor.as_ref())
-    }
-
-    fn largest_change(
-        &self,
-        column: usize,
-        of: impl Fn(&JointChange) -> Option<&ScalarChange>,
-    ) -> Option<&ScalarChange> {
-        let own = self.changes.iter().filter(|change| change.column == column);
-        ScalarChange::largest(own.filter_map(of))
-    }
-
-    /// Removes eccentricity above the usual level, which no rule reports.
-    pub fn without_eccentricity(&self) -> Self {
-        let mut reported = self.clone();
-        reported.compliance.retain(|compliance| !compliance.is_eccentric());
-        reported
-    }
-
-    /// Joint states in one encoding throughout the run.
-    pub fn in_one_encoding<'a>(&self, joints: &'a JointTrack) -> Cow<'a, JointTrack> {
-        let mut joints = Cow::Borrowed(joints);
-        if self.partial_encoding.is_some() {
-            self.patches.iter().for_each(|patch| patch.apply(joints.to_mut()));
-        }
-        joints
-    }
-
-    /// Corrects change points, names and units, compliance, and the selected model's joint offsets.
-    /// `prismatic` flags columns of `joints`.
-    pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
-        let mut unchanged = Cow::Borrowed(joints);
-        for patch in &self.patches {
-            patch.apply(unchanged.to_mut());
-        }
-        let mut track = match &self.encoding {
-            Ok(encoding) => correct_joints(&unchanged, encoding, prismatic),
-            Err(_) => unchanged.into_owned(),
-        };
-        if !self.compliance.is_empty() {
-            apply_compliance(&mut track, &self.compliance);
-        }
-        let offset = |offset: &JointOffset| match &offset.offset {
-            Ok(measured) if offset.is_chosen => measured.value,
-            _ => 0.0,
-        };
-        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
-        for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
-            offsets[scale.column] = scale.offset;
-        }
-        for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
-            for (q, offset) in row.iter_mut().zip(&offsets) {
-                *q += offset;
-            }
-        }
-        track
     }
 }
 

@@ -7,6 +7,7 @@
 
 mod fit;
 mod parameters;
+mod system;
 #[cfg(test)]
 mod tests;
 mod undetermined;

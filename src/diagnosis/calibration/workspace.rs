@@ -1,7 +1,7 @@
 //! Effect of link deviations on the tip over the workspace.
 
 use super::FkUncertainty;
-use super::fit::{CalibrationState, CalibrationSystem};
+use super::system::{CalibrationState, CalibrationSystem};
 use crate::model::measurement::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
 use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use ground::geometry::{Rotation, Vec3};

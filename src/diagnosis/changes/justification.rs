@@ -1,112 +1,13 @@
 //! Decides whether change points explain enough of a run's residual.
 
-use super::MIN_SEGMENT_SAMPLES;
-use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
-use crate::residuals::residual_check::{ErrorSeries, ErrorSize, PartError};
+use crate::ArmDiagnosis;
+use crate::residuals::comparison::{excess_m, log_likelihood_gain, residual_m};
 use crate::selection::model_selection::price;
-use crate::solver::noise::Noise;
-use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, StreamResidual};
-use ground::geometry::{Vec3, rotvec_from_rotation};
 
 /// For accepted change points.
 const MAX_RESIDUAL_RATIO: f64 = 0.5;
 /// If the likelihood must also justify them, because the residual is mostly noise.
 const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
-/// Upper bound for a healthy stream.
-const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
-
-/// Whether a stream's residual exceeds its noise in some segment.
-pub(crate) fn has_large_residual(diagnosis: &PoseDiagnosis) -> bool {
-    const MIN_NOISE_RATIO: f64 = 2.0;
-    let aligned = &diagnosis.aligned;
-    let does_not_follow = matches!(diagnosis.encoding, Err(NotObservable::DoesNotFollow(_)));
-    if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
-        return does_not_follow
-            || diagnosis
-                .unusable_reason()
-                .is_some_and(|why| matches!(why, NotObservable::DoesNotFollow(_)));
-    }
-    let moves = vec![true; aligned.t_s.len()];
-    let has_rotation = diagnosis.encoding.is_ok();
-    let series = ErrorSeries::from_poses(
-        &aligned.t_s,
-        &aligned.corrected,
-        &aligned.fk_at_truth,
-        has_rotation,
-    );
-    let error = series.error(&moves, true);
-    let is_much = |(size, min_size): (&ErrorSize, f64)| {
-        size.parts.iter().any(|PartError { magnitude: amount, .. }| {
-            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
-            amount.rms > min_size.max(MIN_NOISE_RATIO * noise)
-        })
-    };
-    std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
-}
-
-pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
-    diagnosis
-        .latency_profile
-        .as_ref()
-        .is_ok_and(|profile| profile.is_unsteady && !profile.steps.is_empty())
-}
-
-/// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
-pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
-    combined_m(diagnosis, StreamResidual::combined_m)
-}
-
-/// Weighted as in [`residual_m`].
-fn excess_m(diagnosis: &ArmDiagnosis) -> f64 {
-    combined_m(diagnosis, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
-}
-
-fn combined_m(diagnosis: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
-    let of_stream = |diagnosis: &PoseDiagnosis| match (&diagnosis.residual, &diagnosis.encoding) {
-        (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
-        (Ok(residual), _) => of(residual),
-    };
-    diagnosis.streams.iter().map(of_stream).sum()
-}
-
-/// Whether the residual exceeds the noise, or its mean in some segment does.
-pub(crate) fn has_slow_residual(diagnosis: &PoseDiagnosis) -> bool {
-    const SEGMENTS: usize = 10;
-    /// For a significant mean.
-    const MIN_STD_ERRORS: f64 = 6.0;
-    if has_large_residual(diagnosis) {
-        return true;
-    }
-    let is_slow = |(residuals, (floor, small)): (Vec<[f64; 3]>, (f64, f64))| {
-        let parts: Vec<&[[f64; 3]]> =
-            residuals.chunks(residuals.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
-        let minus_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
-            let mean = mean(part);
-            part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
-        };
-        let beside: Vec<[f64; 3]> = parts.iter().flat_map(minus_mean).collect();
-        let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
-        parts.iter().any(|part| {
-            let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
-            mean(part).norm() > f64::max(small, MIN_STD_ERRORS * variance.sqrt())
-        })
-    };
-    let floors = [(FLOOR_M, HEALTHY_RESIDUAL_M_RAD[0]), (FLOOR_RAD, HEALTHY_RESIDUAL_M_RAD[1])];
-    residual_vectors(&diagnosis.aligned).into_iter().zip(floors).any(is_slow)
-}
-
-fn mean(vectors: &[[f64; 3]]) -> Vec3 {
-    vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
-}
-
-/// Position, m, and rotation, rad.
-fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
-    let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
-    let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
-    let turn =
-        both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())).into());
-    [length.collect(), turn.collect()]
-}
 
 /// Change points must halve the residual, or increase the likelihood by more than the price of their
 /// parameters (after Chow 1960).
@@ -119,27 +20,4 @@ pub(super) fn is_justified(before: &ArmDiagnosis, after: &ArmDiagnosis, paramete
     let is_less = is <= MAX_RESIDUAL_RATIO_BY_LIKELIHOOD * was
         || excess_m(after) <= MAX_RESIDUAL_RATIO * excess_m(before);
     is_less && gain > price(independent) * parameters as f64
-}
-
-/// Twice the log-likelihood ratio, and the number of independent samples. Autocorrelation reduces it, so a
-/// wrong model's systematic residual counts as few.
-pub(crate) fn log_likelihood_gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
-    /// A longer correlation comes from the motion.
-    const MAX_CORRELATION_SAMPLES: f64 = 200.0;
-    let (mut gain, mut independent) = (0.0, 0.0);
-    for (before, after) in before.streams.iter().zip(&after.streams) {
-        let pairs =
-            residual_vectors(&before.aligned).into_iter().zip(residual_vectors(&after.aligned));
-        for ((before, after), floor) in pairs.zip([FLOOR_M, FLOOR_RAD]) {
-            let noise = |residuals: &[[f64; 3]]| {
-                Noise::estimate(residuals, &vec![1.0; residuals.len()], floor)
-            };
-            let (was, is) = (noise(&before), noise(&after));
-            let samples = 3.0 * after.len().min(before.len()) as f64;
-            let samples = samples / is.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
-            independent += samples;
-            gain += 2.0 * samples * (was.sigma / is.sigma).ln();
-        }
-    }
-    (gain, independent)
 }

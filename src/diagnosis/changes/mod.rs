@@ -18,7 +18,9 @@ use crate::arm::{diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
 use crate::latency::correlation::stream_lag_s;
-use crate::residuals::residual_check::align_with_fk;
+use crate::residuals::comparison::{
+    MIN_SEGMENT_SAMPLES, has_latency_steps, has_slow_residual, residual_m, restore_recorded,
+};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, FrameEstimate, JointDiagnosis, NotObservable,
     PoseDiagnosis, PoseStream,
@@ -36,10 +38,7 @@ pub(super) use constant_frames::constant_frames_suffice;
 use encoding_changes::is_same_encoding;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use justification::is_justified;
-pub(super) use justification::{
-    has_large_residual, has_latency_steps, has_slow_residual, log_likelihood_gain, residual_m,
-};
-use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun, set_velocity};
+use split_run::{Span, SplitRun, set_velocity};
 
 /// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
@@ -207,29 +206,6 @@ fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
         + of_joints.sum::<usize>()
         + usize::from(after.joints.partial_encoding.is_some())
         + after.streams.iter().map(of_stream).sum::<usize>()
-}
-
-/// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, for reports.
-pub(super) fn restore_recorded(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    after: &mut PoseDiagnosis,
-) {
-    let recorded = align_with_fk(joints, stream, 0.0);
-    let aligned = &mut after.aligned;
-    for (row, t_s) in aligned.t_s.iter().enumerate() {
-        let next = recorded.t_s.partition_point(|at_s| at_s < t_s);
-        let nearest = [next.checked_sub(1), Some(next)].into_iter().flatten();
-        let away_s = |at: &usize| (recorded.t_s[*at] - t_s).abs();
-        let nearest = nearest.filter(|at| *at < recorded.t_s.len());
-        if let Some(at) = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b))) {
-            aligned.fk[row] = recorded.fk[at];
-            aligned.logged[row].translation = recorded.logged[at].translation;
-            if matches!(stream.track.orientation, Orientations::Rotations(_)) {
-                aligned.logged[row].rotation = recorded.logged[at].rotation;
-            }
-        }
-    }
 }
 
 /// Whether `both`, the last of `others` merged with `after`, fits about as well as the two apart.

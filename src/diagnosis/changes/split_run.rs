@@ -5,11 +5,9 @@ use std::ops::Range;
 use super::jumps::{Jump, detect_jumps, strongest};
 use crate::arm::diagnose_arm;
 use crate::latency::compensation::with_stamps;
+use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
-
-/// At least one stream must have them.
-pub(super) const MIN_SEGMENT_SAMPLES: usize = 20;
 
 /// Change points are on the joint states' clock.
 pub(super) struct SplitRun<'a> {

@@ -1,6 +1,5 @@
 //! Delay of the arm behind its commands.
 
-use super::is_streamed;
 use crate::latency::correlation::median_period_s;
 use crate::signals::response::{ResponseChanges, TimeSeries};
 use crate::{NotObservable, PoseSeries, Response};
@@ -200,4 +199,10 @@ fn estimate_delay(
         return Err(NotObservable::DoesNotFollow(0.0).into());
     }
     Ok(changes.estimate_response(&command, max_lag_s.min(MAX_DELAY_S))?)
+}
+
+pub(super) fn is_streamed(t_s: &[f64]) -> bool {
+    const MIN_STREAM_COMMANDS: usize = 20;
+    const MAX_STREAM_PERIOD_S: f64 = 0.2;
+    t_s.len() >= MIN_STREAM_COMMANDS && median_period_s(t_s) <= MAX_STREAM_PERIOD_S
 }

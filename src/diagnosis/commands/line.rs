@@ -8,12 +8,13 @@
 
 use std::f64::consts::{PI, TAU};
 
+use super::measured_poses::{MeasuredPoses, length_of, variance_of_mean};
 use super::rest::{ConstantCommand, MIN_REST_S, Rest, mean_pose};
-use super::{MeasuredLength, MeasuredPoses, length_of, variance_of_mean};
 use crate::PoseSeries;
 use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
+use ground::stats::MeasuredLength;
 
 const MIN_LINE_M: f64 = 0.02;
 /// Near half a turn the shortest rotation is ambiguous.

@@ -6,9 +6,11 @@
 
 mod delay;
 mod line;
+mod measured_poses;
 mod rest;
 mod rest_error;
 
+use self::delay::is_streamed;
 pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
 pub use self::rest_error::{CommandDiagnosis, CommandTracking, RestError, RestErrorSpread};
 use crate::latency::correlation::{ArmSpeeds, LagPeak, median_period_s};
@@ -16,10 +18,11 @@ use crate::solver::noise::Noise;
 use crate::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
 use ground::robot::Chain;
-use ground::stats::{Measured, MeasuredLength};
+use ground::stats::Measured;
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
+use measured_poses::{MeasuredPoses, length_of, pose_noise, variance_of_mean};
 use rest::{ConstantCommand, Rest, constant_commands, detect_rests, mean_pose};
 
 /// Commanded poses over time.
@@ -117,12 +120,6 @@ pub struct CommandedArm<'a> {
     pub chain: &'a Chain,
     /// Column in `joints` per joint of `chain`.
     pub columns: &'a [usize],
-}
-
-struct MeasuredPoses<'a> {
-    series: &'a PoseSeries,
-    /// Per component of position, m, and rotation, rad.
-    noise: [Noise; 2],
 }
 
 /// Compares commands with the arm's motion. `measured_poses` are `base_from_tip`, corrected for
@@ -225,12 +222,6 @@ pub fn diagnose_commands(
     Ok(diagnosis)
 }
 
-fn is_streamed(t_s: &[f64]) -> bool {
-    const MIN_STREAM_COMMANDS: usize = 20;
-    const MAX_STREAM_PERIOD_S: f64 = 0.2;
-    t_s.len() >= MIN_STREAM_COMMANDS && median_period_s(t_s) <= MAX_STREAM_PERIOD_S
-}
-
 /// The command is constant and the arm rests as its result.
 fn rest_windows(
     command: &ConstantCommand,
@@ -292,38 +283,6 @@ fn is_constant_transform(unreached: &[Vec<Option<RestError>>], stream: usize) ->
     let constancy =
         RestErrorSpread::from_rests(&rest_errors).filter(|_| rest_errors.len() >= FEWEST);
     constancy.is_some_and(|constancy| is_small(constancy.in_tool) || is_small(constancy.in_base))
-}
-
-/// Noise of position, m, and rotation, rad.
-fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
-    /// From the specification: 1 µm and 1 µrad.
-    const FLOOR: f64 = 1e-6;
-    let (mut metres, mut radians) = (Vec::new(), Vec::new());
-    for rest in rests {
-        let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
-        for pose in rest::poses_within(series, rest.from_s, rest.to_s) {
-            let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
-            metres.push((pose.translation.vector - mean.translation.vector).into());
-            radians.push(turn.into());
-        }
-    }
-    [metres, radians].map(|residuals: Vec<[f64; 3]>| {
-        Noise::estimate(&residuals, &vec![1.0; residuals.len()], FLOOR)
-    })
-}
-
-/// Accounts for autocorrelation.
-fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
-    let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
-    noise.sigma * noise.sigma * inflation
-}
-
-/// All components have this variance.
-fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
-    /// Squared: 1 µm and 1 µrad.
-    const FLOOR: f64 = 1e-12;
-    let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
-    MeasuredLength::estimate(vector.as_slice(), &covariance, f64::INFINITY)
 }
 
 /// `None` if there are too few samples or the pose still moves.

@@ -10,11 +10,12 @@ mod model_comparison;
 mod search;
 mod shapes;
 mod system;
+mod term;
 
 use crate::arm::diagnose_arm_as_logged;
-use crate::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
+use crate::residuals::comparison::{has_large_residual, log_likelihood_gain, restore_recorded};
 use crate::{
     AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
     PoseDistances, PoseStream,
@@ -25,10 +26,11 @@ use ground::stream::JointTrack;
 
 use gravity::MassModel;
 pub(super) use model_comparison::prefers_compliance;
-use search::{ComplianceKind, ComplianceSearch, ComplianceTerm, FreeParameters, MASS_STD_ERROR};
+use search::{ComplianceSearch, MASS_STD_ERROR};
 use shapes::USUAL_COMPLIANCE_RAD;
 pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub(super) use shapes::{apply_compliance, motion_directions};
+use term::{ComplianceKind, ComplianceTerm, FreeParameters};
 
 /// Per stream.
 const MAX_SAMPLES: usize = 2000;

@@ -1,7 +1,7 @@
 //! Compares joint compliance with change points: a few reversals with backlash look like steps of a zero or
 //! frame.
 
-use crate::changes::residual_m;
+use crate::residuals::comparison::residual_m;
 use crate::{
     ArmDiagnosis, EstimateResult, FrameChange, FrameEstimate, JointChange, JointDiagnosis,
     PoseDiagnosis, PoseDistances, ScalarChange,

@@ -4,10 +4,11 @@
 use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
 use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
+use super::term::{ComplianceKind, ComplianceTerm, FreeParameters, MAX_COMPLIANCE_RAD};
 use super::{ComplianceRun, ResidualSamples};
+use crate::ChangePoint;
 use crate::selection::model_selection::price;
 use crate::solver::linear::{Linear, Normal};
-use crate::{ArmDiagnosis, ChangePoint, EstimateResult, FrameEstimate};
 use ground::stats::Measured;
 use std::sync::Arc;
 
@@ -19,107 +20,14 @@ const MIN_EXPLAINED_SHARE: f64 = 0.03;
 const ECCENTRICITY_ORDERS: [u32; 3] = [1, 2, 3];
 /// Share of the largest gravity torque, to test for sag.
 const MIN_TORQUE_SHARE: f64 = 0.05;
-const MIN_STD_ERRORS: f64 = 4.0;
 /// Relative, of sag, due to the assumed link masses.
 pub(super) const MASS_STD_ERROR: f64 = 0.07;
-const MAX_COMPLIANCE_RAD: f64 = 0.1;
 /// To test for eccentricity.
 const MIN_RANGE_RAD: f64 = 1.0;
 
 /// For a load change, and the finer grid around the best.
 const TRIAL_TIMES: usize = 12;
 const GRID_REFINEMENT: i32 = 4;
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum ComplianceKind {
-    Backlash(BacklashCrossing),
-    Sag,
-    /// Changes at this time, s (load change).
-    LoadedSag(f64),
-    Eccentric(u32),
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct ComplianceTerm {
-    pub column: usize,
-    pub kind: ComplianceKind,
-    /// Eccentricity: sine and cosine. Sag with a load change: before and after.
-    pub amount: [f64; 2],
-    pub std_error: f64,
-    pub dof: f64,
-}
-
-impl ComplianceTerm {
-    fn new(column: usize, kind: ComplianceKind) -> Self {
-        Self { column, kind, amount: [0.0; 2], std_error: 0.0, dof: 3.0 }
-    }
-
-    /// Number of coefficients.
-    pub fn width(&self) -> usize {
-        if matches!(self.kind, ComplianceKind::Eccentric(_) | ComplianceKind::LoadedSag(_)) {
-            2
-        } else {
-            1
-        }
-    }
-
-    /// Size in rad, signed except for eccentricity.
-    pub fn size(&self) -> f64 {
-        match self.kind {
-            ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
-            ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
-                self.amount[1]
-            }
-            ComplianceKind::LoadedSag(_) => self.amount[0],
-            ComplianceKind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
-        }
-    }
-
-    fn is_significant(&self) -> bool {
-        let size = self.size();
-        let is_plausible = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
-        is_plausible
-            && size.abs() > MIN_STD_ERRORS * self.std_error
-            && size.abs() < MAX_COMPLIANCE_RAD
-    }
-}
-
-/// Free parameters besides the compliance terms.
-pub(super) struct FreeParameters {
-    pub zeros: Vec<bool>,
-    /// Latency, radial scale, reference and tool per stream.
-    pub streams: Vec<[bool; 4]>,
-}
-
-impl FreeParameters {
-    /// All zeros, latencies and frames.
-    pub fn all(run: &ComplianceRun) -> Self {
-        Self {
-            zeros: vec![true; run.joints.dof],
-            streams: vec![[true, false, true, true]; run.streams.len()],
-        }
-    }
-
-    /// Only the causes of the selected model.
-    pub fn from_selected(run: &ComplianceRun, diagnosis: &ArmDiagnosis) -> Self {
-        let streams = run.streams.iter().zip(&diagnosis.streams).map(|(stream, diagnosis)| {
-            let frame = |frame: &EstimateResult<FrameEstimate>| {
-                frame.as_ref().is_ok_and(|frame| frame.is_chosen)
-            };
-            let is_free = !stream.reference_known || frame(&diagnosis.reference);
-            [
-                diagnosis.latency_s.is_ok(),
-                diagnosis.is_radial_scale_chosen,
-                is_free,
-                frame(&diagnosis.tool),
-            ]
-        });
-        let mut zeros: Vec<bool> =
-            diagnosis.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
-        zeros.resize(run.joints.dof, false);
-        Self { zeros, streams: streams.collect() }
-    }
-}
 
 pub(super) struct ComplianceSearch<'a> {
     run: &'a ComplianceRun<'a>,

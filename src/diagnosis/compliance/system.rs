@@ -1,7 +1,7 @@
 //! Normal equations of the compliance terms together with all other causes of the model.
 
 use super::ResidualSamples;
-use super::search::{ComplianceTerm, FreeParameters};
+use super::term::{ComplianceTerm, FreeParameters};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::robust::sandwich;

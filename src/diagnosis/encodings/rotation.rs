@@ -5,10 +5,10 @@
 //! residual wins. Frame-independent invariants do not suffice, because several encodings differ only by a
 //! constant frame.
 
-use crate::arm::MAX_EXPLAINED_RAD;
 use crate::frames::rotation_frames::{
     CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest,
 };
+use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::selection::nominal_model::MAX_TIP_CHANGE_RAD;
 use crate::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{

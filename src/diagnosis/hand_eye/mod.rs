@@ -12,6 +12,7 @@
 //! 3. Gauss–Newton over `X`, `Y` and the time offset, with robust weights.
 
 mod closure;
+mod decoded_target;
 mod diversity;
 mod fit;
 mod series;
@@ -25,15 +26,15 @@ use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
 
 use closure::closure_error;
+use decoded_target::DecodedTarget;
+pub use decoded_target::{TargetEncoding, TargetScaleError};
 use diversity::rotation_diversity;
 pub use fit::TargetScale;
 use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
 use series::HandEyeSetting;
 pub use series::PoseSeries;
-pub use target_encoding::TargetEncoding;
-use target_encoding::{DecodedTarget, better_encoding};
-pub use target_scale::TargetScaleError;
+use target_encoding::better_encoding;
 
 /// Longer streams are thinned evenly.
 pub(super) const MAX_FIT_POSES: usize = 500;

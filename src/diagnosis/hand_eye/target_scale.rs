@@ -3,36 +3,13 @@
 //!
 //! For a known camera rotation the model is linear: `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
+use super::decoded_target::{DecodedTarget, TargetScaleError};
 use super::series::{HandEyeSetting, PosePair, mean_direction};
 use super::start::solve_closed_form_quick;
-use super::target_encoding::DecodedTarget;
 use super::{CameraMount, HandEyeStreams, MAX_FIT_POSES};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
-
-/// Scale errors of a target's positions, as factors by which they are too long.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TargetScaleError {
-    /// Common factor; 1 if the size is right.
-    pub size: Option<Measured>,
-    /// Additional depth factor; 1 if the focal length is right.
-    pub depth: Option<Measured>,
-    /// Depth coordinate: 0 to 2.
-    pub along: usize,
-    /// Whether either factor alone explains the motion almost equally well.
-    pub is_either: bool,
-}
-
-impl TargetScaleError {
-    /// Corrects a logged position.
-    pub fn correct(&self, xyz: Vec3) -> Vec3 {
-        let factor = |of: &Option<Measured>| of.map_or(1.0, |of| of.value);
-        let mut xyz = xyz / factor(&self.size);
-        xyz[self.along] /= factor(&self.depth);
-        xyz
-    }
-}
 
 /// Columns: camera, constant, common factor, additional depth factor.
 const WIDTH: usize = 8;

@@ -11,7 +11,6 @@ use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
     add_block, check_explained, mount_of, rms, rotated_noise,
 };
-use crate::arm::MAX_EXPLAINED_RAD;
 use crate::encodings::rotation::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_encoding_with_gravity,
@@ -19,6 +18,7 @@ use crate::encodings::rotation::{
 use crate::frames::rotation_frames::mean_rotation;
 use crate::latency::profile::{LatencySample, fit_profile};
 use crate::model::measurement::FLOOR_RAD;
+use crate::model::measurement::MAX_EXPLAINED_RAD;
 use crate::solver::linear::Linear;
 use crate::{
     EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,

@@ -2,12 +2,12 @@
 
 use crate::changes::{
     constant_frames_suffice, diagnose_with_changes, diagnose_with_recorded_changes,
-    has_latency_steps, has_slow_residual,
 };
 use crate::compliance::{
     diagnose_scale_as_compliance, diagnose_with_compliance, prefers_compliance,
 };
 use crate::imu::diagnose_converted_imu;
+use crate::residuals::comparison::{has_latency_steps, has_slow_residual};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
     JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,

@@ -27,6 +27,10 @@ const ROTATION: usize = 1;
 pub(crate) const FLOOR_M: f64 = 1e-6;
 pub(crate) const FLOOR_RAD: f64 = 1e-6;
 
+/// Excess residual that counts as explained, rms: consistent with link deviations and calibration error.
+pub(crate) const MAX_EXPLAINED_M: f64 = 1e-3;
+pub(crate) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
+
 /// Components of a stream without information, excluded from every residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ExcludedComponents {

@@ -1,4 +1,5 @@
 //! Residuals of a stream against FK, with and without the estimators.
 
+pub(crate) mod comparison;
 pub(crate) mod excess;
 pub(crate) mod residual_check;

@@ -1,0 +1,45 @@
+//! Measured poses with their noise.
+
+use super::rest::{Rest, mean_pose, poses_within};
+use crate::PoseSeries;
+use crate::solver::noise::Noise;
+use ground::geometry::{Vec3, rotvec_from_rotation};
+use ground::stats::MeasuredLength;
+
+pub(super) struct MeasuredPoses<'a> {
+    pub series: &'a PoseSeries,
+    /// Per component of position, m, and rotation, rad.
+    pub noise: [Noise; 2],
+}
+
+/// Noise of position, m, and rotation, rad.
+pub(super) fn pose_noise(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
+    /// From the specification: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-6;
+    let (mut metres, mut radians) = (Vec::new(), Vec::new());
+    for rest in rests {
+        let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
+        for pose in poses_within(series, rest.from_s, rest.to_s) {
+            let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
+            metres.push((pose.translation.vector - mean.translation.vector).into());
+            radians.push(turn.into());
+        }
+    }
+    [metres, radians].map(|residuals: Vec<[f64; 3]>| {
+        Noise::estimate(&residuals, &vec![1.0; residuals.len()], FLOOR)
+    })
+}
+
+/// Accounts for autocorrelation.
+pub(super) fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
+    let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
+    noise.sigma * noise.sigma * inflation
+}
+
+/// All components have this variance.
+pub(super) fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
+    /// Squared: 1 µm and 1 µrad.
+    const FLOOR: f64 = 1e-12;
+    let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
+    MeasuredLength::estimate(vector.as_slice(), &covariance, f64::INFINITY)
+}

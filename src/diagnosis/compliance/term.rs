@@ -1,0 +1,99 @@
+//! Terms of the compliance model, and the parameters fitted beside them.
+
+use super::ComplianceRun;
+use super::shapes::BacklashCrossing;
+use crate::{ArmDiagnosis, EstimateResult, FrameEstimate};
+
+const MIN_STD_ERRORS: f64 = 4.0;
+pub(super) const MAX_COMPLIANCE_RAD: f64 = 0.1;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum ComplianceKind {
+    Backlash(BacklashCrossing),
+    Sag,
+    /// Changes at this time, s (load change).
+    LoadedSag(f64),
+    Eccentric(u32),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ComplianceTerm {
+    pub column: usize,
+    pub kind: ComplianceKind,
+    /// Eccentricity: sine and cosine. Sag with a load change: before and after.
+    pub amount: [f64; 2],
+    pub std_error: f64,
+    pub dof: f64,
+}
+
+impl ComplianceTerm {
+    pub fn new(column: usize, kind: ComplianceKind) -> Self {
+        Self { column, kind, amount: [0.0; 2], std_error: 0.0, dof: 3.0 }
+    }
+
+    /// Number of coefficients.
+    pub fn width(&self) -> usize {
+        if matches!(self.kind, ComplianceKind::Eccentric(_) | ComplianceKind::LoadedSag(_)) {
+            2
+        } else {
+            1
+        }
+    }
+
+    /// Size in rad, signed except for eccentricity.
+    pub fn size(&self) -> f64 {
+        match self.kind {
+            ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
+            ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
+                self.amount[1]
+            }
+            ComplianceKind::LoadedSag(_) => self.amount[0],
+            ComplianceKind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
+        }
+    }
+
+    pub fn is_significant(&self) -> bool {
+        let size = self.size();
+        let is_plausible = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
+        is_plausible
+            && size.abs() > MIN_STD_ERRORS * self.std_error
+            && size.abs() < MAX_COMPLIANCE_RAD
+    }
+}
+
+/// Free parameters besides the compliance terms.
+pub(super) struct FreeParameters {
+    pub zeros: Vec<bool>,
+    /// Latency, radial scale, reference and tool per stream.
+    pub streams: Vec<[bool; 4]>,
+}
+
+impl FreeParameters {
+    /// All zeros, latencies and frames.
+    pub fn all(run: &ComplianceRun) -> Self {
+        Self {
+            zeros: vec![true; run.joints.dof],
+            streams: vec![[true, false, true, true]; run.streams.len()],
+        }
+    }
+
+    /// Only the causes of the selected model.
+    pub fn from_selected(run: &ComplianceRun, diagnosis: &ArmDiagnosis) -> Self {
+        let streams = run.streams.iter().zip(&diagnosis.streams).map(|(stream, diagnosis)| {
+            let frame = |frame: &EstimateResult<FrameEstimate>| {
+                frame.as_ref().is_ok_and(|frame| frame.is_chosen)
+            };
+            let is_free = !stream.reference_known || frame(&diagnosis.reference);
+            [
+                diagnosis.latency_s.is_ok(),
+                diagnosis.is_radial_scale_chosen,
+                is_free,
+                frame(&diagnosis.tool),
+            ]
+        });
+        let mut zeros: Vec<bool> =
+            diagnosis.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
+        zeros.resize(run.joints.dof, false);
+        Self { zeros, streams: streams.collect() }
+    }
+}

@@ -1,0 +1,102 @@
+//! What a diagnosis says of the joints, and joint states corrected by it.
+
+use std::borrow::Cow;
+
+use crate::compliance::apply_compliance;
+use crate::joints::correct_joints;
+use crate::{
+    EstimateResult, JointChange, JointDiagnosis, JointEncoding, JointOffset, JointScale,
+    NotObservable, ScalarChange,
+};
+use ground::stream::JointTrack;
+
+impl JointDiagnosis {
+    pub(crate) fn without_changes(
+        encoding: EstimateResult<JointEncoding>,
+        offsets: Vec<JointOffset>,
+        scales: Vec<JointScale>,
+    ) -> Self {
+        Self {
+            encoding,
+            partial_encoding: None,
+            offsets,
+            scales,
+            changes: Vec::new(),
+            patches: Vec::new(),
+            compliance: Vec::new(),
+        }
+    }
+
+    /// Largest change of a joint's zero, if any.
+    pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
+        self.largest_change(column, |change| change.zero.as_ref())
+    }
+
+    /// Encoding to report: that of the part of the run where it is wrong.
+    pub fn reported_encoding(&self) -> Result<&JointEncoding, &NotObservable> {
+        match &self.partial_encoding {
+            Some((encoding, _)) => Ok(encoding),
+            None => self.encoding.as_ref(),
+        }
+    }
+
+    /// Largest change of a joint's scale, if any.
+    pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
+        self.largest_change(column, |change| change.factor.as_ref())
+    }
+
+    fn largest_change(
+        &self,
+        column: usize,
+        of: impl Fn(&JointChange) -> Option<&ScalarChange>,
+    ) -> Option<&ScalarChange> {
+        let own = self.changes.iter().filter(|change| change.column == column);
+        ScalarChange::largest(own.filter_map(of))
+    }
+
+    /// Removes eccentricity above the usual level, which no rule reports.
+    pub fn without_eccentricity(&self) -> Self {
+        let mut reported = self.clone();
+        reported.compliance.retain(|compliance| !compliance.is_eccentric());
+        reported
+    }
+
+    /// Joint states in one encoding throughout the run.
+    pub fn in_one_encoding<'a>(&self, joints: &'a JointTrack) -> Cow<'a, JointTrack> {
+        let mut joints = Cow::Borrowed(joints);
+        if self.partial_encoding.is_some() {
+            self.patches.iter().for_each(|patch| patch.apply(joints.to_mut()));
+        }
+        joints
+    }
+
+    /// Corrects change points, names and units, compliance, and the selected model's joint offsets.
+    /// `prismatic` flags columns of `joints`.
+    pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
+        let mut unchanged = Cow::Borrowed(joints);
+        for patch in &self.patches {
+            patch.apply(unchanged.to_mut());
+        }
+        let mut track = match &self.encoding {
+            Ok(encoding) => correct_joints(&unchanged, encoding, prismatic),
+            Err(_) => unchanged.into_owned(),
+        };
+        if !self.compliance.is_empty() {
+            apply_compliance(&mut track, &self.compliance);
+        }
+        let offset = |offset: &JointOffset| match &offset.offset {
+            Ok(measured) if offset.is_chosen => measured.value,
+            _ => 0.0,
+        };
+        let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
+        for scale in self.scales.iter().filter(|scale| scale.is_coded()) {
+            offsets[scale.column] = scale.offset;
+        }
+        for row in track.q.chunks_exact_mut(offsets.len().max(1)) {
+            for (q, offset) in row.iter_mut().zip(&offsets) {
+                *q += offset;
+            }
+        }
+        track
+    }
+}
