@@ -9,6 +9,7 @@ mod confounders;
 mod decision;
 mod encoding;
 mod frames;
+mod held_out;
 mod joint_groups;
 mod merge;
 mod observability;
@@ -308,6 +309,7 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
             judged.push(SubjectResult::new(Subject::default(), Outcome::Skipped(why)));
         }
         for judged in judged {
+            let judged = held_out::with_held_out(case, rule, judged);
             let judged = changes::limit_to_segment(case, judged);
             evaluation.enter(rule, judged, settings);
         }

@@ -9,8 +9,8 @@ use crate::diagnosis::{
     FrameCorrection, FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck,
     JointDiagnosis, JointEncoding, JointOffset, LatencyProfile, LineDeviation, Measured,
     MeasuredLength, PartError, PeakAcceleration, PoseDiagnosis, PoseEncoding, ResidualCheck,
-    Response, RestError, SampleNoise, StreamResidual, VelocityDiagnosis, VelocityShape, Vibration,
-    YawProfile,
+    Response, RestError, SampleNoise, StreamHeldOut, StreamResidual, VelocityDiagnosis,
+    VelocityShape, Vibration, YawProfile,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, PoseEvidence,
@@ -104,6 +104,7 @@ pub fn clean_run() -> RunEvidence {
         effect_m: 0.0,
         lever_m: 1.0,
         confounders: vec![],
+        held_out: None,
     };
     let imu = ImuDiagnosis {
         encoding: Ok(as_logged()),
@@ -311,6 +312,7 @@ fn clean_stream() -> PoseDiagnosis {
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         radial_scale_changes: Vec::new(),
+        held_out: StreamHeldOut::default(),
         delay_jitter: None,
         encoding_spans: EncodingSpans::default(),
         frame_correction: FrameCorrection::default(),

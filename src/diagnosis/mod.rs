@@ -153,6 +153,7 @@ pub use robot_models::ranking::{
 };
 pub use samples::aligned::{AlignedSamples, PoseDistances};
 pub use samples::sampling::row_blocks;
+pub use selection::held_out::{HeldOutResidual, StreamHeldOut};
 pub use signals::joint_motion::{
     JointSampleKind, LimitViolation, PeakAcceleration, peak_acceleration, position_violation,
     rates, speed_violation, speed_violation_from_positions,
@@ -415,6 +416,8 @@ pub struct PoseDiagnosis {
     pub tool_changes: Vec<FrameChange>,
     /// Change points of the radial scale, m/m.
     pub radial_scale_changes: Vec<ScalarChange>,
+    /// Predictions of held-out samples.
+    pub held_out: StreamHeldOut,
     /// Spans in which `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
     pub encoding_spans: EncodingSpans,
     /// Residual after correcting every finding.

@@ -16,8 +16,9 @@ use crate::joints::{
     other_encoding,
 };
 use crate::latency::correlation::{ArmSpeeds, LagPeak, stream_lag_s, stream_peaks};
-use crate::model::measurement::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD};
+use crate::model::measurement::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations};
 use crate::samples::sampling::as_rotations;
+use crate::selection::held_out::HeldOut;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
@@ -400,10 +401,15 @@ fn diagnose(
         .collect();
     let usable: Vec<&DecodedStream> = decoded.iter().flatten().collect();
     let fitted = fit(&usable, corrected, with_offsets, links);
-    let (offsets, scales, couplings) = match &fitted {
+    let observations: Vec<&PoseObservations> =
+        usable.iter().map(|decoded| &decoded.observations).collect();
+    let held_out = fitted
+        .as_ref()
+        .map(|fitted| HeldOut::new(&observations, &fitted.model, &fitted.candidates));
+    let (offsets, scales, couplings) = match fitted.as_ref().zip(held_out.as_ref()) {
         Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
-        Some(fitted) => (
-            joint_offsets(fitted, &usable, joints),
+        Some((fitted, held_out)) => (
+            joint_offsets(fitted, &usable, joints, held_out),
             joint_scales(fitted, corrected),
             joint_couplings(fitted, corrected),
         ),
@@ -422,8 +428,14 @@ fn diagnose(
         .zip(decoded.iter().zip(position_encodings))
         .map(|(stream, (decoded, position_encoding))| match (decoded, &fitted) {
             (Ok(decoded), Some(fitted)) => {
+                let index = used;
                 used += 1;
-                stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, used - 1)
+                let held_out = held_out.as_ref().map(|held_out| held_out.of_stream(index));
+                PoseDiagnosis {
+                    held_out: held_out.unwrap_or_default(),
+                    ..stream_diagnosis(recorded, stream, position_encoding, decoded, fitted, index)
+                }
+                .without_overfitted_causes()
             }
             (Ok(_), None) => no_diagnosis(NotObservable::NoOverlap),
             (Err(why), _) => no_diagnosis(why.clone()),

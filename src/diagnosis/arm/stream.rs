@@ -17,8 +17,8 @@ use crate::selection::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedMod
 use crate::selection::nominal_model::link_deviations_beat_profile;
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
-    LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis, PoseStream,
-    StreamResidual, UnitResiduals,
+    HeldOutResidual, LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis,
+    PoseStream, StreamHeldOut, StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -47,6 +47,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         radial_scale_changes: Vec::new(),
+        held_out: StreamHeldOut::default(),
         encoding_spans: EncodingSpans::default(),
         frame_correction: FrameCorrection::default(),
         residual: Err(rests()),
@@ -55,6 +56,24 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
         observability: None,
         top_speed_m_s: 0.0,
         aligned: AlignedSamples::default(),
+    }
+}
+
+impl PoseDiagnosis {
+    /// Deselects causes that do not reduce the error on held-out samples.
+    pub(super) fn without_overfitted_causes(mut self) -> Self {
+        let is_lower = |held_out: &Option<HeldOutResidual>| {
+            held_out.is_none_or(|held_out| held_out.is_lower())
+        };
+        let StreamHeldOut { skew, radial_scale, reference, tool, .. } = &self.held_out;
+        self.is_skew_chosen &= is_lower(skew);
+        self.is_radial_scale_chosen &= is_lower(radial_scale);
+        for (frame, held_out) in [(&mut self.reference, reference), (&mut self.tool, tool)] {
+            if let Ok(frame) = frame {
+                frame.is_chosen &= is_lower(held_out);
+            }
+        }
+        self
     }
 }
 
@@ -215,6 +234,7 @@ pub(super) fn stream_diagnosis(
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         radial_scale_changes: Vec::new(),
+        held_out: StreamHeldOut::default(),
         encoding_spans: EncodingSpans::default(),
         frame_correction: stream_state.frame_correction(),
         residual,

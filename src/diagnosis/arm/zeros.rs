@@ -2,6 +2,7 @@ use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
 use crate::encodings::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
+use crate::selection::held_out::HeldOut;
 use crate::selection::model_selection::Cause;
 use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
@@ -16,6 +17,7 @@ pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<Joint
         effect_m: 0.0,
         lever_m: 0.0,
         confounders: Vec::new(),
+        held_out: None,
     };
     (0..dof).map(|_| offset()).collect()
 }
@@ -25,6 +27,7 @@ pub(super) fn joint_offsets(
     fitted: &ArmFit,
     decoded: &[&DecodedStream],
     joints: &JointTrack,
+    held_out: &HeldOut,
 ) -> Vec<JointOffset> {
     let ArmFit { model, candidates, .. } = fitted;
     let moved = moved_joints(joints);
@@ -41,7 +44,10 @@ pub(super) fn joint_offsets(
             let deviations = fitted.deviations.as_ref();
             let deviation_confounders =
                 deviations.and_then(|deviations| deviations.confounders(joint));
-            let chosen = model.causes.contains(&cause) || deviation_confounders.is_some();
+            let held_out_residual = held_out.of(cause);
+            let chosen = (model.causes.contains(&cause)
+                && held_out_residual.is_none_or(|residual| residual.is_lower()))
+                || deviation_confounders.is_some();
             let deviation_zero = deviations.map(|deviations| deviations.zeros[joint]);
             let offset = if let Some(zero) = deviation_zero {
                 zero.ok_or(NotObservable::NominalKinematics)
@@ -74,6 +80,7 @@ pub(super) fn joint_offsets(
                 effect_m: chord * lever_m,
                 lever_m,
                 confounders: all_confounders,
+                held_out: held_out_residual,
             }
         })
         .collect()

@@ -1,6 +1,6 @@
 //! Estimates for the joint states.
 
-use crate::{EstimateResult, UnitResiduals};
+use crate::{EstimateResult, HeldOutResidual, UnitResiduals};
 use ground::stats::Measured;
 
 /// Zero offset of one joint: `q_true = q_reported + offset`.
@@ -16,6 +16,8 @@ pub struct JointOffset {
     pub lever_m: f64,
     /// Causes that this log cannot distinguish.
     pub confounders: Vec<Confounder>,
+    /// Prediction of held-out samples, if the model contains it.
+    pub held_out: Option<HeldOutResidual>,
 }
 
 /// Encoding of the joint states; as logged by default.

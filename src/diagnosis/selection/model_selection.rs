@@ -134,6 +134,30 @@ impl Linearized {
         self.free_fit = Mutex::new(None);
     }
 
+    /// Normal equations of some samples of each stream.
+    pub fn normal_of(&self, samples: &[Vec<usize>], state: &State) -> Normal {
+        let streams: Vec<Linear> =
+            self.streams.iter().zip(samples).map(|(stream, rows)| stream.subset(rows)).collect();
+        let weights: Vec<Vec<Weight>> = self
+            .weights
+            .iter()
+            .zip(samples)
+            .map(|(weights, rows)| weights.iter().map(|weight| weight.subset(rows)).collect())
+            .collect();
+        normal_equations(&streams, &weights, state)
+    }
+
+    /// Least-squares step of `normal` with `causes` free, in the columns of each stream.
+    pub fn stream_steps(&self, normal: &Normal, causes: &[Cause], state: &State) -> Vec<Vec<f64>> {
+        let step = normal.step(&self.values, &parameters_of(causes, state));
+        (0..self.streams.len()).map(|s| stream_step(&step, state, s)).collect()
+    }
+
+    /// Noise of a stream's positions and rotations.
+    pub fn noise_of(&self, stream: usize) -> [Noise; 2] {
+        [0, 1].map(|kind| self.weights[stream][kind].noise)
+    }
+
     /// Least-squares step with `parameters` free; returns all others to zero.
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
         self.normal.step(&self.values, parameters)

@@ -1,0 +1,75 @@
+//! Adds to a finding how well its cause predicts samples that were not fitted.
+
+use serde_json::{Value, json};
+
+use super::{Case, Rule, SubjectResult};
+use crate::checks::joints::zer001_joint_zero::ZER001;
+use crate::checks::latency::lat001_latency::LAT001;
+use crate::checks::latency::lat002_clock_skew::LAT002;
+use crate::checks::poses::frm002_reference_frame::FRM002;
+use crate::checks::poses::frm003_tool_frame::FRM003;
+use crate::checks::poses::zer002_growth_with_reach::ZER002;
+use crate::diagnosis::{HeldOutResidual, StreamHeldOut};
+use crate::finding::{Outcome, Ruling, Subject};
+
+/// Evidence key.
+pub(crate) const HELD_OUT: &str = "held_out";
+
+/// Sets `held_out`: rms residual (m, rad) in each half of the run, `before` and `after` correcting this cause, with
+/// everything else fitted to the other half.
+pub(super) fn with_held_out(case: &Case, rule: &Rule, judged: SubjectResult) -> SubjectResult {
+    let is_finding = matches!(judged.outcome, Outcome::Evaluated(Ruling::Fail(_)));
+    match held_out(case, rule, &judged.subject).filter(|_| is_finding) {
+        Some(residual) => judged.with_evidence(HELD_OUT, as_json(&residual)),
+        None => judged,
+    }
+}
+
+fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidual> {
+    if rule.code == ZER001.code {
+        let of_arm = case.evidence.robots.iter().flat_map(|arm| {
+            let offsets = arm.diagnosis.offsets.iter().enumerate();
+            offsets.map(move |(joint, offset)| (arm.joint(joint), offset.held_out))
+        });
+        return of_arm.into_iter().find(|(joint, _)| joint == subject)?.1;
+    }
+    let streams = case.evidence.poses().map(|(_, stream)| stream);
+    let is_of = |own: &Subject| own.robot == subject.robot && own.topic == subject.topic;
+    let mut streams = streams.filter(|stream| is_of(&stream.subject));
+    let held_out: StreamHeldOut = streams.next()?.diagnosis.held_out;
+    // Several streams may share a topic, such as /tf.
+    if streams.next().is_some() {
+        return None;
+    }
+    match rule.code {
+        code if code == LAT001.code => held_out.latency,
+        code if code == LAT002.code => held_out.skew,
+        code if code == ZER002.code => held_out.radial_scale,
+        code if code == FRM002.code => held_out.reference,
+        code if code == FRM003.code => held_out.tool,
+        _ => None,
+    }
+}
+
+fn as_json(residual: &HeldOutResidual) -> Value {
+    let of = |[m, rad]: [f64; 2]| json!({ "m": m, "rad": rad });
+    json!({ "before": of(residual.without), "after": of(residual.with) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checks::testing::{clean_run, evaluate_rule, precise};
+
+    #[test]
+    fn a_joint_zero_shows_the_error_on_held_out_samples() {
+        let mut run = clean_run();
+        let offset = &mut run.robots[0].diagnosis.offsets[2];
+        (offset.offset, offset.is_chosen) = (Ok(precise(0.02)), true);
+        offset.held_out = Some(HeldOutResidual { without: [4e-3, 0.02], with: [1e-4, 2e-4] });
+        let (_, findings) = evaluate_rule(&ZER001, &run);
+        let held_out = &findings[0].evidence.more[HELD_OUT];
+        assert_eq!(held_out["before"]["m"], 4e-3);
+        assert_eq!(held_out["after"]["rad"], 2e-4);
+    }
+}

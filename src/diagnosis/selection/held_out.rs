@@ -1,0 +1,222 @@
+//! How well a model of one half of the run predicts the other half, with and without each cause.
+
+use super::model_selection::{CandidateCauses, Cause, SelectedModel};
+use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::solver::linear::{Linear, Normal};
+use ground::geometry::Pose;
+
+/// Residual in each half of the run of the fit to the other half, rms m and rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldOutResidual {
+    /// Without the cause, everything else fitted.
+    pub without: [f64; 2],
+    /// With the cause.
+    pub with: [f64; 2],
+}
+
+impl HeldOutResidual {
+    /// Whether the cause reduces the error on held-out samples. Angles are weighted by 0.3 m.
+    pub fn is_lower(&self) -> bool {
+        let combined_m = |[m, rad]: [f64; 2]| m.hypot(0.3 * rad);
+        combined_m(self.with) < combined_m(self.without)
+    }
+}
+
+/// One per cause of a stream that the model contains.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StreamHeldOut {
+    /// Of the latency.
+    pub latency: Option<HeldOutResidual>,
+    /// Of the clock skew.
+    pub skew: Option<HeldOutResidual>,
+    /// Of the radial scale.
+    pub radial_scale: Option<HeldOutResidual>,
+    /// Of the reference frame.
+    pub reference: Option<HeldOutResidual>,
+    /// Of the tool frame.
+    pub tool: Option<HeldOutResidual>,
+}
+
+/// Blocks of the run alternate between the halves, so both contain all of its motion.
+const BLOCKS: usize = 10;
+/// Per stream.
+const MAX_SAMPLES: usize = 1000;
+
+/// Mean squares of position and rotation residuals.
+type Squares = [f64; 2];
+
+pub(crate) struct HeldOut<'a> {
+    observations: &'a [&'a PoseObservations<'a>],
+    model: &'a SelectedModel,
+    chosen: Vec<Cause>,
+    /// Normal equations of one half, and samples of the other.
+    halves: [(Normal, Vec<Linear>); 2],
+    with: Vec<Squares>,
+}
+
+impl<'a> HeldOut<'a> {
+    pub fn new(
+        observations: &'a [&'a PoseObservations<'a>],
+        model: &'a SelectedModel,
+        candidates: &CandidateCauses,
+    ) -> Self {
+        let half = |half: usize| {
+            let part = |which: usize| -> Vec<Vec<usize>> {
+                model.linear.streams.iter().map(|stream| rows_of_half(stream, which)).collect()
+            };
+            let (training, test) = (part(half), part(1 - half));
+            let normal = model.linear.normal_of(&training, &model.state);
+            let streams = model.linear.streams.iter().zip(&test);
+            (normal, streams.map(|(stream, rows)| stream.subset(rows)).collect())
+        };
+        let chosen: Vec<Cause> = candidates.always.iter().chain(&model.causes).copied().collect();
+        let mut held_out =
+            Self { observations, model, chosen, halves: [half(0), half(1)], with: Vec::new() };
+        held_out.with = held_out.squares(&held_out.chosen);
+        held_out
+    }
+
+    /// `None` if the model does not contain `cause`.
+    pub fn of(&self, cause: Cause) -> Option<HeldOutResidual> {
+        let streams: Vec<usize> = match cause {
+            Cause::Latency(s) | Cause::Skew(s) | Cause::RadialScale(s) => vec![s],
+            Cause::Reference(s) | Cause::Tool(s) => vec![s],
+            Cause::Zero(_) | Cause::JointScale(_) => (0..self.observations.len()).collect(),
+        };
+        if !self.chosen.contains(&cause) {
+            return None;
+        }
+        let others: Vec<Cause> =
+            self.chosen.iter().copied().filter(|other| *other != cause).collect();
+        let state = without(&self.model.state, cause);
+        // Other causes may absorb a small one; a large one is beyond the linearisation.
+        let both = [self.squares(&others), self.squares_at(&state)];
+        let combined = |squares: &[Squares]| -> f64 {
+            streams.iter().map(|&s| self.combined(s, squares[s])).sum()
+        };
+        let without = both.into_iter().min_by(|a, b| combined(a).total_cmp(&combined(b)))?;
+        let rms = |squares: &[Squares]| -> [f64; 2] {
+            let mean = |kind: usize| streams.iter().map(|&s| squares[s][kind]).sum::<f64>();
+            [0, 1].map(|kind| (mean(kind) / streams.len().max(1) as f64).sqrt())
+        };
+        Some(HeldOutResidual { without: rms(&without), with: rms(&self.with) })
+    }
+
+    pub fn of_stream(&self, s: usize) -> StreamHeldOut {
+        StreamHeldOut {
+            latency: self.of(Cause::Latency(s)),
+            skew: self.of(Cause::Skew(s)),
+            radial_scale: self.of(Cause::RadialScale(s)),
+            reference: self.of(Cause::Reference(s)),
+            tool: self.of(Cause::Tool(s)),
+        }
+    }
+
+    /// In variances of the noise.
+    fn combined(&self, stream: usize, squares: Squares) -> f64 {
+        let noise = self.model.linear.noise_of(stream);
+        (0..2).map(|kind| squares[kind] / noise[kind].sigma.powi(2)).sum()
+    }
+
+    /// With `causes` free.
+    fn squares(&self, causes: &[Cause]) -> Vec<Squares> {
+        let mut squares = vec![[0.0; 2]; self.observations.len()];
+        for (normal, test) in &self.halves {
+            let steps = self.model.linear.stream_steps(normal, causes, &self.model.state);
+            for ((squares, stream), step) in squares.iter_mut().zip(test).zip(&steps) {
+                let residuals = stream.residuals_after(step);
+                (0..2).for_each(|kind| squares[kind] += 0.5 * mean_square(&residuals[kind]));
+            }
+        }
+        squares
+    }
+
+    /// At a state, on both halves.
+    fn squares_at(&self, state: &State) -> Vec<Squares> {
+        let streams = self.observations.iter().zip(&state.streams);
+        let of_stream = |(observations, stream): (&&PoseObservations, &StreamState)| {
+            let stride = observations.len().div_ceil(MAX_SAMPLES);
+            let linear = observations.linearize(stream, &state.offsets, stride);
+            [0, 1].map(|kind| mean_square(&linear.residual[kind]))
+        };
+        streams.map(of_stream).collect()
+    }
+}
+
+/// Thinned.
+fn rows_of_half(stream: &Linear, half: usize) -> Vec<usize> {
+    let stride = stream.len().div_ceil(MAX_SAMPLES).max(1);
+    let block = stream.len().div_ceil(BLOCKS).max(1);
+    (0..stream.len()).step_by(stride).filter(|row| (row / block) % 2 == half).collect()
+}
+
+fn mean_square(residual: &[[f64; 3]]) -> f64 {
+    let squares: f64 = residual.iter().flatten().map(|part| part * part).sum();
+    squares / residual.len().max(1) as f64
+}
+
+/// State without a cause.
+fn without(state: &State, cause: Cause) -> State {
+    let mut state = state.clone();
+    match cause {
+        Cause::Zero(joint) | Cause::JointScale(joint) => state.offsets[joint] = 0.0,
+        Cause::Latency(s) => state.streams[s].latency_s = 0.0,
+        Cause::Skew(s) => state.streams[s].skew = 0.0,
+        Cause::RadialScale(s) => state.streams[s].radial_scale = 0.0,
+        Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
+        Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
+    }
+    state
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::test_motion::arm;
+    use crate::{PoseStream, diagnose_arm};
+    use ground::geometry::Vec3;
+    use ground::stream::{Orientations, PoseTrack};
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn a_zero_and_a_latency_predict_samples_that_were_not_fitted() {
+        const NOISE_M: f64 = 1e-4;
+        let (joints, chain) = arm();
+        let mut random = rand_pcg::Pcg64::seed_from_u64(11);
+        let (mut xyz, mut rotations, mut t_s) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut q, mut qd) = ([0.0; 6], [0.0; 6]);
+        for row in 100..1800 {
+            let stamp = f64::from(row) * 0.01 + 0.003;
+            assert!(joints.at(stamp - 0.02, &mut 0, &mut q, &mut qd));
+            q[2] += 0.01;
+            let pose = chain.forward(&q);
+            let mut noise = || random.random_range(-NOISE_M..NOISE_M);
+            t_s.push(stamp);
+            xyz.push(pose.translation.vector + Vec3::new(noise(), noise(), noise()));
+            rotations.push(pose.rotation);
+        }
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        let stream = PoseStream {
+            track: &track,
+            chain: &chain,
+            columns: &[0, 1, 2, 3, 4, 5],
+            reference_known: true,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+            removed_ramp: None,
+        };
+        let found = diagnose_arm(&joints, &[stream], 5.0);
+        let zeros: Vec<bool> =
+            found.joints.offsets.iter().map(|offset| offset.held_out.is_some()).collect();
+        assert_eq!(zeros, [false, false, true, false, false, false]);
+        let zero = found.joints.offsets[2].held_out.expect("the zero is a cause");
+        let latency = found.streams[0].held_out.latency.expect("the latency is free");
+        for residual in [zero, latency] {
+            // Three components, each uniform with a variance of a third.
+            assert!((residual.with[0] / NOISE_M - 1.0).abs() < 0.1, "{residual:?}");
+            assert!(residual.without[0] > 10.0 * residual.with[0], "{residual:?}");
+            assert!(residual.is_lower());
+        }
+        assert_eq!(found.streams[0].held_out.tool, None);
+    }
+}
