@@ -1,4 +1,7 @@
 //! Adds to a finding how well its cause predicts samples that were not fitted.
+//!
+//! A cause with an amount is fitted to one half of the run, with everything else, and predicts the other half. An
+//! encoding has no amount; only constant frames are fitted.
 
 use serde_json::{Value, json};
 
@@ -14,6 +17,10 @@ use crate::finding::{Outcome, Ruling, Subject};
 
 /// Evidence key.
 pub(crate) const HELD_OUT: &str = "held_out";
+
+/// Rules whose cause has no amount: rotations, units, axes, and the order and scale of joints.
+const ENCODINGS: [&str; 8] =
+    ["ORD001", "ORD002", "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010"];
 
 /// Sets `held_out`: rms residual (m, rad) in each half of the run, `before` and `after` correcting this cause, with
 /// everything else fitted to the other half.
@@ -32,6 +39,16 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
             offsets.map(move |(joint, offset)| (arm.joint(joint), offset.held_out))
         });
         return of_arm.into_iter().find(|(joint, _)| joint == subject)?.1;
+    }
+    if ENCODINGS.contains(&rule.code) {
+        let mut arms = case.evidence.robots.iter();
+        let arm = arms.find(|arm| subject.robot.as_ref() == Some(&arm.name))?;
+        // Encodings of the joint states are judged by the first stream.
+        let of_joints = |topic: &String| *topic == arm.joints_topic;
+        let is_of_joints = subject.topic.as_ref().is_none_or(of_joints);
+        let is_own = |topic: &str| subject.topic.as_deref() == Some(topic);
+        let own = arm.poses.iter().find(|stream| is_of_joints || is_own(stream.topic()))?;
+        return own.diagnosis.held_out_encoding();
     }
     let streams = case.evidence.poses().map(|(_, stream)| stream);
     let is_of = |own: &Subject| own.robot == subject.robot && own.topic == subject.topic;

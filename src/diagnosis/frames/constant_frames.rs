@@ -172,7 +172,7 @@ pub(crate) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
 /// The cost has several minima if the hand rotates little or about one axis. Starts are one rotation from
 /// relative rotations (Park and Martin 1994), one from positions (Kabsch 1976), and four that align the
 /// common axis. Returns the best pair.
-fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+pub(crate) fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let correlation = relative_rotations(fk, logged);
     let by_positions = frames_from_positions(fk, logged);
     let turns = candidate_reference_rotations(&correlation, &by_positions.0.rotation);
@@ -186,7 +186,15 @@ fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
 
 /// Residual after fitting constant frames, rms m and rad.
 pub(crate) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
-    let (reference, tool) = fit_frames(fk, logged);
+    misfit_in_frames(fk, logged, &fit_frames(fk, logged))
+}
+
+/// Residual in given frames, rms m and rad.
+pub(crate) fn misfit_in_frames(
+    fk: &[Pose],
+    logged: &[Pose],
+    (reference, tool): &(Pose, Pose),
+) -> [f64; 2] {
     let (mut squares_m, mut squares_rad) = (0.0, 0.0);
     for (fk, logged) in fk.iter().zip(logged) {
         let residual = (reference * fk * tool).inverse() * logged;

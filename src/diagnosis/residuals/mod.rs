@@ -2,4 +2,5 @@
 
 pub(crate) mod comparison;
 pub(crate) mod excess;
+pub(crate) mod held_out;
 pub(crate) mod residual_check;

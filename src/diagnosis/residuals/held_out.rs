@@ -1,0 +1,40 @@
+//! Error on one half of the run in the constant frames fitted to the other half.
+
+use crate::frames::constant_frames::{fit_frames, misfit_in_frames};
+use crate::selection::held_out::HeldOutResidual;
+use crate::{AlignedSamples, PoseDiagnosis};
+use ground::geometry::Pose;
+
+/// Blocks of the run alternate between the halves.
+const BLOCKS: usize = 10;
+/// Per half.
+const MAX_SAMPLES: usize = 120;
+
+impl PoseDiagnosis {
+    /// As logged and as decoded. An encoding has no parameters of its own to fit.
+    pub fn held_out_encoding(&self) -> Option<HeldOutResidual> {
+        let AlignedSamples { logged, fk, corrected, fk_at_truth, .. } = &self.aligned;
+        let without = held_out_misfit(fk, logged)?;
+        let with = held_out_misfit(fk_at_truth, corrected)?;
+        Some(HeldOutResidual { without, with })
+    }
+}
+
+/// Rms m and rad. `None` for too few samples.
+fn held_out_misfit(fk: &[Pose], poses: &[Pose]) -> Option<[f64; 2]> {
+    let stride = poses.len().div_ceil(2 * MAX_SAMPLES).max(1);
+    let block = poses.len().div_ceil(BLOCKS).max(1);
+    let half = |half: usize, of: &[Pose]| -> Vec<Pose> {
+        let rows = (0..of.len()).step_by(stride).filter(|row| (row / block) % 2 == half);
+        rows.map(|row| of[row]).collect()
+    };
+    let [first, second] = [0, 1].map(|which| (half(which, fk), half(which, poses)));
+    if first.0.len().min(second.0.len()) < 3 {
+        return None;
+    }
+    let squares = [(&first, &second), (&second, &first)].map(|(fitted, held_out)| {
+        let frames = fit_frames(&fitted.0, &fitted.1);
+        misfit_in_frames(&held_out.0, &held_out.1, &frames).map(|rms| rms * rms)
+    });
+    Some([0, 1].map(|kind| (0.5 * (squares[0][kind] + squares[1][kind])).sqrt()))
+}
