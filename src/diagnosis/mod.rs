@@ -26,6 +26,7 @@
 //!    by a tool if both fit.
 //! 5. `selection::nominal_model` and `selection::link_deviations` drop causes that random link deviations
 //!    explain.
+//!    `selection::held_out` drops causes that do not predict held-out samples better.
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.

@@ -26,7 +26,7 @@ impl<'a> PoseJacobian<'a> {
         }
     }
 
-    /// By the position of one joint.
+    /// Derivative with respect to one joint position.
     pub fn joint(&self, joint: usize) -> Derivative {
         let [x, y, z, rx, ry, rz] = self.link[joint];
         let angular = Vec3::new(rx, ry, rz);
@@ -34,7 +34,7 @@ impl<'a> PoseJacobian<'a> {
         [self.reference * linear, self.reference * angular]
     }
 
-    /// By time, at joint velocities `rates`.
+    /// Derivative with respect to time, at joint velocities `rates`.
     pub fn velocity(&self, rates: &[f64]) -> Derivative {
         let mut velocity = [Vec3::zeros(); 2];
         for (joint, rate) in rates.iter().enumerate() {
@@ -44,8 +44,8 @@ impl<'a> PoseJacobian<'a> {
         velocity
     }
 
-    /// By a change of the reference, multiplied on the left: translation along `axis` 0 to 2, rotation about 3
-    /// to 5.
+    /// Derivative with respect to a change of the reference, multiplied on the left: translation along `axis` 0
+    /// to 2, rotation about 3 to 5.
     pub fn reference(&self, axis: usize) -> Derivative {
         let unit = Vec3::ith(axis % 3, 1.0);
         match axis {
@@ -54,7 +54,7 @@ impl<'a> PoseJacobian<'a> {
         }
     }
 
-    /// By a change of the tool, multiplied on the right.
+    /// Same for a change of the tool, multiplied on the right.
     pub fn tool(&self, axis: usize) -> Derivative {
         let along = self.pose.rotation * Vec3::ith(axis % 3, 1.0);
         match axis {

@@ -11,7 +11,7 @@ const BLOCKS: usize = 10;
 const MAX_SAMPLES: usize = 120;
 
 impl PoseDiagnosis {
-    /// As logged and as decoded. An encoding has no parameters of its own to fit.
+    /// Residuals as logged and as decoded. An encoding has no amount to fit.
     pub fn held_out_encoding(&self) -> Option<HeldOutResidual> {
         let AlignedSamples { logged, fk, corrected, fk_at_truth, .. } = &self.aligned;
         let without = held_out_misfit(fk, logged)?;

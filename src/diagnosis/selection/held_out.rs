@@ -25,15 +25,15 @@ impl HeldOutResidual {
 /// One per cause of a stream that the model contains.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StreamHeldOut {
-    /// Of the latency.
+    /// Latency.
     pub latency: Option<HeldOutResidual>,
-    /// Of the clock skew.
+    /// Clock skew.
     pub skew: Option<HeldOutResidual>,
-    /// Of the radial scale.
+    /// Radial scale.
     pub radial_scale: Option<HeldOutResidual>,
-    /// Of the reference frame.
+    /// Reference frame.
     pub reference: Option<HeldOutResidual>,
-    /// Of the tool frame.
+    /// Tool frame.
     pub tool: Option<HeldOutResidual>,
 }
 
