@@ -4,7 +4,6 @@
 use std::cell::RefCell;
 
 use re_chunk::{Chunk, ChunkId, RowId, TimeColumn, TimePoint};
-use re_log_encoding::Encoder;
 use re_log_types::external::re_tuid::Tuid;
 use re_log_types::{
     ApplicationId, BlueprintActivationCommand, EntityPath, LogMsg, SetStoreInfo, StoreId,
@@ -143,17 +142,4 @@ impl RowIds {
         self.next += count as u64;
         Tuid::from_nanos_and_inc(self.nanos, first)
     }
-}
-
-/// # Errors
-/// If a message cannot be encoded.
-pub(super) fn encode(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
-    let mut encoder = Encoder::local()?;
-    // Its index is in the varying order of a hash map.
-    encoder.do_not_emit_footer();
-    for message in messages {
-        encoder.append(message)?;
-    }
-    encoder.finish()?;
-    Ok(encoder.into_inner()?)
 }

@@ -22,6 +22,7 @@ mod arm;
 mod audited;
 mod blueprint;
 mod chunk_writer;
+mod encoder;
 mod finding_views;
 mod findings;
 mod layout;
@@ -38,7 +39,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use re_chunk::ChunkError;
-use re_log_encoding::EncodeError;
+use re_log_encoding::CodecError;
 use re_log_types::{ApplicationId, LogMsg};
 use re_sdk_types::SerializationError;
 use re_sdk_types::archetypes::ViewCoordinates;
@@ -270,7 +271,7 @@ pub enum ReplayCause {
     /// Rows not serialised.
     Rows(#[from] ChunkError),
     /// File not encoded.
-    Encoding(#[from] EncodeError),
+    Encoding(#[from] CodecError),
 }
 
 /// Writes the recording, creating its folders. Returns notes on the requested meshes.
@@ -293,7 +294,7 @@ fn record(
     replay: &Replay<'_>,
 ) -> Result<Vec<String>, ReplayCause> {
     let (messages, notes) = messages(wanted, replay)?;
-    fs::write(staged, chunk_writer::encode(&messages)?)?;
+    fs::write(staged, encoder::encode(&messages)?)?;
     Ok(notes)
 }
 
