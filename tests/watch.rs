@@ -136,7 +136,7 @@ fn a_viewer_receives_each_recording() {
     let path = folder.path().join("run.mcap").display().to_string();
     poseaudit(&["audit", &path, "--rrd", &last]);
     assert!(received.ends_with(&fs::read(last).expect("a recording")));
-    let recordings = received.windows(4).filter(|four| four == b"RRF2").count();
+    let recordings = received.windows(8).filter(|end| end == b"RRF2FOOT").count();
     assert!(recordings >= 2 && recordings <= lines.len(), "{recordings} recordings, {lines:?}");
 }
 

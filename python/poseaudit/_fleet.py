@@ -33,7 +33,9 @@ class Failure:
     path: str
     status: str
     what: str | None = None
-    """The reason; the table `errors` has details."""
+    """The reason."""
+    do: str | None = None
+    """What to do about it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,6 +37,7 @@ pub use calibration::UnmovedJoint;
 pub(crate) use calibration::{rejection_reason, stream_rejection_reason, unmoved_joints};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use encoding::encoding_names;
+pub(crate) use imu::yaw001_yaw_drift::YAW001;
 pub(crate) use joints::zer001_joint_zero::ZER001;
 pub(crate) use latency::lat001_latency::LAT001;
 pub use merge::{SegmentEvaluation, merge_segments};

@@ -12,12 +12,12 @@ use clap::{Subcommand, ValueEnum};
 use poseaudit::Options;
 use poseaudit::finding::Severity;
 use poseaudit::fleet::{
-    AuditSettings, FleetCall, Identity, Limits, LogSource, Outcomes, Store, Template,
+    AuditSettings, FailureGroup, FleetCall, Identity, Limits, LogSource, Outcomes, Store, Template,
     available_memory_bytes, find_sources, pending, run as audit_all, serve,
 };
 use poseaudit::log::{SourceName, is_url};
 use poseaudit::places::PathRegistry;
-use poseaudit::report::Trouble;
+use poseaudit::report::{Trouble, quote_for_shell, sanitize};
 use serde::Serialize;
 
 use super::audit_options::AuditOptions;
@@ -282,7 +282,7 @@ struct Summary<'a> {
     outcomes: &'a Outcomes,
 }
 
-const MAX_LISTED_FAILURES: usize = 20;
+const MAX_LISTED_REASONS: usize = 10;
 
 impl<'a> Summary<'a> {
     fn new(out: &Path, outcomes: &'a Outcomes, fail: (Option<Severity>, bool)) -> Self {
@@ -314,15 +314,14 @@ impl<'a> Summary<'a> {
         for (count, how) in unaudited.into_iter().filter(|(count, _)| *count > 0) {
             writeln!(to, "{count} {how}")?;
         }
-        for failure in errors.iter().take(MAX_LISTED_FAILURES) {
-            let path = poseaudit::report::sanitize(&failure.path);
-            let what = failure.what.as_deref().unwrap_or_default();
-            writeln!(to, "  {path}: {}", poseaudit::report::sanitize(what))?;
+        let groups = FailureGroup::group(errors);
+        for line in groups.iter().take(MAX_LISTED_REASONS).flat_map(FailureGroup::lines) {
+            writeln!(to, "  {}", sanitize(&line))?;
         }
-        if errors.len() > MAX_LISTED_FAILURES {
-            writeln!(to, "  and {} more", errors.len() - MAX_LISTED_FAILURES)?;
+        if groups.len() > MAX_LISTED_REASONS {
+            writeln!(to, "  and {} other reasons", groups.len() - MAX_LISTED_REASONS)?;
         }
-        writeln!(to, "results in {}", self.out)
+        writeln!(to, "next: poseaudit fleet report {}", quote_for_shell(&self.out))
     }
 }
 

@@ -11,7 +11,7 @@ use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
 
-/// Audits one log. Returns its rows, and why it could not be audited, if so. Panics are stored in the row.
+/// Audits one log. Returns its rows, and why it could not be audited, if it was not. Panics are stored in the row.
 /// If `with_page`, the report is also saved as a page.
 ///
 /// # Errors
@@ -21,7 +21,7 @@ pub fn audit_log(
     options: &Options,
     store: &Store,
     with_page: bool,
-) -> Result<(LogRows, Option<String>), StoreError> {
+) -> Result<(LogRows, Option<Trouble>), StoreError> {
     let mut options = options.clone();
     options.policy.fail_on = Some(Severity::Warning);
     let with_figures = |it: Audited| if with_page { it.with_figures() } else { it };
@@ -44,7 +44,7 @@ pub fn audit_log(
             (rows_from_trouble(task, status, &trouble), Some(trouble))
         }
     };
-    Ok((log_rows(task, answer, tables, store)?, trouble.map(|trouble| trouble.what)))
+    Ok((log_rows(task, answer, tables, store)?, trouble))
 }
 
 fn write_page(path: &Path, report: &Report) -> Result<(), StoreError> {

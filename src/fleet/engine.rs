@@ -134,7 +134,7 @@ struct EngineState {
 }
 
 enum LogResult {
-    New(AuditAnswer, Option<String>),
+    New(AuditAnswer, Option<Trouble>),
     Stored(AuditAnswer),
     Duplicate,
 }
@@ -193,8 +193,8 @@ impl Engine<'_> {
                 Ok(answers) => {
                     let is_over = answers.iter().any(|(answer, _)| !answer.status.is_final());
                     let done: Vec<_> = pending.drain(..answers.len().min(pending.len())).collect();
-                    for ((path, _), (answer, what)) in done.into_iter().zip(answers) {
-                        self.record_result(path, LogResult::New(answer, what))?;
+                    for ((path, _), (answer, trouble)) in done.into_iter().zip(answers) {
+                        self.record_result(path, LogResult::New(answer, trouble))?;
                     }
                     // The failure may have left the process in a bad state.
                     if is_over {
@@ -236,7 +236,7 @@ impl Engine<'_> {
         };
         let trouble = Trouble { place: task.path.clone(), ..what };
         let answer = store_failure(task, status, &trouble, self.call.store)?;
-        Ok(LogResult::New(answer, Some(trouble.what)))
+        Ok(LogResult::New(answer, Some(trouble)))
     }
 
     fn look_up(
@@ -369,7 +369,7 @@ impl Engine<'_> {
             remedy: "make it readable and run again".to_owned(),
         };
         let answer = store_failure(&task, Status::Unreadable, &trouble, self.call.store)?;
-        Ok(LogResult::New(answer, Some(trouble.what)))
+        Ok(LogResult::New(answer, Some(trouble)))
     }
 
     fn timeout_trouble(&self) -> Trouble {
@@ -402,14 +402,15 @@ impl Engine<'_> {
                 state.outcomes.done_before += 1;
                 state.outcomes.add(answer);
             }
-            LogResult::New(answer, what) => {
+            LogResult::New(answer, trouble) => {
                 is_new = true;
                 state.outcomes.done_now += 1;
                 state.progress.audited += 1;
                 state.outcomes.add(answer);
-                if answer.status != Status::Audited {
+                if let Some(Trouble { what, remedy, .. }) = trouble {
                     let path = SourceName::from_path(path).to_string();
-                    state.outcomes.errors.push(Failure { path, status: answer.status, what });
+                    let failure = Failure { path, status: answer.status, what, remedy };
+                    state.outcomes.errors.push(failure);
                 }
             }
         }

@@ -22,7 +22,7 @@ pub use content::Identity;
 pub use engine::{FleetCall, FleetProgress, run};
 pub use labels::{Labels, Template, TemplateError};
 pub use memory::available_memory_bytes;
-pub use outcomes::{Failure, Outcomes, Statuses, Verdicts};
+pub use outcomes::{Failure, FailureGroup, Outcomes, Statuses, Verdicts};
 pub use pending::pending;
 pub use settings::AuditSettings;
 pub use sources::{LogSource, find_sources};

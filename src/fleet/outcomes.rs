@@ -1,3 +1,6 @@
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::store::Status;
@@ -62,8 +65,50 @@ pub struct Failure {
     /// Status.
     pub status: Status,
     /// Reason.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub what: Option<String>,
+    pub what: String,
+    /// Suggested action.
+    #[serde(rename = "do")]
+    pub remedy: String,
+}
+
+/// Logs that could not be audited for one reason.
+#[derive(Debug)]
+pub struct FailureGroup<'a> {
+    /// Reason.
+    pub what: &'a str,
+    /// Suggested action.
+    pub remedy: &'a str,
+    /// Logs, by path.
+    pub logs: Vec<&'a Failure>,
+}
+
+impl<'a> FailureGroup<'a> {
+    /// Groups failures by reason, the most frequent first.
+    pub fn group(failures: &'a [Failure]) -> Vec<Self> {
+        let mut by_reason: BTreeMap<(&str, &str), Vec<&Failure>> = BTreeMap::new();
+        for failure in failures {
+            by_reason.entry((&failure.what, &failure.remedy)).or_default().push(failure);
+        }
+        let groups = by_reason.into_iter();
+        let mut groups: Vec<Self> =
+            groups.map(|((what, remedy), logs)| Self { what, remedy, logs }).collect();
+        groups.sort_by_key(|group| Reverse(group.logs.len()));
+        groups
+    }
+
+    /// Reason, first logs, and action.
+    pub fn lines(&self) -> [String; 3] {
+        /// The table `errors` has all.
+        const MAX_PATHS: usize = 3;
+        let count = self.logs.len();
+        let paths = self.logs.iter().take(MAX_PATHS).map(|failure| failure.path.as_str());
+        let mut paths = paths.collect::<Vec<_>>().join(", ");
+        if count > MAX_PATHS {
+            paths += &format!(" and {} more", count - MAX_PATHS);
+        }
+        let logs = if count == 1 { "log" } else { "logs" };
+        [format!("{count} {logs}: {}", self.what), paths, format!("do: {}", self.remedy)]
+    }
 }
 
 impl Outcomes {

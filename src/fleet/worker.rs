@@ -21,6 +21,7 @@ use super::store::Store;
 use super::task::{AuditAnswer, Task};
 use crate::Options;
 use crate::boundary::delete_staged_files;
+use crate::report::Trouble;
 
 /// Resource limits per log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,8 +60,8 @@ enum WorkerMessage {
     Fault(String),
 }
 
-/// Result, and why the log could not be audited, if so.
-pub type AuditResult = (AuditAnswer, Option<String>);
+/// Result, and why the log could not be audited, if it was not.
+pub type AuditResult = (AuditAnswer, Option<Trouble>);
 
 /// How a process ended without an answer.
 #[derive(Debug)]
@@ -268,8 +269,8 @@ fn audit_jobs(
         let mut options = Options { logs: vec![path_of(path)], ..options.clone() };
         options.run.shared = shared.clone();
         match audit_log(task, &options, store, with_page) {
-            Ok((row, what)) => {
-                answers.push((row.answer, what));
+            Ok((row, trouble)) => {
+                answers.push((row.answer, trouble));
                 rows.push(row);
             }
             Err(error) => return Ok(Err(error.to_string())),

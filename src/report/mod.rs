@@ -45,7 +45,7 @@ pub(crate) use plans::{PlanInputs, plan_command, plans};
 pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{join_segments, robot_rows, stream_rows};
 pub(crate) use sanitize::quote_line;
-pub use sanitize::{escape_direction, sanitize, sanitize_display};
+pub use sanitize::{escape_direction, quote_for_shell, sanitize, sanitize_display};
 pub use trouble::{Trouble, TroubleKind};
 pub(crate) use workspace::{ArmWorkspace, reached_workspaces, workspace_coverage};
 pub use workspace::{JointCoverage, WorkspaceRow};
@@ -224,7 +224,7 @@ impl Report {
     fn replay_command(&self) -> String {
         let call = self.command_line.clone().unwrap_or_else(|| {
             let logs = self.log.files.iter().map(|file| file.path.display().to_string());
-            let logs: Vec<String> = logs.map(|log| sanitize::quote_for_shell(&log)).collect();
+            let logs: Vec<String> = logs.map(|log| quote_for_shell(&log)).collect();
             format!("poseaudit audit {}", logs.join(" "))
         });
         format!("{call} --rrd run.rrd")
@@ -232,7 +232,7 @@ impl Report {
 
     /// Stores the command line.
     pub fn with_command_line(mut self, words: &[String]) -> Self {
-        let words: Vec<String> = words.iter().map(|word| sanitize::quote_for_shell(word)).collect();
+        let words: Vec<String> = words.iter().map(|word| quote_for_shell(word)).collect();
         self.command_line = Some(words.join(" "));
         self
     }

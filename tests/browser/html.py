@@ -92,6 +92,17 @@ def check(browser, address: str) -> None:
     open_page(browser, address, WIDE, "dark").context.close()
 
 
+def check_width(browser, address: str, width: int) -> None:
+    """Checks that no table of a fleet page needs horizontal scrolling."""
+    page = open_page(browser, address, {"width": width, "height": 900})
+    cut = page.evaluate(
+        """() => [document.documentElement, ...document.querySelectorAll("table.stack, table.stack th, table.stack td")]
+             .filter(part => part.scrollWidth > part.clientWidth + 1).map(part => part.outerHTML.slice(0, 200))"""
+    )
+    assert not cut, f"{address}: too wide for {width} pixels: {cut[:2]}"
+    page.context.close()
+
+
 def write_screenshots(browser, address: str, to: Path) -> None:
     """Writes screenshots from the top of the page to the end of an element."""
     from PIL import Image
@@ -167,6 +178,8 @@ def main() -> None:
         fleet_page = fleet_report(program, folder)
         for address in [demo, *others, fleet_page]:
             check(browser, address)
+        for width in (1400, 400):
+            check_width(browser, fleet_page, width)
         print(f"html: {2 + len(logs)} reports checked in Chromium {browser.version}")
         if len(sys.argv) > 2:
             write_screenshots(browser, demo, Path(sys.argv[2]))

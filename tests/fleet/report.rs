@@ -81,6 +81,7 @@ struct ArmRow {
     arm: Option<String>,
     robot: Option<String>,
     logs: usize,
+    not_audited: usize,
     verdicts: VerdictCounts,
     fails: Vec<FailCount>,
 }
@@ -300,6 +301,83 @@ fn assert_html_report(folder: &Path, out: &str) -> Result<()> {
     let text = std::fs::read_to_string(&page)?;
     assert!(text.contains("default-src 'none'") && text.contains("data-plot=\"trend-1\""));
     assert!(text.contains("elbow_joint") && !text.contains("<script src"), "{}", text.len());
+    // The creeping zero offset: a point for each log, the fitted line, and the limit of 0.1° in view.
+    let data = text.split("id=\"data\" type=\"application/json\">").nth(1).context("data")?;
+    let data = data.split("</script>").next().unwrap_or_default();
+    let plot = &serde_json::from_str::<serde_json::Value>(data)?["trend-1"];
+    let [amounts, line] = [0, 1].map(|index| &plot["series"][index]);
+    assert_eq!((&amounts["points"], &line["points"]), (&true.into(), &false.into()), "{plot}");
+    assert_eq!(amounts["values"].as_array().map(Vec::len), Some(10));
+    let limit = plot["limits"][0]["at"].as_f64().context("a limit")?;
+    assert!((limit - 0.1).abs() < 1e-9 && plot["shows_limits"] == true, "{plot}");
+    Ok(())
+}
+
+/// Tables that do not name their arm, so that no model can be chosen.
+fn write_tables_without_arm(folder: &Path, count: u32) -> Result<()> {
+    std::fs::create_dir_all(folder)?;
+    for table in 0..count {
+        let mut text = "time,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n".to_owned();
+        for row in 0..200 {
+            let t_s = 0.02 * f64::from(row);
+            let q = |joint: u32| ((1.0 + 0.1 * f64::from(joint)) * t_s + f64::from(table)).sin();
+            let numbers = std::iter::once(t_s).chain((0..6).map(q));
+            let numbers: Vec<String> = numbers.map(|number| number.to_string()).collect();
+            text += &(numbers.join(",") + "\n");
+        }
+        std::fs::write(folder.join(format!("{table}.csv")), text)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn logs_that_were_not_audited_are_not_reported_as_fine() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    write_tables_without_arm(&folder.path().join("logs"), 3)?;
+    let [logs, out] = ["logs", "out"].map(|name| folder.path().join(name).display().to_string());
+    let output = fleet(&[&logs, "--out", &out]).output()?;
+    let summary = String::from_utf8(output.stdout.clone())?;
+    assert_eq!(status(&output), Some(3), "{summary}");
+    assert!(summary.contains("  3 logs: ") && summary.contains("pass --robot"), "{summary}");
+    let next = format!("next: poseaudit fleet report {out}");
+    assert_eq!(summary.lines().last(), Some(next.as_str()));
+
+    for format in ["text", "markdown", "html"] {
+        let report = |more: &[&str]| -> Result<(String, Option<i32>)> {
+            let args = [&["report", out.as_str(), "--format", format], more].concat();
+            let output = fleet(&args).output()?;
+            Ok((String::from_utf8(output.stdout.clone())?, status(&output)))
+        };
+        let (text, exit_status) = report(&[])?;
+        assert_eq!(exit_status, Some(1), "{text}");
+        assert!(text.contains("3 logs, 3 not audited"), "{text}");
+        assert!(text.contains("pass --robot"), "{text}");
+        assert!(text.contains("not checked: the logs have no estimate"), "{text}");
+        assert!(!text.contains("no problems") && !text.contains("PASS"), "{text}");
+        let command = format!("poseaudit fleet report {out} --format html --output fleet.html");
+        assert!(text.contains(&command), "{text}");
+        let (text, exit_status) = report(&["--fail-on", "never"])?;
+        assert_eq!(exit_status, Some(0));
+        assert!(text.contains("INCONCLUSIVE") && !text.contains("PASS"), "{text}");
+    }
+    Ok(())
+}
+
+#[test]
+fn the_text_report_ends_with_the_verdict_and_the_audit_of_the_worst_log() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("out").display().to_string();
+    let log = format!("{}/fixtures/faulty.mcap", env!("CARGO_MANIFEST_DIR"));
+    fleet(&[&log, "--out", &out]).output()?;
+    let report = String::from_utf8(fleet(&["report", &out]).output()?.stdout)?;
+    let lines: Vec<&str> = report.lines().collect();
+    let [.., trends, verdict, audit, page] = lines.as_slice() else { panic!("{report}") };
+    // A single log shows no trend.
+    assert!(trends.starts_with("trends          0 found, 0 steady, "), "{report}");
+    assert!(trends.ends_with("not determined: in fewer than 4 dated logs"), "{report}");
+    assert!(verdict.starts_with("FAIL            0 pass, 1 fail, 0 inconclusive"), "{report}");
+    assert!(audit.starts_with(&format!("next            poseaudit audit {log} ")), "{report}");
+    assert!(page.contains(&format!("poseaudit fleet report {out} --format html")), "{report}");
     Ok(())
 }
 
@@ -324,8 +402,17 @@ fn requested_pages_are_linked_from_the_fleet_report() -> Result<()> {
     let name = links[0].split('"').next().context("a name")?;
     let log_page = std::fs::read_to_string(folder.path().join("results/pages").join(name))?;
     assert!(log_page.contains("ZER001") && log_page.contains("Zero offsets of all joints"));
-    let matrix = text.split("id=\"matrix\"").nth(1).context("a matrix")?;
-    assert!(matrix.contains("LAT001") && matrix.contains("1<span class=\"quiet\"> of 2</span>"));
+    let section = |id: &str| {
+        let rest = text.split(&format!("id=\"{id}\"")).nth(1);
+        rest.and_then(|rest| rest.split("</section>").next()).with_context(|| id.to_owned())
+    };
+    let arms = section("arms")?;
+    assert!(arms.contains("LAT001") && arms.contains("1<span class=\"quiet\"> of 2</span>"));
+    // One table for each rule, with all of its findings.
+    let findings = section("findings")?;
+    for code in ["LAT001", "ZER001"] {
+        assert_eq!(findings.matches(&format!("id=\"rule-{code}\"")).count(), 1, "{findings}");
+    }
     Ok(())
 }
 

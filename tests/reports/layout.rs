@@ -57,6 +57,32 @@ fn a_pass_lists_its_bounds() {
 }
 
 #[test]
+fn the_page_of_a_pass_shows_the_error_of_each_stream_and_its_limit() {
+    let page = render("html", &audit_fixture("clean").with_figures().report);
+    let section = page.split("id=\"errors\"").nth(1).expect("the errors");
+    let section = section.split("</section>").next().unwrap_or_default();
+    let data = page.split("id=\"data\" type=\"application/json\">").nth(1).expect("data");
+    let data: Value = serde_json::from_str(data.split("</script>").next().unwrap_or_default())
+        .expect("the data of the plots");
+    for (topic, plots) in [("/tcp_pose_broadcaster/pose", 2), ("/tf", 2), ("/imu/data", 1)] {
+        let figures: Vec<&str> = section
+            .split("<figure")
+            .filter(|figure| figure.contains(&format!("<span class=\"of\">{topic}</span>")))
+            .collect();
+        assert_eq!(figures.len(), plots, "{topic}");
+        for figure in figures {
+            let id = figure.split("data-plot=\"").nth(1).and_then(|rest| rest.split('"').next());
+            let plot = &data[id.expect("an id")];
+            let lines = plot["series"].as_array().expect("series");
+            let has_limit_line = lines.iter().any(|line| line["role"] == "limit");
+            assert!(has_limit_line || plot["limits"][0]["at"].is_f64(), "{topic}: no limit");
+            assert_eq!(plot["shows_limits"], true, "{topic}");
+            assert!(lines[0]["values"].as_array().is_some_and(|values| values.len() > 100));
+        }
+    }
+}
+
+#[test]
 fn a_log_that_cannot_be_audited_passes_no_rule() {
     let trouble = Trouble {
         kind: TroubleKind::Log,
@@ -98,7 +124,7 @@ fn findings_have_plots_with_their_limits() {
 }
 
 #[test]
-fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
+fn the_foxglove_file_holds_every_finding_and_the_tool_error_and_a_layout() {
     let audited = audit_fixture("faulty");
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("findings.mcap");
@@ -143,5 +169,32 @@ fn the_foxglove_file_holds_every_finding_and_the_tool_error() {
         assert_eq!(sec * 1_000_000_000 + nsec, *at);
         assert_eq!(scene["entities"][0]["frame_id"], "base");
         assert_eq!(scene["entities"][0]["metadata"][0]["key"], "LAT001");
+    }
+    let errors = &by_schema["poseaudit.Error"];
+    let most = |field: &str| {
+        let values = errors.iter().map(|(_, error)| error[field].as_f64().expect(field));
+        values.fold(0.0, f64::max)
+    };
+    // The numbers keep the peaks, which even rows may miss.
+    assert!((1e3 * max_error_m..40.0).contains(&most("position_mm")), "{}", most("position_mm"));
+    assert!(most("corrected_position_mm") < 0.1 * most("position_mm"));
+    for (field, limit) in [("position_limit_mm", 1.0), ("rotation_limit_deg", 0.1)] {
+        assert!((most(field) - limit).abs() < 1e-9, "{field}: {}", most(field));
+    }
+
+    let layout = std::fs::read(folder.path().join("findings.layout.json")).expect("the layout");
+    let layout: Value = serde_json::from_slice(&layout).expect("JSON");
+    let panels = layout["configById"].as_object().expect("panels");
+    assert_eq!(panels["RosOut!findings"]["topicToRender"], "/poseaudit/log");
+    // Every plotted path is a number of a topic in the file.
+    for panel in ["Plot!position", "Plot!rotation"] {
+        let paths = panels[panel]["paths"].as_array().expect("paths");
+        assert_eq!(paths.len(), 3, "{paths:?}");
+        for path in paths {
+            let path = path["value"].as_str().expect("a path");
+            let (topic, field) = path.rsplit_once('.').expect("a field");
+            assert_eq!(topic, "/poseaudit/error/tcp_pose_broadcaster/pose");
+            assert!(errors[0].1[field].is_number(), "{field}");
+        }
     }
 }

@@ -39,7 +39,7 @@ def main() -> None:
         logs = [folder / "demo/demo.mcap", *sorted(FIXTURES.glob("*.mcap"))]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             recordings = list(pool.map(lambda log: record(program, log, folder), logs))
-        # Separate settings, to ignore those of the user. No telemetry.
+        # Separate settings, to ignore the user's settings. No telemetry.
         homes = {key: name for key in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
         environment = {**os.environ, **homes, "NO_COLOR": "1"}
         subprocess.run([RERUN, "analytics", "disable"], env=environment, capture_output=True, check=True)

@@ -8,11 +8,9 @@ use polars::prelude::PolarsResult;
 use super::finding_rows::{build_finding_rows, logs_by_value};
 use super::table_part::TablePart;
 use super::trends::{EstimateSeries, TrendPoint, TrendPosition, natural_sort_key};
-use super::{
-    ArmRow, ErrorRow, FindingRow, FleetQuery, FleetSubject, LogCounts, LogRow, RuleCount, calendar,
-};
+use super::{ArmRow, FindingRow, FleetQuery, FleetSubject, LogCounts, LogRow, RuleCount, calendar};
 use crate::finding::Severity;
-use crate::fleet::outcomes::Verdicts;
+use crate::fleet::outcomes::{Failure, Verdicts};
 use crate::fleet::store::{Status, Store, StoreError, Table};
 use crate::report::Verdict;
 
@@ -22,7 +20,7 @@ pub struct FleetData {
     pub rows: Vec<LogRow>,
     pub findings: Vec<FindingRow>,
     pub series: Vec<EstimateSeries>,
-    pub errors: Vec<ErrorRow>,
+    pub errors: Vec<Failure>,
 }
 
 struct RunRow {
@@ -86,7 +84,7 @@ pub fn collect(store: &Store, query: &FleetQuery) -> Result<FleetData, StoreErro
         for row in 0..frame.height() {
             let log = part.text("key", row)?.and_then(|key| logs.get(&key));
             let Some(log) = log.filter(|log| query.includes_log(log)) else { continue };
-            errors.insert(ErrorRow {
+            errors.insert(Failure {
                 path: log.path.clone(),
                 status: log.status,
                 what: part.text("what", row)?.unwrap_or_default(),
@@ -398,10 +396,12 @@ fn arm_rows(
         let arm = arms.entry(name).or_insert_with(|| ArmRow {
             subject: log.subject(),
             logs: 0,
+            not_audited: 0,
             verdicts: Verdicts::default(),
             fails: Vec::new(),
         });
         arm.logs += 1;
+        arm.not_audited += usize::from(log.status != Status::Audited);
         arm.verdicts.add(log.verdict);
     }
     for arm in arms.values_mut() {

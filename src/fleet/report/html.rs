@@ -1,5 +1,6 @@
 //! Fleet report as an HTML page.
 
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::path::Path;
@@ -8,10 +9,18 @@ use maud::{Markup, html};
 use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
-use super::text::{frequency_text, header_lines, totals_text};
-use super::{DatasetRow, FindingRow, FleetReport, TrendKind, TrendPosition, TrendRow, calendar};
+use super::text::{arm_counts, frequency_text, header_lines, totals_text};
+use super::{
+    DatasetRow, FindingRow, FleetReport, TrendKind, TrendPosition, TrendRow, calendar, trends,
+};
+use crate::checks::{self, Rule};
+use crate::finding::Severity;
+use crate::fleet::FailureGroup;
 use crate::log::ESCAPED;
-use crate::report::html::{Plot, PlotSeries, PlotStyle, SeriesRole, css_percent, page_shell};
+use crate::report::Verdict;
+use crate::report::html::{
+    Plot, PlotLimit, PlotSeries, PlotStyle, SeriesRole, css_percent, page_shell,
+};
 
 const MAX_PLOTS: usize = 100;
 
@@ -30,7 +39,12 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
 }
 
 fn page(report: &FleetReport) -> Markup {
-    let (class, word) = if report.failing { ("fail", "FAIL") } else { ("pass", "PASS") };
+    let verdict = report.verdict();
+    let class = match verdict {
+        Verdict::Pass => "fleet pass",
+        Verdict::Inconclusive => "fleet open",
+        Verdict::Fail => "fleet fail",
+    };
     let drawn: Vec<(String, &TrendRow, Plot)> = trend_plots(report);
     let plots: Map<String, Value> =
         drawn.iter().map(|(id, _, plot)| (id.clone(), plot.json(MAX_POINTS))).collect();
@@ -47,24 +61,22 @@ fn page(report: &FleetReport) -> Markup {
         }
         main {
             section .verdict aria-labelledby="verdict" {
-                h2 #verdict { strong { (word) } " " span { (totals_text(report)) } }
+                h2 #verdict { strong { (verdict) } " " span { (totals_text(report)) } }
             }
             noscript {
                 p .note { "The plots need JavaScript; their values are in the tables under them." }
             }
             section #moves aria-labelledby="moves-title" {
-                h2 #moves-title .quiet[found_trends.is_empty()] {
-                    @if found_trends.is_empty() { "No trend found" } @else { "Trends found" }
-                }
+                h2 #moves-title { "Trends" }
+                p { (trends::counts_text(&report.trends)) }
                 @for (id, row, plot) in &found_trends { (trend_article(id, row, plot)) }
             }
-            (datasets(report))
             (findings(report))
-            (rule_matrix(report))
             (arms(report))
+            (failures(report))
+            (all_trends(report))
+            (datasets(report))
             (logs(report))
-            (errors(report))
-            (trends(report))
             @if !others.is_empty() {
                 section #plots aria-labelledby="plots-title" {
                     h2 #plots-title { "Over time" }
@@ -74,8 +86,14 @@ fn page(report: &FleetReport) -> Markup {
                 }
             }
         }
+        footer {
+            @for next in report.next_commands() {
+                p { (next.purpose) }
+                pre .call tabindex="0" { (next.command) }
+            }
+        }
     };
-    page_shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
+    page_shell(&format!("{verdict} · fleet of {} logs", report.logs.total), class, &body, plots)
 }
 
 /// Found trends first.
@@ -108,11 +126,22 @@ fn trend_plot(row: &TrendRow) -> Plot {
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
     // A line does not describe a step.
     let line = row.line.filter(|_| row.kind != TrendKind::Stepped).map(|[from, to]| PlotSeries {
-        label: "line".to_owned(),
+        label: "fit".to_owned(),
         role: SeriesRole::Reference,
         values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
         half_widths: Vec::new(),
     });
+    let mut limits = PlotLimit::signed(row.threshold, row.display_unit(), factor);
+    // Values of one sign have one limit.
+    let (has_negative, has_positive) =
+        (amounts.values.iter().any(|&at| at < 0.0), amounts.values.iter().any(|&at| at > 0.0));
+    if has_negative != has_positive {
+        let label = limits.last().map(|limit| limit.label.clone()).unwrap_or_default();
+        limits.retain_mut(|limit| {
+            limit.label.clone_from(&label);
+            (limit.at > 0.0) == has_positive
+        });
+    }
     Plot {
         title: "Over time",
         robot: row.subject.robot.clone().unwrap_or_default(),
@@ -126,7 +155,9 @@ fn trend_plot(row: &TrendRow) -> Plot {
         x_label,
         y_label,
         series: std::iter::once(amounts).chain(line).collect(),
-        style: PlotStyle::Curve,
+        style: PlotStyle::AmountPoints,
+        limits,
+        shows_limits: true,
         ..Plot::default()
     }
 }
@@ -162,68 +193,74 @@ fn trend_article(id: &str, row: &TrendRow, plot: &Plot) -> Markup {
     }
 }
 
+/// One table per rule, the rule with the most findings first.
 fn findings(report: &FleetReport) -> Markup {
-    let row = |row: &FindingRow| {
-        html! {
-            tr .(row.severity.name()) {
-                th scope="row" { span .severity { (row.severity.name()) } " " code { (row.code) } }
-                td { (row.subject.arm_label()) }
-                td { (row.subject.part_label()) }
-                td .words { (row.title) ", " (frequency_text(row)) }
-                td .words {
-                    @if let Some(worst) = &row.worst {
-                        (worst.message) br; span .quiet { (worst.path) }
-                    }
-                }
-                td .words { (row.message) br; span .quiet { (row.path) } }
+    let mut rules: Vec<(&str, Vec<&FindingRow>)> = Vec::new();
+    for row in &report.findings {
+        match rules.iter_mut().find(|(code, _)| *code == row.code) {
+            Some((_, rows)) => rows.push(row),
+            None => rules.push((&row.code, vec![row])),
+        }
+    }
+    rules.sort_by_key(|(_, rows)| {
+        let severity = rows.iter().map(|row| row.severity).max();
+        Reverse((severity, rows.iter().map(|row| row.logs).sum::<usize>()))
+    });
+    html! {
+        @if !rules.is_empty() {
+            section #findings aria-labelledby="findings-title" {
+                h2 #findings-title { "Findings" }
+                @for (code, rows) in &rules { (rule_findings(code, rows)) }
             }
         }
-    };
-    table("findings", "Findings", &["", "arm", "of", "", "worst", "last"], &report.findings, row)
+    }
+}
+
+fn rule_findings(code: &str, rows: &[&FindingRow]) -> Markup {
+    let severity = rows.iter().map(|row| row.severity).max().unwrap_or(Severity::Info).name();
+    let arms: BTreeSet<String> = rows.iter().map(|row| row.subject.arm_label()).collect();
+    let summary = checks::find(code).map_or("", Rule::summary);
+    let id = format!("rule-{code}");
+    html! {
+        article .finding .(severity) aria-labelledby=(id) {
+            p .badge { span .severity { (severity) } " " code { (code) } }
+            h3 id=(id) { (summary) }
+            p .note { (counted(arms.len(), "arm")) ", " (counted(rows.len(), "subject")) }
+            (table(&id, &["arm", "subject", "found", "worst", "last"], rows, |row| {
+                let place = |message: &str, path: &str| {
+                    html! { (message) " " span .quiet { (path) } }
+                };
+                vec![
+                    html! { (row.subject.arm_label()) },
+                    html! { (row.subject.part_label()) },
+                    html! { (row.title) ", " (frequency_text(row)) },
+                    match &row.worst {
+                        Some(worst) => place(&worst.message, &worst.path),
+                        None => Markup::default(),
+                    },
+                    place(&row.message, &row.path),
+                ]
+            }))
+        }
+    }
+}
+
+/// `1 arm`, `2 arms`.
+fn counted(count: usize, name: &str) -> String {
+    format!("{count} {name}{}", if count == 1 { "" } else { "s" })
 }
 
 fn arms(report: &FleetReport) -> Markup {
-    table("arms", "Arms", &["arm", "logs", "pass", "fail", "open", "rules"], &report.arms, |row| {
-        let fails = row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs));
-        html! {
-            tr {
-                th scope="row" { (row.subject.arm_label()) }
-                td { (row.logs) }
-                td { (row.verdicts.pass) }
-                td { (row.verdicts.fail) }
-                td { (row.verdicts.inconclusive) }
-                td .words { (fails.collect::<Vec<_>>().join(", ")) }
+    section("arms", "Arms", &["arm", "logs", "rules"], &report.arms, |arm| {
+        let share = |logs: usize| css_percent(logs as f64 / arm.logs.max(1) as f64);
+        let rules = html! {
+            @for fail in &arm.fails {
+                span .cell style={ "--share:" (share(fail.logs)) } {
+                    code { (fail.code) } " " (fail.logs) span .quiet { " of " (arm.logs) }
+                } " "
             }
-        }
-    })
-}
-
-/// Logs with findings, per rule and arm.
-fn rule_matrix(report: &FleetReport) -> Markup {
-    let codes: BTreeSet<&str> =
-        report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
-    if codes.is_empty() {
-        return Markup::default();
-    }
-    let heads: Vec<&str> = std::iter::once("arm").chain(codes.iter().copied()).collect();
-    table("matrix", "Arms and rules", &heads, &report.arms, |arm| {
-        let logs =
-            |code: &str| arm.fails.iter().find(|fail| fail.code == code).map(|fail| fail.logs);
-        html! {
-            tr {
-                th scope="row" { (arm.subject.arm_label()) }
-                @for code in &codes {
-                    @match logs(code) {
-                        Some(count) => {
-                            td .cell style={ "--share:" (css_percent(count as f64 / arm.logs.max(1) as f64)) } {
-                                (count) span .quiet { " of " (arm.logs) }
-                            }
-                        }
-                        None => { td .quiet { "–" } }
-                    }
-                }
-            }
-        }
+        };
+        vec![html! { (arm.subject.arm_label()) }, html! { (arm_counts(arm)) }, rules]
     })
 }
 
@@ -235,106 +272,118 @@ fn page_link(page: &Path) -> String {
 }
 
 fn logs(report: &FleetReport) -> Markup {
-    let heads = ["begins", "log", "arm", "", "found"];
-    table("logs", "Logs", &heads, &report.rows, |row| {
+    let heads = ["log", "begins", "arm", "result", "found"];
+    section("logs", "Logs", &heads, &report.rows, |row| {
         let start_ns = row.start_ns.as_ref().and_then(|start| start.parse().ok());
-        html! {
-            tr {
-                td { @if let Some(start_ns) = start_ns { (calendar::format_day(start_ns)) } }
-                th scope="row" .words {
-                    @match &row.page {
-                        Some(page) => { a href=(page_link(page)) { (row.path) } }
-                        None => { (row.path) }
-                    }
-                }
-                td { (row.subject.arm_label()) }
-                td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
-                td { (row.codes.join(", ")) }
-            }
-        }
+        vec![
+            match &row.page {
+                Some(page) => html! { a href=(page_link(page)) { (row.path) } },
+                None => html! { (row.path) },
+            },
+            html! { @if let Some(start_ns) = start_ns { (calendar::format_day(start_ns)) } },
+            html! { (row.subject.arm_label()) },
+            match row.verdict {
+                Some(verdict) => html! { (verdict) },
+                None => html! { (row.status.name().replace('_', " ")) },
+            },
+            html! { (row.codes.join(", ")) },
+        ]
     })
 }
 
 /// Content of the columns.
 fn datasets(report: &FleetReport) -> Markup {
-    let rows: Vec<(&DatasetRow, String, String, &str)> = report
-        .datasets
-        .iter()
-        .flat_map(|dataset| {
-            let robot = dataset.robot.iter().map(move |robot| {
-                (dataset, "arm".to_owned(), robot.clone(), "all sampled logs agree")
-            });
-            let columns = dataset.columns.iter().map(move |row| {
-                (dataset, row.is.clone(), row.columns.join(", "), row.why.as_str())
-            });
-            let open = dataset
-                .open_question
-                .iter()
-                .map(move |open| (dataset, "open".to_owned(), String::new(), open.as_str()));
-            robot.chain(columns).chain(open)
-        })
-        .collect();
-    table("datasets", "Columns", &["dataset", "what", "columns", "by"], &rows, |row| {
-        let (dataset, cell, columns, why) = row;
-        html! {
-            tr {
-                th scope="row" .words { (dataset.dataset) }
-                td { (cell) }
-                td .words { (columns) }
-                td .words { (why) }
-            }
-        }
+    let rows: Vec<[String; 4]> = report.datasets.iter().flat_map(dataset_rows).collect();
+    section("datasets", "Columns", &["dataset", "content", "columns", "by"], &rows, |row| {
+        row.iter().map(|cell| html! { (cell) }).collect()
     })
 }
 
-fn errors(report: &FleetReport) -> Markup {
-    table("errors", "Not audited", &["log", "", "what"], &report.errors, |row| {
-        html! {
-            tr {
-                th scope="row" { (row.path) }
-                td { (row.status.name()) }
-                td .words { (row.what) "; " (row.remedy) }
-            }
-        }
+fn dataset_rows(dataset: &DatasetRow) -> Vec<[String; 4]> {
+    let row = |content: &str, columns: String, why: &str| {
+        [dataset.dataset.clone(), content.to_owned(), columns, why.to_owned()]
+    };
+    let robot =
+        dataset.robot.iter().map(|robot| row("arm", robot.clone(), "all sampled logs agree"));
+    let columns = dataset.columns.iter().map(|of| row(&of.is, of.columns.join(", "), &of.why));
+    let open = dataset.open_question.iter().map(|open| row("open", String::new(), open));
+    robot.chain(columns).chain(open).collect()
+}
+
+fn failures(report: &FleetReport) -> Markup {
+    let groups = FailureGroup::group(&report.errors);
+    section("errors", "Not audited", &["reason", "logs", "what to do"], &groups, |group| {
+        let [what, paths, _] = group.lines();
+        vec![html! { (what) }, html! { (paths) }, html! { (group.remedy) }]
     })
 }
 
-fn trends(report: &FleetReport) -> Markup {
-    table("trends", "Trends", &["rule", "arm", "of", "", ""], &report.trends, |row| {
-        html! {
-            tr {
-                th scope="row" { code { (row.code) } }
-                td { (row.subject.arm_label()) }
-                td { (row.subject.part_label()) }
-                td { (row.kind.name()) }
-                td .words { (row.summary()) }
-            }
-        }
-    })
+/// Determined trends one by one, the others by rule.
+fn all_trends(report: &FleetReport) -> Markup {
+    let is_determined = |row: &&TrendRow| row.kind != TrendKind::Undetermined;
+    let determined: Vec<&TrendRow> = report.trends.iter().filter(is_determined).collect();
+    let undetermined: Vec<_> = trends::undetermined_by_rule(&report.trends).into_iter().collect();
+    let heads = ["rule", "arm", "subject", "trend", "change"];
+    html! {
+        (section("trends", "All trends", &heads, &determined, |row| vec![
+            html! { code { (row.code) } },
+            html! { (row.subject.arm_label()) },
+            html! { (row.subject.part_label()) },
+            html! { (row.kind.name()) },
+            html! { (row.summary()) },
+        ]))
+        (section("undetermined", "Trends not determined", &["rule", "estimates"], &undetermined, |row| {
+            let (code, counts) = row;
+            vec![html! { code { (code) } }, html! { (trends::undetermined_text(*counts)) }]
+        }))
+    }
 }
 
 /// Empty without rows.
-fn table<T>(
+fn section<T>(
     id: &str,
     title: &str,
     heads: &[&str],
     rows: &[T],
-    row: impl Fn(&T) -> Markup,
+    cells: impl Fn(&T) -> Vec<Markup>,
 ) -> Markup {
     html! {
         @if !rows.is_empty() {
             section id=(id) aria-labelledby={ (id) "-title" } {
                 h2 id={ (id) "-title" } { (title) }
-                div .scroll tabindex="0" role="region" aria-labelledby={ (id) "-title" } {
-                    table {
-                        thead { tr { @for head in heads { th scope="col" { (head) } } } }
-                        tbody { @for one in rows.iter().take(MAX_ROWS) { (row(one)) } }
+                (table(&format!("{id}-title"), heads, rows, cells))
+            }
+        }
+    }
+}
+
+/// Each row becomes a block on a narrow screen, where every cell names its column. The first cell is the
+/// heading of its row.
+fn table<T>(
+    title_id: &str,
+    heads: &[&str],
+    rows: &[T],
+    cells: impl Fn(&T) -> Vec<Markup>,
+) -> Markup {
+    html! {
+        table .stack aria-labelledby=(title_id) {
+            thead { tr { @for head in heads { th scope="col" { (head) } } } }
+            tbody {
+                @for row in rows.iter().take(MAX_ROWS) {
+                    tr {
+                        @for (index, (head, cell)) in heads.iter().zip(cells(row)).enumerate() {
+                            @if index == 0 {
+                                th scope="row" { (cell) }
+                            } @else {
+                                td data-head=(head) { (cell) }
+                            }
+                        }
                     }
                 }
-                @if rows.len() > MAX_ROWS {
-                    p .note { "and " (rows.len() - MAX_ROWS) " more, which the JSON report lists" }
-                }
             }
+        }
+        @if rows.len() > MAX_ROWS {
+            p .note { "and " (rows.len() - MAX_ROWS) " more, which the JSON report lists" }
         }
     }
 }

@@ -3,7 +3,8 @@
 use std::io::{self, Write};
 
 use super::text::{arm_text, frequency_text, header_lines, totals_text};
-use super::{FindingRow, FleetReport};
+use super::{FindingRow, FleetReport, trends};
+use crate::fleet::FailureGroup;
 use crate::report::markdown::{escape_prose, inline_code};
 
 /// JSON and HTML contain more.
@@ -14,11 +15,12 @@ const MAX_ROWS: usize = 20;
 /// # Errors
 /// If `out` cannot be written.
 pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
-    let word = if report.failing { "FAIL" } else { "PASS" };
-    writeln!(out, "## Pose audit: {word}\n\n{}\n", escape_prose(&totals_text(report)))?;
+    let verdict = report.verdict();
+    writeln!(out, "## Pose audit: {verdict}\n\n{}\n", escape_prose(&totals_text(report)))?;
     for (label, text) in header_lines(report) {
         writeln!(out, "- {label}: {}", escape_prose(&text))?;
     }
+    writeln!(out, "- trends: {}", escape_prose(&trends::counts_text(&report.trends)))?;
     report.arms.iter().try_for_each(|row| writeln!(out, "- {}", escape_prose(&arm_text(row))))?;
     for dataset in &report.datasets {
         let lines = dataset.lines();
@@ -48,11 +50,17 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     }
     report.findings.iter().take(MAX_ROWS).try_for_each(|row| write_finding(row, out))?;
     if !report.errors.is_empty() {
-        writeln!(out, "\n| not audited | why |\n|---|---|")?;
+        writeln!(out, "\n| not audited | logs | what to do |\n|---|---|---|")?;
     }
-    let mut errors = report.errors.iter().take(MAX_ROWS);
-    errors.try_for_each(|row| {
-        writeln!(out, "| {} | {} |", inline_code(&row.path), escape_prose(&row.what))
+    for group in FailureGroup::group(&report.errors).iter().take(MAX_ROWS) {
+        let [what, paths, _] = group.lines();
+        let [what, remedy] = [&what, group.remedy].map(escape_prose);
+        writeln!(out, "| {what} | {} | {remedy} |", inline_code(&paths))?;
+    }
+    writeln!(out, "\nNext:\n")?;
+    report.next_commands().iter().try_for_each(|next| {
+        let purpose = escape_prose(&next.purpose);
+        writeln!(out, "- {}: {purpose}", inline_code(&next.command))
     })
 }
 

@@ -5,6 +5,7 @@ mod calendar;
 mod finding_rows;
 mod html;
 mod markdown;
+mod next_commands;
 mod table_part;
 mod text;
 mod trends;
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::outcomes::{Statuses, Verdicts};
+use super::outcomes::{Failure, Statuses, Verdicts};
 use super::store::{Status, Store, StoreError, StoredDataset};
 use crate::checks::Selector;
 use crate::finding::Severity;
@@ -68,7 +69,10 @@ pub struct FleetReport {
     /// Found trends first.
     pub trends: Vec<TrendRow>,
     /// Logs not audited.
-    pub errors: Vec<ErrorRow>,
+    pub errors: Vec<Failure>,
+    /// Folder of the results.
+    #[serde(skip)]
+    pub folder: PathBuf,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -188,6 +192,8 @@ pub struct ArmRow {
     pub subject: FleetSubject,
     /// Logs.
     pub logs: usize,
+    /// Logs without an audit.
+    pub not_audited: usize,
     /// Logs by verdict.
     pub verdicts: Verdicts,
     /// Logs with warnings or errors, by rule.
@@ -261,20 +267,6 @@ pub struct WorstLog {
     pub path: String,
 }
 
-/// Log not audited.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub struct ErrorRow {
-    /// Path.
-    pub path: String,
-    /// Audit status.
-    pub status: Status,
-    /// Problem.
-    pub what: String,
-    /// Remedy.
-    #[serde(rename = "do")]
-    pub remedy: String,
-}
-
 impl FleetReport {
     /// Makes page paths below `folder` relative.
     pub fn with_links_relative_to(mut self, folder: &Path) -> Self {
@@ -312,7 +304,20 @@ impl FleetReport {
             findings: data.findings,
             trends,
             errors: data.errors,
+            folder: store.path().to_owned(),
         })
+    }
+
+    /// No pass if a log was not audited or not decided.
+    pub fn verdict(&self) -> Verdict {
+        let verdicts = &self.logs.verdicts;
+        let is_open = verdicts.inconclusive > 0 || !self.errors.is_empty();
+        let is_decided = verdicts.pass + verdicts.fail > 0;
+        match self.failing {
+            true => Verdict::Fail,
+            false if is_open || !is_decided => Verdict::Inconclusive,
+            false => Verdict::Pass,
+        }
     }
 
     /// Trends found.

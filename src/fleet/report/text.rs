@@ -4,9 +4,10 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 
-use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
+use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar, trends};
 use crate::finding::Severity;
-use crate::report::sanitize;
+use crate::fleet::FailureGroup;
+use crate::report::{Verdict, sanitize};
 
 const LABEL_WIDTH: usize = 16;
 
@@ -19,7 +20,7 @@ const INFO: Style = AnsiColor::Cyan.on_default().bold();
 const GOOD: Style = AnsiColor::Green.on_default().bold();
 const STRONG: Style = Style::new().bold();
 
-/// Writes the report.
+/// Writes the report. The verdict and the next commands come last.
 ///
 /// # Errors
 /// If `out` cannot be written.
@@ -27,9 +28,6 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     for (label, text) in header_lines(report) {
         write_line(out, Style::new(), label, &text)?;
     }
-    writeln!(out)?;
-    let (style, word) = if report.failing { (ERROR, "FAIL") } else { (GOOD, "PASS") };
-    write_line(out, style, word, &totals_text(report))?;
     for dataset in &report.datasets {
         let mut label = "dataset";
         for text in dataset.lines() {
@@ -43,14 +41,29 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
             format!("{} {}: {}", row.subject.arm_label(), row.subject.part_label(), row.summary());
         write_line(out, WARNING, &format!("{} {}", row.kind.name(), row.code), &what)
     })?;
-    let found: Vec<&FindingRow> = report.findings.iter().collect();
-    write_rows(out, &found, |out, row| write_finding(row, out))?;
-    let arms: Vec<&ArmRow> = report.arms.iter().collect();
-    write_rows(out, &arms, |out, row| write_line(out, STRONG, "arm", &arm_text(row)))?;
-    let errors: Vec<_> = report.errors.iter().collect();
-    write_rows(out, &errors, |out, row| {
-        write_line(out, ERROR, "not audited", &format!("{}: {}", row.path, row.what))
-    })
+    write_rows(out, &report.findings, write_finding)?;
+    write_rows(out, &report.arms, |out, row| write_line(out, STRONG, "arm", &arm_text(row)))?;
+    write_rows(out, &FailureGroup::group(&report.errors), |out, group| {
+        let [what, paths, remedy] = group.lines();
+        write_line(out, ERROR, "not audited", &what)?;
+        write_line(out, Style::new(), "", &paths)?;
+        write_line(out, Style::new(), "", &remedy)
+    })?;
+    writeln!(out)?;
+    write_line(out, STRONG, "trends", &trends::counts_text(&report.trends))?;
+    let verdict = report.verdict();
+    let style = match verdict {
+        Verdict::Pass => GOOD,
+        Verdict::Inconclusive => WARNING,
+        Verdict::Fail => ERROR,
+    };
+    write_line(out, style, &verdict.to_string(), &totals_text(report))?;
+    let mut label = "next";
+    for next in report.next_commands() {
+        write_line(out, STRONG, label, &format!("{}    # {}", next.command, next.purpose))?;
+        label = "";
+    }
+    Ok(())
 }
 
 pub fn header_lines(report: &FleetReport) -> Vec<(&'static str, String)> {
@@ -100,11 +113,26 @@ pub fn totals_text(report: &FleetReport) -> String {
     parts.join(", ")
 }
 
+/// `berlin / cell1: 16 logs, 9 pass, 7 fail: ZER001 in 7`.
 pub fn arm_text(row: &ArmRow) -> String {
     let fails: Vec<String> =
         row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs)).collect();
-    let fails = if fails.is_empty() { "no problems found".to_owned() } else { fails.join(", ") };
-    format!("{}: {} logs, {} fail: {fails}", row.subject.arm_label(), row.logs, row.verdicts.fail)
+    let fails = if fails.is_empty() { String::new() } else { format!(": {}", fails.join(", ")) };
+    format!("{}: {}{fails}", row.subject.arm_label(), arm_counts(row))
+}
+
+/// `16 logs, 9 pass, 7 fail`.
+pub fn arm_counts(row: &ArmRow) -> String {
+    let counts = [
+        (row.verdicts.pass, "pass"),
+        (row.verdicts.fail, "fail"),
+        (row.verdicts.inconclusive, "inconclusive"),
+        (row.not_audited, "not audited"),
+    ];
+    let logs = format!("{} {}", row.logs, if row.logs == 1 { "log" } else { "logs" });
+    let present = counts.iter().filter(|(count, _)| *count > 0);
+    let parts = present.map(|(count, how)| format!("{count} {how}"));
+    std::iter::once(logs).chain(parts).collect::<Vec<_>>().join(", ")
 }
 
 pub fn frequency_text(row: &FindingRow) -> String {
@@ -116,7 +144,7 @@ pub fn frequency_text(row: &FindingRow) -> String {
     }
 }
 
-fn write_finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
+fn write_finding(out: &mut dyn Write, row: &FindingRow) -> io::Result<()> {
     let style = match row.severity {
         Severity::Error => ERROR,
         Severity::Warning => WARNING,

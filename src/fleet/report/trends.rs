@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::calendar::DAY_NS;
@@ -92,7 +94,7 @@ impl TrendKind {
             TrendKind::Creeps => "creeps",
             TrendKind::Stepped => "stepped",
             TrendKind::Steady => "steady",
-            TrendKind::Undetermined => "untold",
+            TrendKind::Undetermined => "not determined",
         }
     }
 }
@@ -336,6 +338,43 @@ impl TrendRow {
     }
 }
 
+/// Undetermined estimates of each rule: those in too few logs, and those with an insignificant change.
+pub(super) fn undetermined_by_rule(rows: &[TrendRow]) -> BTreeMap<&str, [usize; 2]> {
+    let mut by_rule: BTreeMap<&str, [usize; 2]> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.kind == TrendKind::Undetermined) {
+        by_rule.entry(&row.code).or_default()[usize::from(row.level.is_some())] += 1;
+    }
+    by_rule
+}
+
+/// `8 not determined: not significant`; with several reasons, `560 not determined: 552 in fewer than 4
+/// dated logs, 8 not significant`. Empty if all are determined.
+pub(super) fn undetermined_text([too_few, insignificant]: [usize; 2]) -> String {
+    let few = format!("in fewer than {MIN_RUNS} dated logs");
+    let reasons = match [too_few, insignificant] {
+        [0, 0] => return String::new(),
+        [0, _] => "not significant".to_owned(),
+        [_, 0] => few,
+        _ => format!("{too_few} {few}, {insignificant} not significant"),
+    };
+    format!("{} not determined: {reasons}", too_few + insignificant)
+}
+
+/// `2 found, 46 steady, 560 not determined: 552 in fewer than 4 dated logs, 8 not significant`.
+pub(super) fn counts_text(rows: &[TrendRow]) -> String {
+    if rows.is_empty() {
+        return "not checked: the logs have no estimate with an interval".to_owned();
+    }
+    let found = rows.iter().filter(|row| row.kind.is_trend()).count();
+    let steady = rows.iter().filter(|row| row.kind == TrendKind::Steady).count();
+    let undetermined = undetermined_by_rule(rows).into_values();
+    let undetermined = undetermined.fold([0, 0], |all, one| [all[0] + one[0], all[1] + one[1]]);
+    let mut parts = vec![format!("{found} found"), format!("{steady} steady")];
+    parts.push(undetermined_text(undetermined));
+    parts.retain(|part| !part.is_empty());
+    parts.join(", ")
+}
+
 /// Numbers in a path sort by value.
 pub(super) fn natural_sort_key(path: &str) -> Vec<(u64, String)> {
     let mut parts: Vec<(u64, String)> = Vec::new();
@@ -344,4 +383,48 @@ pub(super) fn natural_sort_key(path: &str) -> Vec<(u64, String)> {
         parts.push((digits.parse().unwrap_or(0), part[digits.len()..].to_owned()));
     }
     parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULE: &str = "LAT001";
+
+    /// Latencies of one topic, a day apart.
+    fn series(topic: &str, values_s: &[f64], half_width_s: f64) -> EstimateSeries {
+        let point = |(day, value): (usize, &f64)| TrendPoint {
+            at: TrendPosition::Time(calendar::FIRST_CALENDAR_NS + day as i64 * DAY_NS),
+            value: *value,
+            ci95: [value - half_width_s, value + half_width_s],
+            path: format!("{day}.mcap"),
+        };
+        EstimateSeries {
+            code: RULE.to_owned(),
+            name: "latency".to_owned(),
+            unit: "s".to_owned(),
+            subject: FleetSubject { topic: Some(topic.to_owned()), ..FleetSubject::default() },
+            points: values_s.iter().enumerate().map(point).collect(),
+        }
+    }
+
+    #[test]
+    fn undetermined_trends_are_counted_with_their_reason() {
+        assert!(counts_text(&[]).starts_with("not checked"));
+        let steady = series("/steady", &[0.0, 1e-6, 0.0, 1e-6, 0.0, 1e-6], 1e-5);
+        let few = series("/few", &[0.0, 1e-3, 2e-3], 1e-5);
+        let noisy = series("/noisy", &[0.0, 9e-3, -9e-3, 0.0, 9e-3, -9e-3], 1e-3);
+        let text = |all: &[&EstimateSeries]| {
+            counts_text(&trend_rows(all.iter().map(|&one| one.clone()).collect()))
+        };
+        assert_eq!(text(&[&steady]), "0 found, 1 steady");
+        assert_eq!(
+            text(&[&steady, &few]),
+            "0 found, 1 steady, 1 not determined: in fewer than 4 dated logs"
+        );
+        assert_eq!(
+            text(&[&few, &few, &noisy]),
+            "0 found, 0 steady, 3 not determined: 2 in fewer than 4 dated logs, 1 not significant"
+        );
+    }
 }

@@ -1,18 +1,22 @@
-//! Findings as an MCAP file for Foxglove, to open next to the log. Both schemas are JSON.
+//! Findings and errors as an MCAP file for Foxglove, to open next to the log, and a layout that shows them.
+//! The schemas are JSON.
 //!
 //! | topic | schema | content |
 //! |---|---|---|
 //! | `/poseaudit/log` | `foxglove.Log` | the verdict, and each finding at its start |
+//! | `/poseaudit/error/TOPIC` | `poseaudit.Error` | errors of a pose stream against FK, and their limits |
 //! | `/poseaudit/scene` | `foxglove.SceneUpdate` | logged and FK pose of a stream's tool, with its findings |
 //!
-//! Frame names are those of the log, so the scene is part of its frame tree.
+//! Frame names are the log's, so the scene is part of its frame tree.
 
+mod errors;
+mod layout;
 mod schema;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Cursor;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
@@ -34,30 +38,55 @@ const MAX_SCENES: usize = 2_000;
 const LOG_TOPIC: &str = "/poseaudit/log";
 const SCENE_TOPIC: &str = "/poseaudit/scene";
 
-/// Registers the file.
+const LOG_SCHEMA: &str = "foxglove.Log";
+const SCENE_SCHEMA: &str = "foxglove.SceneUpdate";
+const ERROR_SCHEMA: &str = "poseaudit.Error";
+
+/// Registers the messages and their layout.
 pub fn register_outputs(path: &Path, places: &mut PathRegistry) {
     places.add_output("--mcap", path);
+    places.add_output("--mcap", &layout_path(path));
+}
+
+/// `run.mcap` has the layout `run.layout.json`.
+pub fn layout_path(path: &Path) -> PathBuf {
+    path.with_extension("layout.json")
 }
 
 impl Audited {
-    /// Writes the findings as Foxglove messages.
+    /// Writes findings and errors as Foxglove messages, and the layout next to them.
     ///
     /// # Errors
-    /// If the file cannot be written or would replace an input file.
+    /// If a file cannot be written or would replace an input file.
     pub fn write_foxglove(&self, path: &Path) -> Result<(), Trouble> {
         let mut places = self.read.clone();
         register_outputs(path, &mut places);
         places.check()?;
         let remedy = "set --mcap to a writable file";
-        let unwritable = |what: String| Trouble::unwritable(path, what, remedy);
-        let bytes = encode_mcap(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
-        let write = |staged: &Path| fs::write(staged, &bytes);
-        write_whole(path, write).map_err(|error| unwritable(error.to_string()))
+        let messages = messages(self);
+        let bytes = encode_mcap(&messages)
+            .map_err(|error| Trouble::unwritable(path, error.to_string(), remedy))?;
+        let layout = format!("{:#}\n", self.foxglove_layout(&messages));
+        for (path, content) in [(path, bytes), (&layout_path(path), layout.into_bytes())] {
+            write_whole(path, |staged| fs::write(staged, &content))
+                .map_err(|error| Trouble::unwritable(path, error.to_string(), remedy))?;
+        }
+        Ok(())
+    }
+
+    fn foxglove_layout(&self, messages: &[Message]) -> Value {
+        let errors = messages.iter().filter(|message| message.schema == ERROR_SCHEMA);
+        let topics: BTreeSet<String> = errors.map(|message| message.topic.clone()).collect();
+        let topics: Vec<String> = topics.into_iter().collect();
+        let mut streams = self.evidence.robots.iter().flat_map(|arm| &arm.poses);
+        let frame = streams.next().map(|stream| stream.reference.as_str());
+        layout::layout(&topics, frame)
     }
 }
 
 struct Message {
-    topic: &'static str,
+    topic: String,
+    schema: &'static str,
     at: Stamp,
     content: Value,
 }
@@ -70,12 +99,16 @@ fn messages(audited: &Audited) -> Vec<Message> {
     let mut messages = vec![log_message(start, 2, "verdict", &verdict)];
     messages
         .extend(report.findings.iter().map(|finding| finding_message(finding, &outline, start)));
-    let streams = evidence.robots.iter().flat_map(|arm| &arm.poses);
-    for stream in streams.filter(|stream| stream.reference_known) {
-        messages.extend(scene_messages(stream, report, run.origin));
+    for arm in &evidence.robots {
+        for stream in &arm.poses {
+            messages.extend(errors::error_messages(&arm.name, stream, report, run.origin));
+            if stream.reference_known {
+                messages.extend(scene_messages(stream, report, run.origin));
+            }
+        }
     }
     messages.retain(|message| (start..=end).contains(&message.at));
-    messages.sort_by_key(|message| (message.at, message.topic));
+    messages.sort_by(|a, b| (a.at, &a.topic).cmp(&(b.at, &b.topic)));
     messages
 }
 
@@ -103,7 +136,7 @@ fn log_message(at: Stamp, level: u8, code: &str, text: &str) -> Message {
         "file": code,
         "line": 0,
     });
-    Message { topic: LOG_TOPIC, at, content }
+    Message { topic: LOG_TOPIC.to_owned(), schema: LOG_SCHEMA, at, content }
 }
 
 /// Logged and FK pose of a stream's tool. Empty without findings.
@@ -139,7 +172,7 @@ fn scene_messages(
             "models": [],
         });
         let content = json!({ "deletions": [], "entities": [entity] });
-        Message { topic: SCENE_TOPIC, at, content }
+        Message { topic: SCENE_TOPIC.to_owned(), schema: SCENE_SCHEMA, at, content }
     };
     thin::even_rows(aligned.t_s.len(), MAX_SCENES).into_iter().map(scene).collect()
 }
@@ -206,19 +239,26 @@ fn encode_mcap(messages: &[Message]) -> Result<Vec<u8>, McapError> {
         .compression(Some(Compression::Zstd))
         .compression_threads(0);
     let mut writer = options.create(Cursor::new(Vec::new()))?;
-    let mut channels = BTreeMap::new();
-    for (topic, name, schema) in [
-        (LOG_TOPIC, "foxglove.Log", schema::log()),
-        (SCENE_TOPIC, "foxglove.SceneUpdate", schema::scene()),
+    let mut schemas = BTreeMap::new();
+    for (name, schema) in [
+        (LOG_SCHEMA, schema::log()),
+        (SCENE_SCHEMA, schema::scene()),
+        (ERROR_SCHEMA, schema::error()),
     ] {
-        let schema = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
-        let channel = writer.add_channel(schema, topic, "json", &BTreeMap::new())?;
+        let id = writer.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
+        schemas.insert(name, id);
+    }
+    let topics: BTreeMap<&str, &str> =
+        messages.iter().map(|message| (message.topic.as_str(), message.schema)).collect();
+    let mut channels = BTreeMap::new();
+    for (topic, schema) in topics {
+        let channel = writer.add_channel(schemas[schema], topic, "json", &BTreeMap::new())?;
         channels.insert(topic, channel);
     }
     for (sequence, message) in messages.iter().enumerate() {
         let at = message.at.nanos().cast_unsigned();
         let header = MessageHeader {
-            channel_id: channels[message.topic],
+            channel_id: channels[message.topic.as_str()],
             sequence: sequence as u32,
             log_time: at,
             publish_time: at,

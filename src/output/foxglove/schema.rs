@@ -1,4 +1,5 @@
-//! JSON schemas of `foxglove.Log` and `foxglove.SceneUpdate`, with the fields that Foxglove documents.
+//! JSON schemas: `foxglove.Log` and `foxglove.SceneUpdate` with the fields that Foxglove documents, and
+//! `poseaudit.Error`.
 
 use serde_json::{Map, Value, json};
 
@@ -41,6 +42,20 @@ pub fn log() -> Value {
         ("name", type_schema("string")),
         ("file", type_schema("string")),
         ("line", type_schema("integer")),
+    ])
+}
+
+/// Millimetres and degrees, for plots. A limit that is switched off is null.
+pub fn error() -> Value {
+    object([
+        ("timestamp", time()),
+        ("robot", type_schema("string")),
+        ("position_mm", type_schema("number")),
+        ("rotation_deg", type_schema("number")),
+        ("corrected_position_mm", type_schema("number")),
+        ("corrected_rotation_deg", type_schema("number")),
+        ("position_limit_mm", type_schema("number")),
+        ("rotation_limit_deg", type_schema("number")),
     ])
 }
 

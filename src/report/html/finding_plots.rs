@@ -8,7 +8,7 @@ mod specific;
 use super::bars::{Bar, Bars, Whisker, Whiskers};
 use super::plane::Plane;
 use super::plot::{Plot, PlotLimit, PlotMark, PlotSeries, PlotStyle, SeriesRole};
-use crate::checks::{self, LAT001, Rule, ZER001};
+use crate::checks::{self, LAT001, Rule, YAW001, ZER001};
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Picture, Status, Unit};
 use crate::geometry::RotationError;
 use crate::report::Report;
@@ -40,30 +40,83 @@ impl FindingPlots {
     }
 }
 
-/// A shared plot appears with the first finding that uses it.
-pub fn plot_findings(report: &Report) -> Vec<FindingPlots> {
-    let none = Figures::default();
-    let figures = report.figures.as_ref().unwrap_or(&none);
-    let mut first_in: BTreeMap<(&str, String, String), usize> = BTreeMap::new();
-    let findings = report.findings.iter().enumerate();
-    findings
-        .map(|(index, finding)| {
+/// Line plots of a page.
+#[derive(Debug, Default)]
+pub struct PagePlots {
+    /// By finding. A shared plot appears with the first finding that uses it.
+    pub findings: Vec<FindingPlots>,
+    /// Errors of the streams, unless a finding shows them.
+    pub streams: Vec<Plot>,
+}
+
+impl PagePlots {
+    pub fn new(report: &Report) -> Self {
+        let none = Figures::default();
+        let figures = report.figures.as_ref().unwrap_or(&none);
+        let mut first_in: BTreeMap<(&str, String, String), usize> = BTreeMap::new();
+        let mut findings = Vec::new();
+        for (index, finding) in report.findings.iter().enumerate() {
             let mut evidence = FindingContext { report, figures, finding, index }.plots();
             let plots = std::mem::take(&mut evidence.plots);
             for plot in plots {
-                let key = (plot.title, plot.robot.clone(), plot.stream.clone());
-                match first_in.get(&key) {
+                match first_in.get(&plot.key()) {
                     Some(&first) if first == index => {}
                     Some(&first) => evidence.shown_by.push((first, plot.title)),
                     None => {
-                        first_in.insert(key, index);
+                        first_in.insert(plot.key(), index);
                         evidence.plots.push(plot);
                     }
                 }
             }
-            evidence
-        })
-        .collect()
+            findings.push(evidence);
+        }
+        let mut streams = stream_errors(report, figures);
+        streams.retain(|plot| !plot.is_empty() && !first_in.contains_key(&plot.key()));
+        Self { findings, streams }
+    }
+
+    /// All line plots with their ids.
+    pub fn line_plots(&self) -> impl Iterator<Item = (String, &Plot)> {
+        let of_findings = self.findings.iter().enumerate().flat_map(|(finding, evidence)| {
+            let plots = evidence.plots.iter().enumerate();
+            plots.map(move |(plot, drawn)| (finding_plot_id(finding, plot), drawn))
+        });
+        let streams = self.streams.iter().enumerate();
+        of_findings.chain(streams.map(|(stream, drawn)| (stream_plot_id(stream), drawn)))
+    }
+
+    /// Keeps the first `most` plots; returns the number of others.
+    pub fn truncate(&mut self, most: usize) -> usize {
+        let mut room = most;
+        let mut omitted = 0;
+        let of_findings = self.findings.iter_mut().map(|evidence| &mut evidence.plots);
+        for plots in of_findings.chain([&mut self.streams]) {
+            omitted += plots.len().saturating_sub(room);
+            plots.truncate(room);
+            room -= plots.len();
+        }
+        omitted
+    }
+}
+
+/// Indices start at 0.
+pub fn finding_plot_id(finding: usize, plot: usize) -> String {
+    format!("plot-{}-{}", finding + 1, plot + 1)
+}
+
+/// Index in [`PagePlots::streams`].
+pub fn stream_plot_id(stream: usize) -> String {
+    format!("stream-{}", stream + 1)
+}
+
+/// Errors of all streams, each with its limit in view.
+fn stream_errors(report: &Report, figures: &Figures) -> Vec<Plot> {
+    let poses = figures.poses.iter().flat_map(|pose| {
+        [errors::position_over_time(report, pose), errors::rotation_over_time(report, pose)]
+    });
+    let limit = report.warning_threshold(&YAW001, Unit::RadianPerSecond);
+    let imus = figures.imus.iter().map(|imu| errors::yaw_error(imu, limit));
+    poses.chain(imus).map(|plot| Plot { shows_limits: true, ..plot }).collect()
 }
 
 struct FindingContext<'a> {
@@ -251,6 +304,7 @@ impl FindingContext<'_> {
             mark,
             limits: self.latency_limits(&LAT001, Unit::Second, 1e3),
             style: PlotStyle::Curve,
+            ..Plot::default()
         }
     }
 
@@ -274,6 +328,7 @@ impl FindingContext<'_> {
             mark: self.latency_mark(&imu.topic),
             limits: self.latency_limits(&LAT001, Unit::Second, 1e3),
             style: PlotStyle::Curve,
+            ..Plot::default()
         }
     }
 
@@ -283,7 +338,7 @@ impl FindingContext<'_> {
 
     /// For signed amounts. `factor` converts from SI.
     fn latency_limits(&self, rule: &Rule, unit: Unit, factor: f64) -> Vec<PlotLimit> {
-        let limits = signed_limits(self.report.warning_threshold(rule, unit), unit, factor);
+        let limits = PlotLimit::signed(self.report.warning_threshold(rule, unit), unit, factor);
         limits.into_iter().map(|limit| PlotLimit { is_vertical: true, ..limit }).collect()
     }
 
@@ -311,62 +366,14 @@ impl FindingContext<'_> {
     }
 
     fn yaw_error(&self, imu: &ImuFigure) -> Plot {
-        let t_s: Vec<f64> = imu.yaw_error.iter().map(|at| at[0]).collect();
-        let mut series = vec![PlotSeries {
-            label: "IMU − FK".to_owned(),
-            role: SeriesRole::Before,
-            values: imu.yaw_error.iter().map(|at| at[1].to_degrees()).collect(),
-            half_widths: Vec::new(),
-        }];
-        if let (Cause::YawDrift(drift), [first, .., last]) = (&self.finding.cause, t_s.as_slice()) {
-            let middle = 0.5 * (first + last);
-            series.push(PlotSeries {
-                label: "drift found".to_owned(),
-                role: SeriesRole::Reference,
-                values: t_s.iter().map(|t_s| (drift.value * (t_s - middle)).to_degrees()).collect(),
-                half_widths: Vec::new(),
-            });
+        let mut plot = errors::yaw_error(imu, self.warning_limit(Unit::RadianPerSecond));
+        if let Cause::YawDrift(drift) = &self.finding.cause {
+            let label = "drift found".to_owned();
+            let line = errors::drift_line(&plot.x, drift.value, label, SeriesRole::Reference);
+            plot.series.insert(1, line);
         }
-        if let (Some(rate), [first, .., last]) =
-            (self.warning_limit(Unit::RadianPerSecond), t_s.as_slice())
-        {
-            let middle = 0.5 * (first + last);
-            series.push(PlotSeries {
-                label: format!("limit {}", Unit::RadianPerSecond.show(rate)),
-                role: SeriesRole::Limit,
-                values: t_s.iter().map(|t_s| (rate * (t_s - middle)).to_degrees()).collect(),
-                half_widths: Vec::new(),
-            });
-        }
-        Plot {
-            title: "IMU yaw − FK yaw",
-            robot: imu.robot.clone(),
-            stream: imu.topic.clone(),
-            caption: "A slope is drift; a good IMU stays flat.".to_owned(),
-            x: t_s,
-            x_label: "time, s",
-            y_label: "°",
-            series,
-            ..Plot::default()
-        }
+        plot
     }
-}
-
-/// `factor` converts from SI.
-fn signed_limits(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<PlotLimit> {
-    let label = limit.map_or(String::new(), |limit| format!("limit ±{}", unit.show(limit)));
-    let ends =
-        limit.into_iter().flat_map(|limit| [(-limit, String::new()), (limit, label.clone())]);
-    ends.map(|(at, label)| PlotLimit { at: at * factor, is_vertical: false, label }).collect()
-}
-
-fn upper_limit(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<PlotLimit> {
-    let limit = limit.map(|limit| PlotLimit {
-        at: limit * factor,
-        is_vertical: false,
-        label: format!("limit {}", unit.show(limit)),
-    });
-    limit.into_iter().collect()
 }
 
 fn whiskers(row: &CheckRow) -> Vec<Whisker> {

@@ -22,8 +22,8 @@ use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
 pub(crate) use self::bars::css_percent;
-use self::finding_plots::{FindingPlots, plot_findings};
-pub(crate) use self::plot::{Plot, PlotSeries, PlotStyle, SeriesRole};
+use self::finding_plots::PagePlots;
+pub(crate) use self::plot::{Plot, PlotLimit, PlotSeries, PlotStyle, SeriesRole};
 use self::sections::PageSections;
 use super::outline::Outline;
 use super::{Report, Verdict};
@@ -47,18 +47,11 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
 
 fn page(report: &Report) -> Markup {
     let outline = Outline::new(report);
-    let mut finding_plots = plot_findings(report);
-    let omitted_plots = limit_plots(&mut finding_plots);
-    let plots: usize = finding_plots.iter().map(|evidence| evidence.plots.len()).sum();
+    let mut plots = PagePlots::new(report);
+    let omitted_plots = plots.truncate(MAX_PLOTS);
     let [least, most] = MIN_MAX_ROWS_OF_PLOT;
-    let rows = (MAX_ROWS / plots.max(1)).clamp(least, most);
-    let parts = PageSections {
-        report,
-        outline: &outline,
-        finding_plots: &finding_plots,
-        rows,
-        omitted_plots,
-    };
+    let rows = (MAX_ROWS / plots.line_plots().count().max(1)).clamp(least, most);
+    let parts = PageSections { report, outline: &outline, plots: &plots, rows, omitted_plots };
     let title = format!("{} · {}", report.verdict, parts.name());
     let body = html! {
         a .skip href="#findings" { "Skip to the findings" }
@@ -69,11 +62,12 @@ fn page(report: &Report) -> Markup {
                 p .note { "The plots need JavaScript; their values are in the tables under them." }
             }
             (parts.findings())
+            (parts.stream_errors())
             (parts.details())
         }
         (parts.footer())
     };
-    page_shell(&title, verdict_class(report), &body, plot_data(&finding_plots, rows))
+    page_shell(&title, verdict_class(report), &body, plot_data(&plots, rows))
 }
 
 /// Self-contained page. Only the scripts that draw `plots` may run; `plots` maps ids in the body to
@@ -120,29 +114,8 @@ const fn verdict_class(report: &Report) -> &'static str {
     }
 }
 
-/// Both indices start at 0.
-fn plot_id(finding: usize, plot: usize) -> String {
-    format!("plot-{}-{}", finding + 1, plot + 1)
-}
-
-/// Drops plots beyond [`MAX_PLOTS`]; returns their number.
-fn limit_plots(finding_plots: &mut [FindingPlots]) -> usize {
-    let (mut drawn, mut omitted) = (0, 0);
-    for evidence in finding_plots {
-        let kept = evidence.plots.len().min(MAX_PLOTS - drawn);
-        omitted += evidence.plots.len() - kept;
-        evidence.plots.truncate(kept);
-        drawn += kept;
-    }
-    omitted
-}
-
-fn plot_data(finding_plots: &[FindingPlots], rows: usize) -> Map<String, Value> {
-    let plots = finding_plots.iter().enumerate().flat_map(|(finding, evidence)| {
-        let plots = evidence.plots.iter().enumerate();
-        plots.map(move |(plot, drawn)| (plot_id(finding, plot), drawn.json(rows)))
-    });
-    plots.collect()
+fn plot_data(plots: &PagePlots, rows: usize) -> Map<String, Value> {
+    plots.line_plots().map(|(id, plot)| (id, plot.json(rows))).collect()
 }
 
 /// Escapes `<`, so that no name can end the script element.

@@ -132,7 +132,7 @@
       // A limit that is not far off is shown.
       const size = Math.max(Math.abs(low), Math.abs(high));
       spec.limits.forEach(({ at, along }) => {
-        if (along || Math.abs(at) > 4 * size) return;
+        if (along || (!spec.shows_limits && Math.abs(at) > 4 * size)) return;
         high = Math.max(high, at);
         low = Math.min(low, at);
       });
@@ -153,15 +153,15 @@
       ],
       series: [
         { label: spec.x_label, value: (_, value) => shown(value) },
-        ...spec.series.map(({ label, role }) => ({
+        ...spec.series.map(({ label, role, points }) => ({
           label,
           stroke: () => colour(role),
           width: role === "before" ? 1 : 1.75,
           dash: role === "beside" ? [5, 4] : role === "limit" ? [2, 3] : undefined,
-          paths: spec.points ? () => null : undefined,
+          paths: points ? () => null : undefined,
           points: {
             // Where there is room, uPlot shows those of lines by itself.
-            show: spec.points ? true : undefined,
+            show: points || (role === "beside" ? false : undefined),
             size: spec.x.length > 200 ? 2.5 : 6,
             fill: () => colour(role),
             width: 0,

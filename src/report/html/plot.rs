@@ -3,6 +3,7 @@
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
+use crate::finding::Unit;
 use crate::stats::thin;
 
 const TABLE_ROWS: usize = 20;
@@ -26,6 +27,8 @@ pub struct Plot {
     pub from_zero: bool,
     pub mark: Option<PlotMark>,
     pub limits: Vec<PlotLimit>,
+    /// The vertical axis includes the limits, however small the values.
+    pub shows_limits: bool,
     pub style: PlotStyle,
 }
 
@@ -36,6 +39,26 @@ pub struct PlotLimit {
     pub is_vertical: bool,
     /// Empty if another limit is labelled.
     pub label: String,
+}
+
+impl PlotLimit {
+    /// Both signs of a limit in SI units; `factor` converts to the unit of the plot.
+    pub fn signed(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Self> {
+        let label = limit.map_or(String::new(), |limit| format!("limit ±{}", unit.show(limit)));
+        let ends =
+            limit.into_iter().flat_map(|limit| [(-limit, String::new()), (limit, label.clone())]);
+        ends.map(|(at, label)| Self { at: at * factor, is_vertical: false, label }).collect()
+    }
+
+    /// Limit of a quantity that is never negative, or of its largest magnitude.
+    pub fn upper(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Self> {
+        let limit = limit.map(|limit| Self {
+            at: limit * factor,
+            is_vertical: false,
+            label: format!("limit {}", unit.show(limit)),
+        });
+        limit.into_iter().collect()
+    }
 }
 
 /// One value per `x`.
@@ -83,6 +106,8 @@ pub enum PlotStyle {
     /// Continuous line.
     Curve,
     Points,
+    /// Amounts as points, other series as lines.
+    AmountPoints,
 }
 
 #[derive(Clone, Debug)]
@@ -93,6 +118,11 @@ pub struct PlotMark {
 }
 
 impl Plot {
+    /// Identifies plots of the same data.
+    pub fn key(&self) -> (&'static str, String, String) {
+        (self.title, self.robot.clone(), self.stream.clone())
+    }
+
     pub fn is_empty(&self) -> bool {
         self.x.len() < 2 || self.series.is_empty()
     }
@@ -153,6 +183,7 @@ impl Plot {
                 "role": series.role.name(),
                 "values": broken(&series.values, round_to_digits),
                 "half": half_widths_json(&series.half_widths, &broken),
+                "points": self.has_points(series),
             })
         });
         let mark = self
@@ -167,11 +198,19 @@ impl Plot {
             "x_label": self.x_label,
             "y_label": self.y_label,
             "zero": self.from_zero,
-            "points": self.style == PlotStyle::Points,
+            "shows_limits": self.shows_limits,
             "mark": mark,
             "limits": limits.collect::<Vec<_>>(),
             "series": series.collect::<Vec<_>>(),
         })
+    }
+
+    fn has_points(&self, series: &PlotSeries) -> bool {
+        match self.style {
+            PlotStyle::Time | PlotStyle::Curve => false,
+            PlotStyle::Points => true,
+            PlotStyle::AmountPoints => series.role == SeriesRole::Amount,
+        }
     }
 
     fn decimated_rows(&self, most_rows: usize) -> Vec<usize> {

@@ -3,8 +3,8 @@ use std::iter::once;
 use maud::{Markup, html};
 
 use super::bars::css_percent;
-use super::finding_plots::FindingPlots;
-use super::{frames, plot_id, rule, timeline};
+use super::finding_plots::{FindingPlots, PagePlots, finding_plot_id, stream_plot_id};
+use super::{frames, rule, timeline};
 use crate::checks::{self, Rule};
 use crate::finding::Finding;
 use crate::report::outline::{AmountBound, Outline, PassedChecks};
@@ -13,7 +13,7 @@ use crate::report::{JointCoverage, Report, WorkspaceRow};
 pub struct PageSections<'a> {
     pub report: &'a Report,
     pub outline: &'a Outline<'a>,
-    pub finding_plots: &'a [FindingPlots],
+    pub plots: &'a PagePlots,
     pub rows: usize,
     pub omitted_plots: usize,
 }
@@ -96,7 +96,7 @@ impl PageSections<'_> {
                     @if self.report.findings.is_empty() { "No findings" } @else { "Findings" }
                 }
                 @for (index, (finding, evidence)) in
-                    self.report.findings.iter().zip(self.finding_plots).enumerate()
+                    self.report.findings.iter().zip(&self.plots.findings).enumerate()
                 {
                     (self.finding(index, finding, evidence))
                 }
@@ -104,6 +104,22 @@ impl PageSections<'_> {
                     p .note {
                         (self.omitted_plots) " plots are omitted: a page draws at most "
                         (super::MAX_PLOTS) "."
+                    }
+                }
+            }
+        }
+    }
+
+    /// Streams whose errors no finding shows, each with its limit.
+    pub fn stream_errors(&self) -> Markup {
+        html! {
+            @if !self.plots.streams.is_empty() {
+                section #errors aria-labelledby="errors-title" {
+                    h2 #errors-title { "Error of each stream and its limit" }
+                    div .proof {
+                        @for (stream, plot) in self.plots.streams.iter().enumerate() {
+                            (plot.markup(&stream_plot_id(stream), None, self.rows))
+                        }
                     }
                 }
             }
@@ -145,7 +161,7 @@ impl PageSections<'_> {
                 div .proof {
                     @for whiskers in &evidence.whiskers { (whiskers.markup()) }
                     @for (plot, drawn) in evidence.plots.iter().enumerate() {
-                        (drawn.markup(&plot_id(index, plot), topic, self.rows))
+                        (drawn.markup(&finding_plot_id(index, plot), topic, self.rows))
                     }
                     @for plane in &evidence.planes { (plane.markup()) }
                     @for bars in &evidence.bars { (bars.markup()) }

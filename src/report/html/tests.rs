@@ -1,5 +1,6 @@
 use serde_json::Value;
 
+use super::finding_plots::FindingPlots;
 use super::plot::{Plot, PlotSeries, SeriesRole};
 use super::*;
 use crate::checks::{self, Evaluation};
@@ -226,10 +227,8 @@ fn hostile_names_stay_data() {
         }],
         ..Plot::default()
     };
-    let data = embed_json(plot_data(
-        &[FindingPlots { plots: vec![plot], ..FindingPlots::default() }],
-        100,
-    ));
+    let findings = vec![FindingPlots { plots: vec![plot], ..FindingPlots::default() }];
+    let data = embed_json(plot_data(&PagePlots { findings, streams: Vec::new() }, 100));
     assert!(!data.contains('<'), "{data}");
     let read: Value = serde_json::from_str(&data).expect("JSON");
     assert_eq!(read["plot-1-1"]["series"][0]["label"], HOSTILE);

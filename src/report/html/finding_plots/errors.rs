@@ -1,57 +1,105 @@
-//! Errors of pose streams over time, reach and workspace.
+//! Errors of streams over time, reach and workspace.
 
-use super::{FindingContext, signed_limits, upper_limit};
+use super::FindingContext;
 use crate::checks::MDL001;
 use crate::finding::{Cause, Estimate, Unit};
-use crate::report::figures::{LatencyProfilePoint, PoseFigure};
+use crate::report::Report;
+use crate::report::figures::{ImuFigure, LatencyProfilePoint, PoseFigure};
 use crate::report::html::plane::{Dot, Plane};
-use crate::report::html::plot::{Plot, PlotMark, PlotSeries, PlotStyle, SeriesRole};
+use crate::report::html::plot::{Plot, PlotLimit, PlotMark, PlotSeries, PlotStyle, SeriesRole};
 use crate::time::Stamp;
+
+/// Position error against FK with the limit of the residual check.
+pub fn position_over_time(report: &Report, pose: &PoseFigure) -> Plot {
+    over_time(
+        report,
+        pose,
+        "Position error over time",
+        "Distance of the logged position from forward kinematics",
+        (Unit::Metre, "mm", 1e3),
+        [&pose.before_m, &pose.after_m],
+    )
+}
+
+/// Rotation error against FK with the limit of the residual check.
+pub fn rotation_over_time(report: &Report, pose: &PoseFigure) -> Plot {
+    over_time(
+        report,
+        pose,
+        "Rotation error over time",
+        "Angle of the logged orientation to forward kinematics",
+        (Unit::Radian, "°", 1f64.to_degrees()),
+        [&pose.before_rad, &pose.after_rad],
+    )
+}
+
+fn over_time(
+    report: &Report,
+    pose: &PoseFigure,
+    title: &'static str,
+    what: &str,
+    (si, unit, factor): (Unit, &'static str, f64),
+    [before, after]: [&Vec<f64>; 2],
+) -> Plot {
+    // Without findings there is nothing to correct.
+    let is_uncorrected = report.findings.is_empty() && !before.is_empty();
+    let after = if is_uncorrected { &Vec::new() } else { after };
+    let series = before_and_after([before, after], factor);
+    Plot {
+        title,
+        robot: pose.robot.clone(),
+        stream: pose.topic.clone(),
+        caption: format!("{what}: {}.", max_errors_text(&series, unit)),
+        x: pose.t_s.clone(),
+        x_label: "time, s",
+        y_label: unit,
+        series,
+        from_zero: true,
+        limits: PlotLimit::upper(report.warning_threshold(&MDL001, si), si, factor),
+        ..Plot::default()
+    }
+}
+
+/// Yaw of an IMU against FK, with the drift that `limit` allows per second.
+pub fn yaw_error(imu: &ImuFigure, limit: Option<f64>) -> Plot {
+    let t_s: Vec<f64> = imu.yaw_error.iter().map(|at| at[0]).collect();
+    let error = PlotSeries {
+        label: "IMU − FK".to_owned(),
+        role: SeriesRole::Before,
+        values: imu.yaw_error.iter().map(|at| at[1].to_degrees()).collect(),
+        half_widths: Vec::new(),
+    };
+    let limit = limit.map(|rate| {
+        let label = format!("limit {}", Unit::RadianPerSecond.show(rate));
+        drift_line(&t_s, rate, label, SeriesRole::Limit)
+    });
+    Plot {
+        title: "IMU yaw − FK yaw",
+        robot: imu.robot.clone(),
+        stream: imu.topic.clone(),
+        caption: "A slope is drift; a good IMU stays flat.".to_owned(),
+        series: [error].into_iter().chain(limit).collect(),
+        x: t_s,
+        x_label: "time, s",
+        y_label: "°",
+        ..Plot::default()
+    }
+}
+
+/// Line through zero at the middle of the run, in degrees; `rate` in rad/s.
+pub(super) fn drift_line(t_s: &[f64], rate: f64, label: String, role: SeriesRole) -> PlotSeries {
+    let middle = 0.5 * (t_s.first().unwrap_or(&0.0) + t_s.last().unwrap_or(&0.0));
+    let values = t_s.iter().map(|t_s| (rate * (t_s - middle)).to_degrees()).collect();
+    PlotSeries { label, role, values, half_widths: Vec::new() }
+}
 
 impl FindingContext<'_> {
     pub(super) fn position_over_time(&self, pose: &PoseFigure) -> Plot {
-        self.over_time(
-            pose,
-            "Position error over time",
-            "Distance of the logged position from forward kinematics",
-            (Unit::Metre, "mm", 1e3),
-            [&pose.before_m, &pose.after_m],
-        )
+        Plot { mark: self.change_mark(), ..position_over_time(self.report, pose) }
     }
 
     pub(super) fn rotation_over_time(&self, pose: &PoseFigure) -> Plot {
-        self.over_time(
-            pose,
-            "Rotation error over time",
-            "Angle of the logged orientation to forward kinematics",
-            (Unit::Radian, "°", 1f64.to_degrees()),
-            [&pose.before_rad, &pose.after_rad],
-        )
-    }
-
-    fn over_time(
-        &self,
-        pose: &PoseFigure,
-        title: &'static str,
-        what: &str,
-        (si, unit, factor): (Unit, &'static str, f64),
-        series: [&Vec<f64>; 2],
-    ) -> Plot {
-        let series = before_and_after(series, factor);
-        Plot {
-            title,
-            robot: pose.robot.clone(),
-            stream: pose.topic.clone(),
-            caption: format!("{what}: {}.", max_errors_text(&series, unit)),
-            x: pose.t_s.clone(),
-            x_label: "time, s",
-            y_label: unit,
-            series,
-            from_zero: true,
-            mark: self.change_mark(),
-            limits: upper_limit(self.report.warning_threshold(&MDL001, si), si, factor),
-            ..Plot::default()
-        }
+        Plot { mark: self.change_mark(), ..rotation_over_time(self.report, pose) }
     }
 
     fn change_mark(&self) -> Option<PlotMark> {
@@ -73,7 +121,7 @@ impl FindingContext<'_> {
         [robot, topic]: [&str; 2],
         points: &[LatencyProfilePoint],
     ) -> Plot {
-        let limits = signed_limits(self.warning_limit(Unit::Second), Unit::Second, 1e3);
+        let limits = PlotLimit::signed(self.warning_limit(Unit::Second), Unit::Second, 1e3);
         let mut plot = Plot { limits, ..latency_profile_plot([robot, topic], points) };
         let ([first, .., last], Cause::ClockSkew(skew)) = (plot.x.as_slice(), &self.finding.cause)
         else {

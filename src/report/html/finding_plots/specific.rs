@@ -1,6 +1,6 @@
 //! Plots specific to single findings.
 
-use super::{FindingContext, FindingPlots, signed_limits, upper_limit};
+use super::{FindingContext, FindingPlots};
 use crate::finding::{Estimate, Unit};
 use crate::report::figures::{FindingFigure, JointFigure};
 use crate::report::html::plane::{Arrow, Dot, Plane};
@@ -89,7 +89,7 @@ impl FindingContext<'_> {
         Plot {
             x: trace.iter().map(|at| at[0]).collect(),
             series: vec![series("tip", SeriesRole::Before, trace.iter().map(|at| at[1] * 1e3))],
-            limits: signed_limits(self.warning_limit(Unit::Metre), Unit::Metre, 1e3),
+            limits: PlotLimit::signed(self.warning_limit(Unit::Metre), Unit::Metre, 1e3),
             style: PlotStyle::Curve,
             ..self.plot(
                 "Path during the strongest vibration",
@@ -112,7 +112,7 @@ impl FindingContext<'_> {
                 each.iter().map(|at| at[part] * factor),
             )],
             from_zero: true,
-            limits: upper_limit(self.warning_limit(unit), unit, factor),
+            limits: PlotLimit::upper(self.warning_limit(unit), unit, factor),
             style: PlotStyle::Points,
             ..self.plot(title, "Closure error of hand, camera and target.", ["time, s", label])
         })
@@ -131,7 +131,7 @@ impl FindingContext<'_> {
                 tip.iter().map(|at| at[part] * factor),
             )],
             from_zero: true,
-            limits: upper_limit(self.warning_limit(unit), unit, factor),
+            limits: PlotLimit::upper(self.warning_limit(unit), unit, factor),
             style: PlotStyle::Curve,
             ..self.plot(
                 title,
@@ -147,7 +147,11 @@ impl FindingContext<'_> {
             x: command.iter().map(|at| at[0] * 1e3).collect(),
             series: vec![series("command", SeriesRole::Amount, angle)],
             from_zero: true,
-            limits: upper_limit(self.warning_limit(Unit::Radian), Unit::Radian, 1f64.to_degrees()),
+            limits: PlotLimit::upper(
+                self.warning_limit(Unit::Radian),
+                Unit::Radian,
+                1f64.to_degrees(),
+            ),
             style: PlotStyle::Curve,
             ..self.plot(
                 "Commanded orientation vs. slerp",
@@ -197,7 +201,7 @@ impl FindingContext<'_> {
             x: rows.iter().map(|at| at[0]).collect(),
             series: vec![series("defect", SeriesRole::Before, rows.iter().map(|at| at[1]))],
             from_zero: true,
-            limits: upper_limit(self.warning_limit(Unit::One), Unit::One, 1.0),
+            limits: PlotLimit::upper(self.warning_limit(Unit::One), Unit::One, 1.0),
             ..self.plot(
                 "Deviation from a rotation",
                 "Quaternion: deviation of the norm from 1. Matrix: deviation from orthonormality.",
@@ -222,7 +226,7 @@ impl FindingContext<'_> {
         Plot {
             x: rates.iter().map(|at| at[0]).collect(),
             series: roles.into_iter().enumerate().map(axis).collect(),
-            limits: signed_limits(
+            limits: PlotLimit::signed(
                 self.warning_limit(Unit::GyroRate),
                 Unit::GyroRate,
                 1f64.to_degrees(),
