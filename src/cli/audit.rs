@@ -46,7 +46,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
-    /// Write the findings as messages for Foxglove, to open together with the log
+    /// Write findings and errors as messages for Foxglove, to open together with the log, and a layout
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
 

@@ -131,17 +131,10 @@ fn trend_plot(row: &TrendRow) -> Plot {
         values: x.iter().map(|day| (from + (to - from) * day / last) * factor).collect(),
         half_widths: Vec::new(),
     });
-    let mut limits = PlotLimit::signed(row.threshold, row.display_unit(), factor);
-    // Values of one sign have one limit.
-    let (has_negative, has_positive) =
-        (amounts.values.iter().any(|&at| at < 0.0), amounts.values.iter().any(|&at| at > 0.0));
-    if has_negative != has_positive {
-        let label = limits.last().map(|limit| limit.label.clone()).unwrap_or_default();
-        limits.retain_mut(|limit| {
-            limit.label.clone_from(&label);
-            (limit.at > 0.0) == has_positive
-        });
-    }
+    let limits = match amounts.values.iter().all(|&value| value >= 0.0) {
+        true => PlotLimit::upper(row.threshold, row.display_unit(), factor),
+        false => PlotLimit::signed(row.threshold, row.display_unit(), factor),
+    };
     Plot {
         title: "Over time",
         robot: row.subject.robot.clone().unwrap_or_default(),
