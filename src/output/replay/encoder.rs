@@ -70,50 +70,52 @@ mod tests {
 
     use super::*;
 
-    type Outcome = Result<(), Box<dyn std::error::Error>>;
+    type Failure = Box<dyn std::error::Error>;
     type FooterMessage = <RrdFooter as ToTransport>::Output;
     type ChunkMessage = <ArrowMsg as ToTransport>::Output;
 
-    /// Chunks of several entities in two stores, alternately.
-    fn messages() -> Result<Vec<LogMsg>, Box<dyn std::error::Error>> {
-        let stores = [StoreKind::Recording, StoreKind::Blueprint]
-            .map(|kind| StoreId::new(kind, "poseaudit", "run"));
-        let message = |(index, store): (u128, &StoreId)| {
-            let id = ChunkId::from_u128(1 + index);
+    fn stores() -> [StoreId; 2] {
+        [StoreKind::Recording, StoreKind::Blueprint]
+            .map(|kind| StoreId::new(kind, "poseaudit", "run"))
+    }
+
+    /// Chunks of several entities, in the two stores alternately.
+    fn messages() -> Result<Vec<LogMsg>, Failure> {
+        let stores = stores();
+        let message = |index: usize| -> Result<LogMsg, Failure> {
             let text = TextDocument::new(format!("text {index}"));
+            let id = ChunkId::from_u128(1 + index as u128);
             let chunk = Chunk::builder_with_id(id, format!("/entity_{index}"))
                 .with_archetype(RowId::ZERO, TimePoint::default(), &text)
                 .build()?;
-            Ok(LogMsg::ArrowMsg(store.clone(), chunk.to_arrow_msg()?))
+            Ok(LogMsg::ArrowMsg(stores[index % 2].clone(), chunk.to_arrow_msg()?))
         };
-        (0..20).zip(stores.iter().cycle()).map(message).collect()
+        (0..20).map(message).collect()
     }
 
     #[test]
-    fn the_footer_lists_each_chunk_at_its_bytes() -> Outcome {
+    fn the_footer_lists_each_chunk_at_its_bytes() -> Result<(), Failure> {
         let messages = messages()?;
         let bytes = encode(&messages)?;
-        let [entry] = StreamFooter::from_rrd_bytes(&bytes)?.entries[..] else {
-            panic!("not one footer")
-        };
-        let span = |span: Span<u64>| &bytes[span.start as usize..span.end() as usize];
-        let payload = span(entry.rrd_footer_byte_span_from_start_excluding_header);
-        assert_eq!(StreamFooter::compute_crc(payload), entry.crc_excluding_header);
+        let end = StreamFooter::from_rrd_bytes(&bytes)?;
+        assert_eq!(end.entries.len(), 1);
+        let at = |span: Span<u64>| &bytes[span.start as usize..span.end() as usize];
+        let payload = at(end.entries[0].rrd_footer_byte_span_from_start_excluding_header);
+        assert_eq!(StreamFooter::compute_crc(payload), end.entries[0].crc_excluding_header);
         let footer = FooterMessage::from_rrd_bytes(payload)?.to_application(())?;
         assert_eq!(footer.manifests.len(), 2);
-        for (store, manifest) in &footer.manifests {
+        for store in stores() {
+            let manifest = &footer.manifests[&store];
             manifest.sanity_check_heavy()?;
             let written = messages.iter().filter_map(|message| match message {
-                LogMsg::ArrowMsg(its, chunk) if its == store => {
-                    Some(ChunkId::from_tuid(chunk.chunk_id))
-                }
+                LogMsg::ArrowMsg(its, chunk) if *its == store => Some(chunk.chunk_id),
                 _ => None,
             });
-            let listed: Vec<ChunkId> = manifest.col_chunk_id()?.collect();
-            assert_eq!(listed, written.collect::<Vec<_>>());
+            let written: Vec<ChunkId> = written.map(ChunkId::from_tuid).collect();
+            assert_eq!(manifest.col_chunk_id()?.collect::<Vec<_>>(), written);
             let spans = manifest.col_chunk_byte_offset()?.zip(manifest.col_chunk_byte_size()?);
-            for ((start, len), id) in spans.zip(listed) {
-                let message = ChunkMessage::from_rrd_bytes(span(Span { start, len }))?;
+            for ((start, len), id) in spans.zip(written) {
+                let message = ChunkMessage::from_rrd_bytes(at(Span { start, len }))?;
                 assert_eq!(ChunkId::from_tuid(message.to_application(())?.chunk_id), id);
             }
         }
@@ -121,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_messages_give_equal_bytes() -> Outcome {
+    fn equal_messages_give_equal_bytes() -> Result<(), Failure> {
         let first = encode(&messages()?)?;
         for _ in 0..8 {
             assert!(encode(&messages()?)? == first);
