@@ -104,7 +104,10 @@ fn joint_names_of_a_log_find_the_arm() {
     assert_eq!(candidates[0].names.matched, 6);
     assert!(candidates[0].names.is_complete());
     let complete: Vec<&str> = candidates.iter().map(|c| c.robot.name.as_str()).collect();
-    assert_eq!(complete, ["ur3", "ur3e", "ur5", "ur5e", "ur10", "ur10e", "ur16e", "ur20", "ur30"]);
+    assert_eq!(
+        complete,
+        ["ur3", "ur3e", "ur5", "ur5e", "ur10", "ur10e", "ur15", "ur16e", "ur20", "ur30"]
+    );
 }
 
 #[test]
@@ -165,8 +168,16 @@ fn an_arm_is_found_by_a_model_name_that_only_one_has() {
         ("IRB120", Some("abb_irb120_3_58")),
         ("gen3", Some("kinova_gen3_7dof")),
         ("lrmate200id", Some("fanuc_lrmate200id")),
+        ("CRX10iA", Some("fanuc_crx10ia")),
+        ("rizon4", Some("flexiv_rizon4")),
+        ("GoFa", Some("abb_crb15000_5_95")),
+        ("kr6-r900-2", Some("kuka_kr6_r900_2")),
+        // Renamed by the manufacturer, with the same kinematics.
+        ("ur7e", Some("ur5e")),
+        ("ur12e", Some("ur10e")),
         // Several arms, or not a model name.
         ("irb1200", None),
+        ("kr6", None),
         ("tm5", None),
         ("700", None),
         ("left", None),

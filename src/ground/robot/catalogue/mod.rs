@@ -10,12 +10,13 @@ use super::names::NameMatch;
 use super::nearest::nearest;
 use super::table::{RobotTable, parse};
 
-pub(super) const VENDORS: [(&str, &str); 15] = [
+pub(super) const VENDORS: [(&str, &str); 16] = [
     ("abb.toml", include_str!("abb.toml")),
     ("annin.toml", include_str!("annin.toml")),
     ("aubo.toml", include_str!("aubo.toml")),
     ("doosan.toml", include_str!("doosan.toml")),
     ("fanuc.toml", include_str!("fanuc.toml")),
+    ("flexiv.toml", include_str!("flexiv.toml")),
     ("franka.toml", include_str!("franka.toml")),
     ("jaka.toml", include_str!("jaka.toml")),
     ("kinova.toml", include_str!("kinova.toml")),
