@@ -37,7 +37,7 @@ pub struct Args {
 
     /// Time: +S from the start of the log, or S since the epoch [default: the last time at which all
     /// transforms between the two are known]
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     at: Option<Time>,
 
     /// Print the whole run at this rate, Hz
@@ -70,6 +70,9 @@ impl FromStr for Time {
         };
         if let Some(text) = text.strip_prefix('+') {
             return Ok(Self::FromStart(number(text)?));
+        }
+        if text.starts_with('-') {
+            return Err(expected());
         }
         // `f64` has too few digits for epoch nanoseconds.
         let (whole, part) = text.split_once('.').unwrap_or((text, ""));
@@ -107,12 +110,41 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         return Err(misuse(format!("{} → {}", args.target, args.source), what, remedy));
     }
     let start = run.span.map_or(run.origin, |(start, _)| start);
+    let at = lookup_time(args, &path, start)?;
     let rows = TransformPrinter { args, path: &path, start };
     output::emit(None, |out| match args.follow {
         Some(rate_hz) => rows.print_rows(rate_hz, out),
-        None => rows.print_one(out),
+        None => rows.print_one(at, out),
     })?;
     Ok(Outcome::Clean)
+}
+
+/// The time of `--at`, by default the last at which all transforms are known.
+///
+/// # Errors
+/// If the transforms do not cover it; like tf2, poseaudit does not extrapolate.
+fn lookup_time(args: &Args, path: &TfPath<'_>, start: Stamp) -> Result<Stamp, Trouble> {
+    let at = args.at.map(|at| match at {
+        Time::FromStart(seconds) => start.shifted(seconds),
+        Time::At(stamp) => stamp,
+    });
+    let Some((first, last)) = path.span() else { return Ok(at.unwrap_or(start)) };
+    let at = at.unwrap_or(last);
+    if (first..=last).contains(&at) {
+        return Ok(at);
+    }
+    // Rounded inwards: the printed times are covered.
+    let from_s = (1e3 * first.seconds_since(start)).ceil() / 1e3;
+    let to_s = (1e3 * last.seconds_since(start)).floor() / 1e3;
+    let what = format!(
+        "{:+.3} s is outside the log's transforms, which cover {:+.3} to {:+.3} s (epoch {} to {})",
+        at.seconds_since(start),
+        from_s + 0.0,
+        to_s,
+        epoch_text(first),
+        epoch_text(last)
+    );
+    Err(misuse("--at", what, "choose a time between these"))
 }
 
 struct TransformPrinter<'a> {
@@ -125,26 +157,17 @@ struct TransformPrinter<'a> {
 fn pose_origin(path: &TfPath<'_>, at: Stamp) -> &'static str {
     match path.span() {
         None => "static",
-        Some((first, last)) if at < first || at > last => "extrapolated",
         Some(_) if path.is_sampled(at) => "as published",
         Some(_) => "interpolated",
     }
 }
 
 impl TransformPrinter<'_> {
-    /// Outside the common range of the transforms, the pose at its nearest end.
     fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
-        let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
-        self.path.pose_at(held).map_err(io::Error::other)
+        self.path.pose_at(at).map_err(io::Error::other)
     }
 
-    fn print_one(&self, out: &mut dyn Write) -> io::Result<()> {
-        let known = self.path.span().map_or(self.start, |(_, last)| last);
-        let at = match self.args.at {
-            None => known,
-            Some(Time::FromStart(seconds)) => self.start.shifted(seconds),
-            Some(Time::At(stamp)) => stamp,
-        };
+    fn print_one(&self, at: Stamp, out: &mut dyn Write) -> io::Result<()> {
         let pose = self.pose_at(at)?;
         let origin = pose_origin(self.path, at);
         let age_s = self.path.newest_before(at).map(|newest| at.seconds_since(newest));
@@ -153,18 +176,20 @@ impl TransformPrinter<'_> {
         }
         let (target, source) = (&self.args.target, &self.args.source);
         let from_start_s = at.seconds_since(self.start);
-        write!(out, "{target} → {source} at +{from_start_s:.3} s ({}), {origin}", epoch_text(at))?;
+        write!(out, "{target} → {source} at {from_start_s:+.3} s ({}), {origin}", epoch_text(at))?;
         match age_s {
             Some(age_s) => {
                 writeln!(out, "; the oldest sample it needs is {:.1} ms old", 1e3 * age_s)?
             }
             None => writeln!(out)?,
         }
-        fk::write_pose(&pose, out)
+        fk::write_pose(&pose, true, out)
     }
 
     fn print_rows(&self, rate_hz: f64, out: &mut dyn Write) -> io::Result<()> {
-        let Some((first, last)) = self.path.span() else { return self.print_one(out) };
+        let Some((first, last)) = self.path.span() else {
+            return self.print_one(self.start, out);
+        };
         if self.args.format == Format::Text {
             let [t, x, y, z] = ["t, s", "x, m", "y, m", "z, m"];
             let [roll, pitch, yaw] = ["roll, °", "pitch, °", "yaw, °"];
@@ -228,6 +253,8 @@ mod tests {
         let at = Stamp::from_nanos(1_780_000_000_123_456_789);
         assert_eq!("1780000000.123456789".parse(), Ok(Time::At(at)));
         assert_eq!(epoch_text(at), "1780000000.123456789");
-        assert!("now".parse::<Time>().is_err() && "+x".parse::<Time>().is_err());
+        for wrong in ["now", "+x", "-100", "-0.5"] {
+            assert!(wrong.parse::<Time>().is_err(), "{wrong}");
+        }
     }
 }
