@@ -109,7 +109,8 @@ fn tip_distance_difference_m(a: &Robot, b: &Robot) -> f64 {
 fn the_files_of_a_calibration_are_read_back_and_the_log_passes_with_them() {
     let folder = TempDir::new().expect("a folder");
     let out = path(&folder, "calibrated");
-    let report = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
+    let report =
+        json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--force", "--format", "json"]));
     assert_eq!(report["schema"], "poseaudit.calibration/1");
     assert_eq!(report["written"], true, "{}", report["refused"]);
     assert_eq!(report["converged"], true, "{}", report["last_step"]);
@@ -129,14 +130,23 @@ fn the_files_of_a_calibration_are_read_back_and_the_log_passes_with_them() {
         let report = json(&audited);
         assert_eq!(report["verdict"], "pass", "{option:?}: {:?}", report["findings"]);
     }
-    let text = poseaudit(&["calibrate", CLEAN, "--out", &out]);
-    let text = String::from_utf8_lossy(&text.stdout).into_owned();
-    assert!(
-        text.starts_with("CALIBRATED")
-            && text.contains("written: ")
-            && text.contains("over the whole workspace"),
-        "{text}"
-    );
+}
+
+#[test]
+fn an_arm_that_equals_its_model_is_reported_and_nothing_is_written_unless_forced() {
+    let folder = TempDir::new().expect("a folder");
+    let out = path(&folder, "calibrated");
+    let output = poseaudit(&["calibrate", CLEAN, "--out", &out]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    assert!(text.starts_with("UNCHANGED   ur5e: the arm equals its model"), "{text}");
+    assert!(text.contains("nothing was written") && !Path::new(&out).exists(), "{text}");
+    let report = json(&poseaudit(&["calibrate", CLEAN, "--out", &out, "--format", "json"]));
+    assert_eq!(report["written"], false);
+    assert_eq!(report["equals_model"], true);
+    let forced = poseaudit(&["calibrate", CLEAN, "--out", &out, "--force"]);
+    let text = String::from_utf8_lossy(&forced.stdout).into_owned();
+    assert!(text.contains("written: ") && text.contains("over the whole workspace"), "{text}");
 }
 
 #[test]
@@ -151,6 +161,7 @@ fn a_table_without_stamps_is_calibrated_in_any_unit_and_convention() {
     assert_eq!(stream["read_as"], "euler:ZYX, in degrees");
     assert!(stream["after"]["m"].as_f64().expect("a number") < 3e-5, "{stream}");
     assert_eq!(report["witness"], "external");
+    assert_eq!((&report["written"], &report["equals_model"]), (&true.into(), &false.into()));
     let written =
         Robot::from_file(Path::new(&path(&folder, "calibrated/robot.urdf"))).expect("a robot");
     let (before, after) = (

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::Options;
 use super::tables::read_table;
-use crate::checks::{UnmovedJoint, rejection_reason, stream_rejection_reason, unmoved_joints};
+use crate::checks::{
+    UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
+};
 use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
     calibrate_arm,
@@ -69,6 +71,8 @@ pub struct CalibrationResult {
     pub plan: Option<String>,
     /// Why no file is written; `None` if the calibration is accepted.
     pub rejection: Option<String>,
+    /// The arm equals its nominal model within the uncertainty.
+    pub equals_nominal: bool,
     pub(crate) read: PathRegistry,
 }
 
@@ -162,6 +166,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
         })?;
     let unmoved = unmoved_joints(&nominal, &joints, &calibration);
     let rejection = rejection_reason(&calibration, &unmoved);
+    let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
     let plan =
         streams.first().and_then(|stream| calibration_plan_command(options, &nominal, stream));
@@ -174,6 +179,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
         unmoved,
         plan,
         rejection,
+        equals_nominal,
         read,
     })
 }

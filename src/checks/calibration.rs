@@ -9,6 +9,10 @@ const MIN_IMPROVEMENT_RATIO: f64 = 2.0;
 const MAX_CROSS_VALIDATION_RATIO: f64 = 0.9;
 /// Residuals up to this multiple of the noise need no improvement.
 const MAX_NOISE_RATIO: f64 = 1.1;
+/// Confidence that some deviation is real, over all parameters.
+const DEVIATION_CONFIDENCE: f64 = 0.999;
+/// Smaller deviations, m or rad, are numerical.
+const MIN_DEVIATION: f64 = 1e-6;
 /// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
@@ -64,6 +68,17 @@ pub(crate) fn rejection_reason(
         ));
     }
     calibration.streams.iter().find_map(stream_rejection_reason)
+}
+
+/// Whether every parameter agrees with the nominal model within its uncertainty.
+pub(crate) fn equals_nominal(calibration: &ArmCalibration) -> bool {
+    let count = calibration.values.len();
+    let confidence = 1.0 - (1.0 - DEVIATION_CONFIDENCE) / count.max(1) as f64;
+    (0..count).all(|at| {
+        let value = calibration.value(at);
+        let [low, high] = value.interval(confidence);
+        value.value.abs() < MIN_DEVIATION || (low <= 0.0 && high >= 0.0)
+    })
 }
 
 /// Reason why a stream contradicts the calibration.
@@ -149,6 +164,22 @@ mod tests {
             let refused = rejection_reason(&bad, &[]).unwrap_or_default();
             assert!(refused.contains(why), "{refused}");
         }
+    }
+
+    #[test]
+    fn an_arm_equals_its_model_if_no_parameter_deviates_beyond_its_interval() {
+        let with = |values: &[f64], std_error: f64| {
+            let variances = vec![std_error * std_error; values.len()];
+            equals_nominal(&ArmCalibration {
+                values: values.to_vec(),
+                covariance: nalgebra::DMatrix::from_diagonal(&variances.into()),
+                ..calibration_with(1e-5, [1e-5, 1e-5], [1e-5, 1e-5])
+            })
+        };
+        assert!(with(&[1e-5, -2e-5, 3e-5, 0.0], 1e-5));
+        assert!(!with(&[1e-5, -2e-5, 1e-4, 0.0], 1e-5));
+        // Of a noise-free log.
+        assert!(with(&[1e-9, -2e-9], 1e-12));
     }
 
     #[test]

@@ -34,7 +34,9 @@ use crate::finding::{
 };
 
 pub use calibration::UnmovedJoint;
-pub(crate) use calibration::{rejection_reason, stream_rejection_reason, unmoved_joints};
+pub(crate) use calibration::{
+    equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
+};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use encoding::encoding_names;
 pub(crate) use imu::yaw001_yaw_drift::YAW001;

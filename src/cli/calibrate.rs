@@ -16,7 +16,7 @@ use super::{Outcome, messages, misuse};
 /// the joints and the measured pose) also works, with --robot. Poses of the arm's own controller calibrate
 /// the controller's kinematics, poses of a tracker the arm itself.
 ///
-/// Exit status: 0 the files are written; 1 the logs do not determine a calibration, and nothing is written;
+/// Exit status: 0 the files are written, or the arm equals its model and nothing needs to be written; 1 the logs do not determine a calibration, and nothing is written;
 /// 2 invalid call; 3 a log cannot be used; 70 internal error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -36,6 +36,10 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
+    /// Write the files even if the arm equals its model
+    #[arg(long)]
+    force: bool,
+
     /// Calibrate only with the poses on this topic
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
@@ -46,7 +50,7 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, mut audit_options, out, topic, format } = args;
+    let Args { logs, mut audit_options, out, force, topic, format } = args;
     audit_options.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
     // Before reading the config, so a file that would be overwritten is reported first.
@@ -67,13 +71,13 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         options.read.progress = Some(progress);
         calibrate(&options, topic.as_deref())
     })?;
-    let written = found.write(&out)?;
+    let written = found.write(&out, force)?;
     let files: Vec<PathBuf> = written.iter().map(|name| out.join(name)).collect();
     files.iter().for_each(|file| messages::print_written(file));
     let files: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
     output::emit(None, |stdout| match format {
         Format::Text => found.write_text(&files, stdout),
-        Format::Json => writeln!(stdout, "{:#}", found.json()),
+        Format::Json => writeln!(stdout, "{:#}", found.json(!files.is_empty())),
     })?;
     Ok(match found.rejection {
         None => Outcome::Clean,

@@ -11,8 +11,8 @@ use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
 
 impl CalibrationResult {
-    /// Result with all inputs.
-    pub fn json(&self) -> Value {
+    /// Result with all inputs, and whether files are `written`.
+    pub fn json(&self, written: bool) -> Value {
         let found = &self.calibration;
         let joints: Vec<Value> = self
             .changed_joints()
@@ -73,7 +73,8 @@ impl CalibrationResult {
             "tool": {"name": "poseaudit", "version": env!("CARGO_PKG_VERSION")},
             "arm": self.nominal.name,
             "model": self.nominal.source,
-            "written": self.rejection.is_none(),
+            "written": written,
+            "equals_model": self.equals_nominal,
             "refused": self.rejection,
             "witness": self.source_kind().name(),
             "of": self.subject(),

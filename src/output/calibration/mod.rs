@@ -31,12 +31,13 @@ pub fn register_outputs(folder: &Path, places: &mut PathRegistry) {
 
 impl CalibrationResult {
     /// Writes the calibration into `folder`, creating it, and returns the file names. Each file is replaced
-    /// as a whole. Writes nothing if the logs do not support a calibration.
+    /// as a whole. Writes nothing if the logs do not support a calibration, or, unless `always`, if the arm
+    /// equals its model.
     ///
     /// # Errors
     /// If a file cannot be written or would replace an input file.
-    pub fn write(&self, folder: &Path) -> Result<Vec<&'static str>, Trouble> {
-        if self.rejection.is_some() {
+    pub fn write(&self, folder: &Path, always: bool) -> Result<Vec<&'static str>, Trouble> {
+        if self.rejection.is_some() || (self.equals_nominal && !always) {
             return Ok(Vec::new());
         }
         let mut places = self.read.clone();
@@ -58,7 +59,7 @@ impl CalibrationResult {
 
     fn files(&self) -> Vec<(&'static str, String)> {
         let mut files =
-            vec![(MODEL_FILE, self.urdf()), (NUMBERS_FILE, format!("{:#}\n", self.json()))];
+            vec![(MODEL_FILE, self.urdf()), (NUMBERS_FILE, format!("{:#}\n", self.json(true)))];
         files.extend(self.ur_yaml().map(|text| (UR_FILE, text)));
         files.extend(self.dh_table().map(|text| (DH_FILE, text)));
         files

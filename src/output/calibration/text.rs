@@ -40,6 +40,12 @@ impl CalibrationResult {
         let mut text = String::new();
         let name = sanitize_display(&self.nominal.name);
         let _ = match &self.rejection {
+            None if self.equals_nominal => writeln!(
+                text,
+                "UNCHANGED   {name}: the arm equals its model within the uncertainty of the calibration, \
+                 {:.4} mm rms over the workspace",
+                1e3 * found.calibrated_uncertainty.m
+            ),
             None => writeln!(text, "CALIBRATED  {name}: {}", sanitize_display(self.subject())),
             Some(why) => writeln!(text, "REFUSED     {name}: {}", sanitize_display(why)),
         };
@@ -131,6 +137,9 @@ impl CalibrationResult {
             }
         }
         match files {
+            [] if self.rejection.is_none() => {
+                text += "\nnothing was written, because the model needs no correction; --force writes it\n";
+            }
             [] => text += "\nnothing was written\n",
             files => {
                 let _ = writeln!(text, "\nwritten: {}", sanitize_display(files.join(", ")));
