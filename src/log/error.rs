@@ -29,6 +29,12 @@ pub enum LogError {
         /// Reason; follows "is a directory".
         cause: &'static str,
     },
+    /// Directory with the logs of several runs.
+    #[error("{}: is a directory with logs of several runs, or of one without its metadata.yaml", path.display())]
+    Runs {
+        /// Path.
+        path: PathBuf,
+    },
     /// The same file is given twice.
     #[error("{}: is given twice{}; name it once", path.display(), same_as(path, first))]
     Twice {

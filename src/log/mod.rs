@@ -95,11 +95,16 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
 }
 
 fn detect_file_format(path: &Path) -> Option<file_format::FileFormat> {
+    read_head(path).map(|head| file_format::detect_format(&head))
+}
+
+/// First bytes of a regular file.
+fn read_head(path: &Path) -> Option<Vec<u8>> {
     let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let mut read = is_file.then(|| File::open(path).ok()).flatten()?.take(HEAD_BYTES);
     read.read_to_end(&mut head).ok()?;
-    Some(file_format::detect_format(&head))
+    Some(head)
 }
 
 /// Whether a file starting with `head` may be a log. A zstd archive must be read to know.

@@ -24,7 +24,7 @@ use super::files::LogInput;
 use super::intake::Intake;
 use super::losses::Losses;
 use super::mapped::MappedFile;
-use super::{Extent, LogError};
+use super::{Extent, LogError, looks_like_log, read_head};
 
 #[cfg(not(target_arch = "wasm32"))]
 pub(super) use self::database::read as read_database;
@@ -149,11 +149,12 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
     let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
+    let runs = || LogError::Runs { path: folder.to_owned() };
     let Some(first) = paths.first() else {
-        return Err(refuse("without log files"));
+        return Err(if contains_logs(folder) { runs() } else { refuse("without log files") });
     };
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
-        return Err(refuse("with logs of several runs, or without their metadata.yaml"));
+        return Err(runs());
     }
     Ok(paths.into_iter().map(LogInput::bag_file).collect())
 }
@@ -191,6 +192,14 @@ fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     }
     paths.sort();
     Ok(paths)
+}
+
+/// Whether the folder or one of its subfolders contains a file that looks like a log.
+fn contains_logs(folder: &Path) -> bool {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir());
+    let files = folders.chain([folder.to_owned()]).filter_map(|folder| files_in(&folder).ok());
+    files.flatten().any(|path| read_head(&path).is_some_and(|head| looks_like_log(&head)))
 }
 
 fn is_log(path: &Path) -> bool {

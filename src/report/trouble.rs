@@ -91,6 +91,12 @@ impl From<LogError> for Trouble {
             LogError::Directory { path, cause } => {
                 (path, format!("it is a directory {cause}"), "pass the log files in it")
             }
+            LogError::Runs { path } => (
+                path,
+                "it is a directory with logs of several runs, or of one without its metadata.yaml"
+                    .to_owned(),
+                "audit several runs with `poseaudit fleet FOLDER --out DIR`, or pass the files of one",
+            ),
             LogError::Twice { path, first } => {
                 (path, format!("it is the same as {}", first.display()), "name it once")
             }
