@@ -93,7 +93,7 @@ fn faults_are_found_as_with_named_columns_and_again_with_the_config_of_init() {
         let found = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
         assert_eq!(fault_codes(&found), [code], "{:?}", found.findings);
         assert!((value_of(&found, code) - truth).abs() < within, "{}", value_of(&found, code));
-        let written = template(&found);
+        let written = template(&found, false);
         assert!(written.contains("joints = [\"c0\", \"c1\""), "{written}");
         let config = Config::from_text(written, Path::new("p.toml")).expect("a config");
         let mut options = Options { logs: vec![path], ..config.options() };
@@ -217,7 +217,7 @@ fn encoder_ticks_are_converted_by_a_pose_and_init_writes_their_factors() {
     let found = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     assert_eq!(columns_of(&found, "pose"), column_names(6..13), "{:?}", found.error);
     assert!((value_of(&found, "LAT001") - 0.06).abs() < 2e-3, "{:?}", fault_codes(&found));
-    let written = template(&found);
+    let written = template(&found, false);
     assert!(
         written.contains("joint_factors = [0.0015") && written.contains("joint_offsets = [-3.14")
     );

@@ -11,13 +11,14 @@ use poseaudit::report::Trouble;
 use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
-/// Generate a commented config from a log
+/// Generate a config from a log: what differs from the defaults, or with --all every key
 ///
 /// Use it with `poseaudit audit LOG --config FILE`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit init run.mcap --output poseaudit.toml
+  poseaudit init run.mcap --all
   poseaudit init --schema --output poseaudit.schema.json")]
 pub struct Args {
     /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
@@ -28,13 +29,17 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
+    /// Also list all other keys as comments, with their defaults
+    #[arg(long, conflicts_with = "schema")]
+    all: bool,
+
     /// Write the JSON schema of the config instead, for editors
     #[arg(long, conflicts_with = "logs")]
     schema: bool,
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, output, schema } = args;
+    let Args { logs, output, all, schema } = args;
     if let Some(path) = output.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
         let what = "exists already and is not overwritten";
         return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
@@ -52,7 +57,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         poseaudit::audit(&Options { logs, read, ..Options::default() })
     })?;
     let report = audited.into_report();
-    output::emit(output.as_deref(), |out| out.write_all(config::template(&report).as_bytes()))?;
+    output::emit(output.as_deref(), |out| {
+        out.write_all(config::template(&report, all).as_bytes())
+    })?;
     if let Some(trouble) = &report.error {
         output::error(trouble);
     }

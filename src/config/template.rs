@@ -1,5 +1,5 @@
-//! Config template of `poseaudit init`: the settings found in a log, and all others as comments with their
-//! defaults.
+//! Config template of `poseaudit init`: the settings found in a log, and on request all others as comments
+//! with their defaults.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -11,29 +11,35 @@ use crate::robot::catalogue;
 use crate::run::RoleSetting;
 
 /// Config that does not change the audit of the log of `report`; later logs are checked against it.
-/// Settings that would change it (naming a tip is a claim) are comments.
-pub fn template(report: &Report) -> String {
-    let mut out = Template::default();
+/// Settings that would change it (naming a tip is a claim) are comments. These and the defaults are only
+/// listed in `all`.
+pub fn template(report: &Report, all: bool) -> String {
+    let mut out = Template { text: String::new(), all };
     out.head(report);
     out.robots(&report.robots);
     out.options();
     out.columns(report);
     out.streams(report);
-    out.ignores();
-    out.rules();
-    out.0
+    if all {
+        out.ignores();
+        out.rules();
+    }
+    out.text
 }
 
 /// Keys in `[columns]`.
 const COLUMN_KEYS: [&str; 4] = ["joints", "joint_commands", "pose", "pose_commands"];
 
-#[derive(Default)]
-struct Template(String);
+struct Template {
+    text: String,
+    /// Also the keys that are not set.
+    all: bool,
+}
 
 impl Template {
     fn line(&mut self, text: &str) {
-        self.0 += text;
-        self.0.push('\n');
+        self.text += text;
+        self.text.push('\n');
     }
 
     fn set(&mut self, key: &str, value: &str, remark: &str) {
@@ -42,29 +48,38 @@ impl Template {
             true => self.line(&setting),
             false => {
                 let remark = one_line(remark);
-                let _ = writeln!(self.0, "{setting:<33} # {remark}");
+                let _ = writeln!(self.text, "{setting:<33} # {remark}");
             }
         }
     }
 
-    /// Commented out.
+    /// Commented out; only in a complete template.
     fn unset(&mut self, key: &str, value: &str, remark: &str) {
-        self.set(&format!("# {key}"), value, remark);
+        if self.all {
+            self.set(&format!("# {key}"), value, remark);
+        }
     }
 
     fn head(&mut self, report: &Report) {
         let files = report.log.files.iter().map(|file| file_name(&file.path));
         let files = files.collect::<Vec<_>>().join(" ");
-        let _ = writeln!(self.0, "# Settings for the robot and its topics, from {files}.");
+        let _ = writeln!(self.text, "# Settings for the robot and its topics, from {files}.");
         self.line(
             "#\n\
              # Use it with `poseaudit audit LOG --config poseaudit.toml`; it is not loaded automatically.\n\
-             # Command-line options override it, and paths are relative to this file. Commented keys are\n\
-             # defaults, or claims that nobody has made yet. docs/config.md explains each key.\n\
-             # `poseaudit init --schema --output poseaudit.schema.json` writes the schema with which editors\n\
-             # complete and check this file, if this is its first line:\n\
-             # #:schema ./poseaudit.schema.json\n",
+             # Command-line options override it, and paths are relative to this file.",
         );
+        self.line(match self.all {
+            true => {
+                "# Commented keys are defaults, or claims that nobody has made yet. docs/config.md explains\n\
+                 # each key. `poseaudit init --schema --output poseaudit.schema.json` writes the schema with\n\
+                 # which editors complete and check this file, if this is its first line:\n\
+                 # #:schema ./poseaudit.schema.json\n"
+            }
+            false => {
+                "# `poseaudit init LOG --all` also lists all other keys with their defaults.\n"
+            }
+        });
     }
 
     fn robots(&mut self, robots: &[RobotRow]) {
@@ -73,7 +88,7 @@ impl Template {
             [] => self.unset("robot", "\"my_arm.urdf\"", "no arm was found"),
             several => {
                 for robot in several {
-                    self.unset("robot", &quote_line(&robot.name), &robot.source);
+                    self.line(&format!("# {}: {}", one_line(&robot.name), one_line(&robot.source)));
                 }
                 self.line("# For several arms, a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
             }
@@ -120,9 +135,9 @@ impl Template {
         if told().next().is_none() {
             return;
         }
-        self.line(
-            "\n# Contents of the columns. Columns identified by name are comments.\n[columns]",
-        );
+        let before = self.text.len();
+        self.line("\n# Contents of the columns.\n[columns]");
+        let head = self.text.len();
         match &report.log.time_column {
             Some(column) => self.set("time", &quote_line(column), "by its numbers"),
             None => {
@@ -142,7 +157,7 @@ impl Template {
             let by_names = ["by name", "by the name"].iter().any(|by| stream.reason.contains(by));
             if COLUMN_KEYS.contains(&key) && !by_names {
                 if arm != last {
-                    let _ = writeln!(self.0, "\n[columns.arm.{}]", quote_line(arm));
+                    let _ = writeln!(self.text, "\n[columns.arm.{}]", quote_line(arm));
                     last = arm;
                 }
                 self.set(key, &value, "");
@@ -161,6 +176,10 @@ impl Template {
                 self.unset("pose", &value, "by their names");
             }
         }
+        // A table without keys says nothing.
+        if self.text.len() == head {
+            self.text.truncate(before);
+        }
     }
 
     fn streams(&mut self, report: &Report) {
@@ -170,12 +189,13 @@ impl Template {
                 continue;
             }
             known.push(&stream.topic);
-            self.0.push('\n');
             match RoleSetting::ALL.into_iter().find(|role| role.name() == stream.role) {
                 Some(role) if role != RoleSetting::Ignored => self.stream(report, stream, role),
+                _ if !self.all => {}
                 _ => {
-                    let _ = writeln!(self.0, "# {}: {}", stream.role, one_line(&stream.reason));
-                    let _ = writeln!(self.0, "# [stream.{}]", quote_line(&stream.topic));
+                    self.text.push('\n');
+                    let _ = writeln!(self.text, "# {}: {}", stream.role, one_line(&stream.reason));
+                    let _ = writeln!(self.text, "# [stream.{}]", quote_line(&stream.topic));
                     self.unset("role", "\"pose\"", "if it is one");
                 }
             }
@@ -184,8 +204,8 @@ impl Template {
 
     fn stream(&mut self, report: &Report, stream: &StreamRow, role: RoleSetting) {
         let name = role.name();
-        let _ = writeln!(self.0, "# {}", one_line(&stream.reason));
-        let _ = writeln!(self.0, "[stream.{}]", quote_line(&stream.topic));
+        let _ = writeln!(self.text, "\n# {}", one_line(&stream.reason));
+        let _ = writeln!(self.text, "[stream.{}]", quote_line(&stream.topic));
         self.set("role", &quote_line(name), "");
         let is_expected = matches!(
             role,
@@ -231,10 +251,10 @@ impl Template {
     fn rules(&mut self) {
         self.line("\n# Thresholds of the rules; `poseaudit explain CODE` describes them.");
         for rule in checks::registry() {
-            let _ = writeln!(self.0, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
+            let _ = writeln!(self.text, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
             let thresholds = rule.grade.thresholds();
             if thresholds.is_empty() {
-                let _ = writeln!(self.0, "# severity = {}", quote_line(&rule.grade.to_string()));
+                let _ = writeln!(self.text, "# severity = {}", quote_line(&rule.grade.to_string()));
             } else {
                 self.unset("warning", &amounts(thresholds, |threshold| threshold.warning), "");
                 self.unset("error", &amounts(thresholds, |threshold| threshold.error), "");

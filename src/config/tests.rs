@@ -147,7 +147,7 @@ fn awake(template: &str) -> String {
 #[test]
 fn a_template_can_be_read_with_and_without_its_comments() {
     let report = crate::report::Report::from_log(Default::default(), Vec::new(), Vec::new());
-    let text = template(&report);
+    let text = template(&report, true);
     assert_eq!(
         config(&text).expect("a config").options().policy.rules.thresholds,
         Default::default()
