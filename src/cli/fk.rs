@@ -113,6 +113,21 @@ fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
     q
 }
 
+/// Warns if a revolute joint is turned so far that its angle is probably in degrees.
+fn warn_of_degrees(chain: &Chain, q: &[f64], args: &Args) {
+    use poseaudit::robot::JointKind::Prismatic;
+    /// More than a turn, rad.
+    const MAX_USUAL_ANGLE: f64 = 1.1 * std::f64::consts::TAU;
+    let kinds = chain.joint_kinds().iter().cycle();
+    let angles = q.iter().zip(kinds).filter(|(_, kind)| **kind != Prismatic);
+    let widest = angles.fold(0.0, |widest: f64, (angle, _)| widest.max(angle.abs()));
+    if !args.deg && widest > MAX_USUAL_ANGLE {
+        output::warning(format!(
+            "a joint at {widest} rad is turned more than once; if the angles are degrees, add --deg"
+        ));
+    }
+}
+
 fn convert_file(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Result<(), Trouble> {
     let trouble = |option: &str, TableError { path, cause }: TableError| {
         misuse(path.display().to_string(), cause, format!("see {option} in `poseaudit fk --help`"))
@@ -120,6 +135,7 @@ fn convert_file(chain: &Chain, args: &Args, file: &Path, output: &Path) -> Resul
     let read =
         Configurations::read(file, chain, args.deg).map_err(|error| trouble("--file", error))?;
     let q = read.q;
+    warn_of_degrees(chain, &q, args);
     let mut poses = Vec::new();
     chain.forward_batch(&q, &mut poses);
     let written = kinematics_frame(chain, &q, &poses)
@@ -138,6 +154,7 @@ fn print_one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
         return Err(misuse("fk", what, format!("give one for each of {names}")));
     }
     let q = in_si(chain, args.q.clone(), args.deg);
+    warn_of_degrees(chain, &q, args);
     let base_from_tip = chain.forward(&q);
     output::emit(None, |out| match args.format {
         Format::Text => write_text(robot, chain, &base_from_tip, out),
@@ -165,27 +182,33 @@ pub(super) fn matrix(pose: &Pose) -> [[f64; 4]; 4] {
 fn write_text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let (name, base, tip) = (&robot.name, chain.base_name(), chain.tip_name());
     writeln!(out, "{}", sanitize_display(format_args!("{name}: {base} → {tip}")))?;
-    write_pose(pose, out)
+    write_pose(pose, true, out)
 }
 
-pub(super) fn write_pose(pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
+/// In the usual conventions; without a position, only the rotation.
+pub(super) fn write_pose(pose: &Pose, has_position: bool, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64], digits: usize| {
         let number = |number: &f64| {
             // Adding zero makes a negative zero positive.
             let scale = 10_f64.powi(digits as i32);
             let rounded = (number * scale).round() / scale + 0.0;
-            format!("{:>1$.2$}", rounded, digits + 5, digits)
+            format!("{rounded:>11.digits$}")
         };
         numbers.iter().map(number).collect::<Vec<_>>().join(" ")
     };
     let rpy = Convention::RPY.numbers(&pose.rotation).map(f64::to_degrees);
     let rotvec = Convention::RotVec.numbers(&pose.rotation);
-    writeln!(out, "position, m          {}", listed(&xyz_of(pose), 6))?;
-    writeln!(out, "quaternion, x y z w  {}", listed(&xyzw_from_rotation(&pose.rotation), 6))?;
+    let [x, y, z, w] = xyzw_from_rotation(&pose.rotation);
+    if has_position {
+        writeln!(out, "position, m          {}", listed(&xyz_of(pose), 6))?;
+    }
+    writeln!(out, "quaternion, x y z w  {}", listed(&[x, y, z, w], 6))?;
+    writeln!(out, "quaternion, w x y z  {}", listed(&[w, x, y, z], 6))?;
     writeln!(out, "roll pitch yaw, °    {}", listed(&rpy, 4))?;
     writeln!(out, "rotation vector, rad {}", listed(&rotvec, 6))?;
-    for (label, row) in ["matrix", "", "", ""].into_iter().zip(matrix(pose)) {
-        writeln!(out, "{label:20} {}", listed(&row, 6))?;
+    let size = if has_position { 4 } else { 3 };
+    for (label, row) in ["matrix", "", "", ""].into_iter().zip(matrix(pose)).take(size) {
+        writeln!(out, "{label:20} {}", listed(&row[..size], 6))?;
     }
     Ok(())
 }

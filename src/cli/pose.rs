@@ -1,20 +1,21 @@
 //! `poseaudit pose`.
 
 use std::fs;
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
 use std::path::PathBuf;
 
 use poseaudit::desk::{
-    DeskError, FrameCandidates, FrameNames, KnownEncoding, Pair, PoseText, ReconcileInput,
-    ReconcileVerdict, conversions_as_json, convert, pairs_from_csv, parse_pose, reconcile,
-    reconciliation_as_json, write_conversions, write_reconciliation,
+    ConversionResult, DeskError, FrameCandidates, FrameNames, KnownEncoding, Pair, PoseConversions,
+    PoseText, ReconcileInput, ReconcileVerdict, conversions_as_json, convert, pairs_from_csv,
+    parse_pose, reconcile, reconciliation_as_json, write_candidates, write_conversions,
+    write_reconciliation,
 };
 use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 use poseaudit::run::load_robot;
 
 use super::output::Format;
-use super::{Outcome, misuse, output};
+use super::{Outcome, fk, misuse, output};
 
 /// Convert a pose to every convention, or find what makes two poses agree
 ///
@@ -27,7 +28,7 @@ use super::{Outcome, misuse, output};
 #[command(after_help = "\
 Examples:
   poseaudit pose --from euler:xyz --deg --mm \"243.69 -249.04 618.32 149.49 -12.78 72.64\"
-  poseaudit pose --from kuka \"243.69 -249.04 618.32 72.64 -12.78 149.49\"
+  poseaudit pose --all --from kuka \"243.69 -249.04 618.32 72.64 -12.78 149.49\"
   poseaudit pose \"p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]\"
   ros2 topic echo --once /tcp_pose | poseaudit pose -
   poseaudit pose \"0.246 -0.249 0.619 0.170 0.472 -0.074 0.862\" \\
@@ -37,6 +38,10 @@ pub struct Args {
     /// The pose
     #[arg(value_name = "POSE", allow_hyphen_values = true)]
     pose: Option<String>,
+
+    /// Also every Euler order and who uses it, other axis conventions, and code
+    #[arg(long)]
+    all: bool,
 
     /// A second pose, B, that should agree with the first
     #[arg(value_name = "OTHER", allow_hyphen_values = true)]
@@ -101,7 +106,8 @@ pub struct Args {
     #[arg(long, value_name = "PARENT,CHILD")]
     but_frames: Option<String>,
 
-    /// The arm whose fixed frames may lie between the two: a URDF, a table, or a catalogue name
+    /// The arm: a URDF, a table, or a catalogue name. One pose is compared with its reach; between two, its
+    /// fixed frames may lie
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
 
@@ -154,7 +160,6 @@ fn print_conventions(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
         ("--but-as", &args.but_as),
         ("--is-frames", &args.is_frames),
         ("--but-frames", &args.but_frames),
-        ("--robot", &args.robot),
     ];
     if let Some((option, _)) = options.iter().find(|(_, given)| given.is_some()) {
         return Err(misuse(*option, "it applies to two poses", "give a second pose"));
@@ -172,11 +177,49 @@ fn print_conventions(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     let style = style("--from", convention.as_deref())?;
     let pose_text = parse_pose(&text).map_err(trouble("POSE"))?;
     let conversions = convert(&pose_text, style).map_err(trouble("POSE"))?;
-    output::emit(None, |out| match args.format {
-        Format::Json => writeln!(out, "{:#}", conversions_as_json(&conversions)),
-        Format::Text => write_conversions(&conversions, &pose_text, out),
+    if let (Some(name), ConversionResult::Determined(conversions)) = (&args.robot, &conversions) {
+        warn_beyond_reach(name, conversions)?;
+    }
+    output::emit(None, |out| match (args.format, &conversions) {
+        (Format::Json, _) => writeln!(out, "{:#}", conversions_as_json(&conversions)),
+        (Format::Text, ConversionResult::Determined(pose)) if !args.all => {
+            write_summary(pose, &pose_text, out)
+        }
+        (Format::Text, ConversionResult::Ambiguous { candidates, notes }) if !args.all => {
+            write_candidates(candidates, notes, false, out)
+        }
+        (Format::Text, _) => write_conversions(&conversions, &pose_text, out),
     })?;
     Ok(Outcome::Clean)
+}
+
+/// The pose in the usual conventions.
+fn write_summary(
+    conversions: &PoseConversions,
+    pose_text: &PoseText,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    writeln!(out, "{:21}{} ({})", "read as", conversions.encoding, pose_text.kind)?;
+    for note in &conversions.notes {
+        writeln!(out, "{:21}{note}", "")?;
+    }
+    fk::write_pose(&conversions.pose, conversions.has_position, out)?;
+    writeln!(out, "{:21}--all: every Euler order and who uses it, axis conventions, code", "more")
+}
+
+/// Warns of a position that the arm cannot reach in the base frame.
+fn warn_beyond_reach(name: &str, conversions: &PoseConversions) -> Result<(), Trouble> {
+    let robot = load_robot(name).map_err(|error| Trouble::from(&error))?;
+    let reach_m = fk::chain(&robot, None, None)?.max_reach_m();
+    let distance_m = conversions.pose.translation.vector.norm();
+    if conversions.has_position && distance_m > reach_m {
+        output::warning(format!(
+            "the position is {distance_m:.3} m from the origin, but {} reaches {reach_m:.3} m; check units and \
+             frames",
+            robot.name
+        ));
+    }
+    Ok(())
 }
 
 fn reconcile_pairs(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Trouble> {

@@ -6,8 +6,8 @@ use crate::geometry::{
 };
 
 use super::encoding::{
-    GIMBAL_LOCK_RAD, KnownEncoding, MIN_NOTED_DEFECT, NumberEncoding, possible_encodings,
-    rotation_defect,
+    GIMBAL_LOCK_RAD, KnownEncoding, MAX_ANGLE_RAD, MAX_LENGTH_M, MIN_NOTED_DEFECT, NumberEncoding,
+    possible_encodings, rotation_defect,
 };
 use super::error::DeskError;
 use super::fixed_frames::worlds;
@@ -109,7 +109,8 @@ pub fn convert(pose_text: &PoseText, known: KnownEncoding) -> Result<ConversionR
     let mut notes = Vec::new();
     let count = pose_text.numbers.len();
     if let Some(first) = usual.first() {
-        notes.extend(unit_notes(first, known));
+        notes.extend(assumed_units(first, known));
+        notes.extend(implausible_sizes(first, known, &pose_text.numbers)?);
     }
     if count == 9
         && usual.first().is_some_and(|first| first.rotation == RotationEncoding::Rows)
@@ -137,40 +138,50 @@ pub fn convert(pose_text: &PoseText, known: KnownEncoding) -> Result<ConversionR
     }
 }
 
-fn unit_notes(encoding: &NumberEncoding, known: KnownEncoding) -> Vec<String> {
+/// The units that the sizes of the numbers suggest, and how to override them.
+fn assumed_units(encoding: &NumberEncoding, known: KnownEncoding) -> Option<String> {
+    let length = match encoding.length {
+        _ if !encoding.has_position || known.units.length.is_some() => None,
+        LengthScale::METRE => Some("metres (no length exceeds 10; else --mm)".to_owned()),
+        LengthScale::MILLIMETRE => Some("millimetres (a length exceeds 10; else --m)".to_owned()),
+        other => Some(format!("{} (a length exceeds 10,000; else --mm)", other.plural_name())),
+    };
+    let angle = match encoding.angle {
+        _ if !encoding.rotation.has_angles() || known.units.angle.is_some() => None,
+        AngleUnit::Radian => Some("radians (no angle exceeds 6.9; else --deg)".to_owned()),
+        AngleUnit::Degree => Some("degrees (an angle exceeds 6.9; else --rad)".to_owned()),
+        parts => Some(format!("{} (an angle exceeds 1,000; else --deg)", parts.plural_name())),
+    };
+    let units: Vec<String> = [length, angle].into_iter().flatten().collect();
+    (!units.is_empty()).then(|| format!("assumed: {}", units.join(", ")))
+}
+
+/// Stated units that make a position or an angle too large for an arm.
+fn implausible_sizes(
+    encoding: &NumberEncoding,
+    known: KnownEncoding,
+    numbers: &[f64],
+) -> Result<Vec<String>, DeskError> {
     let mut notes = Vec::new();
-    if encoding.has_position && known.units.length.is_none() {
-        let length = encoding.length;
-        notes.push(match length {
-            LengthScale::METRE => {
-                "metres assumed: no length exceeds 10; override with --mm".to_owned()
-            }
-            LengthScale::MILLIMETRE => {
-                "millimetres assumed: a length exceeds 10; override with --m".to_owned()
-            }
-            _ => format!(
-                "{} assumed: a length exceeds 10,000; override with --mm",
-                length.plural_name()
-            ),
-        });
+    let position_m = encoding.pose(numbers)?.translation.vector.norm();
+    if encoding.has_position && known.units.length.is_some() && position_m > MAX_LENGTH_M {
+        notes.push(format!(
+            "no arm reaches {position_m:.1} m; if the numbers are millimetres, add --mm"
+        ));
     }
-    if encoding.rotation.has_angles() && known.units.angle.is_none() {
-        notes.push(match encoding.angle {
-            AngleUnit::Radian => {
-                "radians assumed: no angle exceeds 6.9; override with --deg".to_owned()
-            }
-            AngleUnit::Degree => {
-                "degrees assumed: an angle exceeds 6.9; override with --rad".to_owned()
-            }
-            parts => {
-                format!(
-                    "{} assumed: an angle exceeds 1,000; override with --deg",
-                    parts.plural_name()
-                )
-            }
-        });
+    let angles = match encoding.rotation {
+        RotationEncoding::Three(_) => 3,
+        RotationEncoding::AxisAngle => 1,
+        _ => 0,
+    };
+    let angles = numbers[numbers.len().saturating_sub(angles)..].iter();
+    let widest = angles.fold(0.0, |widest: f64, angle| widest.max(angle.abs()));
+    if known.units.angle == Some(AngleUnit::Radian) && widest > MAX_ANGLE_RAD {
+        notes.push(format!(
+            "{widest} rad is more than a turn; if the angles are degrees, add --deg"
+        ));
     }
-    notes
+    Ok(notes)
 }
 
 fn convert_determined(
@@ -347,12 +358,26 @@ mod tests {
         let names: Vec<String> =
             candidates.iter().map(|candidate| candidate.encoding.rotation.to_string()).collect();
         assert_eq!(names[..3], ["rotvec", "euler:xyz", "euler:ZYX"]);
-        assert!(notes.iter().any(|note| note.starts_with("millimetres")));
+        assert!(notes.iter().any(|note| note.starts_with("assumed: millimetres")));
         let pose_text = parse_pose("0 0 1 0.1 0.2 0.3 0.927").unwrap();
         assert!(matches!(
             convert(&pose_text, KnownEncoding::default()),
             Ok(ConversionResult::Ambiguous { .. })
         ));
+    }
+
+    #[test]
+    fn units_that_make_a_pose_implausible_are_noted() {
+        let noted = |text: &str, known: &str, part: &str| {
+            one(text, known).notes.iter().any(|note| note.contains(part))
+        };
+        let literal = "p[-143.5, -435.2, 288.1, 1.2, -1.7, 0.6]";
+        assert!(noted(literal, "", "no arm reaches 541.3 m"));
+        assert!(!noted(literal, "mm", "reaches"));
+        assert!(!noted("p[-0.1435, -0.4352, 0.2881, 1.2, -1.7, 0.6]", "", "reaches"));
+        let degrees = r#"<origin xyz="0 0 1" rpy="0 0 90"/>"#;
+        assert!(noted(degrees, "", "90 rad is more than a turn"));
+        assert!(!noted(degrees, "deg", "turn"));
     }
 
     #[test]

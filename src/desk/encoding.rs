@@ -22,12 +22,12 @@ pub(super) const MIN_NOTED_DEFECT: f64 = 1e-3;
 pub(super) const GIMBAL_LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Largest plausible lengths, each in its unit.
-const MAX_LENGTH_M: f64 = 10.0;
+pub(super) const MAX_LENGTH_M: f64 = 10.0;
 const MAX_LENGTH_CM: f64 = 1e3;
 const MAX_LENGTH_MM: f64 = 1e4;
 
 /// Largest plausible angles, each in its unit.
-const MAX_ANGLE_RAD: f64 = 1.1 * TAU;
+pub(super) const MAX_ANGLE_RAD: f64 = 1.1 * TAU;
 const MAX_ANGLE_DEG: f64 = 1e3;
 
 fn accepts_count(form: RotationEncoding, count: usize) -> bool {

@@ -32,4 +32,4 @@ pub use reconciliation::{
     EndTransform, Hypothesis, Inversion, ReconcileVerdict, Reconciliation, Residual,
     SinglePairOffsets,
 };
-pub use text::{write_conversions, write_reconciliation};
+pub use text::{write_candidates, write_conversions, write_reconciliation};

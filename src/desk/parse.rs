@@ -110,17 +110,44 @@ impl PoseText {
     }
 }
 
-/// Separated by spaces, commas, semicolons, brackets or degree signs.
+/// Separated by spaces, commas, semicolons, brackets, degree signs, or the dashes of a YAML list.
 fn parse_bare_numbers(text: &str) -> Result<Vec<f64>, DeskError> {
-    let text = text.replace('−', "-");
+    let text = without_calls(&text.replace('−', "-"));
     let is_between = |c: char| c.is_whitespace() || ",;[](){}|°".contains(c);
-    let words = text.split(is_between).filter(|word| !word.is_empty());
+    let mut words = Vec::new();
+    for line in text.lines() {
+        let mut of_line = line.split(is_between).filter(|word| !word.is_empty()).peekable();
+        while of_line.next_if_eq(&"-").is_some() {}
+        words.extend(of_line);
+    }
+    let words = words.into_iter();
     let numbers = words.map(|word| {
         let number: Option<f64> = word.parse().ok();
         let number = number.filter(|number| number.is_finite());
         number.ok_or_else(|| DeskError::Word { word: word.to_owned() })
     });
     numbers.collect()
+}
+
+/// Drops what numpy and torch print around numbers: `np.array(…, dtype=float32)`, `np.float64(…)`,
+/// `tensor(…)`.
+fn without_calls(text: &str) -> String {
+    let is_of_name = |c: char| c.is_alphanumeric() || "_.".contains(c);
+    let mut kept = String::with_capacity(text.len());
+    for part in text.split_inclusive('(') {
+        match part.strip_suffix('(') {
+            Some(before) => {
+                let name = before.trim_end_matches(is_of_name).len();
+                let is_call = before[name..].starts_with(char::is_alphabetic);
+                kept += if is_call { &before[..name] } else { before };
+                kept.push('(');
+            }
+            None => kept += part,
+        }
+    }
+    let mut parts: Vec<&str> = kept.split(',').collect();
+    parts.retain(|part| !["dtype=", "device="].iter().any(|it| part.trim().starts_with(it)));
+    parts.join(",")
 }
 
 /// `<origin xyz="…" rpy="…"/>`, or its attributes.
@@ -199,6 +226,9 @@ fn find_poses<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
 }
 
 fn pose_of_message(holder: &Value, message: &Value) -> Result<PoseText, DeskError> {
+    if let Some(lists) = numbers_of_lists(holder) {
+        return Ok(PoseText::new(lists, KnownEncoding::default(), "YAML lists"));
+    }
     let components = |keys: [&str; 2], axes: &[&str], what: &'static str| {
         let of = keys.iter().find_map(|key| holder.get(key)).ok_or(DeskError::Missing(what))?;
         let numbers: Option<Vec<f64>> =
@@ -216,6 +246,21 @@ fn pose_of_message(holder: &Value, message: &Value) -> Result<PoseText, DeskErro
     pose_text.parent = find_name(message, "frame_id");
     pose_text.child = find_name(message, "child_frame_id");
     Ok(pose_text)
+}
+
+/// Position and rotation given as lists, such as `translation: [x, y, z]`; their order stays unknown.
+fn numbers_of_lists(holder: &Value) -> Option<Vec<f64>> {
+    let list = |keys: [&str; 2]| keys.iter().find_map(|key| holder.get(key)?.as_array());
+    let mut numbers = Vec::new();
+    for list in [list(["position", "translation"])?, list(["orientation", "rotation"])?] {
+        let flat = list.iter().flat_map(|item| match item.as_array() {
+            Some(row) => row.as_slice(),
+            None => std::slice::from_ref(item),
+        });
+        let flat: Option<Vec<f64>> = flat.map(Value::as_f64).collect();
+        numbers.extend(flat?);
+    }
+    Some(numbers)
 }
 
 /// First non-empty text with that key, without a leading `/`.
@@ -299,6 +344,34 @@ transforms:
     fn numbers_may_have_brackets_and_a_true_minus() {
         let pose_text = parse_pose("[[0.1, −0.2; 0.3] (1, 0, 0, 0)]").unwrap();
         assert_eq!(pose_text.numbers, [0.1, -0.2, 0.3, 1.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn arrays_of_numpy_and_lists_of_yaml_are_numbers() {
+        let six = [0.1, -0.2, 0.3, 1.2, -1.7, 0.6];
+        for text in [
+            "array([ 0.1, -0.2,  0.3,  1.2, -1.7,  0.6])",
+            "np.array([0.1, -0.2, 0.3, 1.2, -1.7, 0.6], dtype=np.float32)",
+            "[np.float64(0.1), np.float64(-0.2), np.float64(0.3), np.float64(1.2), np.float64(-1.7), 0.6]",
+            "tensor([0.1, -0.2, 0.3, 1.2, -1.7, 0.6], device='cuda:0', dtype=torch.float64)",
+            "[ 0.1 -0.2  0.3  1.2 -1.7  0.6]",
+            "- 0.1\n- -0.2\n- 0.3\n- 1.2\n- -1.7\n- 0.6",
+            "- [0.1, -0.2, 0.3]\n- [1.2, -1.7, 0.6]",
+            "- - 0.1\n  - -0.2\n  - 0.3\n- - 1.2\n  - -1.7\n  - 0.6",
+        ] {
+            let pose_text = parse_pose(text).unwrap();
+            assert_eq!(pose_text.numbers, six, "{text}");
+            assert_eq!(pose_text.encoding, KnownEncoding::default(), "{text}");
+        }
+        let matrix = "array([[0., -1., 0., 0.3],\n       [1., 0., 0., 0.1],\n       [0., 0., 1., 0.5],\n       \
+                      [0., 0., 0., 1.]])";
+        assert_eq!(parse_pose(matrix).unwrap().numbers.len(), 16);
+        let lists = "translation: [0.1, -0.2, 0.3]\nrotation: [0, 0, 0, 1]";
+        let pose_text = parse_pose(lists).unwrap();
+        assert_eq!(pose_text.numbers, [0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(pose_text.encoding.rotation, None);
+        let words = parse_pose("array([1, 2, x, 4, 5, 6])").unwrap_err().to_string();
+        assert!(words.contains("`x`"), "{words}");
     }
 
     #[test]

@@ -13,9 +13,9 @@ use crate::geometry::{Convention, Pose, RotationEncoding, xyz_of, xyzw_from_rota
 const MAX_USERS_WIDTH: usize = 56;
 
 fn format_numbers(numbers: &[f64], digits: usize) -> String {
-    let width = digits + 6;
-    let numbers = numbers.iter().map(|number| format!("{:>width$}", rounded(*number, digits)));
-    numbers.collect::<Vec<_>>().join("")
+    let width = digits + 5;
+    let numbers = numbers.iter().map(|number| format!(" {:>width$}", rounded(*number, digits)));
+    numbers.collect()
 }
 
 fn to_degrees(numbers: &[f64]) -> Vec<f64> {
@@ -61,7 +61,7 @@ fn write_side_by_side(
     for at in 0..left.len().max(right.len()) {
         let name = if at == 0 { name } else { "" };
         let [left, right] = [left, right].map(|lines| lines.get(at).map_or("", String::as_str));
-        writeln!(out, "{}", format!("{name:16}{left:width$}  {right}").trim_end())?;
+        writeln!(out, "{}", format!("{name:15} {left:width$}  {right}").trim_end())?;
     }
     Ok(())
 }
@@ -78,7 +78,7 @@ pub fn write_conversions(
     match conversions {
         ConversionResult::Determined(conversions) => write_determined(conversions, pose_text, out),
         ConversionResult::Ambiguous { candidates, notes } => {
-            write_candidates(candidates, notes, out)
+            write_candidates(candidates, notes, true, out)
         }
     }
 }
@@ -177,9 +177,14 @@ fn write_row(row: &ConventionRow, out: &mut dyn Write) -> io::Result<()> {
     write_side_by_side(out, &row.rotation.to_string(), &left, &wrap_names(&names, MAX_USERS_WIDTH))
 }
 
-fn write_candidates(
+/// Writes the possible conventions of ambiguous numbers; without `all`, one line for each.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write_candidates(
     candidates: &[ConversionCandidate],
     notes: &[String],
+    all: bool,
     out: &mut dyn Write,
 ) -> io::Result<()> {
     writeln!(
@@ -193,8 +198,19 @@ fn write_candidates(
     writeln!(out, "\n{:16}{:46}used by", "if it is", "the rotation is x y z w")?;
     for candidate in candidates {
         let left = [format_numbers(&xyzw_from_rotation(&candidate.pose.rotation), 6)];
-        let right = wrap_names(&user_names(&candidate.uses), MAX_USERS_WIDTH);
+        let mut right = wrap_names(&user_names(&candidate.uses), MAX_USERS_WIDTH);
+        if right.len() > 1 && !all {
+            right.truncate(1);
+            right[0] += " …";
+        }
         write_side_by_side(out, &candidate.encoding.rotation.to_string(), &left, &right)?;
+    }
+    if !all {
+        return writeln!(
+            out,
+            "{:16}--all: everyone who uses each, and all names for --from",
+            "more"
+        );
     }
     let vendor_names: Vec<String> = vendors::names().map(str::to_owned).collect();
     writeln!(out)?;
@@ -261,7 +277,7 @@ pub fn write_reconciliation(
         last = label;
         writeln!(
             out,
-            "{name:16}{:22}{}",
+            "{name:15} {:21} {}",
             format_residual(&hypothesis.residual),
             short_text(hypothesis)
         )?;
@@ -278,7 +294,7 @@ fn write_hypothesis(
     let claims = hypothesis.claims();
     let mut name = name;
     let mut line = |out: &mut dyn Write, text: &str| {
-        let done = writeln!(out, "{name:16}{text}");
+        let done = writeln!(out, "{name:15} {text}");
         name = "";
         done
     };
