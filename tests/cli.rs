@@ -95,6 +95,8 @@ fn an_invalid_calibration_gives_one_line_with_file_and_line() {
 #[test]
 fn an_unknown_rule_suggests_the_nearest() {
     assert_refused(&["explain", "lat9"], 2, "did you mean LAT001");
+    assert_refused(&["explain", "zeros"], 2, "unknown rule `zeros`");
+    assert_refused(&["explain", "joint"], 2, "ZER001 (joint-zero)");
 }
 
 #[test]
@@ -106,6 +108,8 @@ fn every_rule_is_listed_and_explained() {
         let explained = poseaudit(&["explain", &rule.code.to_lowercase()]);
         assert_eq!(status(&explained), 0);
         assert!(stdout(&explained).starts_with(rule.code), "{}", stdout(&explained));
+        let by_name = poseaudit(&["explain", rule.name]);
+        assert_eq!(stdout(&by_name), stdout(&explained), "{}", rule.name);
         assert!(stdout(&explained).contains("\nWhen it misleads\n"), "{}", rule.code);
     }
 }
@@ -271,7 +275,7 @@ fn the_demo_prints_json() {
 #[test]
 fn a_pose_is_printed_in_every_convention() {
     let pose = "243.69 -249.04 618.32 149.49 -12.78 72.64";
-    let output = poseaudit(&["pose", "--from", "euler:xyz", "--deg", "--mm", pose]);
+    let output = poseaudit(&["pose", "--all", "--from", "euler:xyz", "--deg", "--mm", pose]);
     assert_eq!(status(&output), 0, "{}", stderr(&output));
     for part in ["FANUC", "KUKA", "Rotation.from_euler(\"xyz\"", "euler:zyx", "0.243690"] {
         assert!(stdout(&output).contains(part), "{part}: {}", stdout(&output));
@@ -283,6 +287,31 @@ fn a_pose_is_printed_in_every_convention() {
     assert_eq!(report["conventions"].as_array().map(Vec::len), Some(36));
     let unity = &report["worlds"][0];
     assert_eq!((&unity["who"], &unity["xyz_m"][1]), (&"Unity".into(), &0.0002.into()));
+}
+
+#[test]
+fn one_pose_is_printed_in_twelve_lines_whose_columns_never_collide() {
+    for text in [
+        "p[-143.5, -435.2, 288.1, 1.2, -1.7, 0.6]",
+        "array([0.3, 0.1, -0.5, 0., 0., 0., 1.])",
+        "0.3 0.1 0.5 0.2 0.5 -0.1",
+        "0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1",
+    ] {
+        let output = poseaudit(&["pose", text]);
+        assert_eq!(status(&output), 0, "{}", stderr(&output));
+        assert!(stdout(&output).lines().count() <= 12, "{}", stdout(&output));
+        let all = poseaudit(&["pose", "--all", "--from", "rotvec,m,rad", "1e6 -2e6 3e6 0 0 -3.1"]);
+        for number in ["1000000.000000", "-2000000.000000", "-2000000000.000"] {
+            let is_alone = |line: &str| line.split_whitespace().any(|word| word == number);
+            assert!(stdout(&all).lines().any(is_alone), "{number}: {}", stdout(&all));
+        }
+    }
+    let literal = poseaudit(&["pose", "p[-143.5, -435.2, 288.1, 1.2, -1.7, 0.6]"]);
+    assert!(stdout(&literal).contains("no arm reaches 541.3 m; if the"), "{}", stdout(&literal));
+    let far = poseaudit(&["pose", "p[1.2, -1.1, 0.3, 1.2, -1.7, 0.6]", "--robot", "ur5e"]);
+    assert!(stderr(&far).contains("1.655 m from the origin, but ur5e reaches"), "{}", stderr(&far));
+    let near = poseaudit(&["pose", "p[0.2, -0.1, 0.3, 1.2, -1.7, 0.6]", "--robot", "ur5e"]);
+    assert_eq!(stderr(&near), "");
 }
 
 #[test]
@@ -326,7 +355,7 @@ fn the_remaining_offset_of_two_poses_is_printed_first_and_no_match_exits_with_1(
 fn numbers_need_no_quotes_and_one_pose_refuses_options_for_two() {
     let bare = ["pose", "0.3,", "0.1,", "-0.5", "0", "0", "0", "1", "--from", "ros"];
     assert_eq!(status(&poseaudit(&bare)), 0, "{}", stderr(&poseaudit(&bare)));
-    assert_refused(&["pose", "0 0 1 0 0 0 1", "--robot", "ur5e"], 2, "--robot");
+    assert_refused(&["pose", "0 0 1 0 0 0 1", "--is-as", "ur"], 2, "--is-as");
 }
 
 #[test]
@@ -345,6 +374,45 @@ fn an_invalid_pose_gives_one_line() {
 #[test]
 fn a_log_in_place_of_a_command_suggests_audit() {
     assert_refused(&[FAULTY], 2, "audit it with `poseaudit audit fixtures/faulty.mcap`");
+}
+
+#[test]
+fn a_folder_of_several_runs_suggests_the_fleet() {
+    let runs = tempfile::tempdir().expect("a folder");
+    let path = runs.path().display().to_string();
+    assert_refused(&["audit", &path], 3, "it is a directory without log files");
+    for run in ["monday", "tuesday"] {
+        fs::create_dir(runs.path().join(run)).expect("a folder");
+        fs::copy(CLEAN, runs.path().join(run).join("run.mcap")).expect("a copy");
+    }
+    assert_refused(&["audit", &path], 3, "poseaudit fleet FOLDER --out DIR");
+    fs::copy(CLEAN, runs.path().join("one.mcap")).expect("a copy");
+    fs::copy(CLEAN, runs.path().join("other.mcap")).expect("a copy");
+    assert_refused(&["audit", &path], 3, "poseaudit fleet FOLDER --out DIR");
+}
+
+#[test]
+fn the_recording_command_is_the_first_line_of_record_list() {
+    for source in ["ur5e", CLEAN] {
+        let output = poseaudit(&["record-list", source]);
+        let first = stdout(&output).lines().next().unwrap_or_default();
+        assert!(
+            first.starts_with("ros2 bag record ") && first.contains("/joint_states"),
+            "{first}"
+        );
+    }
+}
+
+#[test]
+fn options_of_all_commands_are_below_those_of_the_command() {
+    for command in ["audit", "pose", "fk", "watch", "record-list"] {
+        let help = poseaudit(&[command, "--help"]);
+        let place = |option: &str| stdout(&help).find(option).expect(option);
+        let last = ["--quiet", "--verbose", "--color"].map(place);
+        let own = stdout(&help).lines().filter(|line| line.trim_start().starts_with("--")).count();
+        assert!(own > 3 && place("Messages:") < last[0], "{}", stdout(&help));
+        assert!(place("--format") < last[0], "{command}: {}", stdout(&help));
+    }
 }
 
 #[test]
@@ -374,6 +442,11 @@ fn forward_kinematics_of_one_configuration_and_of_a_file_agree() {
     for (axis, xyz) in one["xyz_m"].as_array().expect("three numbers").iter().enumerate() {
         assert!((xyz.as_f64().expect("a number") - numbers[6 + axis]).abs() < 1e-12, "{text}");
     }
+    let degrees = ["fk", "ur5e", "0", "-90", "90", "0", "0", "0"];
+    let warned = poseaudit(&degrees);
+    assert_eq!(status(&warned), 0);
+    assert!(stderr(&warned).starts_with("warning: a joint at 90 rad"), "{}", stderr(&warned));
+    assert_eq!(stderr(&poseaudit(&[&degrees[..], &["--deg"]].concat())), "");
     assert_refused(&["fk", "ur5e", "1", "2"], 2, "6 joints");
     assert_refused(&["fk", "ur5x", "1"], 2, "ur5");
     assert_refused(&["robots", "ur5x"], 2, "ur5");
@@ -396,7 +469,14 @@ fn a_transform_of_the_log_is_looked_up_as_tf2_does() {
     // The inverse pose has the same distance: x' = −Rᵀ·x.
     let length = |row: &Value| numbers(row, "xyz_m").iter().map(|x| x * x).sum::<f64>().sqrt();
     assert!((length(&there) - length(&back)).abs() < 1e-12);
-    assert_eq!(at("+99")["how"], "extrapolated");
+    let refused = |time: &str, part: &str| {
+        assert_refused(&["tf", CLEAN, "base", "tool0", &format!("--at={time}")], 2, part);
+    };
+    refused("+300", "--at: +300.000 s is outside the log's transforms, which cover +0.");
+    refused("1780000300", "which cover +0.");
+    let negative = poseaudit(&["tf", CLEAN, "base", "tool0", "--at=-100"]);
+    assert_eq!(status(&negative), 2);
+    assert!(stderr(&negative).contains("expected +S from the start"), "{}", stderr(&negative));
     let followed = poseaudit(&["tf", CLEAN, "base", "tool0", "--follow", "2"]);
     assert!(stdout(&followed).lines().count() > 20, "{}", stdout(&followed));
     assert_refused(&["tf", CLEAN, "base", "tool"], 2, "tool0");
@@ -471,6 +551,9 @@ fn init_writes_a_config_and_does_not_overwrite_one() {
     let output = poseaudit(&["audit", CLEAN, "--config", &config]);
     assert_eq!(status(&output), 0, "{}", stdout(&output));
     assert_refused(&["init", CLEAN, "--output", &config], 2, "not overwritten");
+    assert!(written.lines().count() < 30 && !written.contains("[rules."), "{written}");
+    let all = poseaudit(&["init", CLEAN, "--all"]);
+    assert!(stdout(&all).contains("# [rules.LAT001]"), "{}", stdout(&all));
     let schema = json(&poseaudit(&["init", "--schema"]));
     assert_eq!(schema["title"], "poseaudit.toml");
 }

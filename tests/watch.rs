@@ -1,7 +1,7 @@
 //! Logs that are audited while they are written.
 
 use std::fs::{self, OpenOptions};
-use std::io::{Cursor, Read, Write};
+use std::io::{BufRead, BufReader, Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
@@ -235,6 +235,20 @@ fn until_fail_ends_with_a_failing_log_when_another_log_replaces_it() {
     let last = lines.last().expect("a line");
     assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()), "{lines:?}");
     assert!(last["log"].as_str().is_some_and(|log| log.ends_with("run.mcap")), "{lines:?}");
+}
+
+#[test]
+fn a_watch_says_what_it_waits_for_and_what_ends_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut call = watch_command(folder.path(), &[]);
+    let mut child = call.stderr(Stdio::piped()).spawn().expect("the binary runs");
+    let mut line = String::new();
+    let stderr = child.stderr.take().expect("a pipe");
+    BufReader::new(stderr).read_line(&mut line).expect("UTF-8");
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+    let path = folder.path().display();
+    assert_eq!(line, format!("waiting for a log in {path}; ends with Ctrl-C\n"));
 }
 
 #[test]

@@ -14,19 +14,40 @@ const HEADING: Style = Style::new().bold();
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  poseaudit explain LAT001")]
+  poseaudit explain LAT001
+  poseaudit explain joint-zero")]
 pub struct Args {
-    /// Code of the rule, such as LAT001
-    #[arg(value_name = "CODE")]
-    code: String,
+    /// Code or name of the rule, such as LAT001 or latency
+    #[arg(value_name = "CODE|NAME")]
+    rule: String,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    let rule = checks::find(&args.code).map_err(|unknown| {
-        misuse("explain", format!("unknown rule `{}`", unknown.code), unknown.remedy())
-    })?;
+    let rule = find(&args.rule)?;
     output::emit(None, |out| write(rule, out))?;
     Ok(Outcome::Clean)
+}
+
+/// The rule with this code, or with this name or a part of it that no other rule's name contains.
+fn find(wanted: &str) -> Result<&'static Rule, Trouble> {
+    let name = wanted.trim().to_ascii_lowercase();
+    let rules = checks::registry();
+    let similar: Vec<&Rule> =
+        rules.iter().copied().filter(|rule| rule.name.contains(&name)).collect();
+    let named = rules.iter().copied().find(|rule| rule.name == name);
+    checks::find(wanted).or_else(|unknown| match (named, similar.as_slice()) {
+        (Some(rule), _) => Ok(rule),
+        (None, [only]) => Ok(*only),
+        (None, several) => {
+            let names: Vec<String> =
+                several.iter().map(|rule| format!("{} ({})", rule.code, rule.name)).collect();
+            let remedy = match names.is_empty() {
+                true => unknown.remedy(),
+                false => format!("did you mean {}?", names.join(", ")),
+            };
+            Err(misuse("explain", format!("unknown rule `{}`", unknown.code), remedy))
+        }
+    })
 }
 
 fn write(rule: &Rule, out: &mut dyn Write) -> io::Result<()> {

@@ -8,19 +8,29 @@ use anstyle::Style;
 use clap::ValueEnum;
 use poseaudit::report::sanitize;
 
+/// Below the command's own options in `--help`.
+const HEADING: &str = "Messages";
+
 /// Options for verbosity and colour, shared by all commands.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct VerbosityOptions {
     /// Print only the result and errors: no progress, warnings or names of written files on stderr
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, help_heading = HEADING, conflicts_with = "verbose")]
     quiet: bool,
 
     /// Also print on stderr which files are read, how much data and how long it takes
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, help_heading = HEADING)]
     verbose: bool,
 
     /// When to use colours; auto: on a terminal unless NO_COLOR is set, or if CLICOLOR_FORCE is set
-    #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t = Colour::Auto)]
+    #[arg(
+        long,
+        global = true,
+        help_heading = HEADING,
+        value_enum,
+        value_name = "WHEN",
+        default_value_t = Colour::Auto
+    )]
     color: Colour,
 }
 
@@ -76,6 +86,12 @@ pub fn print_written(path: &Path) {
     // Not for devices and pipes.
     if is_shown(Level::Normal) && (path.is_file() || path.is_dir()) {
         print_line("wrote", &path.display().to_string());
+    }
+}
+
+pub fn print_waiting(what: &str) {
+    if is_shown(Level::Normal) {
+        print_line("waiting", what);
     }
 }
 

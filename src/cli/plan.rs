@@ -26,7 +26,7 @@ There is no collision checking with the cell, the payload or cables. Run a motio
 
 Examples:
   poseaudit plan ur5e --around 0,-1.57,1.57,-1.2,-1.57,0 --for zeros
-  poseaudit plan ur5e --around 0,-90,90,-70,-90,0 --degrees --for latency --output latency.script
+  poseaudit plan ur5e --around 0,-90,90,-70,-90,0 --deg --for latency --output latency.script
   poseaudit plan arm.urdf --around 0.1,0.4,0,-1.2,0,1.6,0.8 --for hand-eye --format yaml --output run.yaml
   poseaudit plan ur5e --check mine.csv --for calibration --outside")]
 pub struct Args {
@@ -47,7 +47,7 @@ pub struct Args {
 
     /// Revolute joints of --around are in degrees
     #[arg(long)]
-    degrees: bool,
+    deg: bool,
 
     /// What the motion must show
     #[arg(long = "for", value_enum, default_value_t = PurposeName::Zeros)]
@@ -229,7 +229,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 }
 
 fn plan_motion(args: &Args, arm: &PlannedArm) -> Result<Outcome, Trouble> {
-    let around = arm.configuration(&args.around, args.degrees)?;
+    let around = arm.configuration(&args.around, args.deg)?;
     let task = build_valid_task(args, arm, around)?;
     let format = args.format.or_else(|| Format::from_extension(args.output.as_deref()?));
     let format = format.unwrap_or(Format::Text);
@@ -264,7 +264,7 @@ fn check_motion(args: &Args, arm: &PlannedArm, file: &Path) -> Result<Outcome, T
     let motion = read::read_motion(file, &arm.chain)?;
     let around = match args.around.is_empty() {
         true => motion.row(0).to_vec(),
-        false => arm.configuration(&args.around, args.degrees)?,
+        false => arm.configuration(&args.around, args.deg)?,
     };
     let task = PlanTask::from_configuration(args, arm, around);
     let sensing = &task.sensing;

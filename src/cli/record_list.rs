@@ -172,6 +172,10 @@ impl Source {
     }
 
     fn write(&self, answers: &[Answer], out: &mut dyn Write) -> io::Result<()> {
+        // First, and without a label, so that it can be copied.
+        writeln!(out, "{}\n", sanitize(&command(answers)))?;
+        let motion = "30 s or more in which every joint moves by 30° or more, one after another";
+        writeln!(out, "motion         {motion}; `poseaudit plan` writes one")?;
         match self {
             Source::Log(report) => {
                 let names = report.log.files.iter().map(|file| file.path.display().to_string());
@@ -211,9 +215,7 @@ impl Source {
                 writeln!(out, "  missing      {}", need.description())?;
             }
         }
-        writeln!(out, "\nrecord         {}", sanitize(&command(answers)))?;
-        let motion = "30 s or more in which every joint moves by 30° or more, one after another";
-        writeln!(out, "motion         {motion}; `poseaudit plan` writes one")
+        Ok(())
     }
 
     fn as_json(&self, answers: &[Answer]) -> Value {

@@ -17,7 +17,7 @@ use self::recording_sink::RecordingSink;
 use self::watched_log::{WatchSettings, WatchedLog};
 use super::audit_options::{AuditOptions, positive_seconds};
 use super::output::Format;
-use super::{Outcome, misuse};
+use super::{Outcome, messages, misuse};
 
 /// Interval between checks for new data.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
@@ -99,6 +99,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         (until_fail && log.outcome() == Outcome::Findings) || (ends_with_log && log.has_ended())
     };
     let mut current: Option<WatchedLog> = None;
+    messages::print_waiting(&waiting_text(&args.path, ends_with_log, args.idle));
     loop {
         if let Some(newest) = newest_log(&args.path)
             && current.as_ref().is_none_or(|current| *current.path() != newest)
@@ -120,6 +121,19 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         }
         thread::sleep(POLL_INTERVAL);
     }
+}
+
+/// What the command waits for, and what ends it.
+fn waiting_text(path: &Path, ends_with_log: bool, idle_s: f64) -> String {
+    let what = match path.is_dir() {
+        true => "a log in",
+        false => "data in",
+    };
+    let end = match ends_with_log {
+        true => format!("ends {idle_s} s after the last write, or with Ctrl-C"),
+        false => "ends with Ctrl-C".to_owned(),
+    };
+    format!("for {what} {}; {end}", path.display())
 }
 
 /// The path, or the most recently written log in it.
