@@ -409,9 +409,8 @@ fn options_of_all_commands_are_below_those_of_the_command() {
         let help = poseaudit(&[command, "--help"]);
         let place = |option: &str| stdout(&help).find(option).expect(option);
         let last = ["--quiet", "--verbose", "--color"].map(place);
-        let own = stdout(&help).lines().filter(|line| line.trim_start().starts_with("--")).count();
-        assert!(own > 3 && place("Messages:") < last[0], "{}", stdout(&help));
-        assert!(place("--format") < last[0], "{command}: {}", stdout(&help));
+        let own = place("--format");
+        assert!(own < place("Messages:") && own < last[0], "{command}: {}", stdout(&help));
     }
 }
 
@@ -551,7 +550,7 @@ fn init_writes_a_config_and_does_not_overwrite_one() {
     let output = poseaudit(&["audit", CLEAN, "--config", &config]);
     assert_eq!(status(&output), 0, "{}", stdout(&output));
     assert_refused(&["init", CLEAN, "--output", &config], 2, "not overwritten");
-    assert!(written.lines().count() < 30 && !written.contains("[rules."), "{written}");
+    assert!(written.lines().count() < 45 && !written.contains("[rules."), "{written}");
     let all = poseaudit(&["init", CLEAN, "--all"]);
     assert!(stdout(&all).contains("# [rules.LAT001]"), "{}", stdout(&all));
     let schema = json(&poseaudit(&["init", "--schema"]));

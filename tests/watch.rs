@@ -112,7 +112,9 @@ fn watch_with_viewer(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Valu
     let (status, lines) = wait_for_end(child);
     let mut stderr_text = String::new();
     stderr.read_to_string(&mut stderr_text).expect("UTF-8");
-    (status, lines, stderr_text)
+    let (waiting, messages) = stderr_text.split_once('\n').expect("a line");
+    assert!(waiting.starts_with("waiting for data in "), "{stderr_text}");
+    (status, lines, messages.to_owned())
 }
 
 #[cfg(unix)]

@@ -96,10 +96,10 @@ def first_finding(page: Path, code: str) -> str:
 def configure(folder: Path, pages: Path, has_audit: bool) -> None:
     config = (Path(__file__).parent / "mkdocs.yml").read_text(encoding="utf-8")
     rules = sorted(path.name for path in (pages / "docs/rules").glob("*.md") if path.name != "README.md")
-    nested = "".join(f"\n      - docs/rules/{name}" for name in ["README.md", *rules])
+    nested = "".join(f"\n          - docs/rules/{name}" for name in ["README.md", *rules])
     config = config.replace(" RULES", nested)
     if has_audit:
-        config = config.replace("  - Start:", "  - Audit in the browser: audit/index.html\n  - Start:", 1)
+        config = config.replace("  - Install:", "  - Audit in the browser: audit/index.html\n  - Install:", 1)
     (folder / "mkdocs.yml").write_text(config, encoding="utf-8")
 
 

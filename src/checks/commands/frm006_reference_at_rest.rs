@@ -41,10 +41,10 @@ rule! {
     /// overloaded, or is held by a brake. A compliant controller yields to loads by design.
     ///
     /// ## When it misleads
-    /// An offset that is constant in the tool frame at different orientations is probably a different
-    /// active TCP; it is `info` unless the commanded link was named. A single goal at which the arm was
-    /// stopped within 20 mm looks like a missed goal. With FK alone, a nominal model of a calibrated arm
-    /// also differs by millimetres (MDL001).
+    /// An offset that is constant in the tool frame at different orientations is probably a different active
+    /// TCP. It is `info` unless the commanded link was named. A single goal at which the arm was stopped
+    /// within 20 mm looks like a missed goal. With FK alone, a nominal model of a calibrated arm also differs
+    /// by millimetres (MDL001).
     FRM006 {
         name: "reference-at-rest",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

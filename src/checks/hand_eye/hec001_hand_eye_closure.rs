@@ -15,8 +15,8 @@ rule! {
     ///
     /// ## What it means
     /// With the camera in the hand, the target is fixed in the base. With the camera fixed, the target is
-    /// fixed in the hand. Either no camera pose and time offset make the recorded poses consistent with
-    /// this, or the camera pose that does differs from the one in the log's frames.
+    /// fixed in the hand. Either no camera pose and time offset make the recorded poses consistent with this.
+    /// Or the camera pose that does differs from the one in the log's frames.
     ///
     /// ## Why it matters
     /// The robot misses what the camera sees by about the closure residual.

@@ -8,7 +8,7 @@ pub(super) mod hec003_camera_axes;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Cameras that see a target, each with a hand",
+    examines: "Hand-eye chains: a camera, its target and the arm",
     rules: &[
         &hec001_hand_eye_closure::HEC001,
         &hec002_hand_eye_rotation::HEC002,

@@ -18,10 +18,10 @@ rule! {
     ///
     /// ## Evidence
     /// Unless the other rules' causes explain the log to within the noise, each joint is tested for
-    /// hysteresis, with sag (ZER003) and eccentricity; latencies, zeros and frames are free. The link may
-    /// wait while its encoder crosses the backlash, or be pushed through it at the reversal. It is reported
-    /// if it reduces the residual substantially, and preferred to changing zeros or frames if fewer causes
-    /// are then needed. Latency and zeros are then judged on corrected joint states.
+    /// hysteresis, sag (ZER003) and eccentricity. Latencies, zeros and frames are free. The link may wait
+    /// while its encoder crosses the backlash, or be pushed through it at the reversal. It is reported if it
+    /// reduces the residual substantially, and preferred to changing zeros or frames if fewer causes are then
+    /// needed. Latency and zeros are then judged on corrected joint states.
     ///
     /// `leads`: the poses, computed from the motor's encoder, lead this joint's encoder, which is on the
     /// link side.

@@ -26,9 +26,9 @@ rule! {
     ///   other.
     /// - `declared_positions_m`: distance of its positions from the arm as declared.
     ///
-    /// `declared_faults` and `other_faults` count the causes needed. The rule fires only if a stream's
-    /// residual under the other convention is typical of a nominal model of a calibrated arm, and at most a
-    /// tenth of the declared one's, and no stream contradicts this.
+    /// `declared_faults` and `other_faults` count the causes needed. The rule requires that a stream's
+    /// residual under the other convention is typical of a nominal model of a calibrated arm. It must also be
+    /// at most a tenth of the declared one's, and no stream may contradict this.
     ///
     /// ## How to fix
     /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes the corrected table.

@@ -33,7 +33,7 @@ rule! {
     /// - `wander`: the estimate is the difference between maximum and minimum.
     ///
     /// A single step and a ramp also have `from` and `to`. The other rules judge the stream with this
-    /// variation removed, relative to the level that lasts longest, or to the lowest level if the steps are
+    /// variation removed. The reference is the level that lasts longest, or the lowest level if the steps are
     /// large.
     ///
     /// ## How to fix
@@ -41,10 +41,10 @@ rule! {
     /// started at the time of a step.
     ///
     /// ## When it misleads
-    /// A latency that grows steadily is LAT002. If two or more independent streams step at the same time by
-    /// the same latency and none is constant, the joint states stepped the other way, and the only finding
-    /// is on them. A single stream cannot show which of the two stepped. At rest a latency has no effect,
-    /// so a step is dated to the next motion.
+    /// A latency that grows steadily is LAT002. Two or more independent streams may step at the same time by
+    /// the same latency, and none is constant. Then the joint states stepped the other way, and the only
+    /// finding is on them. A single stream cannot show which of the two stepped. At rest a latency has no
+    /// effect, so a step is dated to the next motion.
     LAT003 {
         name: "unsteady-latency",
         grade: Grade::From(&[THRESHOLD]),

@@ -9,10 +9,10 @@ rule! {
     /// Tool vibration above the band of the motion.
     ///
     /// ## What it means
-    /// The rms of the tool's path above 10 Hz, beyond noise, in the 1.5 s in which it is largest. The path
-    /// is FK of the joint states, or a pose stream. For a pose stream the band starts at the upper end of
-    /// the joint motion, but not below 4 Hz; a tone that the joints do not show is thus also vibration.
-    /// White noise is estimated and subtracted.
+    /// The rms of the tool's path above 10 Hz, beyond noise, in the 1.5 s in which it is largest. The path is
+    /// FK of the joint states, or a pose stream. For a pose stream the band starts at the upper end of the
+    /// joint motion, but not below 4 Hz. A tone that the joints do not show is thus also vibration. White
+    /// noise is estimated and subtracted.
     ///
     /// ## Why it matters
     /// It blurs camera images and adds to every pose error. Typical causes: a servo hunting in its dead

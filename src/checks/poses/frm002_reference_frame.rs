@@ -28,11 +28,11 @@ rule! {
     /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///
     /// ## When it misleads
-    /// A base rotated about the first joint's axis is indistinguishable from that joint's zero offset,
-    /// which is preferred unless the angle is round; `indistinguishable` lists the alternative. A frame not
-    /// fixed to the robot (a tracker's world) is estimated, never a fault. If the tool is off, too, and the
-    /// tip keeps its orientation, only the usual length of a tool (0.5 m) limits the distance, and the
-    /// interval is that wide.
+    /// A base rotated about the first joint's axis is indistinguishable from that joint's zero offset, which
+    /// is preferred unless the angle is round; `indistinguishable` lists the alternative. A frame not fixed
+    /// to the robot (a tracker's world) is estimated, never a fault. If the tool is also off and the tip
+    /// keeps its orientation, only the usual length of a tool (0.5 m) limits the distance. The interval is
+    /// that wide.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

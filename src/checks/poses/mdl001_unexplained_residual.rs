@@ -23,9 +23,9 @@ rule! {
     /// ## What it means
     /// Every stream is compared with FK independently of the estimators, by the 95th percentile of the raw
     /// error over the moving run and its tenths. If that reaches the thresholds, the other rules' findings
-    /// must explain it: the corrected error in every tenth must be below the thresholds, or at most twice
-    /// the sample-to-sample noise. A larger residual has no modelled cause: kinematic parameters, a bent
-    /// link, gear error, a slow change during the run, or a different arm.
+    /// must explain it. The corrected error in every tenth must then be below the thresholds, or at most
+    /// twice the sample-to-sample noise. A larger residual has no modelled cause: kinematic parameters, a
+    /// bent link, gear error, a slow change during the run, or a different arm.
     ///
     /// For an IMU: residuals of orientation and gyro after correction, relative error of the gyro's scale
     /// (`gyro gain`), and a full-scale rate below the arm's (`gyro saturation`).

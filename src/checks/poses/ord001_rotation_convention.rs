@@ -35,7 +35,7 @@ rule! {
     ///
     /// ## When it misleads
     /// With little rotation, or about one axis only, many conventions agree: inconclusive. If the reference
-    /// frame is not fixed to the robot (a tracker's world), some differ only by a constant frame; the most
+    /// frame is not fixed to the robot (a tracker's world), some differ only by a constant frame. The most
     /// common is reported, the others are listed. A convention is reported only if its residual is at most
     /// half of every other's.
     ORD001 {

@@ -16,8 +16,8 @@ rule! {
     /// good. The remaining samples may not cover the whole run.
     ///
     /// ## Evidence
-    /// Of `samples` in total: `unusable` have such values, `unset` have no orientation, `misfits` have the
-    /// wrong number of values, and `contradictory` list a joint twice. The estimate is the fraction
+    /// Among all `samples`, `unusable` have such values, `unset` have no orientation, `misfits` have
+    /// the wrong number of values, and `contradictory` list a joint twice. The estimate is the fraction
     /// affected. The position of a sample without an orientation is audited.
     ///
     /// ## How to fix

@@ -10,7 +10,7 @@ rule! {
     ///
     /// ## What it means
     /// For at least 0.25 s and ten samples, a pose stream repeats one pose bit for bit with new stamps,
-    /// although the arm moves. The check allows for latency: at no latency within the search range do the
+    /// although the arm moves. The check allows for latency. At no latency within the search range do the
     /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
     /// throughout. Joint states are frozen if they stay constant within their noise for that long and then
     /// jump amid a motion.

@@ -25,8 +25,8 @@ rule! {
     /// log`. In simulation set `use_sim_time` on every node.
     ///
     /// ## When it misleads
-    /// If all streams share one clock that is not the recorder's, or the log contains `/clock`, it is
-    /// simulation or controller time and the finding is `info`.
+    /// All streams may share one clock that is not the recorder's, or the log may contain `/clock`. Then it
+    /// is simulation or controller time, and the finding is `info`.
     TIM003 {
         name: "foreign-clock",
         grade: Grade::Fixed(Severity::Warning),

@@ -23,8 +23,8 @@ rule! {
     /// - `no-kinematics`: no kinematics can be compared with it.
     /// - `no-model`: no model has its joints.
     ///
-    /// Everything else is still audited: positions without orientations, poses in the tool's own frame as
-    /// poses in an unknown frame, and poses of another arm against that arm.
+    /// Everything else is still audited: positions without orientations, and poses of another arm against
+    /// that arm. Poses in the tool's own frame count as poses in an unknown frame.
     ///
     /// ## Why it matters
     /// An unaudited stream may be wrong even if the run passes, and programs that trust its frame or
@@ -42,9 +42,9 @@ rule! {
     /// Record every robot's description, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
-    /// Joint states of an arm that is not to be audited (a hand-held leader arm, an arm next to the cell)
-    /// are also reported: ignore the rule for their topic. A constant orientation, as of a gantry or SCARA
-    /// that never tilts its tool, is reported only if the joints rotate the tool.
+    /// Joint states of an arm that need not be audited, such as a leader arm or a neighbour of the cell, are
+    /// also reported. Ignore the rule for their topic. A constant orientation, as of a gantry or SCARA that
+    /// never tilts its tool, is reported only if the joints rotate the tool.
     FRM007 {
         name: "not-audited",
         grade: Grade::Fixed(Severity::Warning),

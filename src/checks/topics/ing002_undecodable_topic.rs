@@ -7,7 +7,7 @@ rule! {
     ///
     /// ## What it means
     /// The schema is missing or malformed, the encoding is unknown, or messages are shorter than their
-    /// schema. Or a robot description cannot be parsed and no `--robot` replaces it; an arm from the
+    /// schema. Or a robot description cannot be parsed and no `--robot` replaces it. An arm from the
     /// catalogue may be used instead, but does not verify it.
     ///
     /// ## Why it matters
