@@ -1,7 +1,9 @@
-//! The pages of `docs/rules/`, from the rules' own text; `examples/rule_pages.rs` writes them,
-//! `tests/docs.rs` checks.
+//! Generated documents: the pages of `docs/rules/`, from the rules' own text, and the outputs in
+//! `docs/tutorial.md`. `examples/rule_pages.rs` writes them, `tests/docs.rs` checks.
 
 use std::fmt::Write;
+use std::path::Path;
+use std::process::Command;
 
 use poseaudit::checks::{self, Rule};
 
@@ -29,6 +31,40 @@ pub fn all(symptoms: &str) -> Vec<(String, String)> {
     pages
 }
 
+/// `page` with the current outputs of the commands in its `console` blocks, run one after another.
+pub fn with_outputs(page: &str, mut run: impl FnMut(&str) -> String) -> String {
+    let (mut text, mut is_console) = (String::new(), false);
+    for line in page.lines() {
+        let command = line.strip_prefix("$ ").filter(|_| is_console);
+        if line.starts_with("```") {
+            is_console = line == "```console";
+        } else if is_console && command.is_none() {
+            continue;
+        }
+        text += line;
+        text += "\n";
+        for line in command.map(&mut run).unwrap_or_default().lines() {
+            text += line.trim_end();
+            text += "\n";
+        }
+    }
+    text
+}
+
+/// Runs a command line in `folder` with the `programs` first on the path; returns stdout and stderr.
+pub fn shell(programs: &Path, folder: &Path) -> impl Fn(&str) -> String {
+    let old = std::env::var_os("PATH").unwrap_or_default();
+    let folders = [programs.to_owned()].into_iter().chain(std::env::split_paths(&old));
+    let path = std::env::join_paths(folders).expect("paths without separators");
+    let folder = folder.to_owned();
+    move |line| {
+        let mut call = Command::new("sh");
+        call.args(["-c", &format!("{{ {line}; }} 2>&1")]).env("PATH", &path).current_dir(&folder);
+        let output = call.output().expect("a shell");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+}
+
 /// One rule: its text, and the calls of `docs/symptoms.md` that show it.
 fn page(rule: &Rule, symptoms: &str) -> String {
     let mut page = format!("# {} {}\n\n{}\n\n", rule.code, rule.name, rule.grade);
@@ -42,7 +78,7 @@ fn page(rule: &Rule, symptoms: &str) -> String {
         .collect();
     page += "\n## Example\n\n";
     if calls.is_empty() {
-        page += &format!("What it says of a sound log:\n\n```sh\n{}\n```\n", of_a_sound_log(rule));
+        page += &format!("On a log without faults:\n\n```sh\n{}\n```\n", of_a_sound_log(rule));
     } else {
         page += &format!("```sh\n{}\n```\n", calls.join("\n"));
     }

@@ -1,7 +1,10 @@
-//! Regenerates the pages in `docs/rules/` and the report's schema: `cargo run --example rule_pages`.
+//! Regenerates the pages in `docs/rules/`, the outputs in `docs/tutorial.md` and the report's schema:
+//! `cargo build --features full && cargo run --features full --example rule_pages`.
 
 use std::fs;
 use std::path::Path;
+
+use anyhow::Context as _;
 
 #[path = "../docs/pages.rs"]
 mod pages;
@@ -13,6 +16,13 @@ fn main() -> anyhow::Result<()> {
     for (name, text) in pages::all(&fs::read_to_string(docs.join("symptoms.md"))?) {
         fs::write(folder.join(name), text)?;
     }
+    // The programs are in the parent of the folder of the examples.
+    let example = std::env::current_exe()?;
+    let programs = example.ancestors().nth(2).context("the programs' folder")?;
+    let folder = tempfile::tempdir()?;
+    let tutorial = docs.join("tutorial.md");
+    let run = pages::shell(programs, folder.path());
+    fs::write(&tutorial, pages::with_outputs(&fs::read_to_string(&tutorial)?, run))?;
     fs::write(docs.join("poseaudit.report.schema.json"), poseaudit::report::json::schema())?;
     Ok(())
 }

@@ -82,6 +82,25 @@ fn the_rule_pages_are_current() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn the_tutorial_shows_what_its_commands_print() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let programs = Path::new(env!("CARGO_BIN_EXE_poseaudit")).parent().expect("a folder");
+    let (page, run) = (document("tutorial.md"), pages::shell(programs, folder.path()));
+    let mut outputs = Vec::new();
+    let current = pages::with_outputs(&page, |line| {
+        outputs.push(run(line));
+        outputs[outputs.len() - 1].clone()
+    });
+    assert!(
+        page == current,
+        "docs/tutorial.md is not current: run `cargo run --features full --example rule_pages`\n{current}"
+    );
+    let verdict = |word: &str| outputs.iter().any(|text| text.contains(word));
+    assert!(outputs.len() > 5 && verdict("FAIL") && verdict("PASS"), "{page}");
+}
+
 #[test]
 fn the_calls_of_the_rule_pages_pass_on_a_fault_free_log() {
     let symptoms = document("symptoms.md");
@@ -140,11 +159,36 @@ fn the_schema_of_the_report_is_current() {
     );
 }
 
+/// The TOML blocks of a document.
+fn toml_blocks(document: &str) -> Vec<&str> {
+    let blocks = document.split("```toml\n").skip(1);
+    blocks.filter_map(|rest| rest.split("```").next()).collect()
+}
+
+#[test]
+fn the_documented_models_and_thresholds_can_be_read() {
+    use poseaudit::robot::Robot;
+    let text = document("own-arm.md");
+    let [table, joints] = toml_blocks(&text)[..] else { panic!("two models") };
+    let joint_counts = [table, joints].map(|model| {
+        let robot = Robot::from_toml(model, "arm.toml").expect("a robot");
+        robot.joints().iter().filter(|joint| joint.kind.has_position()).count()
+    });
+    assert_eq!(joint_counts, [6, 2]);
+    let text = document("unexplained-residual.md");
+    let config = toml_blocks(&text)[0].to_owned();
+    let config = poseaudit::config::Config::from_text(config, Path::new("poseaudit.toml"));
+    let options = config.expect("a config").options();
+    let rule = poseaudit::checks::find("MDL001").expect("a rule");
+    let usual = rule.grade.thresholds()[0];
+    let set = options.policy.rules.thresholds.threshold(rule, usual);
+    assert!((set.warning - 3e-3).abs() < 1e-9 && usual.warning < set.warning, "{set:?}");
+}
+
 #[test]
 fn the_documented_config_can_be_read_and_is_valid() {
     let text = document("config.md");
-    let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next());
-    let example = example.expect("an example");
+    let example = *toml_blocks(&text).first().expect("an example");
     let path = Path::new("poseaudit.toml");
     let options =
         poseaudit::config::Config::from_text(example.to_owned(), path).expect("a config").options();
