@@ -49,7 +49,7 @@ pub struct Args {
     #[arg(long)]
     deg: bool,
 
-    /// What the motion must show
+    /// The purpose of the motion
     #[arg(long = "for", value_enum, default_value_t = PurposeName::Zeros)]
     purpose: PurposeName,
 
@@ -165,7 +165,7 @@ impl From<PurposeName> for Purpose {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// What it shows, for people
+    /// The prediction, for people
     Text,
     /// Time, positions and speeds, one row per sample
     Csv,

@@ -17,13 +17,14 @@ use poseaudit::run::load_robot;
 use super::output::Format;
 use super::{Outcome, fk, misuse, output};
 
-/// Convert a pose to every convention, or find what makes two poses agree
+/// Convert a pose to other conventions, or find what makes two poses agree
 ///
 /// A pose has 6 numbers (position and three for the rotation), 7 (position and a quaternion, or axis and
 /// angle), 9 (position and two matrix columns), 12 or 16 (a matrix). A rotation alone has 3, 4 or 9. Other
-/// inputs: a UR p[…], a KUKA {X …, A …}, a RAPID robtarget, a FANUC X = … W = …, a URDF <origin …/>, a ROS
-/// message as YAML, tf2_echo output, or - for stdin. Inferred conventions are printed, ambiguous ones
-/// listed. For two poses, A and B, it finds what makes them agree, and exits with 1 if nothing does.
+/// inputs: a numpy array, a YAML list, a UR p[…], a KUKA {X …, A …}, a RAPID robtarget, a FANUC X = … W = …,
+/// a URDF <origin …/>, a ROS message as YAML, tf2_echo output, or - for stdin. Inferred conventions are
+/// printed, ambiguous ones listed. For two poses, A and B, it finds what makes them agree, and exits with 1
+/// if nothing does.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

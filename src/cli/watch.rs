@@ -99,7 +99,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         (until_fail && log.outcome() == Outcome::Findings) || (ends_with_log && log.has_ended())
     };
     let mut current: Option<WatchedLog> = None;
-    messages::print_waiting(&waiting_text(&args.path, ends_with_log, args.idle));
+    let idle_s = ends_with_log.then_some(args.idle);
+    messages::print_waiting(&waiting_text(&args.path, until_fail, idle_s));
     loop {
         if let Some(newest) = newest_log(&args.path)
             && current.as_ref().is_none_or(|current| *current.path() != newest)
@@ -123,17 +124,13 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
 }
 
-/// What the command waits for, and what ends it.
-fn waiting_text(path: &Path, ends_with_log: bool, idle_s: f64) -> String {
-    let what = match path.is_dir() {
-        true => "a log in",
-        false => "data in",
-    };
-    let end = match ends_with_log {
-        true => format!("ends {idle_s} s after the last write, or with Ctrl-C"),
-        false => "ends with Ctrl-C".to_owned(),
-    };
-    format!("for {what} {}; {end}", path.display())
+/// Message about the expected data and the end of the watch.
+fn waiting_text(path: &Path, ends_at_fail: bool, idle_s: Option<f64>) -> String {
+    let what = if path.is_dir() { "a log in" } else { "data in" };
+    let fail = if ends_at_fail { "at the verdict FAIL, " } else { "" };
+    let idle = idle_s.map_or(String::new(), |idle_s| format!("{idle_s} s after the last write, "));
+    format!("for {what} {}; ends {fail}{idle}or with Ctrl-C", path.display())
+        .replace("ends or ", "ends ")
 }
 
 /// The path, or the most recently written log in it.
