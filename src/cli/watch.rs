@@ -127,10 +127,11 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 /// Message about the expected data and the end of the watch.
 fn waiting_text(path: &Path, ends_at_fail: bool, idle_s: Option<f64>) -> String {
     let what = if path.is_dir() { "a log in" } else { "data in" };
-    let fail = if ends_at_fail { "at the verdict FAIL, " } else { "" };
-    let idle = idle_s.map_or(String::new(), |idle_s| format!("{idle_s} s after the last write, "));
-    format!("for {what} {}; ends {fail}{idle}or with Ctrl-C", path.display())
-        .replace("ends or ", "ends ")
+    let fail = ends_at_fail.then(|| "at the verdict FAIL".to_owned());
+    let idle = idle_s.map(|idle_s| format!("{idle_s} s after the last write"));
+    let ends: Vec<String> =
+        [fail, idle, Some("with Ctrl-C".to_owned())].into_iter().flatten().collect();
+    format!("for {what} {}; ends {}", path.display(), ends.join(", or "))
 }
 
 /// The path, or the most recently written log in it.
