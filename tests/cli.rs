@@ -301,7 +301,7 @@ fn one_pose_is_printed_in_twelve_lines_whose_columns_never_collide() {
         assert_eq!(status(&output), 0, "{}", stderr(&output));
         assert!(stdout(&output).lines().count() <= 12, "{}", stdout(&output));
         let all = poseaudit(&["pose", "--all", "--from", "rotvec,m,rad", "1e6 -2e6 3e6 0 0 -3.1"]);
-        for number in ["1000000.000000", "-2000000.000000", "-2000000000.000"] {
+        for number in ["1000000.000000", "-2000000.000000", "-2000000000.000", "177.6169°"] {
             let is_alone = |line: &str| line.split_whitespace().any(|word| word == number);
             assert!(stdout(&all).lines().any(is_alone), "{number}: {}", stdout(&all));
         }

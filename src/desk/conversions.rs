@@ -162,8 +162,17 @@ fn implausible_sizes(
     known: KnownEncoding,
     numbers: &[f64],
 ) -> Result<Vec<String>, DeskError> {
+    /// Less than the size of a robot's base, m.
+    const MIN_DISTANCE_M: f64 = 2e-3;
     let mut notes = Vec::new();
     let position_m = encoding.pose(numbers)?.translation.vector.norm();
+    let is_tiny = position_m > 0.0 && position_m < MIN_DISTANCE_M;
+    if encoding.has_position && encoding.length != LengthScale::METRE && is_tiny {
+        notes.push(format!(
+            "the position is {:.2} mm from the origin; if the numbers are metres, add --m",
+            1e3 * position_m
+        ));
+    }
     if encoding.has_position && known.units.length.is_some() && position_m > MAX_LENGTH_M {
         notes.push(format!(
             "no arm reaches {position_m:.1} m; if the numbers are millimetres, add --mm"
@@ -374,6 +383,8 @@ mod tests {
         let literal = "p[-143.5, -435.2, 288.1, 1.2, -1.7, 0.6]";
         assert!(noted(literal, "", "no arm reaches 541.3 m"));
         assert!(!noted(literal, "mm", "reaches"));
+        assert!(noted("0.1 0.2 0.3 10 20 30", "kuka", "0.37 mm from the origin"));
+        assert!(!noted("600 0.2 0.3 10 20 30", "kuka", "origin"));
         assert!(!noted("p[-0.1435, -0.4352, 0.2881, 1.2, -1.7, 0.6]", "", "reaches"));
         let degrees = r#"<origin xyz="0 0 1" rpy="0 0 90"/>"#;
         assert!(noted(degrees, "", "90 rad is more than a turn"));

@@ -29,7 +29,7 @@ pub struct PoseText {
 /// # Errors
 /// If it is not a pose.
 pub fn parse_pose(text: &str) -> Result<PoseText, DeskError> {
-    let text = text.trim();
+    let text = without_key(text.trim());
     if text.contains("xyz=") || text.contains("rpy=") || text.starts_with('<') {
         return parse_urdf_origin(text);
     }
@@ -127,6 +127,17 @@ fn parse_bare_numbers(text: &str) -> Result<Vec<f64>, DeskError> {
         number.ok_or_else(|| DeskError::Word { word: word.to_owned() })
     });
     numbers.collect()
+}
+
+/// The value of a single YAML entry such as `home_pose: […]`.
+fn without_key(text: &str) -> &str {
+    let is_key = |key: &str| {
+        key.contains("pose") && key.chars().all(|c| c.is_alphanumeric() || "_-/".contains(c))
+    };
+    match text.split_once(':') {
+        Some((key, value)) if is_key(key) && !value.contains([':', '=']) => value.trim(),
+        _ => text,
+    }
 }
 
 /// Drops what numpy and torch print around numbers: `np.array(…, dtype=float32)`, `np.float64(…)`,
@@ -355,6 +366,8 @@ transforms:
             "[np.float64(0.1), np.float64(-0.2), np.float64(0.3), np.float64(1.2), np.float64(-1.7), 0.6]",
             "tensor([0.1, -0.2, 0.3, 1.2, -1.7, 0.6], device='cuda:0', dtype=torch.float64)",
             "[ 0.1 -0.2  0.3  1.2 -1.7  0.6]",
+            "home_pose: [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]",
+            "home_pose:\n  - 0.1\n  - -0.2\n  - 0.3\n  - 1.2\n  - -1.7\n  - 0.6",
             "- 0.1\n- -0.2\n- 0.3\n- 1.2\n- -1.7\n- 0.6",
             "- [0.1, -0.2, 0.3]\n- [1.2, -1.7, 0.6]",
             "- - 0.1\n  - -0.2\n  - 0.3\n- - 1.2\n  - -1.7\n  - 0.6",

@@ -165,7 +165,7 @@ fn write_row(row: &ConventionRow, out: &mut dyn Write) -> io::Result<()> {
         }
         RotationEncoding::AxisAngle => {
             let angle = row.numbers[3].to_degrees();
-            vec![format!("   {}{}°", format_numbers(&row.numbers[..3], 6), rounded(angle, 4))]
+            vec![format!("   {}  {}°", format_numbers(&row.numbers[..3], 6), rounded(angle, 4))]
         }
     };
     if let (true, Some(margin_rad)) = (row.is_near_gimbal_lock(), row.gimbal_margin_rad) {
