@@ -11,8 +11,10 @@ const MAX_CROSS_VALIDATION_RATIO: f64 = 0.9;
 const MAX_NOISE_RATIO: f64 = 1.1;
 /// Confidence that some deviation is real, over all parameters.
 const DEVIATION_CONFIDENCE: f64 = 0.999;
-/// Smaller deviations, m or rad, are numerical.
+/// Smaller deviations and residuals, m or rad, are numerical.
 const MIN_DEVIATION: f64 = 1e-6;
+/// Minimum ratio of the cross-validated residual to the nominal one if the models are equal.
+const MIN_EQUAL_RATIO: f64 = 0.95;
 /// Joints that move less than this (rad, m) are listed as unmoved.
 const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const MIN_TRAVEL_M: f64 = 0.1;
@@ -70,8 +72,18 @@ pub(crate) fn rejection_reason(
     calibration.streams.iter().find_map(stream_rejection_reason)
 }
 
-/// Whether every parameter agrees with the nominal model within its uncertainty.
+/// Whether every parameter agrees with the nominal model within its uncertainty, and together they do not
+/// predict unseen poses better: correlated parameters may each be insignificant.
 pub(crate) fn equals_nominal(calibration: &ArmCalibration) -> bool {
+    let predicts_better = |stream: &StreamCalibration| {
+        let (before, after) = (&stream.held_out_before, &stream.held_out_after);
+        [(before.m, after.m), (before.rad, after.rad)]
+            .iter()
+            .any(|(before, after)| *before > MIN_DEVIATION && *after < MIN_EQUAL_RATIO * before)
+    };
+    if calibration.streams.iter().any(predicts_better) {
+        return false;
+    }
     let count = calibration.values.len();
     let confidence = 1.0 - (1.0 - DEVIATION_CONFIDENCE) / count.max(1) as f64;
     (0..count).all(|at| {
@@ -167,18 +179,22 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_equals_its_model_if_no_parameter_deviates_beyond_its_interval() {
-        let with = |values: &[f64], std_error: f64| {
+    fn an_arm_equals_its_model_if_nothing_deviates_beyond_the_uncertainty() {
+        let with_held_out = |values: &[f64], std_error: f64, held_out: [f64; 2]| {
             let variances = vec![std_error * std_error; values.len()];
             equals_nominal(&ArmCalibration {
                 values: values.to_vec(),
                 covariance: nalgebra::DMatrix::from_diagonal(&variances.into()),
-                ..calibration_with(1e-5, [1e-5, 1e-5], [1e-5, 1e-5])
+                ..calibration_with(1e-5, [1e-5, 1e-5], held_out)
             })
         };
+        let with =
+            |values: &[f64], std_error: f64| with_held_out(values, std_error, [2e-5, 2.1e-5]);
         assert!(with(&[1e-5, -2e-5, 3e-5, 0.0], 1e-5));
         assert!(!with(&[1e-5, -2e-5, 1e-4, 0.0], 1e-5));
-        // Of a noise-free log.
+        // Insignificant one by one, but not together.
+        assert!(!with_held_out(&[1e-5, -2e-5, 3e-5, 0.0], 1e-5, [1e-3, 2e-5]));
+        // A log without noise.
         assert!(with(&[1e-9, -2e-9], 1e-12));
     }
 
