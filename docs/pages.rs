@@ -87,5 +87,5 @@ fn page(rule: &Rule, symptoms: &str) -> String {
 
 /// The call that asks a rule about a log in which nothing is wrong.
 pub fn of_a_sound_log(rule: &Rule) -> String {
-    format!("poseaudit audit fixtures/clean.mcap --select {}", rule.code)
+    format!("poseaudit audit fixtures/clean.mcap --select {} -v", rule.code)
 }

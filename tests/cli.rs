@@ -214,6 +214,14 @@ fn corrections_are_written_and_applied() {
     assert_eq!(status(&output), 0, "{}", stdout(&output));
     assert!(stdout(&output).contains("corrected: elbow_joint by an offset of 0.6°"));
     assert!(stdout(&output).contains("its latency of 15 ms"), "{}", stdout(&output));
+    // /tf was published from the uncorrected joint states.
+    let report = json(&poseaudit(&["audit", FAULTY, "--corrections", &file, "--format", "json"]));
+    let rows = report["checks"].as_array().expect("rows");
+    let of_tf = rows.iter().find(|row| row["code"] == "MDL001" && row["subject"]["topic"] == "/tf");
+    let row = of_tf.expect("a row");
+    assert!(row["reason"].as_str().is_some_and(|why| why.contains("before their correction")));
+    assert!(row["estimate"]["value"].as_f64().is_some_and(|m| m < 1e-4), "{row}");
+    assert!(row["evidence"]["as_logged"]["most_m"].as_f64().is_some_and(|m| m < 1e-3), "{row}");
     fs::write(&file, "schema = \"poseaudit.corrections/1\"\n[[jiont]]\n").expect("a file");
     assert_refused(
         &["audit", FAULTY, "--corrections", &file],
@@ -225,9 +233,45 @@ fn corrections_are_written_and_applied() {
 #[test]
 fn a_required_rule_that_is_inconclusive_fails_the_call() {
     let args = ["audit", CLEAN, "--select", "ING", "--require", "LAT001"];
-    let output = poseaudit(&args);
+    let output = poseaudit(&[&args[..], &["--format", "json"]].concat());
     assert_eq!(status(&output), 1, "{}", stderr(&output));
     assert!(stderr(&output).contains("--require LAT001"), "{}", stderr(&output));
+    // The last line of the text explains the status.
+    let output = poseaudit(&["audit", CLEAN, "--require", "YAW002"]);
+    assert_eq!(status(&output), 1, "{}", stdout(&output));
+    let last = stdout(&output).lines().last();
+    assert_eq!(last, Some("  exit status 1: --require YAW002 is inconclusive"));
+    assert!(!stderr(&output).contains("--require"), "{}", stderr(&output));
+}
+
+#[test]
+fn an_inconclusive_report_ends_with_its_exit_status() {
+    let audit = |options: &[&str]| {
+        let output = poseaudit(&[&["audit", "fixtures/gimbal.mcap"], options].concat());
+        let last = stdout(&output).lines().last().unwrap_or_default().to_owned();
+        (status(&output), last)
+    };
+    let (status, last) = audit(&[]);
+    assert!(status == 0 && last.starts_with("  exit status 0: an inconclusive run"), "{last}");
+    let failing = (1, "  exit status 1: --fail-on inconclusive".to_owned());
+    assert_eq!(audit(&["--fail-on", "inconclusive"]), failing);
+    let output = poseaudit(&["audit", "fixtures/shake.mcap", "--fail-on", "never"]);
+    assert!(stdout(&output).contains("  exit status 0: "), "{}", stdout(&output));
+}
+
+#[test]
+fn a_terminal_shows_the_whole_report() {
+    for (log, most) in [(FAULTY, 25), (CLEAN, 12)] {
+        let output = poseaudit(&["audit", log]);
+        assert!(stdout(&output).lines().count() <= most, "{}", stdout(&output));
+        let verdict = stdout(&output).split("\n\n").last().unwrap_or_default();
+        assert!(verdict.starts_with("FAIL ") || verdict.starts_with("PASS "), "{verdict}");
+        let verbose = poseaudit(&["audit", log, "-v"]);
+        for label in ["\npassed ", "\nskipped ", "\nworkspace "] {
+            assert!(!stdout(&output).contains(label), "{}", stdout(&output));
+            assert!(stdout(&verbose).contains(label), "{label}: {}", stdout(&verbose));
+        }
+    }
 }
 
 #[test]

@@ -58,7 +58,7 @@ fn is_code(word: &str) -> bool {
 fn is_finding(line: &str, code: &str) -> bool {
     ["error", "warning", "info"]
         .iter()
-        .any(|severity| line.starts_with(&format!("{severity} {code}")))
+        .any(|severity| line.starts_with(&format!("{severity}[{code}]")))
 }
 
 /// Whether the call selects single rules, some of which should pass.

@@ -252,6 +252,7 @@ fn build_report(
         &options.logs,
     );
     report.fails_if_inconclusive = options.policy.fail_on_inconclusive;
+    report.required.clone_from(&options.policy.rules.required);
     match &main.run.no_arm {
         Some(error)
             if options.policy.rules.needs_model() && !has_decided_hand_eye(&report.checks) =>

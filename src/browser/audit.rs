@@ -73,12 +73,10 @@ fn write_report(report: &Report, format: &str) -> String {
 
 /// Exit status on the command line.
 fn status(report: &Report) -> u8 {
-    match (&report.error, report.verdict) {
-        (Some(Trouble { kind: TroubleKind::Call, .. }), _) => 2,
-        (Some(Trouble { kind: TroubleKind::Log, .. }), _) => 3,
-        (None, Verdict::Fail) => 1,
-        (None, Verdict::Inconclusive) => u8::from(report.fails_if_inconclusive),
-        (None, Verdict::Pass) => 0,
+    match &report.error {
+        Some(Trouble { kind: TroubleKind::Call, .. }) => 2,
+        Some(Trouble { kind: TroubleKind::Log, .. }) => 3,
+        None => u8::from(report.fails()),
     }
 }
 

@@ -8,10 +8,11 @@ pub fn joint_zero_estimate(unit: Unit, offset: &Measured) -> Estimate {
     Estimate::scalar("joint zero offset", unit, offset)
 }
 
-pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize) -> Alternative {
-    let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
-    let estimate = offset.map(|offset| joint_zero_estimate(arm.joint_unit(joint), offset));
-    Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
+/// `offset` is the one that would explain the log.
+pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize, offset: f64) -> Alternative {
+    let unit = arm.joint_unit(joint);
+    let estimate = Estimate::exact("joint zero offset", unit.symbol(), offset);
+    Alternative { code: "ZER001", subject: arm.joint(joint), estimate: Some(estimate) }
 }
 
 pub fn confounder_alternative(

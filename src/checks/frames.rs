@@ -10,8 +10,8 @@ use crate::checks::{Case, Rule, SubjectResult, changes, residual_attribution};
 use crate::diagnosis::{
     Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, PoseDiagnosis,
 };
-use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
+use crate::evidence::{ArmEvidence, JointAxes, PoseEvidence, StreamEvidence, Tolerance};
+use crate::finding::{Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
 pub const THRESHOLDS: FrameThresholds = FrameThresholds {
@@ -35,6 +35,8 @@ pub struct FrameRule {
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
     pub is_confounder: fn(&Confounder, usize) -> bool,
+    /// Zero offset of a joint with the same effect as a wrong frame, if there is one.
+    pub zero: fn(&JointAxes, usize, &Pose, Tolerance) -> Option<f64>,
     pub fault: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
@@ -71,12 +73,13 @@ fn judge_stream(
     }
     let not_judged = (end.not_judged)(stream);
     let confounders = confounders(arm, end, index);
+    let reported = || confounders.iter().find(|(_, offset)| offset.is_chosen);
     let frame = match ((end.estimate)(diagnosis), &not_judged) {
         (Ok(frame), _) => frame,
         (Err(_), Some(why)) => return SubjectResult::new(subject, Outcome::Skipped(why.clone())),
         (Err(why), None) => {
-            let outcome = match confounders.iter().find(|(offset, _)| offset.is_chosen) {
-                Some((_, cause)) => reported_instead(residual_m, cause),
+            let outcome = match reported() {
+                Some((joint, _)) => reported_instead(arm, residual_m, *joint),
                 None => not_observable(why, SETTLE),
             };
             return SubjectResult::new(subject, outcome);
@@ -90,34 +93,35 @@ fn judge_stream(
                 Some(why) => Outcome::Inconclusive(why),
                 None => {
                     let mut fault = (end.fault)(arm, stream, frame, severity);
-                    fault
-                        .evidence
-                        .indistinguishable
-                        .extend(confounders.into_iter().map(|(_, cause)| cause));
+                    let zeros = confounders.iter().filter_map(|&(joint, _)| {
+                        let tolerance = (thresholds.length.warning, thresholds.angle.warning);
+                        let zero = (end.zero)(&stream.joint_axes, joint, &frame.pose, tolerance)?;
+                        Some(joint_zero_alternative(arm, joint, zero))
+                    });
+                    fault.evidence.indistinguishable.extend(zeros);
                     Outcome::fail(fault)
                 }
             }
         }
         (Decision::Pass, None) => Outcome::pass(),
-        (decision, None) => {
-            match confounders.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
-                Some((_, cause)) => reported_instead(residual_m, cause),
-                None => Outcome::Inconclusive(undecided_reason(&decision, frame)),
-            }
-        }
+        (decision, None) => match reported().filter(|_| !frame.is_chosen) {
+            Some((joint, _)) => reported_instead(arm, residual_m, *joint),
+            None => Outcome::Inconclusive(undecided_reason(&decision, frame)),
+        },
     };
     SubjectResult::new(subject, outcome)
         .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
         .with_evidence("pose", pose_json(&frame.pose))
 }
 
-fn reported_instead(residual_m: f64, cause: &Alternative) -> Outcome {
+fn reported_instead(arm: &ArmEvidence, residual_m: f64, joint: usize) -> Outcome {
     if let Some(why) = residual_attribution::residual_doubt(residual_m, 0.0) {
         return Outcome::Inconclusive(why);
     }
-    let (code, joint) = (cause.code, cause.subject.label());
+    let subject = arm.joint(joint);
     Outcome::Indistinguishable(format!(
-        "indistinguishable from {code} on {joint}, which is reported instead"
+        "indistinguishable from ZER001 on {}, which is reported instead",
+        subject.label()
     ))
 }
 
@@ -131,17 +135,17 @@ fn undecided_reason(decision: &Decision, frame: &FrameEstimate) -> String {
     }
 }
 
-/// Joint offsets confounded with this end of stream `index`.
+/// Joints whose zeros are confounded with this end of stream `index`.
 fn confounders<'a>(
     arm: &'a ArmEvidence,
     end: &FrameRule,
     index: usize,
-) -> Vec<(&'a JointOffset, Alternative)> {
+) -> Vec<(usize, &'a JointOffset)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let mutual = offsets.filter(|(_, offset)| {
         offset.confounders.iter().any(|confounder| (end.is_confounder)(confounder, index))
     });
-    mutual.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
+    mutual.collect()
 }
 
 pub fn show(frame: &FrameEstimate) -> String {

@@ -17,6 +17,7 @@ mod residual_attribution;
 mod resolving_motion;
 mod scalar_rule;
 mod settings;
+mod supporting;
 #[cfg(test)]
 mod testing;
 mod thresholds;
@@ -48,6 +49,7 @@ pub use observability::{DirectionComponent, StreamObservability, UnobservableDir
 pub(crate) use poses::mdl001_unexplained_residual::MDL001;
 pub(crate) use resolving_motion::{is_blocked_by_residual, motion_description, resolving_motion};
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
+pub(crate) use supporting::supports;
 pub use thresholds::{Limit, Thresholds};
 
 /// Declares a rule. Its doc comment is printed by `explain`.
@@ -158,6 +160,17 @@ impl Rule {
     pub fn doc(&self) -> String {
         let lines = self.doc.lines().map(|line| line.strip_prefix(' ').unwrap_or(line));
         lines.collect::<Vec<_>>().join("\n")
+    }
+
+    /// Name in running text, such as `joint zero`.
+    pub fn plain_name(&self) -> String {
+        let word = |word| match word {
+            "imu" => "IMU",
+            "dh" => "DH",
+            "tf" => "/tf",
+            word => word,
+        };
+        self.name.split('-').map(word).collect::<Vec<_>>().join(" ")
     }
 
     /// Letters of the code.

@@ -13,8 +13,9 @@ use crate::diagnosis::{
     VelocityShape, Vibration, YawProfile,
 };
 use crate::evidence::{
-    ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, PoseEvidence,
-    ReferenceEvidence, RunEvidence, StreamEvidence, TipPoseKind, TipPoseSource, VibrationEvidence,
+    ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointAxes, JointEvidence, JointMotion,
+    PoseEvidence, ReferenceEvidence, RunEvidence, StreamEvidence, TipPoseKind, TipPoseSource,
+    VibrationEvidence,
 };
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -336,6 +337,8 @@ fn stream(has_independent_stamps: bool) -> PoseEvidence {
         labels: None,
         is_of_table: false,
         unidentified_columns: Vec::new(),
+        is_uncorrected: false,
+        joint_axes: JointAxes::default(),
         euler: Some(EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: vec![(SPAN.start, 0.5), (SPAN.end, 0.6)],

@@ -169,7 +169,6 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if viewer.is_some() && args.rrd.is_none() {
         args.rrd = Some(view::create_recording_file()?);
     }
-    let mut required = Vec::new();
     let audited = match args.audit_options.clone().into_options() {
         Err(trouble) => Err(trouble),
         Ok(options) => {
@@ -177,7 +176,6 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             let rules = &mut options.policy.rules;
             rules.required =
                 first_non_empty(args.require.clone(), std::mem::take(&mut rules.required));
-            required.clone_from(&rules.required);
             with_progress(|progress| {
                 options.read.progress = Some(progress);
                 poseaudit::audit(&options)
@@ -194,7 +192,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
             (audited.into_report(), unwritten)
         }
     };
-    let report = report.with_command_line(&call_without_outputs());
+    let mut report = report.with_command_line(&call_without_outputs());
+    report.is_verbose = messages::is_verbose();
     // Even if another output failed.
     let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
@@ -205,13 +204,12 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if let (Some(viewer), Some(recording), None) = (&viewer, &args.rrd, &report.error) {
         view::open(viewer, recording)?;
     }
-    let outcome = Outcome::from(&report);
-    let open = report.inconclusive_rules(&required);
-    if outcome == Outcome::Clean && !open.is_empty() {
+    let open = report.undecided_requirements();
+    let is_shown = args.reports.prints_text() && !args.statistics;
+    if report.error.is_none() && !open.is_empty() && !is_shown {
         output::error(format_args!("--require {}: inconclusive", open.join(",")));
-        return Ok(Outcome::Findings);
     }
-    Ok(outcome)
+    Ok(Outcome::from(&report))
 }
 
 /// The call without output options and verbosity.

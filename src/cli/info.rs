@@ -77,7 +77,7 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
 fn stream_table(streams: &[StreamRow]) -> Table {
     const COUNT_COLUMN: usize = 5;
     const SPAN_COLUMN: usize = 7;
-    let header = ["topic", "type", "frames", "role", "witness", "count", "Hz", "span s", "why"];
+    let header = ["topic", "type", "frames", "role", "source", "count", "Hz", "span s", "why"];
     let mut table = output::table(header);
     for stream in streams {
         table.add_row(

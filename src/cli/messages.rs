@@ -18,7 +18,8 @@ pub struct VerbosityOptions {
     #[arg(short, long, global = true, help_heading = HEADING, conflicts_with = "verbose")]
     quiet: bool,
 
-    /// Also print on stderr which files are read, how much data and how long it takes
+    /// List passed and skipped checks in a text report, and print on stderr which files are read, how much
+    /// data and how long it takes
     #[arg(short, long, global = true, help_heading = HEADING)]
     verbose: bool,
 
@@ -80,6 +81,11 @@ fn is_shown(level: Level) -> bool {
 /// Whether only errors are printed.
 pub fn is_quiet() -> bool {
     !is_shown(Level::Normal)
+}
+
+/// Whether details are printed.
+pub fn is_verbose() -> bool {
+    is_shown(Level::Verbose)
 }
 
 pub fn print_written(path: &Path) {

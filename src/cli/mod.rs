@@ -32,7 +32,7 @@ use std::path::PathBuf;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
-use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
+use poseaudit::report::{Report, Trouble, TroubleKind};
 
 /// Determines the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,11 +57,10 @@ impl From<TroubleKind> for Outcome {
 
 impl From<&Report> for Outcome {
     fn from(report: &Report) -> Self {
-        match (&report.error, report.verdict) {
-            (Some(trouble), _) => trouble.kind.into(),
-            (None, Verdict::Fail) => Outcome::Findings,
-            (None, Verdict::Inconclusive) if report.fails_if_inconclusive => Outcome::Findings,
-            (None, Verdict::Pass | Verdict::Inconclusive) => Outcome::Clean,
+        match &report.error {
+            Some(trouble) => trouble.kind.into(),
+            None if report.fails() => Outcome::Findings,
+            None => Outcome::Clean,
         }
     }
 }

@@ -82,6 +82,11 @@ impl ReportOptions {
         self.formats.iter().any(|format| !format.is_text())
     }
 
+    /// Whether the report on stdout is for people.
+    pub fn prints_text(&self) -> bool {
+        self.output.is_none() && self.formats.iter().any(|format| format.is_text())
+    }
+
     /// Whether a format has pictures.
     pub fn has_pictures(&self) -> bool {
         self.formats.iter().any(|format| format.has_pictures())

@@ -5,13 +5,14 @@ use rayon::prelude::*;
 
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
+use super::joint_axes::JointAxes;
 use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
 use super::poses::{DeclaredUnits, ImuEvidence, PoseEvidence, euler, unidentified_columns};
 use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
-    ArmDiagnosis, EncodingSpans, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis,
-    check_imu_residual, check_residual,
+    ArmDiagnosis, EncodingSpans, EstimateResult, JointDiagnosis, JointScale, NotObservable,
+    PoseDiagnosis, ResidualCheck, check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::run::{CompetingModel, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions};
@@ -131,6 +132,11 @@ impl ArmEvidence {
     }
 }
 
+/// Infinite without a comparison.
+fn as_logged_m(check: &EstimateResult<ResidualCheck>) -> f64 {
+    check.as_ref().map_or(f64::INFINITY, |check| check.as_logged.length.whole.rms)
+}
+
 /// Samples of the joints in one encoding throughout the run.
 fn in_one_encoding<'a>(
     mut samples: Vec<JointSamples<'a>>,
@@ -194,6 +200,8 @@ pub(super) fn arm_evidence(
             .filter(|_| source.track.declared.is_none() && has_one_encoding(&found)),
         is_of_table: !run.streams[source.stream].cells.is_empty(),
         unidentified_columns: unidentified_columns(run, source),
+        is_uncorrected: false,
+        joint_axes: JointAxes::in_the_middle(&source.chain, &source.columns, &arm.joints),
         has_independent_stamps: !source.stamps_copied,
         has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         is_undeclared: source.track.declared.is_none()
@@ -280,7 +288,15 @@ pub(super) fn arm_evidence(
         || -> (Vec<_>, Vec<_>) { arm.poses.par_iter().zip(streams).map(of_stream).unzip() };
     let of_tf = || {
         let (source, found) = arm.tf.as_ref().ok().zip(diagnosis.tf)?;
-        Some(arm_stream_evidence(run, arm, source.stream, of_poses(source, found, None)))
+        let mut tf = of_poses(source, found, None);
+        if let Some((recorded, _)) = &arm.before_correction {
+            let stream = run.pose_stream(source);
+            let as_recorded = check_residual(recorded, recorded, &stream, &tf.diagnosis);
+            if as_logged_m(&as_recorded) < as_logged_m(&tf.proof) {
+                (tf.proof, tf.is_uncorrected) = (as_recorded, true);
+            }
+        }
+        Some(arm_stream_evidence(run, arm, source.stream, tf))
     };
     let of_imus = || imus.collect::<Vec<_>>();
     let ((mut joints, vibration), ((poses, vibrations), (tf, imus))) = rayon::join(

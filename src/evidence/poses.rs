@@ -1,3 +1,4 @@
+use super::joint_axes::JointAxes;
 use crate::diagnosis::{
     EstimateResult, ImuDiagnosis, ImuResidualCheck, PoseDiagnosis, PoseEncoding, ResidualCheck,
     ToolSwitching,
@@ -42,6 +43,11 @@ pub struct PoseEvidence {
     /// Rigid bodies on the tool between which its poses alternate. Other estimates refer to the most
     /// frequent one.
     pub alternation: Option<ToolSwitching>,
+    /// `proof` compares with the joint states before the corrections that the caller gave: transforms in the log
+    /// were computed from those.
+    pub is_uncorrected: bool,
+    /// Axes of the joints that may have the effect of a wrong frame.
+    pub joint_axes: JointAxes,
     /// Diagnosis.
     pub diagnosis: PoseDiagnosis,
 }

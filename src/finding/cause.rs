@@ -102,6 +102,29 @@ pub enum Cause {
     Other,
 }
 
+impl Cause {
+    /// Whether a value corrects the cause.
+    pub fn has_correction(&self) -> bool {
+        !matches!(
+            self,
+            Cause::RadialScale
+                | Cause::Compliance
+                | Cause::OtherRobot(_)
+                | Cause::UnexplainedResidual
+                | Cause::Disagreement { .. }
+                | Cause::VaryingLatency
+                | Cause::ParameterChange
+                | Cause::TfDisagrees
+                | Cause::YawDrift(_)
+                | Cause::YawJump
+                | Cause::FrameTree
+                | Cause::Stamps
+                | Cause::Pictured(_)
+                | Cause::Other
+        )
+    }
+}
+
 /// Data that shows a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Picture {

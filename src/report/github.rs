@@ -39,7 +39,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
 
 fn message(outline: &Outline, finding: &Finding) -> String {
     let fix = format!("fix: {}", finding.fix);
-    [vec![finding.message.clone()], outline.finding_notes(finding), vec![fix]].concat().join("\n")
+    [vec![finding.message.clone()], outline.finding_lines(finding), vec![fix]].concat().join("\n")
 }
 
 fn level(severity: Severity) -> &'static str {

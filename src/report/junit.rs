@@ -103,7 +103,7 @@ fn describe_findings(outline: &Outline, found: &[&Finding]) -> String {
     let blocks = found.iter().map(|finding| {
         let head = format!("{}: {}", finding.severity.name(), finding.message);
         let fix = format!("fix: {}", finding.fix);
-        [vec![head], outline.finding_notes(finding), vec![fix]].concat().join("\n")
+        [vec![head], outline.finding_lines(finding), vec![fix]].concat().join("\n")
     });
     blocks.collect::<Vec<_>>().join("\n\n")
 }

@@ -87,7 +87,7 @@ fn findings(report: &Report, outline: &Outline, out: &mut dyn Write) -> io::Resu
 
 /// Message with effect and confounders.
 fn finding_text(finding: &Finding, outline: &Outline) -> String {
-    let lines = std::iter::once(finding.message.clone()).chain(outline.finding_notes(finding));
+    let lines = std::iter::once(finding.message.clone()).chain(outline.finding_lines(finding));
     lines.map(|line| escape_prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
 use crate::finding::{
-    CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
+    Cause, CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, deserialize_word,
 };
 use crate::time::Stamp;
 
@@ -100,6 +100,12 @@ pub struct Report {
     /// An inconclusive verdict fails the run.
     #[serde(skip)]
     pub fails_if_inconclusive: bool,
+    /// Rules that must be decided, or the run fails.
+    #[serde(skip)]
+    pub required: Vec<checks::Selector>,
+    /// The text report also lists passed and skipped checks.
+    #[serde(skip)]
+    pub is_verbose: bool,
     /// If requested.
     #[serde(skip)]
     pub figures: Option<Figures>,
@@ -220,14 +226,22 @@ impl Report {
         }
     }
 
-    /// Writes a recording of the same audit.
-    fn replay_command(&self) -> String {
+    /// The same audit with further options.
+    fn command_with(&self, options: &str) -> String {
         let call = self.command_line.clone().unwrap_or_else(|| {
             let logs = self.log.files.iter().map(|file| file.path.display().to_string());
             let logs: Vec<String> = logs.map(|log| quote_for_shell(&log)).collect();
             format!("poseaudit audit {}", logs.join(" "))
         });
-        format!("{call} --rrd run.rrd")
+        format!("{call} {options}")
+    }
+
+    /// `None` if no value corrects a finding, or if the audit applies corrections already.
+    fn fix_command(&self) -> Option<String> {
+        let is_given = self.command_line.as_ref().is_some_and(|it| it.contains(" --corrections"));
+        let mut causes = self.findings.iter().map(|finding| &finding.cause);
+        (causes.any(Cause::has_correction) && !is_given)
+            .then(|| self.command_with("--fix corrections"))
     }
 
     /// Stores the command line.
@@ -274,6 +288,8 @@ impl Report {
             fail_on: None,
             command_line: None,
             fails_if_inconclusive: false,
+            required: Vec::new(),
+            is_verbose: false,
             figures: None,
             thresholds: Thresholds::default(),
         }
@@ -302,10 +318,11 @@ impl Report {
         first.or_else(|| of_log.map(|trouble| Path::new(&trouble.place)))
     }
 
-    /// Rules in `required` that decided nothing, or left a decidable subject inconclusive.
-    pub fn inconclusive_rules(&self, required: &[checks::Selector]) -> Vec<&'static str> {
+    /// Required rules that decided nothing, or left a decidable subject inconclusive.
+    pub fn undecided_requirements(&self) -> Vec<&'static str> {
         let rules = checks::registry().iter().map(|rule| rule.code);
-        let required = rules.filter(|code| required.iter().any(|selector| selector.matches(code)));
+        let required =
+            rules.filter(|code| self.required.iter().any(|selector| selector.matches(code)));
         required
             .filter(|code| {
                 let mut rows = self.checks.iter().filter(|row| row.code == *code);
@@ -315,6 +332,39 @@ impl Report {
                 rows.clone().any(open) || !rows.any(|row| row.status.is_decided())
             })
             .collect()
+    }
+
+    /// Whether a completed audit exits with 1.
+    pub fn fails(&self) -> bool {
+        match self.verdict {
+            Verdict::Fail => true,
+            Verdict::Inconclusive if self.fails_if_inconclusive => true,
+            Verdict::Inconclusive | Verdict::Pass => !self.undecided_requirements().is_empty(),
+        }
+    }
+
+    /// Exit status with its reason, if the verdict does not imply it.
+    pub fn exit_explanation(&self) -> Option<String> {
+        let open = self.undecided_requirements();
+        let has_fault = self.findings.iter().any(|finding| finding.severity > Severity::Info);
+        Some(match self.verdict {
+            Verdict::Fail => return None,
+            _ if !open.is_empty() => {
+                format!("exit status 1: --require {} is inconclusive", open.join(","))
+            }
+            Verdict::Inconclusive if self.fails_if_inconclusive => {
+                "exit status 1: --fail-on inconclusive".to_owned()
+            }
+            Verdict::Inconclusive => {
+                "exit status 0: an inconclusive run fails only with --fail-on inconclusive"
+                    .to_owned()
+            }
+            Verdict::Pass if has_fault => {
+                let least = self.fail_on.map_or("never", Severity::name);
+                format!("exit status 0: --fail-on {least}")
+            }
+            Verdict::Pass => return None,
+        })
     }
 }
 
@@ -446,16 +496,12 @@ mod tests {
 
     #[test]
     fn a_required_rule_must_decide_and_leave_nothing_open() -> Result<(), checks::UnknownRule> {
-        let required = ["LAT001".parse()?];
+        let required = vec!["LAT001".parse()?];
         let not_concluded = |checks| {
-            Report::new(
-                LogSummary::default(),
-                vec![],
-                vec![],
-                Evaluation { checks, ..Evaluation::default() },
-                None,
-            )
-            .inconclusive_rules(&required)
+            let evaluation = Evaluation { checks, ..Evaluation::default() };
+            let mut report = Report::new(LogSummary::default(), vec![], vec![], evaluation, None);
+            report.required.clone_from(&required);
+            report.undecided_requirements()
         };
         let pass = row("LAT001", Status::Pass, false);
         assert!(not_concluded(vec![pass.clone()]).is_empty());

@@ -1,5 +1,6 @@
 //! Text shared by all human-readable formats.
 
+mod finding_groups;
 mod inconclusive;
 mod passed;
 
@@ -7,10 +8,10 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use std::hash::Hash;
 
 use super::{Report, RobotRow, StreamRow, Verdict, undecided};
-use crate::finding::{
-    Alternative, CheckRow, Estimate, Finding, IgnoredFinding, Severity, Status, Subject, Unit,
-};
+use crate::finding::{CheckRow, IgnoredFinding, Severity, Status, Subject};
 
+pub(crate) use finding_groups::FindingGroup;
+pub(crate) use inconclusive::OpenChecks;
 pub(crate) use passed::{AmountBound, PassedChecks};
 
 pub(crate) struct Outline<'a> {
@@ -32,45 +33,52 @@ impl<'a> Outline<'a> {
         Self { report, has_several_robots: report.robots.len() > 1 }
     }
 
-    /// `2 errors; 46 checks passed, 3 inconclusive`.
+    /// `2 errors; 46 passed, 3 inconclusive (LAT001–003), 8 not applicable`.
     pub fn verdict_reason(&self) -> String {
         let counts = self.check_counts();
         match self.report.verdict {
-            Verdict::Pass if self.report.findings.is_empty() => {
-                format!("no problems found ({counts})")
-            }
+            Verdict::Pass if self.report.findings.is_empty() => counts,
             Verdict::Pass | Verdict::Fail => format!("{}; {counts}", self.finding_counts()),
-            Verdict::Inconclusive => format!("not decided: {}; {counts}", self.undecided_text()),
+            Verdict::Inconclusive => format!("{}; {counts}", self.undecided_text()),
         }
     }
 
-    /// `46 checks passed, 3 inconclusive, 1 finding ignored`.
-    fn check_counts(&self) -> String {
-        let count =
-            |status: Status| self.report.checks.iter().filter(|row| row.status == status).count();
-        let passed = count(Status::Pass);
-        let passed = format!("{passed} {} passed", if passed == 1 { "check" } else { "checks" });
+    /// `46 passed, 3 inconclusive (LAT001–003), 8 not applicable, 1 finding ignored`.
+    pub fn check_counts(&self) -> String {
+        let count = |status: Status| self.rows_of(status).count();
+        let ignored = self.report.ignored.len();
         let others = [
-            (count(Status::Inconclusive), "inconclusive".to_owned()),
-            (
-                self.report.ignored.len(),
-                match self.report.ignored.len() {
-                    1 => "finding ignored".to_owned(),
-                    _ => "findings ignored".to_owned(),
-                },
-            ),
+            (count(Status::Inconclusive), format!("inconclusive{}", self.inconclusive_codes())),
+            (count(Status::Skipped), "not applicable".to_owned()),
+            (ignored, format!("{} ignored", if ignored == 1 { "finding" } else { "findings" })),
         ];
         let others = others.into_iter().filter(|(count, _)| *count > 0);
         let others = others.map(|(count, what)| format!(", {count} {what}"));
-        format!("{passed}{}", others.collect::<String>())
+        format!("{} passed{}", count(Status::Pass), others.collect::<String>())
     }
 
-    /// `3 errors, 1 warning`.
+    fn rows_of(&self, status: Status) -> impl Iterator<Item = &'a CheckRow> {
+        self.report.checks.iter().filter(move |row| row.status == status)
+    }
+
+    /// ` (LAT001–003)`, or empty if there are many.
+    fn inconclusive_codes(&self) -> String {
+        const MAX_RANGES: usize = 4;
+        let mut codes: Vec<&str> = self.rows_of(Status::Inconclusive).map(|row| row.code).collect();
+        codes.dedup();
+        let ranges = code_ranges(&codes);
+        match ranges.len() {
+            1..=MAX_RANGES => format!(" ({})", ranges.join(", ")),
+            _ => String::new(),
+        }
+    }
+
+    /// `3 errors, 1 warning`; a cause on several subjects counts once.
     fn finding_counts(&self) -> String {
         let severities = [Severity::Error, Severity::Warning, Severity::Info];
+        let groups = self.finding_groups();
         let counts = severities.into_iter().filter_map(|severity| {
-            let findings = self.report.findings.iter();
-            match findings.filter(|finding| finding.severity == severity).count() {
+            match groups.iter().filter(|group| group.severity() == severity).count() {
                 0 => None,
                 1 => Some(format!("1 {}", severity.name())),
                 many if severity == Severity::Info => Some(format!("{many} {}", severity.name())),
@@ -80,13 +88,23 @@ impl<'a> Outline<'a> {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    fn undecided_text(&self) -> String {
-        let named =
-            undecided(&self.report.checks).map(|rule| format!("{} ({})", rule.code, rule.name));
-        named.collect::<Vec<_>>().join(", ")
+    /// `no problems found, but not decided: joint zero (ZER001)`.
+    pub fn undecided_text(&self) -> String {
+        let faults = self.report.findings.iter().filter(|found| found.severity > Severity::Info);
+        let found = match faults.count() {
+            0 => "no problems found".to_owned(),
+            _ => self.finding_counts(),
+        };
+        let named = undecided(&self.report.checks)
+            .map(|rule| format!("{} ({})", rule.plain_name(), rule.code));
+        let named: Vec<String> = named.collect();
+        match named.len() {
+            0 => found,
+            _ => format!("{found}, but not decided: {}", named.join(", ")),
+        }
     }
 
-    /// `12.0 s, 2 102 messages, 6 topics`. `None` without a log.
+    /// `12.0 s, 2,102 messages, 6 topics`. `None` without a log.
     pub fn extent(&self) -> Option<String> {
         let log = &self.report.log;
         let topics = self.report.streams.iter().map(|stream| stream.topic.as_str());
@@ -129,35 +147,6 @@ impl<'a> Outline<'a> {
         }
     }
 
-    /// Effect of the fault, meaning of the amount, and confounders.
-    pub fn finding_notes(&self, finding: &Finding) -> Vec<String> {
-        let evidence = &finding.evidence;
-        let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
-        let others = self.confounder_text(&evidence.indistinguishable);
-        [evidence.effect.clone(), meaning.map(str::to_owned), others]
-            .into_iter()
-            .flatten()
-            .collect()
-    }
-
-    fn confounder_text(&self, others: &[Alternative]) -> Option<String> {
-        let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
-        (!others.is_empty()).then(|| format!("equally likely: {}", others.join(", ")))
-    }
-
-    fn alternative(&self, other: &Alternative) -> String {
-        let amount = match &other.estimate {
-            Some(Estimate::Scalar { value, unit, .. }) => {
-                let unit = [Unit::Metre, Unit::Radian, Unit::Second]
-                    .into_iter()
-                    .find(|u| u.symbol() == *unit);
-                unit.map_or(String::new(), |unit| format!(" ({})", unit.show(*value)))
-            }
-            _ => String::new(),
-        };
-        format!("{} on {}{amount}", other.code, self.subject(&other.subject))
-    }
-
     /// Parameters observable only in combination, one line per motion that would separate them.
     pub fn unobservable_parameters(&self) -> Vec<String> {
         let streams = self.report.observability.iter();
@@ -176,19 +165,23 @@ impl<'a> Outline<'a> {
         said.collect()
     }
 
-    /// Table columns, one line per reason.
-    pub fn unused_columns(&self) -> Vec<String> {
-        let is_of_table = |row: &&StreamRow| !row.columns.is_empty() || row.type_name == "unread";
+    /// Topics and table columns that the audit did not use and no finding names, one line per reason.
+    pub fn unused_streams(&self) -> Vec<String> {
+        let is_found = |topic: &str| {
+            self.report.findings.iter().any(|found| found.subject.topic.as_deref() == Some(topic))
+        };
         let is_unused = |row: &&StreamRow| ["ignored", "unassigned"].contains(&row.role);
-        let rows = self.report.streams.iter().filter(is_of_table).filter(is_unused);
+        let rows = self.report.streams.iter().filter(is_unused);
+        let rows = rows.filter(|row| !is_found(&row.topic));
         let groups = group_by_key(rows, |row| row.reason.as_str()).into_iter();
         let lines = groups.map(|(reason, rows)| {
-            let names = |row: &&StreamRow| match row.columns.as_slice() {
+            let name = |row: &&StreamRow| match row.columns.as_slice() {
                 [] | [_] => row.topic.clone(),
                 [first, .., last] => format!("{first}…{last}"),
             };
-            let names: Vec<String> = rows.iter().map(names).collect();
-            format!("{}: {reason}", names.join(", "))
+            let mut names: Vec<String> = rows.iter().map(name).collect();
+            names.dedup();
+            format!("{}: {reason}", list_names(&names))
         });
         lines.collect()
     }
@@ -216,12 +209,24 @@ fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
         && subject.joint.as_ref().is_some_and(|joint| robot.joints.contains(joint))
 }
 
+/// `a, b and 3 more`.
+fn list_names(names: &[String]) -> String {
+    const MAX_LISTED: usize = 6;
+    match names.len() {
+        count if count > MAX_LISTED => {
+            let shown = MAX_LISTED - 1;
+            format!("{} and {} more", names[..shown].join(", "), count - shown)
+        }
+        _ => names.join(", "),
+    }
+}
+
 fn group_digits(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
     for (place, digit) in digits.chars().enumerate() {
         if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            text.push(' ');
+            text.push(',');
         }
         text.push(digit);
     }
@@ -273,7 +278,7 @@ mod tests {
     #[test]
     fn digits_are_grouped_in_threes() {
         assert_eq!(
-            ["1", "999", "20 001", "1 234 567"],
+            ["1", "999", "20,001", "1,234,567"],
             [1, 999, 20_001, 1_234_567].map(group_digits)
         );
     }

@@ -150,7 +150,7 @@ fn message(report: &Report, finding: &Finding) -> String {
     let outline = Outline::new(report);
     let subject = outline.subject(&finding.subject);
     let subject = if subject.is_empty() { subject } else { format!("{subject}: ") };
-    let about = match outline.finding_notes(finding).as_slice() {
+    let about = match outline.finding_lines(finding).as_slice() {
         [] => String::new(),
         lines => format!(" ({})", lines.join("; ")),
     };

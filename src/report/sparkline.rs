@@ -50,10 +50,7 @@ fn pose_sparkline(figures: &Figures, figure: &PoseFigure, explained: f64) -> Opt
         0.0,
     )?;
     let (most, left) = (unit.show(most), unit.show(after[which]));
-    Some(format!(
-        "{bars}  {}: error up to {most} before, {left} rms after correction",
-        figure.topic
-    ))
+    Some(format!("{bars}  {}: error up to {most} as logged, {left} rms if corrected", figure.topic))
 }
 
 fn imu_sparkline(figures: &Figures, figure: &ImuFigure) -> Option<String> {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use poseaudit::finding::{Estimate, Finding, Status, Subject};
 use poseaudit::report::{Format, Report, Trouble, TroubleKind};
 use poseaudit::{Audited, Options, audit};
 use serde_json::Value;
@@ -18,6 +19,11 @@ fn render(format: &str, report: &Report) -> String {
     anstream::adapter::strip_str(&String::from_utf8(out).expect("UTF-8")).to_string()
 }
 
+/// Lines that begin with `start`, without it.
+fn lines_with<'a>(text: &'a str, start: &str) -> Vec<&'a str> {
+    text.lines().filter_map(|line| line.strip_prefix(start)).collect()
+}
+
 /// The lines below a label, without the label.
 fn lines_below<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
     let mut lines = text.lines().skip_while(|line| !line.starts_with(label));
@@ -27,33 +33,100 @@ fn lines_below<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
 
 #[test]
 fn a_report_on_an_arm_at_rest_suggests_one_motion_in_a_few_lines() {
-    let text = render("text", &audit_fixture("shake").report);
+    let mut report = audit_fixture("shake").report;
+    let text = render("text", &report);
+    let untested = lines_with(&text, "  untested  ");
+    assert_eq!(untested.len(), 1, "{text}");
+    assert!(
+        untested[0].starts_with("not observable in this motion: ")
+            && untested[0].contains("ZER001")
+    );
+    assert_eq!(
+        lines_with(&text, "  because   "),
+        ["no joint moved over more than 0 % of its range"]
+    );
+    let next = text.split("\n  next      ").nth(1).expect("a next step");
+    // It can be pasted unchanged.
+    let command = next.lines().nth(1).expect("a command").trim_start();
+    assert!(command.starts_with("poseaudit plan ") && command.contains(" --for "), "{command}");
+    report.is_verbose = true;
+    let text = render("text", &report);
     let open = lines_below(&text, "inconclusive");
     assert!((1..=4).contains(&open.len()), "{open:#?}");
-    assert!(open[0].starts_with("not observable in this motion: ") && open[0].contains("ZER001"));
     assert!(open[0].contains("all 6 joints"), "{open:#?}");
     let settle = lines_below(&text, "to settle");
-    assert_eq!(settle.len(), 2, "{settle:#?}");
     assert!(settle[0].starts_with("record 60 s with each joint by 30° or more"), "{settle:#?}");
-    // It can be pasted unchanged.
-    assert!(settle[1].starts_with("poseaudit plan ") && settle[1].contains(" --for "));
     let label = |name: &str| text.find(&format!("\n{name}")).expect(name);
+    assert!(label("warning[MOT001]") < label("inconclusive"));
+    assert!(label("inconclusive") < label("passed") && label("passed") < label("FAIL"));
+}
+
+#[test]
+fn a_pass_lists_its_bounds_with_their_limits() {
+    let audited = audit_fixture("clean");
+    let text = render("text", &audited.report);
+    for (bound, limit) in [
+        ("  latency (LAT001, largest of 3) ", "  limit 2 ms"),
+        ("  residual (MDL001, largest of 2) ", "  limit 1 mm, 0.1°"),
+        ("  joint zero offset (ZER001, largest of 6) ", "  limit 0.1°"),
+    ] {
+        let line = lines_with(&text, bound);
+        assert!(line.len() == 1 && line[0].contains(" ± ") && line[0].ends_with(limit), "{text}");
+    }
+    let page = render("html", &audited.report);
+    assert!(page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"), "no limit given");
+}
+
+#[test]
+fn gimbal_lock_is_not_checked_without_a_declared_convention() {
+    let report = audit_fixture("gimbal").report;
+    let row = report.checks.iter().find(|row| row.code == "ORD006").expect("a row");
+    assert_eq!(row.status, Status::Inconclusive);
+    let text = render("text", &report);
+    assert!(text.contains("ORD006 on /tool_pose: not checked: "), "{text}");
+}
+
+#[test]
+fn a_latency_is_supported_by_stamps_ahead_of_the_receive_times() {
+    let text = render("text", &audit_fixture("faulty").report);
+    let block = text.split("\n\n").find(|block| block.starts_with("error[LAT001]"));
+    let block = block.expect("a block");
     assert!(
-        label("warning MOT001") < label("inconclusive") && label("inconclusive") < label("passed")
+        block.contains("\n  note    messages arrive up to 14.9 ms before their own stamps"),
+        "{block}"
     );
 }
 
 #[test]
-fn a_pass_lists_its_bounds() {
-    let audited = audit_fixture("clean");
-    let text = render("text", &audited.report);
-    let passed = lines_below(&text, "passed").join("; ");
-    for bound in ["LAT001 latency ", "ZER001 joint zero offset ", "FRM003 tool frame "] {
-        let amount = passed.split(bound).nth(1).and_then(|rest| rest.split(';').next());
-        assert!(amount.is_some_and(|amount| amount.contains(" ± ")), "{bound}: {passed}");
-    }
-    let page = render("html", &audited.report);
-    assert!(page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"), "no limit given");
+fn a_cause_on_many_subjects_is_one_block() {
+    let mut report = audit_fixture("shake").report;
+    let first = report.findings[0].clone();
+    report.findings = (0..10)
+        .map(|index| {
+            let topic = Some(format!("/model/box_{index}/pose"));
+            Finding { subject: Subject { topic, ..Subject::default() }, ..first.clone() }
+        })
+        .collect();
+    let text = render("text", &report);
+    assert_eq!(text.matches("warning[MOT001]").count(), 1, "{text}");
+    assert!(text.contains("/model/box_0/pose, ") && text.contains(" and 5 more: "), "{text}");
+    assert!(text.contains("FAIL  1 warning; "), "{text}");
+    // Other values have a line each.
+    report.findings.truncate(3);
+    report.findings[0].message = "12 mm".to_owned();
+    let text = render("text", &report);
+    assert!(text.contains("\n  /model/box_0/pose: 12 mm\n"), "{text}");
+    assert!(text.contains("warning[MOT001] 3 topics: "), "{text}");
+}
+
+#[test]
+fn an_equivalent_zero_has_the_size_of_the_frame_error() {
+    let report = audit_fixture("base").report;
+    let found = report.findings.iter().find(|found| found.code == "FRM002").expect("FRM002");
+    let zero = found.evidence.indistinguishable[0].estimate.as_ref().and_then(Estimate::value);
+    assert!(zero.is_some_and(|rad| (rad.abs() - std::f64::consts::PI).abs() < 1e-4), "{zero:?}");
+    let text = render("text", &report);
+    assert!(text.contains("joint zero of shoulder_pan_joint, "), "{text}");
 }
 
 #[test]

@@ -213,8 +213,9 @@ fn late_joint_states(
 ) -> SubjectResult {
     let independent_streams: Vec<&StreamEvidence<StreamLatency>> =
         streams.iter().filter(|stream| stream.has_independent_stamps).collect();
-    let topics: Vec<&str> = independent_streams.iter().map(|stream| stream.topic()).collect();
-    let topics = topics.join(" and ");
+    let mut topics: Vec<&str> = independent_streams.iter().map(|stream| stream.topic()).collect();
+    topics.dedup();
+    let topics = list_topics(&topics);
     let alternatives = independent_streams
         .iter()
         .filter_map(|stream| Some(alternative(stream.subject.clone(), estimate(stream)?)));
@@ -243,6 +244,14 @@ fn late_joint_states(
     SubjectResult::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
         .within(arm.span)
         .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
+}
+
+/// As `/a and /b`, or `/a, /b and 5 more topics`.
+fn list_topics(topics: &[&str]) -> String {
+    match topics {
+        [a, b, _, others @ ..] => format!("{a}, {b} and {} more topics", others.len() + 1),
+        few => few.join(" and "),
+    }
 }
 
 /// Passes an independent stream: late joint states explain its latency. Judges others as usual.

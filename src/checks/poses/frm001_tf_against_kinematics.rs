@@ -87,7 +87,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         }
         let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
         let before = diagnosis.residual.as_ref().ok().map(|residual| residual.before_m);
-        SubjectResult::new(subject, outcome(found))
+        SubjectResult::new(subject, outcome(found, stream.is_uncorrected))
             .within(stream.span)
             .estimated(estimate)
             .with_evidence("before_m", before)
@@ -108,12 +108,15 @@ fn misread(arm: &ArmEvidence) -> Option<&'static str> {
     }
 }
 
-fn outcome(found: Disagreement) -> Outcome {
+/// `is_uncorrected` if it is compared with the joint states before their correction.
+fn outcome(found: Disagreement, is_uncorrected: bool) -> Outcome {
     let (length, angle) =
         (Unit::Metre.show(found.length.value), Unit::Radian.show(found.angle.value));
     let severity = match found.decision {
         Decision::Pass => {
-            return Outcome::pass_with_remark(format!("matches FK ({length}, {angle})"));
+            let of =
+                if is_uncorrected { " of the joint states before their correction" } else { "" };
+            return Outcome::pass_with_remark(format!("matches FK{of} ({length}, {angle})"));
         }
         Decision::Undecided(why) => return Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => severity,

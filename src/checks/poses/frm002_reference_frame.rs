@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, FrameRule, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Confounder, FrameEstimate};
-use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, JointAxes, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Evidence, Fault, Outcome, Ruling, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
 
@@ -56,6 +56,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         },
         changes: |diagnosis| &diagnosis.reference_changes,
         is_confounder: |confounder, index| matches!(confounder, Confounder::Reference(stream, _) if *stream == index),
+        zero: JointAxes::zero_from_reference,
         fault,
     };
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()

@@ -1,7 +1,7 @@
 use crate::checks::frames::{self, FrameRule, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
-use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, JointAxes, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::PoseSourceKind;
 
@@ -53,6 +53,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         not_judged: |_| None,
         changes: |diagnosis| &diagnosis.tool_changes,
         is_confounder: |confounder, index| matches!(confounder, Confounder::Tool(stream, _) if *stream == index),
+        zero: JointAxes::zero_from_tool,
         fault,
     };
     let mut judged = frames::judge(case, &tool);

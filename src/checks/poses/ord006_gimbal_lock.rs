@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
 use crate::checks::{Case, Grade, Limit, SubjectResult};
-use crate::evidence::{ArmEvidence, EulerEvidence};
+use crate::evidence::{ArmEvidence, EulerEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Span, Unit};
 
 rule! {
@@ -27,8 +27,8 @@ rule! {
     /// outside the workspace.
     ///
     /// ## When it misleads
-    /// The rotations themselves are right. The rule covers only bare numbers whose convention is declared
-    /// or inferred from the arm, not quaternions converted from Euler angles.
+    /// The rotations themselves are right. The rule covers only bare numbers, not quaternions converted from
+    /// Euler angles. Near gimbal lock it is inconclusive if the convention is inferred instead of declared.
     ORD006 {
         limits: &[MAX_GIMBAL_MARGIN],
         name: "gimbal-lock",
@@ -55,13 +55,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
     let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         let numbers = arm.poses.iter().filter_map(|stream| {
             let euler = stream.euler.as_ref()?;
-            let judged = match stream.is_undeclared {
-                true => SubjectResult::new(
-                    stream.subject.clone(),
-                    Outcome::pass_with_remark("its convention is not declared".to_owned()),
-                ),
-                false => judge(case, arm, stream.topic(), euler),
-            };
+            let judged = judge(case, arm, stream, euler);
             Some(judged.within(stream.span))
         });
         numbers.collect()
@@ -94,7 +88,13 @@ fn near_singularities(euler: &EulerEvidence, within_rad: f64) -> Vec<NearSingula
     found
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, topic: &str, euler: &EulerEvidence) -> SubjectResult {
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<PoseEvidence>,
+    euler: &EulerEvidence,
+) -> SubjectResult {
+    let topic = stream.topic();
     let subject = arm.topic(topic);
     let Some(convention) = euler.convention else {
         let why = "its convention is undetermined; declare it with --declare";
@@ -110,17 +110,21 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, euler: &EulerEvidence) -> 
     let share = samples as f64 / euler.margins_rad.len() as f64;
     let min_rad = euler.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
     let longest = found.iter().max_by(|a, b| a.span.seconds().total_cmp(&b.span.seconds()));
+    let (limit, percent) = (Unit::Radian.show(within_rad), 100.0 * share);
     let outcome = match longest {
         None => Outcome::pass(),
+        // Numbers without a declared convention violate none.
+        Some(_) if stream.is_undeclared => Outcome::Inconclusive(format!(
+            "not checked: its convention is not declared, and as {convention} {percent:.1} % of the samples are \
+             within {limit} of gimbal lock; declare it with --declare {topic}={convention}"
+        )),
         Some(longest) => Outcome::fail(Fault {
             cause: Cause::Pictured(Picture::Stream),
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(
-                "{convention} is within {} of gimbal lock in {:.1} % of the samples, longest for {} from {} \
-                 on; the nearest sample is at {}",
-                Unit::Radian.show(within_rad),
-                100.0 * share,
+                "{convention} is within {limit} of gimbal lock in {percent:.1} % of the samples, longest for \
+                 {} from {} on; the nearest sample is at {}",
                 Unit::Second.show(longest.span.seconds()),
                 case.evidence.moment(longest.span.start),
                 Unit::Radian.show(min_rad),

@@ -120,7 +120,7 @@ fn finding_message(finding: &Finding, outline: &Outline<'_>, start: Stamp) -> Me
         Severity::Error => 4,
     };
     let subject = outline.subject(&finding.subject);
-    let about = outline.finding_notes(finding).into_iter().map(|line| format!("\n{line}"));
+    let about = outline.finding_lines(finding).into_iter().map(|line| format!("\n{line}"));
     let about: String = about.collect();
     let text =
         format!("{} {subject}: {}{about}\nfix: {}", finding.code, finding.message, finding.fix);

@@ -164,7 +164,7 @@ pub(super) fn markdown(finding: &Finding, outline: &Outline<'_>) -> String {
         let _ = writeln!(text, "{}\n", inline_code(&subject));
     }
     let _ = writeln!(text, "{}\n", escape_prose(message));
-    for about in outline.finding_notes(finding) {
+    for about in outline.finding_lines(finding) {
         let _ = writeln!(text, "- {}", escape_prose(&about));
     }
     let _ = writeln!(text, "- **fix** {}\n", escape_prose(fix));

@@ -139,7 +139,7 @@ impl PageSections<'_> {
                     @if !subject.is_empty() { span .subject { (subject) } " " }
                     span .message { (finding.message) }
                 }
-                @for line in self.outline.finding_notes(finding) { p .effect { (line) } }
+                @for line in self.outline.finding_lines(finding) { p .effect { (line) } }
                 p .fix { strong { "Fix" } " " (finding.fix) }
                 (self.evidence(index, evidence))
                 @if let Some(rule) = self.rule_first_at(index) { (rule::rule_details(rule)) }
@@ -312,7 +312,7 @@ impl PageSections<'_> {
                     p { "What " (first.code) " means, when it misleads:" }
                     pre .call tabindex="0" { "poseaudit explain " (first.code) }
                     p { "Replay it in the Rerun viewer:" }
-                    pre .call tabindex="0" { (self.report.replay_command()) }
+                    pre .call tabindex="0" { (self.report.command_with("--rrd run.rrd")) }
                 }
                 p { "poseaudit " (env!("CARGO_PKG_VERSION")) ". Errors are against forward \
                      kinematics of the joint states; ± is half a 95 % interval." }

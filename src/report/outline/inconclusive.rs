@@ -1,6 +1,6 @@
 //! Inconclusive checks, grouped by the action that would resolve them.
 
-use super::{Outline, code_ranges, group_by_key};
+use super::{Outline, code_ranges, group_by_key, list_names};
 use crate::checks::{self, motion_description, resolving_motion};
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
@@ -39,7 +39,101 @@ impl<'a> ResolvingAction<'a> {
     }
 }
 
+/// Checks that the log leaves open, in short.
+#[derive(Default)]
+pub(crate) struct OpenChecks {
+    /// One line per action that would resolve them.
+    pub untested: Vec<String>,
+    /// How little the joints moved, one line per arm.
+    pub because: Vec<String>,
+    /// The next step, and its commands.
+    pub next: Option<(String, Vec<String>)>,
+}
+
 impl Outline<'_> {
+    /// Without checks that no such log can decide.
+    pub fn open_checks(&self) -> OpenChecks {
+        let rows = self.inconclusive_rows().filter(|row| !row.is_indistinguishable);
+        let groups = group_by_key(rows, ResolvingAction::from_row);
+        let is_of_joints = |row: &&CheckRow| {
+            let purpose = resolving_motion(row, false);
+            matches!(purpose, Some(Purpose::Zeros | Purpose::Calibration))
+        };
+        let motion = groups.iter().filter(|(action, _)| *action == ResolvingAction::Motion);
+        let motion: Vec<&CheckRow> = motion.flat_map(|(_, rows)| rows.iter().copied()).collect();
+        let needs_joints = motion.iter().any(is_of_joints);
+        let lines = groups.iter().map(|(action, rows)| match action {
+            ResolvingAction::Stated(stated) => {
+                format!("{}; {stated}", self.items(*action, rows).join("; "))
+            }
+            _ => format!("{}: {}", action.description(), self.rule_names(rows)),
+        });
+        OpenChecks {
+            untested: lines.collect(),
+            because: if needs_joints { self.small_motions() } else { Vec::new() },
+            next: if motion.is_empty() { None } else { self.next_step() },
+        }
+    }
+
+    /// `joint zero (ZER001), latency of /imu/data (LAT001)`: headline rules first, and subjects only if others of
+    /// the rule were decided.
+    fn rule_names(&self, rows: &[&CheckRow]) -> String {
+        let is_headline = |code: &str| checks::find(code).is_ok_and(|rule| rule.headline);
+        let mut groups = group_by_key(rows.iter().copied(), |row| row.code);
+        groups.sort_by_key(|(code, _)| !is_headline(code));
+        let names = groups.into_iter().map(|(code, rows)| {
+            let name =
+                checks::find(code).map_or_else(|_| code.to_owned(), checks::Rule::plain_name);
+            let is_decided = |row: &CheckRow| row.code == code && row.status.is_decided();
+            let subjects: Vec<String> = rows.iter().map(|row| self.subject(&row.subject)).collect();
+            match self.report.checks.iter().any(is_decided) {
+                true => format!("{name} of {} ({code})", list_names(&subjects)),
+                false => format!("{name} ({code})"),
+            }
+        });
+        list_names(&names.collect::<Vec<_>>())
+    }
+
+    /// `elbow moved over 3 % of its range, and no joint over more than 17 %`, one line per arm.
+    fn small_motions(&self) -> Vec<String> {
+        let sentences = self.report.workspace.iter().filter_map(|arm| {
+            let visited = arm.joints.iter().filter_map(|joint| Some((joint, joint.visited?)));
+            let mut visited: Vec<_> = visited.collect();
+            visited.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let ((least, least_share), (_, most_share)) = (visited.first()?, visited.last()?);
+            let of =
+                if self.has_several_robots { format!("{}: ", arm.robot) } else { String::new() };
+            let [least_percent, most_percent] =
+                [least_share, most_share].map(|share| format!("{:.0} %", 100.0 * share));
+            Some(match least_percent == most_percent {
+                true => format!("{of}no joint moved over more than {most_percent} of its range"),
+                false => format!(
+                    "{of}{} moved over {least_percent} of its range, and no joint over more than \
+                     {most_percent}",
+                    least.joint
+                ),
+            })
+        });
+        sentences.collect()
+    }
+
+    /// The planned motion if there is one.
+    fn next_step(&self) -> Option<(String, Vec<String>)> {
+        let commands: Vec<String> = self.plan_commands().into_iter().map(str::to_owned).collect();
+        if commands.is_empty() {
+            return Some((self.recommended_motion()?, commands));
+        }
+        let others = match self.recommended_purposes().as_slice() {
+            [_, others @ ..] if !others.is_empty() => {
+                let others = others.iter().map(|purpose| format!("--for {}", purpose.name()));
+                format!(" (and again with {})", others.collect::<Vec<_>>().join(", "))
+            }
+            _ => String::new(),
+        };
+        let text = format!("record the motion that this command plans{others}, then audit again:");
+        Some((text, commands))
+    }
+
     /// One line per action.
     pub fn inconclusive_by_action(&self) -> Vec<String> {
         let groups = group_by_key(self.inconclusive_rows(), ResolvingAction::from_row);
@@ -66,7 +160,7 @@ impl Outline<'_> {
     }
 
     fn inconclusive_rows(&self) -> impl Iterator<Item = &CheckRow> {
-        self.report.checks.iter().filter(|row| row.status == Status::Inconclusive)
+        self.rows_of(Status::Inconclusive)
     }
 
     /// `LAT001–003 on /pose, /tf`: combines rules on the same subjects. Includes the reason if no motion
@@ -94,9 +188,8 @@ impl Outline<'_> {
         [self.inconclusive_by_action(), self.unobservable_parameters(), recipe, plans].concat()
     }
 
-    /// Motion that would resolve checks, as a sentence.
-    pub fn recommended_motion(&self) -> Option<String> {
-        const DURATION_S: u32 = 60;
+    /// Purposes of motions that would resolve checks.
+    fn recommended_purposes(&self) -> Vec<Purpose> {
         let plans = &self.report.plans;
         let is_planned =
             |purpose: &Purpose| plans.iter().any(|plan| plan.purpose == purpose.name());
@@ -107,16 +200,22 @@ impl Outline<'_> {
             open.any(|row| resolving_motion(row, false) == Some(*purpose))
         };
         let purposes = Purpose::ALL.into_iter();
-        let purposes: Vec<Purpose> = purposes
+        purposes
             .filter(|it| if plans.is_empty() { is_needed(it) } else { is_planned(it) })
-            .collect();
+            .collect()
+    }
+
+    /// Motion that would resolve checks, as a sentence.
+    pub fn recommended_motion(&self) -> Option<String> {
+        const DURATION_S: u32 = 60;
+        let purposes = self.recommended_purposes();
         let parts: Vec<&str> =
             purposes.iter().map(|purpose| motion_description(*purpose)).collect();
         if parts.is_empty() {
             return None;
         }
         let or = match purposes.as_slice() {
-            _ if plans.is_empty() => String::new(),
+            _ if self.report.plans.is_empty() => String::new(),
             [_] => ", or as planned:".to_owned(),
             [_, others @ ..] => {
                 let others = others.iter().map(|purpose| format!("--for {}", purpose.name()));

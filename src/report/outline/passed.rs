@@ -29,6 +29,12 @@ pub(crate) struct AmountBound {
 }
 
 impl AmountBound {
+    /// `latency (LAT001, largest of 3)`.
+    pub fn label(&self) -> String {
+        let count = self.amounts.map_or(String::new(), |count| format!(", largest of {count}"));
+        format!("{} ({}{count})", self.name, self.code)
+    }
+
     /// `LAT001 latency on /tf: 0.01 ± 0.02 ms (largest of 2)`.
     pub fn sentence(&self) -> String {
         let on = self.subjects.as_ref().map_or(String::new(), |on| format!(" on {on}"));
@@ -47,6 +53,20 @@ impl PassedChecks {
 }
 
 impl Outline<'_> {
+    /// Bounds of the headline rules; with few of them, also of others that have a limit.
+    pub fn key_bounds(&self) -> Vec<AmountBound> {
+        const MIN_BOUNDS: usize = 4;
+        const MAX_BOUNDS: usize = 6;
+        let is_headline =
+            |bound: &AmountBound| checks::find(bound.code).is_ok_and(|it| it.headline);
+        let bounds = self.passed_checks().bounds.into_iter();
+        let (mut bounds, others): (Vec<_>, Vec<_>) = bounds.partition(is_headline);
+        let missing = MIN_BOUNDS.saturating_sub(bounds.len());
+        bounds.extend(others.into_iter().filter(|bound| !bound.limit.is_empty()).take(missing));
+        bounds.truncate(MAX_BOUNDS);
+        bounds
+    }
+
     /// Empty if the log could not be audited.
     pub fn passed_checks(&self) -> PassedChecks {
         let mut checks = PassedChecks::default();

@@ -145,7 +145,7 @@ impl Assembly<'_> {
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
         if let Some((own, (source_kind, why))) = source {
-            stream.reason += &format!("; witness: {}, by {why}", source_kind.name());
+            stream.reason += &format!("; source: {}, by {why}", source_kind.name());
             stream.source_kind = Some(source_kind);
             own.candidate.assign(stream);
             let candidates =

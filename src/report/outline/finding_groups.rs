@@ -1,0 +1,166 @@
+//! Findings of one cause on several subjects, as one block.
+
+use super::{Outline, list_names};
+use crate::checks;
+use crate::finding::{Alternative, Estimate, Finding, Severity, Unit};
+
+/// Statements that a block lists.
+const MAX_LISTED: usize = 4;
+
+/// Replaces the name of a subject in a text that holds for several.
+const EACH: &str = "each";
+
+/// Findings with the same rule, severity and fix.
+pub(crate) struct FindingGroup<'a> {
+    /// In the order of the report; never empty.
+    pub findings: Vec<&'a Finding>,
+}
+
+/// Labelled line below a finding.
+pub(crate) struct FindingNote {
+    pub label: &'static str,
+    pub text: String,
+}
+
+impl FindingNote {
+    fn new(label: &'static str, text: impl Into<String>) -> Self {
+        Self { label, text: text.into() }
+    }
+}
+
+impl FindingGroup<'_> {
+    pub fn severity(&self) -> Severity {
+        self.findings[0].severity
+    }
+}
+
+impl<'a> Outline<'a> {
+    /// In the order of their first findings.
+    pub fn finding_groups(&self) -> Vec<FindingGroup<'a>> {
+        let mut groups: Vec<(String, FindingGroup)> = Vec::new();
+        for finding in &self.report.findings {
+            let fix = without_subject(finding, &finding.fix);
+            let is_same = |(known_fix, group): &&mut (String, FindingGroup)| {
+                let first = group.findings[0];
+                (first.code, first.severity, first.title)
+                    == (finding.code, finding.severity, finding.title)
+                    && *known_fix == fix
+            };
+            match groups.iter_mut().find(is_same) {
+                Some((_, group)) => group.findings.push(finding),
+                None => groups.push((fix, FindingGroup { findings: vec![finding] })),
+            }
+        }
+        groups.into_iter().map(|(_, group)| group).collect()
+    }
+
+    /// Subjects and statement. Subjects with different values follow in [`Outline::group_lines`].
+    pub fn group_title(&self, group: &FindingGroup) -> (String, String) {
+        let first = group.findings[0];
+        match self.common_message(group) {
+            Some(message) => (self.group_subjects(group), message),
+            None => {
+                let is_joint = group.findings.iter().all(|found| found.subject.joint.is_some());
+                let is_topic = group.findings.iter().all(|found| found.subject.topic.is_some());
+                let kind = match (is_joint, is_topic) {
+                    (true, _) => "joints",
+                    (false, true) => "topics",
+                    (false, false) => "subjects",
+                };
+                (format!("{} {kind}", group.findings.len()), first.title.to_owned())
+            }
+        }
+    }
+
+    /// Statement on each subject, if they differ, and the number of subjects that are not listed.
+    pub fn group_lines(&self, group: &FindingGroup) -> (Vec<(String, String)>, usize) {
+        if self.common_message(group).is_some() {
+            return (Vec::new(), 0);
+        }
+        let lines = group.findings.iter().take(MAX_LISTED);
+        let lines = lines.map(|finding| (self.subject(&finding.subject), finding.message.clone()));
+        (lines.collect(), group.findings.len().saturating_sub(MAX_LISTED))
+    }
+
+    /// Notes and fix of the whole group; the effect is that of the worst subject.
+    pub fn group_notes(&self, group: &FindingGroup) -> Vec<FindingNote> {
+        let worst = group.findings[0];
+        let mut notes = self.finding_notes(worst);
+        let fix = match group.findings.len() {
+            1 => worst.fix.clone(),
+            _ => without_subject(worst, &worst.fix),
+        };
+        notes.push(FindingNote::new("fix", fix));
+        notes
+    }
+
+    /// `None` if the findings have different values.
+    fn common_message(&self, group: &FindingGroup) -> Option<String> {
+        let [first, others @ ..] = group.findings.as_slice() else { return None };
+        let message = match others {
+            [] => return Some(first.message.clone()),
+            _ => without_subject(first, &first.message),
+        };
+        let is_same = |other: &&Finding| without_subject(other, &other.message) == message;
+        others.iter().all(is_same).then_some(message)
+    }
+
+    fn group_subjects(&self, group: &FindingGroup) -> String {
+        let names = group.findings.iter().map(|finding| self.subject(&finding.subject));
+        list_names(&names.collect::<Vec<_>>())
+    }
+
+    /// Effect of the fault, observations that support it, meaning of the value, and confounders.
+    pub fn finding_notes(&self, finding: &Finding) -> Vec<FindingNote> {
+        let evidence = &finding.evidence;
+        let label = if evidence.effect_m.is_some() { "impact" } else { "note" };
+        let effect = evidence.effect.iter().map(|effect| FindingNote::new(label, effect));
+        let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
+        let observations = self.report.checks.iter().filter(|row| checks::supports(row, finding));
+        let observations = observations.filter_map(|row| row.reason.as_deref());
+        let notes = observations.chain(meaning).map(|note| FindingNote::new("note", note));
+        let others = self.confounder_text(&evidence.indistinguishable);
+        effect.chain(notes).chain(others.map(|others| FindingNote::new("or", others))).collect()
+    }
+
+    /// [`Outline::finding_notes`] without labels.
+    pub fn finding_lines(&self, finding: &Finding) -> Vec<String> {
+        self.finding_notes(finding).into_iter().map(|note| note.text).collect()
+    }
+
+    fn confounder_text(&self, others: &[Alternative]) -> Option<String> {
+        // Streams that share a fault are one alternative.
+        let mut groups: Vec<(&str, String, Vec<String>)> = Vec::new();
+        for other in others {
+            let (amount, subject) = (alternative_amount(other), self.subject(&other.subject));
+            match groups.iter_mut().find(|group| (group.0, &group.1) == (other.code, &amount)) {
+                Some((_, _, subjects)) => subjects.push(subject),
+                None => groups.push((other.code, amount, vec![subject])),
+            }
+        }
+        let named = groups.into_iter().map(|(code, amount, subjects)| {
+            let name =
+                checks::find(code).map_or_else(|_| code.to_owned(), checks::Rule::plain_name);
+            format!("{name} of {}{amount} ({code})", list_names(&subjects))
+        });
+        let named: Vec<String> = named.collect();
+        (!named.is_empty())
+            .then(|| format!("{}, would explain this log as well", named.join(", or ")))
+    }
+}
+
+/// `, 0.6°`, or empty.
+fn alternative_amount(other: &Alternative) -> String {
+    let Some(Estimate::Scalar { value, unit, name, .. }) = &other.estimate else {
+        return String::new();
+    };
+    Unit::from_symbol(unit, name).map_or(String::new(), |unit| format!(", {}", unit.show(*value)))
+}
+
+/// `text` with the most specific name of the subject replaced.
+fn without_subject(finding: &Finding, text: &str) -> String {
+    match finding.subject.label() {
+        "" => text.to_owned(),
+        label => text.replace(label, EACH),
+    }
+}
