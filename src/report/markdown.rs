@@ -5,9 +5,8 @@
 use std::io::{self, Write};
 
 use super::amounts::format_estimate;
-use super::outline::Outline;
+use super::outline::{FIX, Outline};
 use super::{Report, Verdict, escape_direction};
-use crate::finding::Finding;
 
 /// Writes the report.
 ///
@@ -38,6 +37,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         out,
     )?;
     write_details("Ignored", outline.ignored_findings(), true, out)?;
+    write_details("Not used", outline.unused_streams(), false, out)?;
     write_details("Passed", outline.passed_checks().lines(), false, out)?;
     write_details("Skipped", outline.skipped_checks(), false, out)
 }
@@ -70,25 +70,29 @@ fn findings(report: &Report, outline: &Outline, out: &mut dyn Write) -> io::Resu
     }
     writeln!(out, "| | where | what | amount ± 95 % | fix |")?;
     writeln!(out, "|---|---|---|---|---|")?;
-    for finding in &report.findings {
-        let subject = outline.subject(&finding.subject);
+    for group in outline.finding_groups() {
+        let worst = group.findings[0];
+        let (subject, message) = outline.group_title(&group);
         let subject = if subject.is_empty() { "the run".to_owned() } else { inline_code(&subject) };
-        let amount = finding
-            .estimate
-            .as_ref()
-            .map_or(String::new(), |it| escape_prose(&format_estimate(it)));
-        let what = finding_text(finding, outline);
-        let (level, rule, fix) =
-            (finding.severity.name(), finding.code, escape_prose(&finding.fix));
+        let amount = match (&worst.estimate, group.findings.len()) {
+            (Some(estimate), 1) => escape_prose(&format_estimate(estimate)),
+            _ => String::new(),
+        };
+        let (statements, more) = outline.group_lines(&group);
+        let statements =
+            statements.iter().map(|(subject, message)| format!("{subject}: {message}"));
+        let more = (more > 0).then(|| format!("{more} more"));
+        let notes = outline.group_notes(&group).into_iter();
+        let (fixes, notes): (Vec<_>, Vec<_>) = notes.partition(|note| note.label == FIX);
+        let lines = std::iter::once(message).chain(statements).chain(more);
+        let lines = lines.chain(notes.into_iter().map(|note| note.text));
+        let what = lines.map(|line| escape_prose(&line)).collect::<Vec<_>>().join("<br>");
+        let fix =
+            fixes.iter().map(|note| escape_prose(&note.text)).collect::<Vec<_>>().join("<br>");
+        let (level, rule) = (worst.severity.name(), worst.code);
         writeln!(out, "| **{level}** {rule} | {subject} | {what} | {amount} | {fix} |")?;
     }
     writeln!(out)
-}
-
-/// Message with effect and confounders.
-fn finding_text(finding: &Finding, outline: &Outline) -> String {
-    let lines = std::iter::once(finding.message.clone()).chain(outline.finding_lines(finding));
-    lines.map(|line| escape_prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
 fn write_details(

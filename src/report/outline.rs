@@ -10,7 +10,7 @@ use std::hash::Hash;
 use super::{Report, RobotRow, StreamRow, Verdict, undecided};
 use crate::finding::{CheckRow, IgnoredFinding, Severity, Status, Subject};
 
-pub(crate) use finding_groups::FindingGroup;
+pub(crate) use finding_groups::{FIX, FindingGroup};
 pub(crate) use inconclusive::OpenChecks;
 pub(crate) use passed::{AmountBound, PassedChecks};
 

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 use anstyle::{AnsiColor, Style};
 
 use self::lines::Lines;
-use super::outline::{AmountBound, FindingGroup, OpenChecks, Outline};
+use super::outline::{AmountBound, FIX, FindingGroup, OpenChecks, Outline};
 use super::{Report, Verdict, sanitize, sparkline};
 use crate::finding::Severity;
 
@@ -82,7 +82,7 @@ impl<'a> TextReport<'a> {
             Some(trouble) => {
                 let text = sanitize(&format!("{}: {}", trouble.place, trouble.what)).into_owned();
                 out.line(&format!("{ERROR}NO AUDIT{ERROR:#}  "), 2, &text)?;
-                out.note("fix", NOTE_INDENT, &trouble.remedy)
+                out.note(FIX, NOTE_INDENT, &trouble.remedy)
             }
             None => self.verdict(out),
         }
@@ -178,7 +178,9 @@ impl<'a> TextReport<'a> {
             let explain = self.report.findings.first().map(|first| first.code).unwrap_or_default();
             out.call("explain", VERDICT_INDENT, &format!("poseaudit explain {explain}"))?;
         }
-        if !self.report.is_verbose {
+        // Other open checks can wait until the findings are corrected.
+        let is_open = verdict != Verdict::Fail || !self.report.undecided().is_empty();
+        if is_open && !self.report.is_verbose {
             self.open_checks(out)?;
         }
         if verdict == Verdict::Inconclusive {

@@ -2,10 +2,13 @@
 
 use super::{Outline, list_names};
 use crate::checks;
-use crate::finding::{Alternative, Estimate, Finding, Severity, Unit};
+use crate::finding::{Alternative, Estimate, Finding, Severity, Subject, Unit};
 
 /// Statements that a block lists.
 const MAX_LISTED: usize = 4;
+
+/// Label of the recommended action.
+pub(crate) const FIX: &str = "fix";
 
 /// Replaces the name of a subject in a text that holds for several.
 const EACH: &str = "each";
@@ -60,14 +63,9 @@ impl<'a> Outline<'a> {
         match self.common_message(group) {
             Some(message) => (self.group_subjects(group), message),
             None => {
-                let is_joint = group.findings.iter().all(|found| found.subject.joint.is_some());
-                let is_topic = group.findings.iter().all(|found| found.subject.topic.is_some());
-                let kind = match (is_joint, is_topic) {
-                    (true, _) => "joints",
-                    (false, true) => "topics",
-                    (false, false) => "subjects",
-                };
-                (format!("{} {kind}", group.findings.len()), first.title.to_owned())
+                let subjects = group.findings.iter().map(|finding| &finding.subject);
+                let (count, kind) = (group.findings.len(), plural_kind(subjects));
+                (format!("{count} {kind}"), first.title.to_owned())
             }
         }
     }
@@ -90,7 +88,7 @@ impl<'a> Outline<'a> {
             1 => worst.fix.clone(),
             _ => without_subject(worst, &worst.fix),
         };
-        notes.push(FindingNote::new("fix", fix));
+        notes.push(FindingNote::new(FIX, fix));
         notes
     }
 
@@ -146,6 +144,17 @@ impl<'a> Outline<'a> {
         let named: Vec<String> = named.collect();
         (!named.is_empty())
             .then(|| format!("{}, would explain this log as well", named.join(", or ")))
+    }
+}
+
+/// What the subjects are.
+pub(super) fn plural_kind<'a>(subjects: impl Iterator<Item = &'a Subject> + Clone) -> &'static str {
+    if subjects.clone().all(|subject| subject.joint.is_some()) {
+        "joints"
+    } else if subjects.clone().all(|subject| subject.topic.is_some()) {
+        "topics"
+    } else {
+        "subjects"
     }
 }
 

@@ -1,5 +1,6 @@
 //! Inconclusive checks, grouped by the action that would resolve them.
 
+use super::finding_groups::plural_kind;
 use super::{Outline, code_ranges, group_by_key, list_names};
 use crate::checks::{self, motion_description, resolving_motion};
 use crate::diagnosis::plan::Purpose;
@@ -84,11 +85,17 @@ impl Outline<'_> {
         let names = groups.into_iter().map(|(code, rows)| {
             let name =
                 checks::find(code).map_or_else(|_| code.to_owned(), checks::Rule::plain_name);
-            let is_decided = |row: &CheckRow| row.code == code && row.status.is_decided();
-            let subjects: Vec<String> = rows.iter().map(|row| self.subject(&row.subject)).collect();
-            match self.report.checks.iter().any(is_decided) {
-                true => format!("{name} of {} ({code})", list_names(&subjects)),
-                false => format!("{name} ({code})"),
+            let evaluated = self
+                .report
+                .checks
+                .iter()
+                .filter(|row| row.code == code && row.status != Status::Skipped);
+            let (open, all) = (rows.len(), evaluated.count());
+            let kind = plural_kind(rows.iter().map(|row| &row.subject));
+            match open {
+                _ if open == all => format!("{name} ({code})"),
+                1 => format!("{name} of {} ({code})", self.subject(&rows[0].subject)),
+                _ => format!("{name} of {open} of {all} {kind} ({code})"),
             }
         });
         list_names(&names.collect::<Vec<_>>())

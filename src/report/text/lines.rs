@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
 use super::{GOOD, QUIET};
+use crate::report::outline::FIX;
 use crate::report::sanitize;
 
 pub(super) struct Lines<'a> {
@@ -50,7 +51,7 @@ fn note_head(label: &str, width: usize) -> String {
     if width == 0 {
         return String::new();
     }
-    let style = if label == "fix" { GOOD } else { QUIET };
+    let style = if label == FIX { GOOD } else { QUIET };
     let blanks = " ".repeat(width.saturating_sub(2 + label.chars().count()));
     format!("  {style}{label}{style:#}{blanks}")
 }
