@@ -1,4 +1,4 @@
-//! Report for people: the findings, what was not tested, and the verdict as the last block. In verbose mode also
+//! Report for people: the findings, the untested checks, and the verdict as the last block. In verbose mode also
 //! every check.
 //!
 //! The caller strips ANSI styles if colours are not supported.
@@ -66,16 +66,20 @@ impl<'a> TextReport<'a> {
         }
         let sparklines = sparkline::error_sparklines(self.report);
         if !sparklines.is_empty() {
-            self.shortened(out, ("", 0), sparklines, MAX_SPARKLINES)?;
+            self.shortened(out, ("", 2), sparklines, MAX_SPARKLINES)?;
             out.blank()?;
         }
         if self.report.is_verbose {
             self.details(out)?;
         } else {
-            let unused = self.outline.unused_streams();
-            if !unused.is_empty() {
-                self.shortened(out, ("unused", NOTE_INDENT), unused, MAX_UNUSED)?;
-                out.blank()?;
+            for (label, texts) in [
+                ("ignored", self.outline.ignored_findings()),
+                ("unused", self.outline.unused_streams()),
+            ] {
+                if !texts.is_empty() {
+                    self.shortened(out, (label, VERDICT_INDENT), texts, MAX_UNUSED)?;
+                    out.blank()?;
+                }
             }
         }
         match &self.report.error {
@@ -233,7 +237,7 @@ mod tests {
     fn terminal_lines_fit_and_no_word_is_lost() {
         let report = Report::from_trouble(Trouble {
             kind: TroubleKind::Log,
-            what: "nothing can be audited of what was recorded over there ".repeat(6),
+            what: "nothing can be audited in the recording of yesterday ".repeat(6),
             place: "a/folder/with a long name/and another/run.mcap".to_owned(),
             remedy: "record the joint states with a pose, /tf or an IMU ".repeat(4),
         });
@@ -249,7 +253,7 @@ mod tests {
         assert_eq!(whole.lines().count(), 2);
         for columns in [72, 97, 120] {
             let broken = text(Some(columns));
-            assert!(broken.lines().count() > 6, "{broken}");
+            assert!(broken.lines().count() > 5, "{broken}");
             assert!(broken.lines().all(|line| display_width(line) <= columns), "{broken}");
             assert!(broken.lines().skip(1).all(|line| line.starts_with("  ")), "{broken}");
             assert_eq!(words(&broken), words(&whole));

@@ -220,11 +220,12 @@ fn demote_fake_controllers(streams: &mut [Stream]) {
 
 fn streams_of_topic(topic: Topic) -> Vec<Stream> {
     let undecodable = topic.undecodable.as_ref().map_or(0, |undecodable| undecodable.messages);
+    let kind = if topic.type_name.is_empty() { "column" } else { "type" };
     let mut stream = Stream {
         topic: topic.name,
         type_name: topic.type_name,
         role: Role::Ignored,
-        reason: "the audit does not use this type".to_owned(),
+        reason: format!("the audit does not use this {kind}"),
         arm: None,
         frame_id: String::new(),
         child_frame_id: String::new(),

@@ -166,11 +166,11 @@ cases! {
     ORD006 angles_in_degrees_are_not_reported_as_gimbal_lock: |log| {
         declare_encoding(log, |messages| poses_to_numbers(messages, 1_f64.to_degrees()), "rotvec");
     } => OnlyOtherFinding("ORD004");
-    ORD006 undeclared_angles_are_not_reported_as_gimbal_lock: |log| {
+    ORD006 undeclared_angles_are_not_checked_for_gimbal_lock: |log| {
         move_first_joint_only(log);
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
         log.edit = Some(|messages| poses_to_euler_numbers(messages, Convention::RPY));
-    } => NoFindings;
+    } => Inconclusive("its convention is not declared");
     ORD006 no_unnamed_numbers: |_| {} => Skipped("no stream uses Euler angles");
 
     ORD007 a_standard_dh_table_declared_as_modified: |log| use_dh_table(log, "modified", [""; 2])

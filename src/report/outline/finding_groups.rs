@@ -80,7 +80,7 @@ impl<'a> Outline<'a> {
         (lines.collect(), group.findings.len().saturating_sub(MAX_LISTED))
     }
 
-    /// Notes and fix of the whole group; the effect is that of the worst subject.
+    /// Notes and fix of the whole group, with the effect on the worst subject.
     pub fn group_notes(&self, group: &FindingGroup) -> Vec<FindingNote> {
         let worst = group.findings[0];
         let mut notes = self.finding_notes(worst);
@@ -147,7 +147,7 @@ impl<'a> Outline<'a> {
     }
 }
 
-/// What the subjects are.
+/// `joints`, `topics` or `subjects`.
 pub(super) fn plural_kind<'a>(subjects: impl Iterator<Item = &'a Subject> + Clone) -> &'static str {
     if subjects.clone().all(|subject| subject.joint.is_some()) {
         "joints"

@@ -40,7 +40,7 @@ impl<'a> ResolvingAction<'a> {
     }
 }
 
-/// Checks that the log leaves open, in short.
+/// Undecided checks in short.
 #[derive(Default)]
 pub(crate) struct OpenChecks {
     /// One line per action that would resolve them.

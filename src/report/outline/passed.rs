@@ -53,7 +53,7 @@ impl PassedChecks {
 }
 
 impl Outline<'_> {
-    /// Bounds of the headline rules; with few of them, also of others that have a limit.
+    /// Bounds of the headline rules, completed by other rules with a limit if there are few.
     pub fn key_bounds(&self) -> Vec<AmountBound> {
         const MIN_BOUNDS: usize = 4;
         const MAX_BOUNDS: usize = 6;

@@ -48,9 +48,6 @@ impl Lines<'_> {
 
 /// The label, dimmed except for the fix, in a column of this width.
 fn note_head(label: &str, width: usize) -> String {
-    if width == 0 {
-        return String::new();
-    }
     let style = if label == FIX { GOOD } else { QUIET };
     let blanks = " ".repeat(width.saturating_sub(2 + label.chars().count()));
     format!("  {style}{label}{style:#}{blanks}")
