@@ -6,8 +6,10 @@
 Needs Chromium and Pillow. The text is the program's own output, nothing is typed in here.
 """
 
+import contextlib
 import html
 import os
+import pty
 import re
 import subprocess
 import sys
@@ -19,6 +21,7 @@ from PIL import Image, ImageChops
 BACKGROUND, TEXT, BRIGHT, DIM = "#0d1117", "#c9d1d9", "#f0f6fc", "#8b949e"
 COLOURS = {31: "#ff7b72", 32: "#7ee787", 33: "#e3b341", 36: "#79c0ff"}
 MARGIN = 24
+COLUMNS = 110
 
 
 def page(ansi: str) -> str:
@@ -46,13 +49,28 @@ def page(ansi: str) -> str:
     )
 
 
+def terminal_output(command: list[str], folder: str) -> str:
+    """Output on a terminal of COLUMNS columns, without stderr."""
+    child, terminal = pty.fork()
+    if child == 0:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        os.chdir(folder)
+        os.execvpe(command[0], command, {**os.environ, "COLUMNS": str(COLUMNS), "CLICOLOR_FORCE": "1"})
+    output = b""
+    # Linux reports the end of a terminal as an error.
+    with contextlib.suppress(OSError):
+        while part := os.read(terminal, 1 << 16):
+            output += part
+    if os.waitpid(child, 0)[1] != 0:
+        sys.exit(f"{command[0]} failed")
+    return output.decode().replace("\r\n", "\n")
+
+
 def main() -> None:
     program = Path(sys.argv[1]).resolve()
     to = Path(__file__).with_name("report.png")
     with tempfile.TemporaryDirectory() as folder:
-        env = {**os.environ, "CLICOLOR_FORCE": "1"}
-        run = subprocess.run([program, "demo"], cwd=folder, env=env, capture_output=True, check=True)
-        text = run.stdout.decode()
+        text = terminal_output([str(program), "demo"], folder)
         widest = max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in text.splitlines())
         source, shot = Path(folder, "report.html"), Path(folder, "report.png")
         source.write_text(page(text), encoding="utf-8")
