@@ -111,7 +111,9 @@ impl<'a> Outline<'a> {
     /// Effect of the fault, observations that support it, meaning of the value, and confounders.
     pub fn finding_notes(&self, finding: &Finding) -> Vec<FindingNote> {
         let evidence = &finding.evidence;
-        let label = if evidence.effect_m.is_some() { "impact" } else { "note" };
+        // For a misinterpretation it is the residual of the right encoding.
+        let has_value = finding.estimate.as_ref().and_then(Estimate::value).is_some();
+        let label = if has_value && evidence.effect_m.is_some() { "impact" } else { "note" };
         let effect = evidence.effect.iter().map(|effect| FindingNote::new(label, effect));
         let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
         let observations = self.report.checks.iter().filter(|row| checks::supports(row, finding));
