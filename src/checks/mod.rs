@@ -40,6 +40,7 @@ pub(crate) use calibration::{
 };
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use encoding::encoding_names;
+pub(crate) use held_out::HELD_OUT;
 pub(crate) use imu::yaw001_yaw_drift::YAW001;
 pub(crate) use joints::zer001_joint_zero::ZER001;
 pub(crate) use latency::lat001_latency::LAT001;

@@ -239,10 +239,6 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
-    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let residual = residual.map(|residual| residual.rms_m).reduce(f64::max);
-    let residual = residual
-        .map_or(String::new(), |m| format!(", residual {} after correction", Unit::Metre.show(m)));
     let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
         indistinguishable: offset
@@ -250,7 +246,7 @@ fn fault(
             .iter()
             .map(|confounder| confounder_alternative(arm, confounder, unit))
             .collect(),
-        effect: Some(format!("{moved} at full reach{residual}")),
+        effect: Some(format!("{moved} at full reach")),
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };

@@ -2,7 +2,7 @@
 
 use super::{Outline, list_names};
 use crate::checks;
-use crate::finding::{Alternative, Estimate, Finding, Severity, Subject, Unit};
+use crate::finding::{Alternative, Estimate, Evidence, Finding, Severity, Subject, Unit};
 
 /// Statements that a block lists.
 const MAX_LISTED: usize = 4;
@@ -108,7 +108,7 @@ impl<'a> Outline<'a> {
         list_names(&names.collect::<Vec<_>>())
     }
 
-    /// Effect of the fault, observations that support it, meaning of the value, and confounders.
+    /// Effect of the fault, error on held-out samples, observations that support it, meaning of the value, and confounders.
     pub fn finding_notes(&self, finding: &Finding) -> Vec<FindingNote> {
         let evidence = &finding.evidence;
         // For a misinterpretation it is the residual of the right encoding.
@@ -120,7 +120,12 @@ impl<'a> Outline<'a> {
         let observations = observations.filter_map(|row| row.reason.as_deref());
         let notes = observations.chain(meaning).map(|note| FindingNote::new("note", note));
         let others = self.confounder_text(&evidence.indistinguishable);
-        effect.chain(notes).chain(others.map(|others| FindingNote::new("or", others))).collect()
+        let tested = held_out_text(evidence).map(|text| FindingNote::new("tested", text));
+        effect
+            .chain(tested)
+            .chain(notes)
+            .chain(others.map(|others| FindingNote::new("or", others)))
+            .collect()
     }
 
     /// [`Outline::finding_notes`] without labels.
@@ -161,6 +166,21 @@ pub(super) fn plural_kind<'a>(subjects: impl Iterator<Item = &'a Subject> + Clon
 }
 
 /// `, 0.6°`, or empty.
+/// Error on samples that were not fitted, without and with the correction.
+fn held_out_text(evidence: &Evidence) -> Option<String> {
+    let residual = evidence.more.get(checks::HELD_OUT)?;
+    let shown = |of: &str| {
+        let number = |unit: &str| residual[of][unit].as_f64();
+        Some(format!(
+            "{} and {}",
+            Unit::Metre.show(number("m")?),
+            Unit::Radian.show(number("rad")?)
+        ))
+    };
+    let (before, after) = (shown("before")?, shown("after")?);
+    Some(format!("on samples that were not fitted, the error falls from {before} to {after} rms"))
+}
+
 fn alternative_amount(other: &Alternative) -> String {
     let Some(Estimate::Scalar { value, unit, name, .. }) = &other.estimate else {
         return String::new();
