@@ -195,6 +195,7 @@ impl Case {
             report.checks.iter().filter(|row| row.code == self.code).collect();
         assert!(!rows.is_empty(), "{} was not asked", self.code);
         let found = summary(&report.findings);
+        report.findings.iter().for_each(assert_predicts);
         match &self.expected {
             Expected::Finding(severity, on, what) => {
                 let [finding] = report.findings.as_slice() else {
@@ -250,6 +251,17 @@ fn assert_reasons(rows: &[&CheckRow], status: Status, part: &str) {
         let reason = row.reason.as_deref().unwrap_or_default();
         assert!(reason.contains(part), "`{part}` is missing in: {reason}");
     }
+}
+
+/// The correction reduces the error on samples that were not fitted.
+#[track_caller]
+fn assert_predicts(finding: &Finding) {
+    let Some(held_out) = finding.evidence.more.get("held_out") else { return };
+    let error = |of: &str| {
+        let number = |unit: &str| held_out[of][unit].as_f64().expect("a number");
+        number("m").hypot(0.3 * number("rad"))
+    };
+    assert!(error("after") < error("before"), "{} {held_out}", finding.code);
 }
 
 /// One line per finding, for messages.

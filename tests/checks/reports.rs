@@ -24,6 +24,18 @@ fn text_of(report: &Report) -> String {
     without_version(&without_styles(&text)).replace('\\', "/")
 }
 
+#[test]
+fn findings_with_an_amount_or_an_encoding_show_the_error_on_held_out_samples() {
+    let fixtures = ["faulty.mcap", "growth.mcap", "convention.mcap", "order.mcap"];
+    let mut codes: Vec<&str> = Vec::new();
+    for finding in fixtures.iter().flat_map(|fixture| report(fixture).findings) {
+        let held_out = &finding.evidence.more["held_out"];
+        assert!(held_out["after"]["m"].as_f64() < Some(1e-4), "{} {held_out}", finding.code);
+        codes.push(finding.code);
+    }
+    assert_eq!(codes, ["LAT001", "ZER001", "ZER002", "ORD001", "ORD005"]);
+}
+
 /// The JSON report, with rounded numbers.
 fn json_of(report: &Report) -> String {
     let mut out = Vec::new();
