@@ -138,8 +138,8 @@ impl ModelRanking {
 /// Catalogue arms with the log's joint names. Of arms with equal names, the one that needs the fewest
 /// causes.
 ///
-/// If the names match only without an unknown prefix, the arm must also fit, because names such as
-/// `joint_1` are common.
+/// If the names match only without an unknown prefix, or are as short as `J1`, the arm must also fit,
+/// because such names are common.
 pub(super) fn models_from_catalogue(
     clues: &ModelClues<'_>,
     criteria: &RankingCriteria<'_>,
@@ -163,8 +163,8 @@ pub(super) fn models_from_catalogue(
         if equals.is_empty() {
             return Ok(models);
         }
-        let has_unknown_prefix = found[0].names.unknown_prefix_chars > 0;
-        match select_one(equals, has_unknown_prefix, criteria)
+        let must_fit = found[0].names.unknown_prefix_chars > 0 || has_short_names(&equals[0].robot);
+        match select_one(equals, must_fit, criteria)
             .or_else(|error| model_by_type(&found, clues).ok_or(error))
         {
             Ok(Some(model)) => {
@@ -176,6 +176,14 @@ pub(super) fn models_from_catalogue(
             Err(error) => return Err(error),
         }
     }
+}
+
+/// Whether all joints have a number and at most two letters, such as `J1`.
+fn has_short_names(robot: &Robot) -> bool {
+    const MAX_LETTERS: usize = 2;
+    let letters = |name: &str| name.chars().filter(|c| c.is_alphabetic()).count();
+    let mut moving = robot.joints().iter().filter(|joint| joint.kind.has_position());
+    moving.all(|joint| letters(&joint.name) <= MAX_LETTERS)
 }
 
 fn model_by_type(
@@ -219,7 +227,7 @@ pub(super) fn mapped_models_from_catalogue(
 
 fn select_one(
     equals: Vec<LogModel>,
-    has_unknown_prefix: bool,
+    must_fit: bool,
     criteria: &RankingCriteria<'_>,
 ) -> Result<Option<LogModel>, RunError> {
     const MAX_MISFIT_M: f64 = 0.01;
@@ -242,7 +250,7 @@ fn select_one(
             by_transforms[0].0 < MAX_MISFIT_M
                 || by_poses.is_some_and(|ranking| ranking.models.iter().any(|one| one.is_fit))
         };
-        let is_it = !has_unknown_prefix || fits();
+        let is_it = !must_fit || fits();
         let found = "the catalogue: the only arm with these joint names".to_owned();
         return Ok(is_it.then(|| take(*only, found)).flatten());
     }
@@ -269,7 +277,7 @@ fn select_one(
             let indistinguishable = ranking.indistinguishable(&names);
             Ok(model.map(|model| LogModel { indistinguishable, ..model }))
         }
-        Some(_) if has_unknown_prefix => Ok(None),
+        Some(_) if must_fit => Ok(None),
         _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),
     }
 }
