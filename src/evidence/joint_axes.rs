@@ -27,7 +27,7 @@ pub type Tolerance = (f64, f64);
 impl JointAxes {
     /// `columns` are those of the chain's joints in `joints`.
     pub(super) fn in_the_middle(chain: &Chain, columns: &[usize], joints: &JointTrack) -> Self {
-        if joints.len() == 0 {
+        if joints.is_empty() {
             return Self::default();
         }
         let row = joints.row(joints.len() / 2);
