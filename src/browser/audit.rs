@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use poseaudit::config::Config;
 use poseaudit::log::Progress;
-use poseaudit::report::{Format, Report, Trouble, TroubleKind, Verdict};
+use poseaudit::report::{Format, Report, Trouble, TroubleKind};
 use poseaudit::run::RobotSource;
 use poseaudit::{Audited, Options};
 use serde::Deserialize;
