@@ -85,7 +85,7 @@ fn page(rule: &Rule, symptoms: &str) -> String {
     page
 }
 
-/// The call that asks a rule about a log in which nothing is wrong.
+/// Command that evaluates a rule on a healthy log.
 pub fn of_a_sound_log(rule: &Rule) -> String {
     format!("poseaudit audit fixtures/clean.mcap --select {} -v", rule.code)
 }

@@ -1,4 +1,4 @@
-//! The process boundary: what the binary prints to which stream, and its exit status.
+//! The process boundary: output on stdout and stderr, and the exit status.
 
 use std::fs;
 use std::path::Path;

@@ -1,9 +1,8 @@
 """Builds the documentation site: `python docs/site/build.py POSEAUDIT OUT [--audit FOLDER]`.
 
-The pages are the documents of this repository as they stand, at the same paths, so that their links hold there as
-they do here. Beside them stand reports that the program makes now: of every fixture, and of the call that each
-rule's page shows, which that page shows as it is. `--audit` names the folder of the audit in the browser, if it was
-built. A link that leads nowhere ends the build. Needs `mkdocs-material`.
+The pages are the documents of this repository at the same paths, so their links stay valid. The site also contains
+new reports: one for every fixture, and one for the command on each rule's page, embedded in that page. `--audit`
+gives the folder of the audit in the browser, if it was built. A broken link ends the build. Needs `mkdocs-material`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 //! Adds to a finding how well its cause predicts samples that were not fitted.
 //!
 //! A cause with an amount is fitted to one half of the run, with everything else, and predicts the other half. An
-//! encoding has no amount; only constant frames are fitted.
+//! encoding has no amount; only constant frames are fitted. The error of a change within the run is not computed.
 
 use serde_json::{Value, json};
 
@@ -39,7 +39,10 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
     if rule.code == ZER001.code {
         let of_arm = case.evidence.robots.iter().flat_map(|arm| {
             let offsets = arm.diagnosis.offsets.iter().enumerate();
-            offsets.map(move |(joint, offset)| (arm.joint(joint), offset.held_out))
+            offsets.map(move |(joint, offset)| {
+                let changes = arm.diagnosis.zero_change(joint).is_some();
+                (arm.joint(joint), offset.held_out.filter(|_| !changes))
+            })
         });
         return of_arm.into_iter().find(|(joint, _)| joint == subject)?.1;
     }
@@ -56,17 +59,20 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
     let streams = case.evidence.poses().map(|(_, stream)| stream);
     let is_of = |own: &Subject| own.robot == subject.robot && own.topic == subject.topic;
     let mut streams = streams.filter(|stream| is_of(&stream.subject));
-    let held_out: StreamHeldOut = streams.next()?.diagnosis.held_out;
+    let diagnosis = &streams.next()?.diagnosis;
+    let StreamHeldOut { latency, skew, radial_scale, reference, tool } = diagnosis.held_out;
     // Several streams may share a topic, such as /tf.
     if streams.next().is_some() {
         return None;
     }
     match rule.code {
-        code if code == LAT001.code => held_out.latency,
-        code if code == LAT002.code => held_out.skew,
-        code if code == ZER002.code => held_out.radial_scale,
-        code if code == FRM002.code => held_out.reference,
-        code if code == FRM003.code => held_out.tool,
+        code if code == LAT001.code => latency,
+        code if code == LAT002.code => skew,
+        code if code == ZER002.code => {
+            radial_scale.filter(|_| diagnosis.radial_scale_changes.is_empty())
+        }
+        code if code == FRM002.code => reference.filter(|_| diagnosis.reference_changes.is_empty()),
+        code if code == FRM003.code => tool.filter(|_| diagnosis.tool_changes.is_empty()),
         _ => None,
     }
 }
@@ -79,7 +85,8 @@ fn as_json(residual: &HeldOutResidual) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::testing::{clean_run, evaluate_rule, precise};
+    use crate::checks::testing::{as_case, clean_run, evaluate_rule, precise};
+    use crate::diagnosis::ScalarChange;
 
     #[test]
     fn a_joint_zero_shows_the_error_on_held_out_samples() {
@@ -91,5 +98,23 @@ mod tests {
         let held_out = &findings[0].evidence.more[HELD_OUT];
         assert_eq!(held_out["before"]["m"], 4e-3);
         assert_eq!(held_out["after"]["rad"], 2e-4);
+    }
+
+    #[test]
+    fn a_change_does_not_show_the_error_of_a_constant_cause() {
+        let mut run = clean_run();
+        let subject = run.robots[0].poses[0].subject.clone();
+        let diagnosis = &mut run.robots[0].poses[0].diagnosis;
+        let residual = HeldOutResidual { without: [4e-3, 0.02], with: [1e-4, 2e-4] };
+        diagnosis.held_out.radial_scale = Some(residual);
+        assert_eq!(held_out(&as_case(&run), &ZER002, &subject), Some(residual));
+        run.robots[0].poses[0].diagnosis.radial_scale_changes = vec![ScalarChange {
+            at_s: 5.0,
+            within_s: 0.1,
+            from: 0.0,
+            to: 0.01,
+            size: precise(0.01),
+        }];
+        assert_eq!(held_out(&as_case(&run), &ZER002, &subject), None);
     }
 }

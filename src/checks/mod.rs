@@ -111,7 +111,7 @@ pub(crate) const DERIVED: &str = "derived";
 /// Evidence key of an inconclusive row whose unknown world frame may absorb the fault.
 pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
 
-/// In the order of codes, which is that of evaluation.
+/// Ordered by code; they are evaluated in this order.
 static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
     let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();
     rules.sort_by_key(|rule| rule.code);
@@ -126,7 +126,7 @@ pub fn registry() -> &'static [&'static Rule] {
 /// Returns the rule with this code, ignoring case.
 ///
 /// # Errors
-/// If there is none, with the most similar codes.
+/// If the code is unknown; lists the most similar codes.
 pub fn find(code: &str) -> Result<&'static Rule, UnknownRule> {
     let wanted = code.trim().to_ascii_uppercase();
     let found = REGISTRY.binary_search_by(|rule| rule.code.cmp(&wanted));

@@ -10,7 +10,7 @@ use super::{Outcome, misuse, output};
 
 const HEADING: Style = Style::new().bold();
 
-/// Explain a rule: what it means, why it matters, how to fix it, and when it misleads
+/// Explain a rule: its meaning, its importance, the fix, and when it misleads
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -28,7 +28,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// The rule with this code, or with this name or a part of it that no other rule's name contains.
+/// Finds a rule by code, by name, or by a part of exactly one name.
 fn find(wanted: &str) -> Result<&'static Rule, Trouble> {
     let name = wanted.trim().to_ascii_lowercase();
     let rules = checks::registry();

@@ -11,7 +11,7 @@ use poseaudit::report::Trouble;
 use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
-/// Generate a config from a log: what differs from the defaults, or with --all every key
+/// Generate a config from a log: the settings that differ from the defaults, or every key with --all
 ///
 /// Use it with `poseaudit audit LOG --config FILE`.
 #[derive(Debug, clap::Args)]

@@ -19,7 +19,7 @@ use super::output::Format;
 use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
-/// List the topics to record for each question: what a log lacks, or what an arm's drivers publish
+/// List the topics to record for each question: those missing in a log, or those published by an arm's drivers
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

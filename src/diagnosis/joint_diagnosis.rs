@@ -1,4 +1,4 @@
-//! What a diagnosis says of the joints, and joint states corrected by it.
+//! Results for the joints, and joint states corrected by them.
 
 use std::borrow::Cow;
 
@@ -32,7 +32,7 @@ impl JointDiagnosis {
         self.largest_change(column, |change| change.zero.as_ref())
     }
 
-    /// Encoding to report: that of the part of the run where it is wrong.
+    /// Encoding to report; the wrong one, if it is wrong in a part of the run only.
     pub fn reported_encoding(&self) -> Result<&JointEncoding, &NotObservable> {
         match &self.partial_encoding {
             Some((encoding, _)) => Ok(encoding),

@@ -105,23 +105,38 @@ pub enum Cause {
 impl Cause {
     /// Whether a value corrects the cause.
     pub fn has_correction(&self) -> bool {
-        !matches!(
-            self,
+        match self {
             Cause::RadialScale
-                | Cause::Compliance
-                | Cause::OtherRobot(_)
-                | Cause::UnexplainedResidual
-                | Cause::Disagreement { .. }
-                | Cause::VaryingLatency
-                | Cause::ParameterChange
-                | Cause::TfDisagrees
-                | Cause::YawDrift(_)
-                | Cause::YawJump
-                | Cause::FrameTree
-                | Cause::Stamps
-                | Cause::Pictured(_)
-                | Cause::Other
-        )
+            | Cause::Compliance
+            | Cause::OtherRobot(_)
+            | Cause::UnexplainedResidual
+            | Cause::Disagreement { .. }
+            | Cause::VaryingLatency
+            | Cause::ParameterChange
+            | Cause::TfDisagrees
+            | Cause::YawDrift(_)
+            | Cause::YawJump
+            | Cause::FrameTree
+            | Cause::Stamps
+            | Cause::Pictured(_)
+            | Cause::Other => false,
+            Cause::JointZero { .. }
+            | Cause::JointUnit(_)
+            | Cause::JointScale(_)
+            | Cause::JointOrder { .. }
+            | Cause::DhConvention(_)
+            | Cause::Latency(_)
+            | Cause::ClockSkew(_)
+            | Cause::Rotation(_)
+            | Cause::InferredEncoding { .. }
+            | Cause::AngleUnit(_)
+            | Cause::LengthUnit(_)
+            | Cause::Axes { .. }
+            | Cause::ReferenceFrame(_)
+            | Cause::ToolFrame(_)
+            | Cause::ImuMount(_)
+            | Cause::CameraMount { .. } => true,
+        }
     }
 }
 

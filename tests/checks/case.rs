@@ -40,7 +40,7 @@ pub struct Case {
 pub enum Expected {
     /// Planted fault: exactly one finding, of this rule.
     Finding(Severity, ExpectedSubject, ExpectedEstimate),
-    /// Sound log: the rule passes for all subjects, and there are no findings.
+    /// Healthy log: the rule passes for all subjects, without findings.
     NoFindings,
     /// Fault of another kind: only the rule named here finds it. The rule of the case passes, or explains
     /// that no log could show it.
@@ -53,7 +53,7 @@ pub enum Expected {
     /// Missing input: the rule is undetermined for every subject, with this reason, and there are no
     /// findings.
     Inconclusive(&'static str),
-    /// Missing input: the log is refused, and there is no report.
+    /// Missing input: the log is refused without a report.
     Refused(&'static str),
 }
 

@@ -147,15 +147,7 @@ fn drop_imitated_causes(fitted: ArmFit, observations: &[&PoseObservations], s: u
                 stream.tool = Pose::identity();
             }
         }
-        for cause in causes {
-            match *cause {
-                Cause::Zero(joint) => state.offsets[joint] = 0.0,
-                Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
-                Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
-                Cause::RadialScale(s) => state.streams[s].radial_scale = 0.0,
-                Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
-            }
-        }
+        causes.iter().for_each(|cause| cause.remove_from(&mut state));
         state
     };
     let State { offsets, streams } = without_causes(&imitable);

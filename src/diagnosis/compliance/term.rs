@@ -1,4 +1,4 @@
-//! Terms of the compliance model, and the parameters fitted beside them.
+//! Terms of the compliance model, and the parameters fitted with them.
 
 use super::ComplianceRun;
 use super::shapes::BacklashCrossing;
@@ -61,7 +61,7 @@ impl ComplianceTerm {
     }
 }
 
-/// Free parameters besides the compliance terms.
+/// Free parameters in addition to the compliance terms.
 pub(super) struct FreeParameters {
     pub zeros: Vec<bool>,
     /// Latency, radial scale, reference and tool per stream.

@@ -1,12 +1,11 @@
 //! Error on one half of the run in the constant frames fitted to the other half.
 
 use crate::frames::constant_frames::{fit_frames, misfit_in_frames};
+use crate::samples::sampling::rows_of_half;
 use crate::selection::held_out::HeldOutResidual;
 use crate::{AlignedSamples, PoseDiagnosis};
 use ground::geometry::Pose;
 
-/// Blocks of the run alternate between the halves.
-const BLOCKS: usize = 10;
 /// Per half.
 const MAX_SAMPLES: usize = 120;
 
@@ -22,11 +21,8 @@ impl PoseDiagnosis {
 
 /// Rms m and rad. `None` for too few samples.
 fn held_out_misfit(fk: &[Pose], poses: &[Pose]) -> Option<[f64; 2]> {
-    let stride = poses.len().div_ceil(2 * MAX_SAMPLES).max(1);
-    let block = poses.len().div_ceil(BLOCKS).max(1);
     let half = |half: usize, of: &[Pose]| -> Vec<Pose> {
-        let rows = (0..of.len()).step_by(stride).filter(|row| (row / block) % 2 == half);
-        rows.map(|row| of[row]).collect()
+        rows_of_half(of.len(), half, MAX_SAMPLES).into_iter().map(|row| of[row]).collect()
     };
     let [first, second] = [0, 1].map(|which| (half(which, fk), half(which, poses)));
     if first.0.len().min(second.0.len()) < 3 {

@@ -11,6 +11,15 @@ pub(crate) const MAX_SEARCH_SAMPLES: usize = 500;
 
 pub(crate) const ENCODING_SAMPLES: usize = 72;
 
+/// Rows of the first or second half (0 or 1) of a series, thinned to about `max_rows`. Blocks alternate between the
+/// halves, so each contains all kinds of motion.
+pub(crate) fn rows_of_half(len: usize, half: usize, max_rows: usize) -> Vec<usize> {
+    const BLOCKS: usize = 10;
+    let stride = len.div_ceil(2 * max_rows).max(1);
+    let block = len.div_ceil(BLOCKS).max(1);
+    (0..len).step_by(stride).filter(|row| (row / block) % 2 == half).collect()
+}
+
 /// Row ranges of a series, thinned to about `max_rows` rows in even stretches.
 pub fn row_blocks(len: usize, max_rows: usize) -> impl Iterator<Item = Range<usize>> {
     const BLOCKS: usize = 24;

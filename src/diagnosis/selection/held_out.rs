@@ -2,8 +2,8 @@
 
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::model::measurement::{PoseObservations, State, StreamState};
+use crate::samples::sampling::rows_of_half;
 use crate::solver::linear::{Linear, Normal};
-use ground::geometry::Pose;
 
 /// Residual in each half of the run of the fit to the other half, rms m and rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,10 +37,8 @@ pub struct StreamHeldOut {
     pub tool: Option<HeldOutResidual>,
 }
 
-/// Blocks of the run alternate between the halves, so both contain all of its motion.
-const BLOCKS: usize = 10;
-/// Per stream.
-const MAX_SAMPLES: usize = 1000;
+/// Per half and stream.
+const MAX_SAMPLES: usize = 500;
 
 /// Mean squares of position and rotation residuals.
 type Squares = [f64; 2];
@@ -62,7 +60,8 @@ impl<'a> HeldOut<'a> {
     ) -> Self {
         let half = |half: usize| {
             let part = |which: usize| -> Vec<Vec<usize>> {
-                model.linear.streams.iter().map(|stream| rows_of_half(stream, which)).collect()
+                let streams = model.linear.streams.iter();
+                streams.map(|stream| rows_of_half(stream.len(), which, MAX_SAMPLES)).collect()
             };
             let (training, test) = (part(half), part(1 - half));
             let normal = model.linear.normal_of(&training, &model.state);
@@ -88,7 +87,8 @@ impl<'a> HeldOut<'a> {
         }
         let others: Vec<Cause> =
             self.chosen.iter().copied().filter(|other| *other != cause).collect();
-        let state = without(&self.model.state, cause);
+        let mut state = self.model.state.clone();
+        cause.remove_from(&mut state);
         // Other causes may absorb a small one; a large one is beyond the linearisation.
         let both = [self.squares(&others), self.squares_at(&state)];
         let combined = |squares: &[Squares]| -> f64 {
@@ -135,7 +135,7 @@ impl<'a> HeldOut<'a> {
     fn squares_at(&self, state: &State) -> Vec<Squares> {
         let streams = self.observations.iter().zip(&state.streams);
         let of_stream = |(observations, stream): (&&PoseObservations, &StreamState)| {
-            let stride = observations.len().div_ceil(MAX_SAMPLES);
+            let stride = observations.len().div_ceil(2 * MAX_SAMPLES);
             let linear = observations.linearize(stream, &state.offsets, stride);
             [0, 1].map(|kind| mean_square(&linear.residual[kind]))
         };
@@ -143,30 +143,9 @@ impl<'a> HeldOut<'a> {
     }
 }
 
-/// Thinned.
-fn rows_of_half(stream: &Linear, half: usize) -> Vec<usize> {
-    let stride = stream.len().div_ceil(MAX_SAMPLES).max(1);
-    let block = stream.len().div_ceil(BLOCKS).max(1);
-    (0..stream.len()).step_by(stride).filter(|row| (row / block) % 2 == half).collect()
-}
-
 fn mean_square(residual: &[[f64; 3]]) -> f64 {
     let squares: f64 = residual.iter().flatten().map(|part| part * part).sum();
     squares / residual.len().max(1) as f64
-}
-
-/// State without a cause.
-fn without(state: &State, cause: Cause) -> State {
-    let mut state = state.clone();
-    match cause {
-        Cause::Zero(joint) | Cause::JointScale(joint) => state.offsets[joint] = 0.0,
-        Cause::Latency(s) => state.streams[s].latency_s = 0.0,
-        Cause::Skew(s) => state.streams[s].skew = 0.0,
-        Cause::RadialScale(s) => state.streams[s].radial_scale = 0.0,
-        Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
-        Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
-    }
-    state
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use crate::model::measurement::{
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::{influence, sandwich};
+use ground::geometry::Pose;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -55,6 +56,20 @@ impl Cause {
         };
         let start = state.index(stream, first);
         start..start + count
+    }
+}
+
+impl Cause {
+    /// Removes the cause from `state`.
+    pub fn remove_from(self, state: &mut State) {
+        match self {
+            Cause::Zero(joint) | Cause::JointScale(joint) => state.offsets[joint] = 0.0,
+            Cause::Latency(s) => state.streams[s].latency_s = 0.0,
+            Cause::Skew(s) => state.streams[s].skew = 0.0,
+            Cause::RadialScale(s) => state.streams[s].radial_scale = 0.0,
+            Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
+            Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
+        }
     }
 }
 
