@@ -181,7 +181,7 @@ pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult
         let mut streams = case.evidence.poses_and_tf();
         let topic = subject.topic.as_deref()?;
         let (_, stream) = streams.find(|(arm, stream)| {
-            stream.topic() == topic && subject.robot.as_ref().is_none_or(|name| *name == arm.name)
+            stream.topic() == topic && subject.arm().is_none_or(|name| *name == arm.name)
         })?;
         let EncodingSpans { rotation, degrees, length, axes } = stream.diagnosis.encoding_spans;
         match cause {

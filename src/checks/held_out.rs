@@ -48,7 +48,7 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
     }
     if ENCODINGS.contains(&rule.code) {
         let mut arms = case.evidence.robots.iter();
-        let arm = arms.find(|arm| subject.robot.as_ref() == Some(&arm.name))?;
+        let arm = arms.find(|arm| subject.arm() == Some(&arm.name))?;
         // Encodings of the joint states are judged by the first stream.
         let of_joints = |topic: &String| *topic == arm.joints_topic;
         let is_of_joints = subject.topic.as_ref().is_none_or(of_joints);
@@ -57,7 +57,7 @@ fn held_out(case: &Case, rule: &Rule, subject: &Subject) -> Option<HeldOutResidu
         return own.diagnosis.held_out_encoding();
     }
     let streams = case.evidence.poses().map(|(_, stream)| stream);
-    let is_of = |own: &Subject| own.robot == subject.robot && own.topic == subject.topic;
+    let is_of = |own: &Subject| own.arm() == subject.arm() && own.topic == subject.topic;
     let mut streams = streams.filter(|stream| is_of(&stream.subject));
     let diagnosis = &streams.next()?.diagnosis;
     let StreamHeldOut { latency, skew, radial_scale, reference, tool } = diagnosis.held_out;

@@ -337,7 +337,7 @@ fn motion(
         observability.travel.get(joint).is_some_and(|&travel| travel < far)
     };
     let still: Vec<usize> = observability.joints().filter(|&joint| is_at_rest(joint)).collect();
-    if still.len() == observability.joints().count() {
+    if still.len() == observability.joints().count() && !arm.is_trajectory {
         return "move every joint by more than 30°, faster than 0.2 rad/s".to_owned();
     }
     if direction.parameters.iter().all(is_timing) {

@@ -50,7 +50,7 @@ impl CauseOutcomes {
         let mut judged: HashMap<_, Vec<_>> = HashMap::new();
         for rule in rules {
             for SubjectResult { subject, outcome, .. } in (rule.check)(case) {
-                let key = (subject.robot.clone(), subject.label().to_owned());
+                let key = (subject.arm().cloned(), subject.label().to_owned());
                 judged.entry(key).or_default().push((rule.code, outcome));
             }
         }

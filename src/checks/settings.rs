@@ -97,7 +97,7 @@ impl Exemption {
 impl fmt::Display for Exemption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.rules)?;
-        let Subject { robot, topic, joint, frame } = &self.subject;
+        let Subject { robot, topic, joint, frame, reference: _ } = &self.subject;
         let parts: Vec<&str> =
             [topic, joint, frame, robot].into_iter().flatten().map(String::as_str).collect();
         if !parts.is_empty() {

@@ -105,7 +105,7 @@ pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Ev
     });
     let disagreeing: Vec<(Subject, String)> = disagreeing.collect();
     for arm in &case.evidence.robots {
-        let of_arm = |subject: &Subject| subject.robot.as_ref() == Some(&arm.name);
+        let of_arm = |subject: &Subject| subject.arm() == Some(&arm.name);
         let disagreements: Vec<&(Subject, String)> =
             disagreeing.iter().filter(|(subject, _)| of_arm(subject)).collect();
         let Some((_, first)) = disagreements.first() else { continue };

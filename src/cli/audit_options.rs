@@ -36,6 +36,11 @@ pub struct AuditOptions {
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
+    /// Pose topic that the others are compared with, if the log has no joint states [default: the one with the
+    /// least noise]
+    #[arg(long, value_name = "TOPIC")]
+    reference: Option<String>,
+
     /// Config file (TOML): robot, topics, thresholds, ignored findings; auto: the nearest poseaudit.toml in
     /// the folder of the log or above
     #[arg(long, value_name = "FILE|auto")]
@@ -146,6 +151,7 @@ impl AuditOptions {
         }
         run.base = self.base.or(run.base.take());
         run.tip = self.tip.or(run.tip.take());
+        run.reference = self.reference.or(run.reference.take());
         run.stamp = self.stamp.map_or(run.stamp, Into::into);
         run.max_latency_s = self.max_latency.unwrap_or(run.max_latency_s);
         // Replaces the config's declaration of the same topic only.

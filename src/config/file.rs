@@ -38,6 +38,8 @@ pub(super) struct ConfigFile {
     /// End link; the pose streams are assumed to be this link's pose. If it is named here, an offset from
     /// it is a fault (FRM003) and not the active TCP.
     pub tip: Option<String>,
+    /// Pose topic that the others are compared with, if the log has no joint states.
+    pub reference: Option<String>,
     /// Clock that gives the time of a sample. Default: `header`.
     pub stamp: Option<ClockName>,
     /// Largest latency to search; larger offsets are reported as clock errors. With a unit, or in seconds.

@@ -72,13 +72,14 @@ impl Config {
 
     /// Options for an audit; unset keys keep their defaults.
     pub fn options(&self) -> Options {
-        let ConfigFile { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
+        let ConfigFile { stamp, max_latency, fail_on, base, tip, reference, .. } = &self.file;
         let mut run = RunOptions {
             robots: self.robots(),
             calibrations: self.calibrations(),
             joint_map: self.joint_map(),
             base: base.clone(),
             tip: tip.clone(),
+            reference: reference.clone(),
             declared: self.declarations(),
             topics: self.topics(),
             ..RunOptions::default()
@@ -222,7 +223,7 @@ impl Config {
             let Ignore { code, reason, topic, joint, frame, robot } = known.as_ref().clone();
             Exemption {
                 rules: code.0,
-                subject: Subject { robot, topic, joint, frame },
+                subject: Subject { robot, topic, joint, frame, reference: None },
                 reason: reason.0,
                 place: self.place(known.span().start),
             }

@@ -23,8 +23,10 @@ use crate::stream::{Columns, Orientations};
 pub struct ArmEvidence {
     /// Robot name.
     pub name: String,
-    /// Topic of its joint states.
+    /// Topic of its joint states, or of the poses in their place.
     pub joints_topic: String,
+    /// Whether poses are in the place of joint states.
+    pub is_trajectory: bool,
     /// First and last stamp of the joint states.
     pub span: Span,
     /// Joints of the chain, as in `diagnosis`.
@@ -89,7 +91,11 @@ impl ArmEvidence {
 
     /// The robot.
     pub fn subject(&self) -> Subject {
-        Subject { robot: Some(self.name.clone()), ..Subject::default() }
+        let (robot, reference) = match self.is_trajectory {
+            true => (None, Some(self.joints_topic.clone())),
+            false => (Some(self.name.clone()), None),
+        };
+        Subject { robot, reference, ..Subject::default() }
     }
 
     /// A topic of this robot.
@@ -173,8 +179,12 @@ pub(super) fn arm_evidence(
     let joints_in =
         |stream: usize| arm.joint_sources.iter().filter(|source| source.stream == stream).count();
     let streams_of_joints = arm.joint_sources.iter().map(|source| source.stream);
-    let joints_stream =
-        streams_of_joints.max_by_key(|&stream| (joints_in(stream), Reverse(stream))).unwrap_or(0);
+    let joints_stream = match &arm.trajectory {
+        Some(trajectory) => trajectory.stream,
+        None => streams_of_joints
+            .max_by_key(|&stream| (joints_in(stream), Reverse(stream)))
+            .unwrap_or(0),
+    };
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let corrected_track =
         found.without_eccentricity().corrected_joints(&arm.joints, &arm.are_prismatic());
@@ -233,7 +243,7 @@ pub(super) fn arm_evidence(
         arm_stream_evidence(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_sources);
-    let change_points = change_points(&found, arm.joint_names.len());
+    let change_points = change_points(&found, arm.joint_sources.len());
     let mut velocities = velocities(&samples, &change_points);
     if found.partial_encoding.is_some() {
         let why = NotObservable::RestsOn("one unit of the joint positions throughout the run");
@@ -258,7 +268,7 @@ pub(super) fn arm_evidence(
     };
     let joints = || {
         let joint = |joint| joint_evidence(run, arm, joint, &samples[joint]);
-        (0..arm.joint_names.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
+        (0..arm.joint_sources.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
     };
     let of_joints = || {
         let vibration = vibration_of_joints(arm, &samples, &track);
@@ -314,6 +324,7 @@ pub(super) fn arm_evidence(
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
+        is_trajectory: arm.trajectory.is_some(),
         span: span_or_run(run, joints_stream),
         joints,
         reach_m: arm.chain.max_reach_m(),

@@ -51,7 +51,7 @@ impl HandEyeEvidence {
             robot: self.robot.clone(),
             topic: Some(self.topic.clone()),
             frame: Some(self.target.clone()).filter(|frame| !frame.is_empty()),
-            joint: None,
+            ..Subject::default()
         }
     }
 }

@@ -225,8 +225,9 @@ pub struct ReadLosses {
 
 fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
     let stream = &run.streams[index];
+    let arm = stream.arm.and_then(|arm| run.arms.get(arm));
     let subject = Subject {
-        robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
+        robot: arm.filter(|arm| arm.trajectory.is_none()).map(|arm| arm.name.clone()),
         topic: Some(stream.topic.clone()),
         frame: frame_of_several(stream),
         ..Subject::default()
@@ -236,8 +237,12 @@ fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
 
 /// The subject has no frame.
 fn arm_stream_evidence<T>(run: &Run, arm: &Arm, stream: usize, value: T) -> StreamEvidence<T> {
-    let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
-    let subject = Subject { robot, topic, ..Subject::default() };
+    let topic = |stream: usize| Some(run.streams[stream].topic.clone());
+    let (robot, reference) = match &arm.trajectory {
+        Some(trajectory) => (None, topic(trajectory.stream)),
+        None => (Some(arm.name.clone()), None),
+    };
+    let subject = Subject { robot, reference, topic: topic(stream), ..Subject::default() };
     StreamEvidence { subject, span: Some(span_or_run(run, stream)), value }
 }
 

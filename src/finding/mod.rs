@@ -59,9 +59,17 @@ pub struct Subject {
     /// Name of a coordinate frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,
+    /// Topic with which the topic is compared, if the log has no joint states.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
 }
 
 impl Subject {
+    /// The robot, or the topic in its place.
+    pub fn arm(&self) -> Option<&String> {
+        self.robot.as_ref().or(self.reference.as_ref())
+    }
+
     /// Joint or topic; empty for the whole run.
     pub fn label(&self) -> &str {
         let first =
@@ -84,6 +92,7 @@ impl Subject {
             ("topic", &self.topic),
             ("joint", &self.joint),
             ("frame", &self.frame),
+            ("reference", &self.reference),
         ];
         parts.into_iter().filter_map(|(kind, part)| Some((kind, part.as_deref()?)))
     }

@@ -39,7 +39,9 @@ pub(crate) fn plans(
     logs: &[PathBuf],
 ) -> Vec<PlanRow> {
     let mut plans: Vec<PlanRow> = Vec::new();
-    for arm in run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, findings)) {
+    let is_plannable =
+        |arm: &&Arm| arm.trajectory.is_none() && !has_misinterpreted_joints(arm, findings);
+    for arm in run.arms.iter().filter(is_plannable) {
         let own = evidence.robots.iter().find(|own| own.name == arm.name);
         let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
         let own_witness = own.map(ArmEvidence::pose_source_kind);

@@ -101,7 +101,7 @@ pub(crate) fn robot_rows(run: &Run) -> Vec<RobotRow> {
         tip: arm.chain.tip_name().to_owned(),
         joints: arm.chain.joint_names().to_vec(),
     };
-    run.arms.iter().map(row).collect()
+    run.arms.iter().filter(|arm| arm.trajectory.is_none()).map(row).collect()
 }
 
 pub(crate) fn stream_rows(run: &Run) -> Vec<StreamRow> {

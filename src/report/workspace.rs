@@ -75,8 +75,7 @@ pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<
 
 /// Unit or order of its joint states.
 pub(super) fn has_misinterpreted_joints(arm: &Arm, findings: &[Finding]) -> bool {
-    let is_of_arm =
-        |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
+    let is_of_arm = |found: &&Finding| found.subject.arm().is_none_or(|robot| *robot == arm.name);
     findings.iter().filter(is_of_arm).any(|found| {
         matches!(found.cause, Cause::AngleUnit(_) | Cause::JointUnit(_) | Cause::JointOrder { .. })
     })

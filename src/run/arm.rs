@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::geometry::Pose;
 use crate::robot::{Chain, Joint, JointKind, LinkId, Robot};
-use crate::stream::JointTrack;
+use crate::stream::{JointTrack, PoseTrack};
 use crate::time::Stamp;
 
 use super::error::RunError;
@@ -52,6 +52,8 @@ pub struct Arm {
     pub from_model: Vec<(String, String)>,
     /// IMUs on the arm.
     pub imus: Vec<ImuSource>,
+    /// The pose stream in the place of joint states, if these are missing.
+    pub trajectory: Option<Trajectory>,
     pub(super) base: LinkId,
     pub(super) tip: LinkId,
     /// Reference link of poses without a frame.
@@ -70,6 +72,19 @@ impl Arm {
         };
         self.joint_names.iter().map(slides).collect()
     }
+}
+
+/// A pose stream with which others are compared.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    /// Index of the stream.
+    pub stream: usize,
+    /// Its poses.
+    pub track: PoseTrack,
+    /// Streams compared with it.
+    pub others: Vec<usize>,
+    /// Why it is the reference.
+    pub why: String,
 }
 
 /// Correction of the joint states, for each column.
@@ -231,6 +246,7 @@ impl Arm {
             tf: Err(TfUnavailable::NoTransforms),
             from_model: Vec::new(),
             imus: Vec::new(),
+            trajectory: None,
             base,
             tip,
             unnamed_base: model.controller_base.unwrap_or(base),

@@ -7,6 +7,7 @@ mod hands;
 mod ranking;
 mod references;
 mod tool_poses;
+mod trajectories;
 mod transforms;
 
 use std::sync::Arc;
@@ -121,6 +122,10 @@ impl Run {
         let Assembly { streams, arms, tf, .. } = &assembly;
         topics::check_frames(&options.topics, streams, arms, tf)?;
         assembly.measured_transforms();
+        if no_arm.is_some() {
+            assembly.compare_trajectories()?;
+        }
+        let no_arm = no_arm.filter(|_| assembly.arms.is_empty());
         mark_shared_topics(&mut assembly.streams);
         for stream in 0..assembly.streams.len() {
             assembly.assign(stream)?;
@@ -243,11 +248,17 @@ fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
 
 impl Assembly<'_> {
     fn stamp_error_s(&self, arm: &Arm, stream: usize, piece: usize) -> f64 {
-        let joints = arm.joint_sources.first().map_or(stream, |joint| joint.stream);
+        let joints = arm.joint_sources.first().map(|joint| joint.stream);
+        let trajectory = || arm.trajectory.as_ref().map(|trajectory| trajectory.stream);
+        let joints = joints.or_else(trajectory).unwrap_or(stream);
         self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
     }
 
     fn assign(&mut self, stream: usize) -> Result<(), RunError> {
+        let is_it = |arm: &Arm| arm.trajectory.as_ref().is_some_and(|one| one.stream == stream);
+        if self.arms.iter().any(is_it) {
+            return Ok(());
+        }
         match &self.streams[stream].columns {
             Some(Columns::Poses(_) | Columns::Array(_)) => self.assign_pose(stream),
             Some(Columns::Imu(_)) => {

@@ -61,7 +61,7 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, JointStateCorrection, TfUnavailable};
+pub use arm::{Arm, JointStateCorrection, TfUnavailable, Trajectory};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, MissingRows, RateSpan, Rhythm, StreamExtent};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
@@ -115,6 +115,8 @@ pub struct RunOptions {
     pub base: Option<String>,
     /// Tip link.
     pub tip: Option<String>,
+    /// Topic whose poses the others are compared with, without joint states.
+    pub reference: Option<String>,
     /// Clock of the messages.
     pub stamp: Clock,
     /// Maximum stamp difference of a stream from the others, s; beyond it, it uses another clock.
@@ -137,6 +139,7 @@ impl Default for RunOptions {
             joint_map: Vec::new(),
             base: None,
             tip: None,
+            reference: None,
             stamp: Clock::Header,
             max_latency_s: 5.0,
             declared: Vec::new(),

@@ -66,7 +66,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
 fn since_label(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
-    let arm = case.evidence.robots.iter().find(|arm| subject.robot.as_ref() == Some(&arm.name));
+    let arm = case.evidence.robots.iter().find(|arm| subject.arm() == Some(&arm.name));
     let segments = || {
         let poses = arm.into_iter().flat_map(|arm| &arm.poses);
         poses.filter(|stream| subject.topic.as_deref() == Some(stream.topic()))

@@ -81,7 +81,8 @@ pub(super) fn fit(
     let largest_stream = (0..observations.len()).max_by_key(|&s| observations[s].len())?;
     // Calibrations do not change a zero by more, rad or m.
     let large_offsets = large_zeros(&model.state, corrected, 0.1);
-    let is_open = with_offsets && allows_link_deviations(&model);
+    let has_links = observations.iter().any(|observations| !observations.chain.is_floating());
+    let is_open = with_offsets && has_links && allows_link_deviations(&model);
     let deviations = if is_open {
         estimate_link_deviations(
             observations[largest_stream],
@@ -108,7 +109,7 @@ pub(super) fn fit(
         |s: usize| is_nominal(observations[s], s, &model.state, dropped, &plain[s], &offsets);
     if !is_open || !(0..observations.len()).any(is_of_calibrated) {
         let fitted = ArmFit { model, candidates, deviations: None };
-        return Some(match with_offsets && links == LinkModel::MayDeviate {
+        return Some(match with_offsets && has_links && links == LinkModel::MayDeviate {
             true => drop_imitated_causes(fitted, &observations, largest_stream),
             false => fitted,
         });
@@ -247,8 +248,11 @@ fn candidate_causes(
     let (mut always, mut optional) = (Vec::new(), Vec::new());
     if with_offsets {
         let dof = corrected.track.dof;
-        let is_in_a_stream =
-            |joint: &usize| decoded.iter().any(|p| p.observations.columns.contains(joint));
+        let is_in_a_stream = |joint: &usize| {
+            decoded.iter().map(|decoded| &decoded.observations).any(|observations| {
+                !observations.chain.is_floating() && observations.columns.contains(joint)
+            })
+        };
         let (encoded, others): (Vec<usize>, Vec<usize>) =
             (0..dof).filter(is_in_a_stream).partition(|&joint| corrected.has_encoded_zero(joint));
         optional.extend(others.into_iter().map(Cause::Zero));
@@ -321,7 +325,8 @@ fn best_start(
         let frames = starting_states(&decoded.observations, lag_s, &corrected.offsets);
         let is_far = frames.len() > 1;
         starts.extend(frames.into_iter().map(|stream| start(&corrected.offsets, stream)));
-        if is_far && decoded.observations.reference_known {
+        let has_zeros = !decoded.observations.chain.is_floating();
+        if is_far && has_zeros && decoded.observations.reference_known {
             for (joint, zero) in single_zeros(&decoded.observations, lag_s, &corrected.offsets) {
                 let mut offsets = corrected.offsets.clone();
                 offsets[joint] = zero;

@@ -34,6 +34,9 @@ use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
 /// Diagnoses joint states and independent pose streams; `max_lag_s` is the largest latency to search.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], max_lag_s: f64) -> ArmDiagnosis {
+    if are_floating(streams) {
+        return diagnose_arm_as_logged(joints, streams, max_lag_s);
+    }
     diagnose_with(joints, streams, max_lag_s, LinkModel::MayDeviate)
 }
 
@@ -44,7 +47,15 @@ pub(super) fn diagnose_other_segment(
     streams: &[PoseStream],
     max_lag_s: f64,
 ) -> ArmDiagnosis {
+    if are_floating(streams) {
+        return diagnose_arm_as_logged(joints, streams, max_lag_s);
+    }
     diagnose_with(joints, streams, max_lag_s, LinkModel::Fixed)
+}
+
+/// Whether the streams are compared with poses instead of joint states.
+pub(super) fn are_floating(streams: &[PoseStream]) -> bool {
+    streams.iter().any(|stream| stream.chain.is_floating())
 }
 
 fn diagnose_with(
@@ -106,21 +117,11 @@ fn diagnose_with(
     if encoding.as_ref().is_ok_and(|encoding| *encoding != as_logged) && !result.is_credible() {
         (encoding, result) = (Err(NotObservable::NotExcited), diagnose_as(&as_logged));
     }
-    // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
-    // logged need no more joint zeros.
-    let is_rewritten =
-        result.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_))));
-    if is_rewritten && encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
-        let standard_encodings: Vec<PositionEncodingEstimate> =
-            position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
+    if encoding.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         let corrected = CorrectedJoints::new(joints, &as_logged, &is_prismatic);
-        let standard = diagnose(joints, &corrected, streams, &standard_encodings, true, links);
-        if standard.largest_unexplained().is_none()
-            && standard.is_close_to_fk()
-            && standard.zero_count() <= result.zero_count()
-        {
-            result = standard;
-        }
+        result = result.or_standard(&position_encodings, |standard| {
+            diagnose(joints, &corrected, streams, standard, true, links)
+        });
     }
     let is_far_from_fk = |result: &EncodingResult| {
         !result.streams.is_empty() && result.streams.iter().all(PoseDiagnosis::is_far_from_fk)
@@ -207,9 +208,11 @@ pub(super) fn diagnose_arm_as_logged(
         .iter()
         .map(|stream| PositionEncodingEstimate::estimate(joints, stream, max_lag_s))
         .collect::<Vec<_>>();
-    let links = LinkModel::MayDeviate;
+    let diagnose_as = |position_encodings: &[PositionEncodingEstimate]| {
+        diagnose(joints, &corrected, streams, position_encodings, true, LinkModel::MayDeviate)
+    };
     let EncodingResult { offsets, scales, streams, .. } =
-        diagnose(joints, &corrected, streams, &position_encodings, true, links);
+        diagnose_as(&position_encodings).or_standard(&position_encodings, diagnose_as);
     let encoding = Ok(JointEncoding::default());
     ArmDiagnosis { joints: JointDiagnosis::without_changes(encoding, offsets, scales), streams }
 }
@@ -234,6 +237,26 @@ struct EncodingResult {
 }
 
 impl EncodingResult {
+    /// With weak motion, a fault can look like mirrored axes or an inverse. These are rejected if the poses as
+    /// logged need no more joint zeros and are explained, or fit better.
+    fn or_standard(
+        self,
+        position_encodings: &[PositionEncodingEstimate],
+        diagnose: impl FnOnce(&[PositionEncodingEstimate]) -> Self,
+    ) -> Self {
+        if !self.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_)))) {
+            return self;
+        }
+        let standard: Vec<PositionEncodingEstimate> =
+            position_encodings.iter().map(PositionEncodingEstimate::standard_only).collect();
+        let standard = diagnose(&standard);
+        let is_explained = standard.largest_unexplained().is_none()
+            || standard.total_residual_m() <= self.total_residual_m();
+        let is_sufficient =
+            is_explained && standard.is_close_to_fk() && standard.zero_count() <= self.zero_count();
+        if is_sufficient { standard } else { self }
+    }
+
     fn zero_count(&self) -> usize {
         self.offsets.iter().filter(|offset| offset.is_chosen).count()
     }
@@ -407,7 +430,7 @@ fn diagnose(
         .as_ref()
         .map(|fitted| HeldOut::new(&observations, &fitted.model, &fitted.candidates));
     let (offsets, scales, couplings) = match fitted.as_ref().zip(held_out.as_ref()) {
-        Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
+        _ if !with_offsets || are_floating(streams) => (Vec::new(), Vec::new(), Vec::new()),
         Some((fitted, held_out)) => (
             joint_offsets(fitted, &usable, joints, held_out),
             joint_scales(fitted, corrected),

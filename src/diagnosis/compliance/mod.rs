@@ -12,6 +12,7 @@ mod shapes;
 mod system;
 mod term;
 
+use crate::arm::are_floating;
 use crate::arm::diagnose_arm_as_logged;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
@@ -80,7 +81,8 @@ pub(super) fn diagnose_with_compliance(
     max_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
     let is_coded = diagnosis.joints.scales.iter().any(JointScale::is_coded);
-    let is_applicable = !is_coded
+    let is_applicable = !are_floating(streams)
+        && !is_coded
         && diagnosis.joints.patches.is_empty()
         && joints.len() > 1
         && !diagnosis.streams.iter().any(PoseDiagnosis::is_far_from_fk);

@@ -1,5 +1,6 @@
 //! Diagnoses streams with a variable latency after correcting their stamps.
 
+use crate::arm::are_floating;
 use crate::changes::{
     constant_frames_suffice, diagnose_with_changes, diagnose_with_recorded_changes,
 };
@@ -127,7 +128,7 @@ pub fn diagnose_with_latency_compensation(
         }
     }
     let compensated_streams = with_tracks(&streams, &tracks);
-    let is_within_links = constant_frames_suffice(&compensated);
+    let is_within_links = !are_floating(&streams) && constant_frames_suffice(&compensated);
     let by_sag = diagnose_scale_as_compliance(
         joints,
         &compensated_streams,

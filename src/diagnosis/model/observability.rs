@@ -95,7 +95,10 @@ impl Observability {
         information: &DMatrix<f64>,
     ) -> Self {
         let dof = observations.joints.dof;
-        let joints = (0..dof).filter(|joint| observations.columns.contains(joint));
+        let has_zero = |joint: &usize| {
+            !observations.chain.is_floating() && observations.columns.contains(joint)
+        };
+        let joints = (0..dof).filter(has_zero);
         let own = offsets.len();
         let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
         let parameter = |&column: &usize| match column.checked_sub(own) {
@@ -209,13 +212,15 @@ fn achievable_information(
     let dof = observations.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
     let kinds = observations.chain.joint_kinds();
-    let mut slides = vec![false; dof];
-    for (kind, &column) in kinds.iter().zip(observations.columns) {
-        slides[column] = *kind == JointKind::Prismatic;
+    // Prismatic, or the position of a floating joint; its quaternion may have any length.
+    let mut is_short = vec![false; dof];
+    for (at, (kind, &column)) in kinds.iter().zip(observations.columns).enumerate() {
+        is_short[column] =
+            *kind == JointKind::Prismatic || (*kind == JointKind::Floating && at < 3);
     }
     let mut drawn = |most: f64| -> Vec<f64> {
         let draw =
-            |i: usize| random.random_range(-1.0..1.0) * if slides[i % dof] { 0.5 } else { most };
+            |i: usize| random.random_range(-1.0..1.0) * if is_short[i % dof] { 0.5 } else { most };
         (0..CONFIGURATIONS * dof).map(draw).collect()
     };
     let t_s: Vec<f64> = (0..CONFIGURATIONS).map(|row| row as f64 * STEP_S).collect();

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use nalgebra::{Matrix3, Rotation3, Translation3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, Unit, Vector4};
 
 use crate::geometry::{Pose, Rotation, Vec3};
 
@@ -15,6 +15,8 @@ use super::model::{Joint, LinkId, PathStep, Robot};
 /// Its coordinates are the independently movable joints on the path, from base to tip; a mimic joint moves
 /// with its driver. `q` are joint positions, rad or m, even if the path passes a joint from child to
 /// parent.
+///
+/// A single floating joint is a chain of its own with [`FLOATING_COORDINATES`] as coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     base_name: String,
@@ -27,6 +29,9 @@ pub struct Chain {
     step_from_tip: Rigid,
     max_reach_m: Derived,
 }
+
+/// Coordinates of a floating joint: position in m, and a quaternion of any length but zero.
+pub const FLOATING_COORDINATES: [&str; 7] = ["x", "y", "z", "qx", "qy", "qz", "qw"];
 
 /// Cached; ignored in comparisons.
 #[derive(Debug, Clone, Default)]
@@ -66,8 +71,8 @@ impl Robot {
     /// Builds the chain through the lowest common ancestor of `base` and `tip`.
     ///
     /// # Errors
-    /// If base and tip are equal, no joint between them moves, one is floating or planar, or a mimic joint
-    /// has an invalid driver.
+    /// If base and tip are equal, no joint between them moves, one is planar or floating beside others, or a mimic
+    /// joint has an invalid driver.
     ///
     /// # Panics
     /// If a link belongs to another robot with more links.
@@ -76,8 +81,14 @@ impl Robot {
         if base == tip {
             return Err(ChainError::SameLink { link: base_name.to_owned() });
         }
+        let path = self.path(base, tip);
+        if let [PathStep { joint, upwards: false }] = path.as_slice()
+            && joint.kind == JointKind::Floating
+        {
+            return Ok(Chain::floating(joint, base_name, tip_name));
+        }
         let mut builder = Builder::new(self);
-        for step in self.path(base, tip) {
+        for step in path {
             builder.push(&step)?;
         }
         if builder.coordinates.is_empty() {
@@ -191,6 +202,26 @@ impl<'a> Builder<'a> {
 }
 
 impl Chain {
+    fn floating(joint: &Joint, base_name: &str, tip_name: &str) -> Self {
+        let coordinates = FLOATING_COORDINATES.len();
+        let name = |coordinate: &&str| format!("{}/{coordinate}", joint.name);
+        Self {
+            base_name: base_name.to_owned(),
+            tip_name: tip_name.to_owned(),
+            joint_names: FLOATING_COORDINATES.iter().map(name).collect(),
+            joint_kinds: vec![JointKind::Floating; coordinates],
+            limits: vec![Limits::default(); coordinates],
+            steps: Vec::new(),
+            step_from_tip: Rigid::IDENTITY,
+            max_reach_m: Derived::default(),
+        }
+    }
+
+    /// Whether its coordinates are those of one floating joint, which no zero, scale or sag changes.
+    pub fn is_floating(&self) -> bool {
+        self.joint_kinds.first() == Some(&JointKind::Floating)
+    }
+
     /// Number of coordinates.
     pub fn dof(&self) -> usize {
         self.joint_names.len()
@@ -201,7 +232,7 @@ impl Chain {
         &self.joint_names
     }
 
-    /// Revolute, continuous or prismatic.
+    /// Revolute, continuous or prismatic, or all floating.
     pub fn joint_kinds(&self) -> &[JointKind] {
         &self.joint_kinds
     }
@@ -226,6 +257,9 @@ impl Chain {
     /// # Panics
     /// If `q` has not `dof` values.
     pub fn forward(&self, q: &[f64]) -> Pose {
+        if self.is_floating() {
+            return floating_pose(q);
+        }
         self.walk(q, |_, _, _| ()).to_pose()
     }
 
@@ -240,6 +274,9 @@ impl Chain {
     pub fn forward_with_jacobian(&self, q: &[f64], jacobian: &mut [[f64; 6]]) -> Pose {
         assert_eq!(jacobian.len(), self.dof(), "one column per coordinate");
         jacobian.fill([0.0; 6]);
+        if self.is_floating() {
+            return floating_jacobian(q, jacobian);
+        }
         let base_from_tip = self.walk(q, |step, _, base_from_step| {
             let z = step.factor * base_from_step.z();
             let column = &mut jacobian[step.coordinate];
@@ -270,6 +307,10 @@ impl Chain {
     /// If `q` has not `dof` values.
     pub fn joint_frames(&self, q: &[f64], out: &mut Vec<Pose>) {
         out.clear();
+        if self.is_floating() {
+            out.resize(self.dof(), floating_pose(q));
+            return;
+        }
         out.resize(self.dof(), Pose::identity());
         let mut filled = vec![false; self.dof()];
         self.walk(q, |step, before, after| {
@@ -294,11 +335,14 @@ impl Chain {
 
     /// Approximate reach: largest distance found between the origins of base and tip, m.
     ///
-    /// Never above the true reach, and rarely more than 1 % below. From the middle and the quarters of the
+    /// Never above the true reach, and rarely more than 1 % below; 0 for a floating joint. From the middle and the quarters of the
     /// ranges, each joint in turn takes the best of 48 positions. Revolute joints without limits cover ±π;
     /// such prismatic joints stay at zero.
     pub fn max_reach_m(&self) -> f64 {
         *self.max_reach_m.0.get_or_init(|| {
+            if self.is_floating() {
+                return 0.0;
+            }
             let ranges: Vec<[f64; 2]> = (0..self.dof()).map(|joint| self.range(joint)).collect();
             let starts = [0.5, 0.25, 0.75].map(|part| self.climb_to_reach(&ranges, part));
             starts.into_iter().fold(0.0, f64::max)
@@ -369,6 +413,34 @@ impl Chain {
         }
         base_from_here * self.step_from_tip
     }
+}
+
+/// A zero quaternion is no rotation.
+fn floating_pose(q: &[f64]) -> Pose {
+    let [x, y, z, i, j, k, w] = floating_coordinates(q);
+    let rotation = Unit::try_new(Quaternion::new(w, i, j, k), 0.0).unwrap_or_default();
+    Pose::from_parts(Translation3::new(x, y, z), rotation)
+}
+
+/// The angular velocity in the base is `2 q̇ q⁻¹` (Diebel, "Representing attitude", 2006, §5.4).
+fn floating_jacobian(q: &[f64], jacobian: &mut [[f64; 6]]) -> Pose {
+    let [_, _, _, i, j, k, w] = floating_coordinates(q);
+    let inverse = Quaternion::new(w, i, j, k).try_inverse().unwrap_or_default() * 2.0;
+    let base_from_tip = floating_pose(q);
+    for (coordinate, column) in jacobian.iter_mut().enumerate() {
+        match coordinate {
+            0..3 => column[coordinate] = 1.0,
+            _ => {
+                let rate = Quaternion::from_vector(Vector4::ith(coordinate - 3, 1.0));
+                add(column, &Vec3::zeros(), &(rate * inverse).imag());
+            }
+        }
+    }
+    base_from_tip
+}
+
+fn floating_coordinates(q: &[f64]) -> [f64; FLOATING_COORDINATES.len()] {
+    q.try_into().expect("seven coordinates of a floating joint")
 }
 
 /// Maps z to the unit vector `axis`; the identity if equal.

@@ -25,6 +25,10 @@ impl Chain {
         assert_eq!(q_rows.len() % dof, 0, "one position per coordinate in each row");
         out.clear();
         out.reserve(q_rows.len() / dof);
+        if self.is_floating() {
+            out.extend(q_rows.chunks_exact(dof).map(|q| self.forward(q)));
+            return;
+        }
         let mut fours = q_rows.chunks_exact(LANES * dof);
         for four in &mut fours {
             let tips = self.walk_lanes(four);

@@ -24,8 +24,7 @@ mod write;
 mod xml;
 
 pub use calibration::{CALIBRATION_SCHEMA, Calibration};
-pub use chain::Chain;
-pub use chain::turn_z_to;
+pub use chain::{Chain, FLOATING_COORDINATES, turn_z_to};
 pub use deviate::LinkPath;
 pub use dh::{DhConvention, DhModel};
 pub use error::{ChainError, Problem, RobotError};

@@ -132,6 +132,27 @@ impl Robot {
         })
     }
 
+    /// A body that moves freely in a frame; its joint is named like the robot.
+    ///
+    /// # Panics
+    /// If the links have the same name.
+    pub fn floating_body(name: &str, frame: &str, body: &str) -> Robot {
+        let link = |name: &str| LinkDraft { name: name.to_owned(), at: 0 };
+        let joint = JointDraft {
+            name: name.to_owned(),
+            kind: JointKind::Floating,
+            parent: frame.to_owned(),
+            child: body.to_owned(),
+            parent_from_joint: Pose::identity(),
+            axis: Vec3::z(),
+            limits: Limits::default(),
+            mimic: None,
+            at: 0,
+        };
+        Robot::assemble(name, name, vec![link(frame), link(body)], vec![joint])
+            .unwrap_or_else(|_| panic!("'{frame}' and '{body}' are two links"))
+    }
+
     /// URDF or TOML; `None` for catalogue arms.
     pub fn text(&self) -> Option<&str> {
         self.text.as_deref()

@@ -99,7 +99,7 @@ pub struct Replay<'a> {
 impl<'a> Replay<'a> {
     /// The named arm, else the first.
     fn arm_of(&self, finding: &Finding) -> Option<&ReplayArm<'a>> {
-        let named = finding.subject.robot.as_deref();
+        let named = finding.subject.arm().map(String::as_str);
         let named = self.arms.iter().find(|arm| Some(arm.name) == named);
         named.or(self.arms.first())
     }

@@ -59,7 +59,7 @@ impl<'a> FigureSource<'a> {
 
     fn arm(&self) -> Option<(&'a Arm, &'a ArmEvidence)> {
         let arms = self.clock.run.arms.iter().zip(&self.facts.robots);
-        let is_its = |name: &str| self.subject.robot.as_deref().is_none_or(|robot| robot == name);
+        let is_its = |name: &str| self.subject.arm().is_none_or(|robot| robot == name);
         arms.into_iter().find(|(_, facts)| is_its(&facts.name))
     }
 

@@ -239,7 +239,7 @@ impl FindingContext<'_> {
         let has_own = self.figures.poses.iter().any(|pose| is_of_subject(&pose));
         let is_of_imu = self.imus().next().is_some();
         let is_of_robot = move |pose: &&PoseFigure| {
-            !is_of_imu && !pose.is_derived && subject.robot.as_ref() == Some(&pose.robot)
+            !is_of_imu && !pose.is_derived && subject.arm() == Some(&pose.robot)
         };
         let poses = self.figures.poses.iter();
         poses
@@ -255,8 +255,7 @@ impl FindingContext<'_> {
     /// Several arms may share a topic such as /tf.
     fn is_subject(&self, robot: &str, topic: &str) -> bool {
         let subject = &self.finding.subject;
-        subject.topic.as_deref() == Some(topic)
-            && subject.robot.as_deref().is_none_or(|its| its == robot)
+        subject.topic.as_deref() == Some(topic) && subject.arm().is_none_or(|its| its == robot)
     }
 
     fn checks(&self, code: &str) -> impl Iterator<Item = &CheckRow> {

@@ -79,6 +79,13 @@ impl Assembly<'_> {
         let settings = self.topic_settings(stream);
         let (mut role, mut reason) =
             self.role_of(stream, stream_frames.as_ref(), declared.is_some());
+        let trajectory = owner.and_then(|arm| self.arms[arm].trajectory.as_ref());
+        if trajectory.is_some_and(|trajectory| trajectory.others.contains(&index))
+            && settings.is_none_or(|settings| settings.role.is_none())
+        {
+            role = Role::Candidate { presumed: true };
+            reason = format!("compared with '{}'", self.arms[owner.unwrap_or(0)].name);
+        }
         if let Some(vendor) = settings.and_then(|settings| settings.vendor.as_ref()) {
             reason += &format!("; {vendor}");
         }
@@ -379,7 +386,8 @@ impl Assembly<'_> {
         }
         // A tracker that names no frame measures in a world of its own.
         if frame == FrameKind::Unnamed
-            && self.source_kind(stream, frame, false).0 == PoseSourceKind::External
+            && (arm.trajectory.is_some()
+                || self.source_kind(stream, frame, false).0 == PoseSourceKind::External)
         {
             frame = FrameKind::Unknown;
         }

@@ -48,7 +48,7 @@ impl FindingContext<'_> {
         let subject = &self.finding.subject;
         Plot {
             title,
-            robot: subject.robot.clone().unwrap_or_default(),
+            robot: subject.arm().cloned().unwrap_or_default(),
             stream: subject.topic.clone().or_else(|| subject.joint.clone()).unwrap_or_default(),
             caption: says.into(),
             x_label: axes[0],

@@ -1,0 +1,300 @@
+//! Compares pose streams with each other if no joint states predict them.
+//!
+//! One stream becomes the reference: a body that moves freely in the stream's frame, in the place of an arm. The
+//! others are compared with it as with forward kinematics.
+
+use std::sync::Arc;
+
+use crate::diagnosis::best_lag_peak;
+use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
+use crate::robot::{FLOATING_COORDINATES, Robot};
+use crate::run::arm::{Arm, TfUnavailable, Trajectory};
+use crate::run::error::RunError;
+use crate::run::model::FrameNames;
+use crate::run::namespace::Namespace;
+use crate::run::poses::{self, StampedTrack};
+use crate::run::role::{Role, array_role, role_outside_arm};
+use crate::run::streams::Stream;
+use crate::run::velocities::{SmoothedJoint, smooth};
+use crate::stats::{STD_DEV_PER_MEDIAN, median};
+use crate::stream::{Columns, JointTrack, Orientations, PoseTrack, sample_noise};
+
+use super::assembly::{Assembly, is_topic};
+
+/// Converts rotations to lengths.
+const LEVER_M: f64 = 0.3;
+
+/// A stream that may be the reference.
+struct Candidate {
+    stream: usize,
+    logged: StampedTrack<PoseTrack>,
+    errors: SampleErrors,
+}
+
+/// Standard deviations of a stream's samples.
+#[derive(Clone, Copy)]
+struct SampleErrors {
+    m: f64,
+    rad: f64,
+    stamp_s: f64,
+    /// Typical speed, m/s and rad/s.
+    speed: [f64; 2],
+}
+
+impl SampleErrors {
+    fn of(track: &PoseTrack, rotations: &[Rotation]) -> Self {
+        let axis = |axis: usize| track.xyz.iter().map(|xyz| xyz[axis]).collect::<Vec<f64>>();
+        let norm = |noise: &[f64]| noise.iter().map(|one| one * one).sum::<f64>().sqrt();
+        let quaternions = continuous_quaternions(rotations);
+        let component = |at: usize| quaternions.iter().map(|q| q[at]).collect::<Vec<f64>>();
+        let mut periods: Vec<f64> = track.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let period_s = median(&mut periods).unwrap_or(0.0);
+        let mut jitters: Vec<f64> =
+            periods.iter().map(|period| (period - period_s).abs()).collect();
+        let jitter_s = median(&mut jitters).unwrap_or(0.0);
+        let rms = |steps: Vec<f64>| norm(&steps) / (steps.len().max(1) as f64).sqrt();
+        let per_s = |steps: Vec<f64>| rms(steps) / period_s.max(f64::MIN_POSITIVE);
+        let steps = track.xyz.windows(2).map(|pair| (pair[1] - pair[0]).norm());
+        let turns = rotations.windows(2).map(|pair| angle_between(&pair[0], &pair[1]));
+        Self {
+            m: norm(&[0, 1, 2].map(|at| sample_noise(&axis(at)))),
+            // A rotation by a small angle changes the quaternion by half of it.
+            rad: 2.0 * norm(&[0, 1, 2, 3].map(|at| sample_noise(&component(at)))),
+            stamp_s: STD_DEV_PER_MEDIAN * jitter_s / 2f64.sqrt(),
+            speed: [per_s(steps.collect()), per_s(turns.collect())],
+        }
+    }
+
+    /// Position error of a sample, rotations and times included, m.
+    fn total_m(&self) -> f64 {
+        let by_clock = |speed: f64| speed * self.stamp_s;
+        let turn_m = LEVER_M * self.rad.hypot(by_clock(self.speed[1]));
+        self.m.hypot(by_clock(self.speed[0])).hypot(turn_m)
+    }
+}
+
+impl Assembly<'_> {
+    /// Makes a pose stream the reference of the others: the caller's, else the one with the smallest errors that
+    /// another follows.
+    ///
+    /// # Errors
+    /// If the caller's reference is not a stream of poses with rotations that change.
+    pub(super) fn compare_trajectories(&mut self) -> Result<(), RunError> {
+        let wanted = self.options.reference.as_deref();
+        let compared = self.compared_streams();
+        let mut candidates = self.reference_candidates(&compared);
+        if let Some(topic) = wanted {
+            candidates.retain(|candidate| is_topic(&self.streams[candidate.stream], topic));
+            if candidates.is_empty() {
+                return Err(self.unusable_reference(topic));
+            }
+        }
+        candidates.sort_by(|a, b| a.errors.total_m().total_cmp(&b.errors.total_m()));
+        let arms = candidates.iter().map(|one| self.trajectory(one, &compared));
+        let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
+        let is_followed = |arm: &&Arm| self.has_follower(arm);
+        if let Some(arm) = arms.iter().find(is_followed).or(arms.first()).cloned()
+            && let Some(Trajectory { stream, why, .. }) = &arm.trajectory
+        {
+            let reference = &mut self.streams[*stream];
+            (reference.role, reference.arm) = (Role::Pose, Some(self.arms.len()));
+            reference.reason = why.clone();
+            self.arms.push(arm);
+        }
+        Ok(())
+    }
+
+    /// Pose streams, without commands and camera detections if two others remain.
+    fn compared_streams(&self) -> Vec<usize> {
+        let has_poses = |index: &usize| {
+            let stream = &self.streams[*index];
+            match &stream.columns {
+                Some(Columns::Poses(_)) => true,
+                Some(Columns::Array(array)) => {
+                    array_role(&stream.topic, array.width, false).0 != Role::Ignored
+                }
+                _ => false,
+            }
+        };
+        let is_measured =
+            |index: &usize| role_outside_arm(&self.streams[*index].topic) == Role::Unassigned;
+        let all: Vec<usize> = (0..self.streams.len()).filter(has_poses).collect();
+        let measured: Vec<usize> = all.iter().copied().filter(is_measured).collect();
+        if measured.len() > 1 { measured } else { all }
+    }
+
+    /// Streams of changing poses with rotations.
+    fn reference_candidates(&self, compared: &[usize]) -> Vec<Candidate> {
+        let candidate = |&stream: &usize| {
+            let logged = self.logged_poses(stream)?;
+            let Orientations::Rotations(rotations) = &logged.track.orientation else { return None };
+            if logged.track.t_s.len() < 3 || !logged.track.changes() {
+                return None;
+            }
+            let errors = SampleErrors::of(&logged.track, rotations);
+            Some(Candidate { stream, logged, errors })
+        };
+        compared.iter().filter_map(candidate).collect()
+    }
+
+    fn logged_poses(&self, index: usize) -> Option<StampedTrack<PoseTrack>> {
+        let stream = &self.streams[index];
+        let rows = self.timing.filtered_rows(&self.streams, index, 0, self.options.max_latency_s);
+        let mut declared = self.options.declared.iter();
+        let declared = declared
+            .find(|declared| is_topic(stream, &declared.topic))
+            .filter(|declared| declared.fits(stream.columns.as_ref()));
+        match &stream.columns {
+            Some(Columns::Poses(poses)) => {
+                let [poses] = poses.as_slice() else { return None };
+                poses::from_poses(poses, &rows, declared, self.origin).ok()
+            }
+            Some(Columns::Array(array)) => {
+                poses::from_array(array, &rows, declared, self.origin).ok()
+            }
+            _ => None,
+        }
+    }
+
+    fn unusable_reference(&self, topic: &str) -> RunError {
+        let is_known = self.streams.iter().any(|stream| is_topic(stream, topic));
+        let what = match is_known {
+            true => format!("'{topic}' has no poses with rotations that change"),
+            false => format!("the log has no topic '{topic}'"),
+        };
+        RunError::Declared {
+            place: "--reference".to_owned(),
+            what,
+            remedy: "name a pose topic that `poseaudit info` lists",
+        }
+    }
+
+    /// Body that moves like the stream, named by the stream's frames.
+    fn trajectory(&self, candidate: &Candidate, compared: &[usize]) -> Arm {
+        let stream = &self.streams[candidate.stream];
+        let named = |frame: &str, unnamed: &str| match frame {
+            "" => format!("{unnamed} of {}", stream.topic),
+            frame => frame.to_owned(),
+        };
+        let frame = named(&stream.frame_id, "frame");
+        let body = match stream.child_frame_id.as_str() {
+            child if child == stream.frame_id => named("", "body"),
+            child => named(child, "body"),
+        };
+        let robot = Robot::floating_body(&stream.topic, &frame, &body);
+        let [base, tip] = [&frame, &body].map(|name| robot.link(name).expect("its link"));
+        let chain = robot.chain(base, tip).expect("a floating joint is a chain");
+        let StampedTrack { track, stamps } = &candidate.logged;
+        let others = compared.iter().copied().filter(|&stream| stream != candidate.stream);
+        let SampleErrors { m, rad, stamp_s, .. } = candidate.errors;
+        let why = format!(
+            "the reference of the other poses, as the log has no joint states for them; noise {} and {}, stamps {}",
+            show_m(m),
+            show_rad(rad),
+            show_s(stamp_s)
+        );
+        Arm {
+            name: stream.topic.clone(),
+            identified_by: format!("the poses on '{}'", stream.topic),
+            competing: None,
+            indistinguishable: Vec::new(),
+            columns: (0..chain.dof()).collect(),
+            joint_names: chain.joint_names().to_vec(),
+            chain,
+            tip_named: false,
+            joints: Arc::new(floating_track(track)),
+            joint_sources: Vec::new(),
+            before_correction: None,
+            poses: Vec::new(),
+            tf: Err(TfUnavailable::NoTransforms),
+            from_model: Vec::new(),
+            imus: Vec::new(),
+            base,
+            tip,
+            unnamed_base: base,
+            frames: FrameNames::default(),
+            joint_stamps: stamps.clone().into(),
+            namespace: Namespace::default(),
+            tree: Arc::clone(&self.tf),
+            trajectory: Some(Trajectory {
+                stream: candidate.stream,
+                track: track.clone(),
+                others: others.collect(),
+                why,
+            }),
+            robot,
+        }
+    }
+
+    fn has_follower(&self, arm: &Arm) -> bool {
+        let follows = |stream: usize| {
+            let frames = self.locate_frames(arm, &self.streams[stream]);
+            let source =
+                self.pose_source(stream, arm, &frames, None, (true, &mut Vec::new())).ok()?;
+            let peak = best_lag_peak(&arm.joints, &source.as_stream(), self.options.max_latency_s)?;
+            Some(peak.correlation >= crate::run::MIN_PRESUMED_CORRELATION)
+        };
+        other_streams(arm).any(|stream| follows(stream) == Some(true))
+    }
+
+    fn has_other_input(&self, arm: &Arm) -> bool {
+        let is_imu = |stream: &Stream| matches!(stream.columns, Some(Columns::Imu(_)));
+        other_streams(arm).next().is_some() || self.streams.iter().any(is_imu)
+    }
+}
+
+fn other_streams(arm: &Arm) -> impl Iterator<Item = usize> {
+    arm.trajectory.iter().flat_map(|trajectory| trajectory.others.iter().copied())
+}
+
+/// Poses as the coordinates of a floating joint, with velocities from the positions.
+pub(in crate::run) fn floating_track(track: &PoseTrack) -> JointTrack {
+    let Orientations::Rotations(rotations) = &track.orientation else {
+        return JointTrack::default();
+    };
+    let dof = FLOATING_COORDINATES.len();
+    let quaternions = continuous_quaternions(rotations);
+    let coordinate = |at: usize| -> Vec<f64> {
+        match at.checked_sub(3) {
+            None => track.xyz.iter().map(|xyz: &Vec3| xyz[at]).collect(),
+            Some(component) => quaternions.iter().map(|q| q[component]).collect(),
+        }
+    };
+    let smoothed: Vec<SmoothedJoint> =
+        (0..dof).map(|at| smooth(&track.t_s, &coordinate(at))).collect();
+    let rows = |of: fn(&SmoothedJoint) -> &Vec<f64>| {
+        let row = |row: usize| smoothed.iter().map(move |joint| of(joint)[row]);
+        (0..track.t_s.len()).flat_map(row).collect()
+    };
+    JointTrack {
+        t_s: track.t_s.clone(),
+        dof,
+        q: rows(|joint| &joint.q),
+        qd: rows(|joint| &joint.qd),
+        noise: smoothed.iter().map(|joint| joint.noise).collect(),
+    }
+}
+
+/// Components x, y, z, w, of the sign nearest to the sample before.
+fn continuous_quaternions(rotations: &[Rotation]) -> Vec<[f64; 4]> {
+    let mut before = [0.0; 4];
+    let continued = |rotation: &Rotation| {
+        let q = xyzw_from_rotation(rotation);
+        let dot: f64 = q.iter().zip(before).map(|(a, b)| a * b).sum();
+        before = if dot < 0.0 { q.map(|part| -part) } else { q };
+        before
+    };
+    rotations.iter().map(continued).collect()
+}
+
+fn show_m(m: f64) -> String {
+    format!("{:.2} mm", 1e3 * m)
+}
+
+fn show_rad(rad: f64) -> String {
+    format!("{:.3}°", rad.to_degrees())
+}
+
+fn show_s(s: f64) -> String {
+    format!("{:.1} ms", 1e3 * s)
+}
