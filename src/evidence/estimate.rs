@@ -35,6 +35,13 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
             true => diagnose_one(run, &run.arms[index], max_lag_s),
             false => found,
         };
+        let found = match with_other_reference(run, &run.arms[index], &found, max_lag_s) {
+            Some((arm, other)) => {
+                run.exchange_reference(index, arm);
+                other
+            }
+            None => found,
+        };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) =
@@ -52,6 +59,23 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
         }
     })
     .collect()
+}
+
+/// Diagnosis with another pose stream as the reference, whose errors explain what those of the others do not.
+fn with_other_reference(
+    run: &Run,
+    arm: &Arm,
+    found: &ArmStreamsDiagnosis,
+    max_lag_s: f64,
+) -> Option<(Arm, ArmStreamsDiagnosis)> {
+    arm.trajectory.as_ref().filter(|_| found.arm.is_unexplained())?;
+    let others = (0..arm.poses.len()).filter_map(|source| run.with_other_reference(arm, source));
+    let diagnosed = others.map(|other| {
+        let found = diagnose_one(run, &other, max_lag_s);
+        (other, found)
+    });
+    let mut better = diagnosed.filter(|(_, other)| other.arm.is_far_better_than(&found.arm));
+    better.next()
 }
 
 /// Diagnosis under the undeclared DH convention. Skipped if `found`, under the declared one, explains the

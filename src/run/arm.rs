@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::geometry::Pose;
 use crate::robot::{Chain, Joint, JointKind, LinkId, Robot};
-use crate::stream::{JointTrack, PoseTrack};
+use crate::stream::JointTrack;
 use crate::time::Stamp;
 
 use super::error::RunError;
@@ -16,6 +16,7 @@ use super::skeleton::{self, ArmPath, driving_joint};
 use super::sources::{ImuSource, PoseSource};
 use super::tf_error::TfError;
 use super::tf_tree::{TfTree, strip_slash};
+use super::trajectory::Trajectory;
 
 /// One arm of a run.
 #[derive(Clone, Debug)]
@@ -72,19 +73,6 @@ impl Arm {
         };
         self.joint_names.iter().map(slides).collect()
     }
-}
-
-/// A pose stream with which others are compared.
-#[derive(Clone, Debug)]
-pub struct Trajectory {
-    /// Index of the stream.
-    pub stream: usize,
-    /// Its poses.
-    pub track: PoseTrack,
-    /// Streams compared with it.
-    pub others: Vec<usize>,
-    /// Why it is the reference.
-    pub why: String,
 }
 
 /// Correction of the joint states, for each column.

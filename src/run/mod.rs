@@ -51,6 +51,7 @@ mod tf_tree;
 mod tick_grid;
 mod timing;
 mod topics;
+mod trajectory;
 mod unwrap;
 mod velocities;
 
@@ -61,7 +62,7 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, JointStateCorrection, TfUnavailable, Trajectory};
+pub use arm::{Arm, JointStateCorrection, TfUnavailable};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, MissingRows, RateSpan, Rhythm, StreamExtent};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
@@ -95,6 +96,7 @@ pub use tf_error::TfError;
 pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{RoleSetting, TopicSettings};
+pub use trajectory::Trajectory;
 pub use unwrap::WrappedJoint;
 pub use velocities::VelocitySource;
 

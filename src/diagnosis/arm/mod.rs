@@ -303,9 +303,8 @@ impl EncodingResult {
             && most <= MAX_SCALE_RATIO * least
     }
 
-    /// Sum over the streams. Angles are weighted by 0.3 m.
     fn total_residual_m(&self) -> f64 {
-        self.streams.iter().map(|stream| combined_m(&excess_residual(stream))).sum()
+        total_excess_m(&self.streams)
     }
 
     /// Stream with the largest unexplained excess residual.
@@ -316,6 +315,26 @@ impl EncodingResult {
         let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
         (is_open && !self.streams[worst.0].is_nominal).then_some(worst)
     }
+}
+
+impl ArmDiagnosis {
+    /// Whether other frames, encodings or latencies than those found might explain more.
+    pub fn is_unexplained(&self) -> bool {
+        self.streams.iter().any(|stream| {
+            let ResidualSize { m, rad } = excess_residual(stream);
+            m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD)
+        })
+    }
+
+    /// Whether it leaves far less unexplained than `other`, of the same streams.
+    pub fn is_far_better_than(&self, other: &Self) -> bool {
+        total_excess_m(&self.streams) * MIN_IMPROVEMENT < total_excess_m(&other.streams)
+    }
+}
+
+/// Sum over the streams. Angles are weighted by 0.3 m.
+fn total_excess_m(streams: &[PoseDiagnosis]) -> f64 {
+    streams.iter().map(|stream| combined_m(&excess_residual(stream))).sum()
 }
 
 /// 1 m and 1 rad if not decoded.

@@ -6,18 +6,16 @@
 use std::sync::Arc;
 
 use crate::diagnosis::best_lag_peak;
-use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
-use crate::robot::{FLOATING_COORDINATES, Robot};
-use crate::run::arm::{Arm, TfUnavailable, Trajectory};
+use crate::finding::Unit;
+use crate::geometry::{Rotation, angle_between};
+use crate::run::arm::Arm;
 use crate::run::error::RunError;
-use crate::run::model::FrameNames;
-use crate::run::namespace::Namespace;
 use crate::run::poses::{self, StampedTrack};
 use crate::run::role::{Role, array_role, role_outside_arm};
 use crate::run::streams::Stream;
-use crate::run::velocities::{SmoothedJoint, smooth};
+use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
-use crate::stream::{Columns, JointTrack, Orientations, PoseTrack, sample_noise};
+use crate::stream::{Columns, Orientations, PoseTrack, sample_noise};
 
 use super::assembly::{Assembly, is_topic};
 
@@ -169,61 +167,25 @@ impl Assembly<'_> {
         }
     }
 
-    /// Body that moves like the stream, named by the stream's frames.
+    /// Body that moves like the stream.
     fn trajectory(&self, candidate: &Candidate, compared: &[usize]) -> Arm {
-        let stream = &self.streams[candidate.stream];
-        let named = |frame: &str, unnamed: &str| match frame {
-            "" => format!("{unnamed} of {}", stream.topic),
-            frame => frame.to_owned(),
-        };
-        let frame = named(&stream.frame_id, "frame");
-        let body = match stream.child_frame_id.as_str() {
-            child if child == stream.frame_id => named("", "body"),
-            child => named(child, "body"),
-        };
-        let robot = Robot::floating_body(&stream.topic, &frame, &body);
-        let [base, tip] = [&frame, &body].map(|name| robot.link(name).expect("its link"));
-        let chain = robot.chain(base, tip).expect("a floating joint is a chain");
         let StampedTrack { track, stamps } = &candidate.logged;
         let others = compared.iter().copied().filter(|&stream| stream != candidate.stream);
         let SampleErrors { m, rad, stamp_s, .. } = candidate.errors;
         let why = format!(
             "the reference of the other poses, as the log has no joint states for them; noise {} and {}, stamps {}",
-            show_m(m),
-            show_rad(rad),
-            show_s(stamp_s)
+            Unit::Metre.show(m),
+            Unit::Radian.show(rad),
+            Unit::Second.show(stamp_s)
         );
-        Arm {
-            name: stream.topic.clone(),
-            identified_by: format!("the poses on '{}'", stream.topic),
-            competing: None,
-            indistinguishable: Vec::new(),
-            columns: (0..chain.dof()).collect(),
-            joint_names: chain.joint_names().to_vec(),
-            chain,
-            tip_named: false,
-            joints: Arc::new(floating_track(track)),
-            joint_sources: Vec::new(),
-            before_correction: None,
-            poses: Vec::new(),
-            tf: Err(TfUnavailable::NoTransforms),
-            from_model: Vec::new(),
-            imus: Vec::new(),
-            base,
-            tip,
-            unnamed_base: base,
-            frames: FrameNames::default(),
-            joint_stamps: stamps.clone().into(),
-            namespace: Namespace::default(),
-            tree: Arc::clone(&self.tf),
-            trajectory: Some(Trajectory {
-                stream: candidate.stream,
-                track: track.clone(),
-                others: others.collect(),
-                why,
-            }),
-            robot,
-        }
+        let trajectory = Trajectory {
+            stream: candidate.stream,
+            track: track.clone(),
+            others: others.collect(),
+            why,
+        };
+        let arm = Arm::from_trajectory(&self.streams[candidate.stream], trajectory);
+        Arm { joint_stamps: stamps.clone().into(), tree: Arc::clone(&self.tf), ..arm }
     }
 
     fn has_follower(&self, arm: &Arm) -> bool {
@@ -245,56 +207,4 @@ impl Assembly<'_> {
 
 fn other_streams(arm: &Arm) -> impl Iterator<Item = usize> {
     arm.trajectory.iter().flat_map(|trajectory| trajectory.others.iter().copied())
-}
-
-/// Poses as the coordinates of a floating joint, with velocities from the positions.
-pub(in crate::run) fn floating_track(track: &PoseTrack) -> JointTrack {
-    let Orientations::Rotations(rotations) = &track.orientation else {
-        return JointTrack::default();
-    };
-    let dof = FLOATING_COORDINATES.len();
-    let quaternions = continuous_quaternions(rotations);
-    let coordinate = |at: usize| -> Vec<f64> {
-        match at.checked_sub(3) {
-            None => track.xyz.iter().map(|xyz: &Vec3| xyz[at]).collect(),
-            Some(component) => quaternions.iter().map(|q| q[component]).collect(),
-        }
-    };
-    let smoothed: Vec<SmoothedJoint> =
-        (0..dof).map(|at| smooth(&track.t_s, &coordinate(at))).collect();
-    let rows = |of: fn(&SmoothedJoint) -> &Vec<f64>| {
-        let row = |row: usize| smoothed.iter().map(move |joint| of(joint)[row]);
-        (0..track.t_s.len()).flat_map(row).collect()
-    };
-    JointTrack {
-        t_s: track.t_s.clone(),
-        dof,
-        q: rows(|joint| &joint.q),
-        qd: rows(|joint| &joint.qd),
-        noise: smoothed.iter().map(|joint| joint.noise).collect(),
-    }
-}
-
-/// Components x, y, z, w, of the sign nearest to the sample before.
-fn continuous_quaternions(rotations: &[Rotation]) -> Vec<[f64; 4]> {
-    let mut before = [0.0; 4];
-    let continued = |rotation: &Rotation| {
-        let q = xyzw_from_rotation(rotation);
-        let dot: f64 = q.iter().zip(before).map(|(a, b)| a * b).sum();
-        before = if dot < 0.0 { q.map(|part| -part) } else { q };
-        before
-    };
-    rotations.iter().map(continued).collect()
-}
-
-fn show_m(m: f64) -> String {
-    format!("{:.2} mm", 1e3 * m)
-}
-
-fn show_rad(rad: f64) -> String {
-    format!("{:.3}°", rad.to_degrees())
-}
-
-fn show_s(s: f64) -> String {
-    format!("{:.1} ms", 1e3 * s)
 }
