@@ -24,28 +24,45 @@ struct ChangeReport {
     name: &'static str,
     title: &'static str,
     effect_m: f64,
+    /// Change per second, as text, if it is gradual.
+    rate: Option<String>,
     all: Vec<Value>,
 }
 
 impl ChangeReport {
     fn fault(self, severity: Severity) -> Fault {
-        let Self { at, from, to, by, name, title, effect_m, all } = self;
-        let often = match all.len() {
-            1 => String::new(),
-            times => format!("({times} changes in total)"),
+        let Self { at, from, to, by, name, title, effect_m, rate, all } = self;
+        let effect = Unit::Metre.show(effect_m);
+        let (message, effect, fix) = match rate {
+            Some(rate) => (
+                format!("drifts by {by} over the run, {rate}"),
+                format!("{effect} at the tip at the end"),
+                format!("find out why the {name} drifts, or estimate it again at short intervals"),
+            ),
+            None => {
+                let often = match all.len() {
+                    1 => String::new(),
+                    times => format!("({times} changes in total)"),
+                };
+                (
+                    format!("changes by {by} {at}{often}: from {from} to {to}"),
+                    format!("{effect} at the tip from then on"),
+                    format!("check what happened {at}; use a separate {name} for each segment"),
+                )
+            }
         };
         Fault {
             severity,
             cause: Cause::ParameterChange,
             title,
-            message: format!("changes by {by} {at}{often}: from {from} to {to}"),
+            message,
             evidence: Evidence {
-                effect: Some(format!("{} at the tip from then on", Unit::Metre.show(effect_m))),
+                effect: Some(effect),
                 effect_m: Some(effect_m),
                 more: std::iter::once(("changes".to_owned(), all.into())).collect(),
                 ..Evidence::default()
             },
-            fix: format!("check what happened {at}; use a separate {name} for each segment"),
+            fix,
         }
     }
 }
@@ -102,20 +119,31 @@ pub fn judge_frame_change(
     let listed = |change: &FrameChange| {
         json!({
             "at_ns": change_stamps(case, change).0.to_string(),
+            "is_gradual": change.is_gradual,
             "from": pose_json(&change.from),
             "to": pose_json(&change.to),
         })
     };
+    let per_minute = |measured: &Measured| measured.scaled(30.0 / change.within_s);
+    let rate = || {
+        let length = Unit::Metre.show_measured(&per_minute(&change.size.translation_m));
+        let angle = Unit::Radian.show_measured(&per_minute(&change.size.rotation_rad));
+        format!("{length} and {angle} per minute")
+    };
+    let title = match (name, change.is_gradual) {
+        ("tool frame", false) => "tool frame changes mid-run",
+        ("tool frame", true) => "tool frame drifts",
+        (_, false) => "reference frame changes mid-run",
+        (_, true) => "reference frame drifts",
+    };
     let report = ChangeReport {
+        rate: change.is_gradual.then(rate),
         at: format!("at {}", case.evidence.moment(at)),
         from: size(&change.from),
         to: size(&change.to),
         by: show(&change.size),
         name,
-        title: match name {
-            "tool frame" => "tool frame changes mid-run",
-            _ => "reference frame changes mid-run",
-        },
+        title,
         effect_m: effect_m(change),
         all: changes.iter().map(listed).collect(),
     };
@@ -140,6 +168,7 @@ pub fn judge_scalar_change(
         change_ci95_ns: Some(within),
     });
     let report = ChangeReport {
+        rate: None,
         at: format!("at {}", case.evidence.moment(at)),
         from: show_if_significant(unit, change.from, &change.size)
             .unwrap_or_else(|| "0".to_owned()),

@@ -11,6 +11,8 @@ pub struct ChangePoint<Value, Size> {
     pub at_s: f64,
     /// Half-width of the interval.
     pub within_s: f64,
+    /// Whether the value changes at a constant rate throughout the interval, instead of at once within it.
+    pub is_gradual: bool,
     /// Value before.
     pub from: Value,
     /// Value after.

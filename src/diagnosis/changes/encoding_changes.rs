@@ -4,6 +4,16 @@ use super::split_run::Span;
 use super::{BaselineSegment, EncodingSpans, OtherSegment};
 use crate::{ArmDiagnosis, JointDiagnosis, JointEncoding, PoseDiagnosis, PoseEncoding};
 
+/// Reports in `after`, the diagnosis of decoded poses, the encoding that they had.
+pub(super) fn keep_encoding(before: &PoseDiagnosis, after: &mut PoseDiagnosis) {
+    after.encoding.clone_from(&before.encoding);
+    after.is_inverted = before.is_inverted;
+    after.degrees = before.degrees;
+    after.length_unit.clone_from(&before.length_unit);
+    after.axes.clone_from(&before.axes);
+    after.constant_coordinates.clone_from(&before.constant_coordinates);
+}
+
 impl BaselineSegment {
     /// If an encoding differs between segments, reports the one not as logged, with its time span.
     pub(super) fn report_encoding(

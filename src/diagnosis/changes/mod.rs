@@ -8,13 +8,16 @@
 
 mod change_points;
 mod constant_frames;
+mod drift;
 mod encoding_changes;
+mod frame_columns;
 mod jumps;
 mod justification;
 mod report;
 mod split_run;
+mod step_test;
 
-use crate::arm::{diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
+use crate::arm::{are_floating, diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
 use crate::latency::correlation::stream_lag_s;
@@ -35,10 +38,12 @@ pub use change_points::{
     ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
 };
 pub(super) use constant_frames::constant_frames_suffice;
+pub(super) use drift::diagnose_with_drift;
 use encoding_changes::is_same_encoding;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
 use justification::is_justified;
 use split_run::{Span, SplitRun, set_velocity};
+use step_test::likeliest_step;
 
 /// Maximum residual of another segment's differences, relative to the baseline's residual; and its floor.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;
@@ -59,7 +64,15 @@ pub(super) fn diagnose_with_changes(
     max_changes: usize,
 ) -> Option<ArmDiagnosis> {
     let jumps = jumps_in_joints(joints);
-    if jumps.is_empty() && !diagnosis.streams.iter().any(has_slow_residual) {
+    // Link deviations would look like steps.
+    let steps: Vec<(usize, Jump)> = match are_floating(streams) {
+        true => (0..streams.len())
+            .filter_map(|s| Some((s, likeliest_step(&diagnosis.streams[s])?)))
+            .collect(),
+        false => Vec::new(),
+    };
+    let is_slow = diagnosis.streams.iter().any(has_slow_residual);
+    if jumps.is_empty() && steps.is_empty() && !is_slow {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -73,6 +86,13 @@ pub(super) fn diagnose_with_changes(
         })
         .collect();
     let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
+    let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
+    let steps = strongest(steps.collect());
+    let by_steps =
+        if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) };
+    if by_steps.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
+        return by_steps;
+    }
     let mut all = run.change_points(diagnosis, jumps);
     if all.len() > max_changes {
         // Keep the strongest sharp jumps and gaps.
@@ -85,13 +105,11 @@ pub(super) fn diagnose_with_changes(
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.window_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();
     let by_sharp = if is_both { diagnose_with_jumps(&run, &sharp, diagnosis) } else { None };
-    match by_sharp {
-        Some(after) if !after.streams.iter().any(has_slow_residual) => Some(after),
-        by_sharp => match (diagnose_with_jumps(&run, &all, diagnosis), by_sharp) {
-            (Some(all), Some(sharp)) if residual_m(&sharp) <= residual_m(&all) => Some(sharp),
-            (all, sharp) => all.or(sharp),
-        },
+    if by_sharp.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
+        return by_sharp;
     }
+    let found = [by_steps, by_sharp, diagnose_with_jumps(&run, &all, diagnosis)];
+    found.into_iter().flatten().min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)))
 }
 
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run

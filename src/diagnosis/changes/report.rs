@@ -159,6 +159,7 @@ fn frame_change(
     (!is_same).then(|| ChangePoint {
         at_s,
         within_s,
+        is_gradual: false,
         from: pose_of(&from) * base,
         to: pose_of(&to) * base,
         size: by,
@@ -185,6 +186,7 @@ fn scalar_change(
     (!is_same).then(|| ChangePoint {
         at_s,
         within_s,
+        is_gradual: false,
         from: base + value(from),
         to: base + value(to),
         size: by,

@@ -338,6 +338,7 @@ impl<'a> ComplianceSearch<'a> {
                 ComplianceKind::LoadedSag(at_s) => Some(ChangePoint {
                     at_s,
                     within_s: self.step_s(),
+                    is_gradual: false,
                     from: amount[0],
                     to: amount[1],
                     size: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),

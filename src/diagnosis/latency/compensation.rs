@@ -2,13 +2,14 @@
 
 use crate::arm::are_floating;
 use crate::changes::{
-    constant_frames_suffice, diagnose_with_changes, diagnose_with_recorded_changes,
+    constant_frames_suffice, diagnose_with_changes, diagnose_with_drift,
+    diagnose_with_recorded_changes,
 };
 use crate::compliance::{
     diagnose_scale_as_compliance, diagnose_with_compliance, prefers_compliance,
 };
 use crate::imu::diagnose_converted_imu;
-use crate::residuals::comparison::{has_latency_steps, has_slow_residual};
+use crate::residuals::comparison::{has_latency_steps, has_slow_residual, residual_m};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
     JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
@@ -174,6 +175,18 @@ pub fn diagnose_with_latency_compensation(
             false => (true, Some(change)),
         },
         (change, compliance) => (change.is_some(), change.or(compliance)),
+    };
+    // Steps can imitate a drift.
+    let is_open = match &alternative {
+        Some(other) => other.streams.iter().any(|it| it.has_changes() || has_slow_residual(it)),
+        None => !is_within_links,
+    };
+    let by_drift = is_open
+        .then(|| diagnose_with_drift(joints, &compensated_streams, &compensated, max_lag_s))
+        .flatten();
+    let alternative = match (by_drift, alternative) {
+        (Some(drift), Some(other)) if residual_m(&other) < residual_m(&drift) => Some(other),
+        (drift, other) => drift.or(other),
     };
     if let Some(alternative) = alternative {
         compensated = alternative;

@@ -119,7 +119,7 @@ impl Linear {
         &self.design[start..start + self.width]
     }
 
-    fn residual(&self, sample: usize, row: usize) -> f64 {
+    pub fn residual(&self, sample: usize, row: usize) -> f64 {
         self.residual[row / 3][sample][row % 3]
     }
 
@@ -376,7 +376,8 @@ impl Weight {
         Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
     }
 
-    fn component(&self, sample: usize) -> f64 {
+    /// Of one component of a sample.
+    pub fn component(&self, sample: usize) -> f64 {
         self.robust[sample] * self.base_weight()
     }
 
