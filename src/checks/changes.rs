@@ -24,19 +24,21 @@ struct ChangeReport {
     name: &'static str,
     title: &'static str,
     effect_m: f64,
-    /// Change per second, as text, if it is gradual.
+    /// Where the change acts: tip or body.
+    at_which: &'static str,
+    /// Change per minute, as text, if it is gradual.
     rate: Option<String>,
     all: Vec<Value>,
 }
 
 impl ChangeReport {
     fn fault(self, severity: Severity) -> Fault {
-        let Self { at, from, to, by, name, title, effect_m, rate, all } = self;
+        let Self { at, from, to, by, name, title, effect_m, at_which, rate, all } = self;
         let effect = Unit::Metre.show(effect_m);
         let (message, effect, fix) = match rate {
             Some(rate) => (
                 format!("drifts by {by} over the run, {rate}"),
-                format!("{effect} at the tip at the end"),
+                format!("{effect} at the {at_which} at the end"),
                 format!("find out why the {name} drifts, or estimate it again at short intervals"),
             ),
             None => {
@@ -46,7 +48,7 @@ impl ChangeReport {
                 };
                 (
                     format!("changes by {by} {at}{often}: from {from} to {to}"),
-                    format!("{effect} at the tip from then on"),
+                    format!("{effect} at the {at_which} from then on"),
                     format!("check what happened {at}; use a separate {name} for each segment"),
                 )
             }
@@ -137,6 +139,7 @@ pub fn judge_frame_change(
         (_, true) => "reference frame drifts",
     };
     let report = ChangeReport {
+        at_which: arm.arm_or_body("tip", "body"),
         rate: change.is_gradual.then(rate),
         at: format!("at {}", case.evidence.moment(at)),
         from: size(&change.from),
@@ -168,6 +171,7 @@ pub fn judge_scalar_change(
         change_ci95_ns: Some(within),
     });
     let report = ChangeReport {
+        at_which: "tip",
         rate: None,
         at: format!("at {}", case.evidence.moment(at)),
         from: show_if_significant(unit, change.from, &change.size)

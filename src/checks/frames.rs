@@ -19,7 +19,15 @@ pub const THRESHOLDS: FrameThresholds = FrameThresholds {
     angle: Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
 };
 
-const SETTLE: &str = "turn the wrist through 60° about two axes, at several places";
+const SETTLE: [&str; 2] = [
+    "turn the wrist through 60° about two axes, at several places",
+    "turn the body through 60° about two axes, at several places",
+];
+
+fn settle(arm: &ArmEvidence) -> &'static str {
+    let [of_arm, of_body] = SETTLE;
+    arm.arm_or_body(of_arm, of_body)
+}
 
 /// One end of a stream's transform, with its rule.
 pub struct FrameRule {
@@ -63,7 +71,7 @@ fn judge_stream(
     let diagnosis = &stream.diagnosis;
     let thresholds = case.thresholds.frame_thresholds(end.rule, THRESHOLDS);
     if let Some(why) = diagnosis.unusable_reason() {
-        return SubjectResult::new(subject, not_observable(why, SETTLE));
+        return SubjectResult::new(subject, not_observable(why, settle(arm)));
     }
     let moved = (end.changes)(diagnosis);
     if let Some((outcome, estimate)) =
@@ -80,13 +88,16 @@ fn judge_stream(
         (Err(why), None) => {
             let outcome = match reported() {
                 Some((joint, _)) => reported_instead(arm, residual_m, *joint),
-                None => not_observable(why, SETTLE),
+                None => not_observable(why, settle(arm)),
             };
             return SubjectResult::new(subject, outcome);
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
+        (Decision::Fail(_), Some(_)) if arm.is_trajectory => {
+            Outcome::fail((end.fault)(arm, stream, frame, Severity::Info))
+        }
         (_, Some(why)) => Outcome::pass_with_remark(why),
         (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::residual_doubt(residual_m, effect_m) {
@@ -106,7 +117,7 @@ fn judge_stream(
         (Decision::Pass, None) => Outcome::pass(),
         (decision, None) => match reported().filter(|_| !frame.is_chosen) {
             Some((joint, _)) => reported_instead(arm, residual_m, *joint),
-            None => Outcome::Inconclusive(undecided_reason(&decision, frame)),
+            None => Outcome::Inconclusive(undecided_reason(arm, &decision, frame)),
         },
     };
     SubjectResult::new(subject, outcome)
@@ -125,11 +136,12 @@ fn reported_instead(arm: &ArmEvidence, residual_m: f64, joint: usize) -> Outcome
     ))
 }
 
-fn undecided_reason(decision: &Decision, frame: &FrameEstimate) -> String {
+fn undecided_reason(arm: &ArmEvidence, decision: &Decision, frame: &FrameEstimate) -> String {
+    let settle = settle(arm);
     match decision {
-        Decision::Undecided(why) => format!("{why}; {SETTLE}"),
+        Decision::Undecided(why) => format!("{why}; {settle}"),
         _ => format!(
-            "{} would fit, but the reported causes already explain the log; {SETTLE}",
+            "{} would fit, but the reported causes already explain the log; {settle}",
             show(frame)
         ),
     }

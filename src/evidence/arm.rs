@@ -15,6 +15,7 @@ use crate::diagnosis::{
     PoseDiagnosis, ResidualCheck, check_imu_residual, check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
+use crate::geometry::Vec3;
 use crate::run::{CompetingModel, JointSamples, PoseSource, PoseSourceKind, Run, RunOptions};
 use crate::stream::{Columns, Orientations};
 
@@ -31,7 +32,7 @@ pub struct ArmEvidence {
     pub span: Span,
     /// Joints of the chain, as in `diagnosis`.
     pub joints: Vec<JointEvidence>,
-    /// From base to tip at full stretch, m.
+    /// From base to tip at full stretch, or of a trajectory from its middle, m.
     pub reach_m: f64,
     /// Other model that fits the poses far better.
     pub better_model: Option<CompetingModel>,
@@ -98,6 +99,11 @@ impl ArmEvidence {
         Subject { robot, reference, ..Subject::default() }
     }
 
+    /// The first text for an arm, the second for a body whose poses are in the place of joint states.
+    pub fn arm_or_body<T>(&self, arm: T, body: T) -> T {
+        if self.is_trajectory { body } else { arm }
+    }
+
     /// A topic of this robot.
     pub fn topic(&self, topic: &str) -> Subject {
         Subject { topic: Some(topic.to_owned()), ..self.subject() }
@@ -136,6 +142,12 @@ impl ArmEvidence {
             _ => Unit::Radian,
         }
     }
+}
+
+/// Largest distance from the mean position.
+fn extent_m(xyz: &[Vec3]) -> f64 {
+    let mean = xyz.iter().sum::<Vec3>() / xyz.len().max(1) as f64;
+    xyz.iter().map(|xyz| (xyz - mean).norm()).fold(0.0, f64::max)
 }
 
 /// Infinite without a comparison.
@@ -272,25 +284,20 @@ pub(super) fn arm_evidence(
     };
     let of_joints = || {
         let vibration = vibration_of_joints(arm, &samples, &track);
-        arm_stream_evidence(
-            run,
-            arm,
-            joints_stream,
-            VibrationEvidence { in_other_units: false, vibration },
-        )
+        arm_stream_evidence(run, arm, joints_stream, VibrationEvidence { misread: None, vibration })
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].lacks_rotation() {
             found.encoding = Err(NotObservable::NoOrientation);
         }
-        let in_other_units = matches!(found.length_unit, Ok(Some(_)));
+        let misread = match &found {
+            found if matches!(found.length_unit, Ok(Some(_))) => Some("ORD008"),
+            found if found.is_inverted => Some("ORD003"),
+            _ => None,
+        };
         let vibration = vibration_of_poses(&source.track, &found, &arm.joints);
-        let vibration = arm_stream_evidence(
-            run,
-            arm,
-            source.stream,
-            VibrationEvidence { in_other_units, vibration },
-        );
+        let vibration =
+            arm_stream_evidence(run, arm, source.stream, VibrationEvidence { misread, vibration });
         let euler = euler(run, source, &found, &options.declared);
         (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), vibration)
     };
@@ -327,7 +334,10 @@ pub(super) fn arm_evidence(
         is_trajectory: arm.trajectory.is_some(),
         span: span_or_run(run, joints_stream),
         joints,
-        reach_m: arm.chain.max_reach_m(),
+        reach_m: match &arm.trajectory {
+            Some(trajectory) => extent_m(&trajectory.track.xyz),
+            None => arm.chain.max_reach_m(),
+        },
         better_model: arm.competing.clone(),
         indistinguishable_models: arm.indistinguishable.clone(),
         dh: diagnosis.dh,

@@ -61,7 +61,10 @@ pub(crate) fn workspace_coverage(run: &Run, judged: &Evaluation) -> Vec<Workspac
 
 /// From all samples of the joint states.
 pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
-    let arms = run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, findings));
+    let arms = run
+        .arms
+        .iter()
+        .filter(|arm| arm.trajectory.is_none() && !has_misinterpreted_joints(arm, findings));
     let reached = arms.map(|arm| {
         let rows = JointRows::new(run, arm);
         let workspace = Workspace::from_samples(

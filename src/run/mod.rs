@@ -271,7 +271,13 @@ impl Run {
     pub(crate) fn resolve_candidate(&mut self, stream: usize, peak: Option<f64>) {
         let Some(resolved) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = resolved.role else { return };
+        let is_compared = |arm: &Arm| {
+            arm.trajectory.as_ref().is_some_and(|trajectory| trajectory.others.contains(&stream))
+        };
         let (is_pose, verdict) = match peak {
+            Some(peak) if peak >= MIN_PRESUMED_CORRELATION && self.arms.iter().any(is_compared) => {
+                (true, format!("it follows that (speed correlation {peak:.2})"))
+            }
             Some(peak) if peak >= MIN_FOLLOWER_CORRELATION => {
                 (true, format!("it follows the arm (speed correlation {peak:.2})"))
             }

@@ -98,8 +98,8 @@ impl Run {
             track: new.track.clone(),
             others: others.chain([former.stream]).collect(),
             why: format!(
-                "the reference of the other poses, as the log has no joint states for them, and errors of '{}' \
-                 explain the difference",
+                "the reference of the other poses, as the log has no joint states for them; errors of '{}', which has \
+                 less noise, explain the difference",
                 arm.name
             ),
         };

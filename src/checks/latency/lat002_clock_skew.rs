@@ -40,7 +40,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
 
-const SETTLE: &str = "record a minute or more with the arm moving from start to end";
+const SETTLE: &str = "record a minute or more of motion from start to end";
 
 const SKEW: ScalarRule =
     ScalarRule { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };

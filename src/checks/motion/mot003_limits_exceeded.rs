@@ -77,6 +77,10 @@ pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Opti
 
 /// Reason why joint states are not motion in a known unit.
 pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
+    // Between two poses, either may be the inverted one.
+    if arm.is_trajectory && arm.poses.iter().any(|stream| stream.diagnosis.is_inverted) {
+        return Some("its poses or those of another stream are inverted (ORD003)".to_owned());
+    }
     let open = || arm.is_unit_undetermined().then(|| UNIT_UNDETERMINED.to_owned());
     doubt(arm).or_else(open)
 }

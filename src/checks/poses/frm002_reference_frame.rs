@@ -105,6 +105,19 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let reference = &stream.reference;
+    if !stream.reference_known {
+        return Fault {
+            severity: Severity::Info,
+            cause: Cause::ReferenceFrame(frame.pose),
+            title: "reference frames differ",
+            message: format!("its frame is {} from that of {}", show(frame), arm.joints_topic),
+            evidence: Evidence::default(),
+            fix: format!(
+                "to express its poses there, multiply them from the left by {}",
+                show_pose(&frame.pose)
+            ),
+        };
+    }
     // Table columns may be in either base frame; neither contradicts a declaration.
     let is_either_base =
         stream.is_of_table && stream.is_undeclared && is_half_turn_about_z(&frame.pose);

@@ -136,11 +136,25 @@ fn alternates(
 }
 
 fn fault(
-    _: &ArmEvidence,
+    arm: &ArmEvidence,
     stream: &StreamEvidence<PoseEvidence>,
     frame: &FrameEstimate,
     severity: Severity,
 ) -> Fault {
+    if arm.is_trajectory {
+        let severity = if stream.is_tip_declared { severity } else { Severity::Info };
+        return Fault {
+            severity,
+            cause: Cause::ToolFrame(frame.pose),
+            title: "body frames differ",
+            message: format!("its body is {} from that of {}", show(frame), arm.joints_topic),
+            evidence: Evidence { effect_m: Some(frame.translation_m.value), ..Evidence::default() },
+            fix: format!(
+                "to get poses of that body, multiply its poses from the right by the inverse of {}",
+                show_pose(&frame.pose)
+            ),
+        };
+    }
     let tip = &stream.tip;
     let (severity, likely_cause) = match (stream.source_kind, stream.is_tip_declared) {
         (PoseSourceKind::External, _) => (Severity::Info, ", the position of its marker"),

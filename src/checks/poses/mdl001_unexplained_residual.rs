@@ -77,7 +77,12 @@ rule! {
     }
 }
 
-const SETTLE: &str = "record 10 s in which every joint moves";
+fn settle(subject: &Subject) -> &'static str {
+    match &subject.reference {
+        Some(_) => "record 10 s in which the body moves and turns",
+        None => "record 10 s in which every joint moves",
+    }
+}
 
 const AS_RECORDED: &str =
     "compared with the joint states before their correction, from which it was computed";
@@ -150,8 +155,9 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
             let why = "compared only with camera observations (HEC001)".to_owned();
             return vec![SubjectResult::new(arm.subject(), Outcome::Skipped(why))];
         }
+        let record = arm.arm_or_body(RECORD, "record poses of the same body from another source");
         let why =
-            format!("nothing in this log can be compared with {}; {RECORD}", arm.joints_topic);
+            format!("nothing in this log can be compared with {}; {record}", arm.joints_topic);
         return vec![
             SubjectResult::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span),
         ];
@@ -183,7 +189,7 @@ fn judge(
     let proof = match &stream.proof {
         Ok(proof) => proof,
         Err(why) => {
-            return SubjectResult::new(subject.clone(), not_observable(why, SETTLE))
+            return SubjectResult::new(subject.clone(), not_observable(why, settle(subject)))
                 .within(stream.span);
         }
     };
@@ -261,6 +267,7 @@ fn error_json(case: &Case, error: &FkError) -> Value {
 
 fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Outcome {
     let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
+    let settle = settle(&attributed.subject);
     let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
     let as_logged =
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
@@ -268,11 +275,11 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) if at_rest => {
             let error_text = sizes(&residual.error);
             Outcome::Inconclusive(format!(
-                "off by {error_text} at rest; one configuration cannot show why; {SETTLE}"
+                "off by {error_text} at rest; one configuration cannot show why; {settle}"
             ))
         }
         _ if at_rest => Outcome::Inconclusive(format!(
-            "the arm barely moves, and agreement in one configuration proves little; {SETTLE}"
+            "there is hardly any motion, and agreement in one configuration proves little; {settle}"
         )),
         Attribution::BelowThresholds if attributed.stream.is_uncorrected => {
             Outcome::pass_with_remark(AS_RECORDED)
@@ -298,9 +305,10 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         Attribution::Unexplained(residual) => {
             Outcome::fail(unexplained(case, attributed, all, residual))
         }
-        Attribution::Undetermined(residual, open) => {
-            Outcome::Inconclusive(undetermined_reason(case, residual, open))
-        }
+        Attribution::Undetermined(residual, open) => Outcome::Inconclusive(format!(
+            "{}; {settle}",
+            undetermined_reason(case, residual, open)
+        )),
     }
 }
 
@@ -347,7 +355,7 @@ fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str])
         }
         (open, _) => format!("its possible causes are undetermined: {}", open.join(", ")),
     };
-    format!("residual {error_text}, {largest_text}; {why}; {SETTLE}")
+    format!("residual {error_text}, {largest_text}; {why}")
 }
 
 fn small(case: &Case, residual: &ExceedingResidual) -> Fault {

@@ -40,7 +40,7 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<SubjectResult> {
-    case.evidence.robots.iter().flat_map(judge_arm).collect()
+    case.evidence.robots.iter().filter(|arm| !arm.is_trajectory).flat_map(judge_arm).collect()
 }
 
 fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {

@@ -47,6 +47,10 @@ const RADIAL_SCALE: ScalarRule = ScalarRule {
     fault: |arm, _, radial_scale, severity| fault(arm, radial_scale, severity),
 };
 
+/// In the place of [`RADIAL_SCALE`] between poses.
+const SCALE: ScalarRule =
+    ScalarRule { name: "scale", settle: "move over larger distances", ..RADIAL_SCALE };
+
 fn check(case: &Case) -> Vec<SubjectResult> {
     let judge = |arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>, residual_m| {
         if let Some(change) = ScalarChange::largest(&stream.diagnosis.radial_scale_changes) {
@@ -68,7 +72,7 @@ fn check(case: &Case) -> Vec<SubjectResult> {
             is_chosen: stream.diagnosis.is_radial_scale_chosen,
             doubt: doubt(residual_m, &stream.diagnosis),
         });
-        RADIAL_SCALE.judge(&ZER002, case, arm, &radial_scale)
+        arm.arm_or_body(RADIAL_SCALE, SCALE).judge(&ZER002, case, arm, &radial_scale)
     };
     let judged = case.evidence.robots.iter().flat_map(|arm| {
         let residual_m = residual_attribution::largest_residual_m(arm);
@@ -89,6 +93,27 @@ fn doubt(residual_m: f64, diagnosis: &PoseDiagnosis) -> Option<String> {
 fn fault(arm: &ArmEvidence, radial_scale: &Measured, severity: Severity) -> Fault {
     let (reach, moved_m) = (arm.reach_m, radial_scale.value.abs() * arm.reach_m);
     let moved = Unit::Metre.show(moved_m);
+    if arm.is_trajectory {
+        return Fault {
+            cause: Cause::RadialScale,
+            severity,
+            title: "scales differ",
+            message: format!(
+                "distances are {} longer than those of {}",
+                THRESHOLD.unit.show_signed(radial_scale),
+                arm.joints_topic
+            ),
+            evidence: Evidence {
+                effect: Some(format!("{moved} at the ends of the motion")),
+                effect_m: Some(moved_m),
+                ..Evidence::default()
+            },
+            fix: format!(
+                "check the scale of both, as of a monocular camera or a tracker's calibration: their ratio is {:.4}",
+                1.0 + radial_scale.value
+            ),
+        };
+    }
     Fault {
         cause: Cause::RadialScale,
         severity,

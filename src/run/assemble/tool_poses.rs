@@ -107,8 +107,11 @@ impl Assembly<'_> {
             ) {
                 Ok(found) => {
                     reason += &stream_frames.remarks;
-                    let source_kind =
-                        self.source_kind(stream, stream_frames.frame, found.stamps_copied);
+                    let frame = match stream.frame_id.as_str() {
+                        "" => FrameKind::Unnamed,
+                        _ => stream_frames.frame,
+                    };
+                    let source_kind = self.source_kind(stream, frame, found.stamps_copied);
                     source = Some((self.arm_pose_source(arm, stream_frames, found), source_kind));
                 }
                 Err(what)
