@@ -120,6 +120,9 @@ pub(super) struct Column {
     /// Names of the numbers in a row, if known.
     pub parts: Vec<String>,
     pub values: Vec<f64>,
+    /// Times in text, in billionths, because `f64` rounds stamps since 1970. Empty for other columns; `None`
+    /// if a cell is no decimal number.
+    pub billionths: Vec<Option<i128>>,
 }
 
 #[derive(Clone, Copy, Debug)]
