@@ -3,6 +3,7 @@
 mod hdf5_writer;
 mod limits;
 pub(crate) mod stores;
+mod trajectories;
 
 use std::fs;
 use std::path::Path;
@@ -550,7 +551,7 @@ fn vendor_labels_identify_a_rotation() {
     ] {
         let names = [&["time", "X", "Y", "Z"], labels].concat();
         let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
-        let pose = topic(&log, "pose");
+        let pose = topic(&log, "table");
         let own: Vec<_> = pose.cells.iter().skip(3).map(|cell| cell.labels).collect();
         assert_eq!(own, vec![expected; labels.len()], "{labels:?}");
     }
