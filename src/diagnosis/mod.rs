@@ -145,6 +145,10 @@ pub use model::observability::{Observability, StreamParameter, WeakDirection};
 pub use residuals::residual_check::{
     ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
 };
+pub use residuals::trajectory_error::{
+    MAX_STAMP_DIFFERENCE_S, TrajectoryError, absolute_trajectory_error, aligned_trajectory_error,
+    associate_stamps, relative_pose_error, rigid_alignment,
+};
 pub use robot_models::dh_convention::{
     DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, fault_count,
 };

@@ -69,6 +69,12 @@ pub enum Container {
     RtdeCsv,
     /// Other text table.
     Csv,
+    /// TUM trajectory.
+    Tum,
+    /// KITTI odometry poses.
+    Kitti,
+    /// Times of KITTI odometry poses.
+    KittiTimes,
     /// NumPy array.
     Npy,
     /// Archive of NumPy arrays.
@@ -95,6 +101,9 @@ impl Container {
             Container::RosBag2Mcap => "rosbag2-mcap",
             Container::RtdeCsv => "rtde-csv",
             Container::Csv => "csv",
+            Container::Tum => "tum",
+            Container::Kitti => "kitti",
+            Container::KittiTimes => "kitti-times",
             Container::Npy => "npy",
             Container::Npz => "npz",
             Container::Parquet => "parquet",

@@ -4,7 +4,11 @@ use std::path::{Path, PathBuf};
 use super::{Log, RemoteFault, SourceName};
 
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, \
-     Zarr, TFRecord, LeRobot, KUKA RSI";
+     Zarr, TFRecord, LeRobot, TUM, EuRoC, KITTI, KUKA RSI";
+
+/// What to do about [`LogError::PoseTimes`].
+pub const POSE_TIMES_REMEDY: &str = "also pass the times file of the sequence (a time in s per pose), store \
+     it as times.txt in the same folder, or set `rate_hz` in [columns] of the config";
 
 /// Reason why nothing could be read from the given files. Paths are as given.
 #[derive(Debug, thiserror::Error)]
@@ -103,6 +107,14 @@ pub enum LogError {
         /// Path.
         path: PathBuf,
         /// The unidentified content.
+        what: String,
+    },
+    /// KITTI poses without the times of their rows.
+    #[error("{}: {what}; {POSE_TIMES_REMEDY}", path.display())]
+    PoseTimes {
+        /// Path.
+        path: PathBuf,
+        /// The reason.
         what: String,
     },
     /// A dataset has more episodes than an audit accepts.

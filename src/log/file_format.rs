@@ -88,6 +88,9 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return FileFormat::Rtde,
             _ if tables::has_packet(glance) => return FileFormat::Table(tables::TableFormat::Rsi),
+            rtde::FirstLine::Other if let Some(kind) = tables::detect_trajectory(bytes) => {
+                return FileFormat::Table(kind);
+            }
             rtde::FirstLine::Other if tables::is_table(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Csv);
             }

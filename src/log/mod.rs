@@ -49,7 +49,7 @@ pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
     TableCell, Topic, Undecodable,
 };
-pub use self::error::LogError;
+pub use self::error::{LogError, POSE_TIMES_REMEDY};
 pub use self::follow::{Growth, LogFollower};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;
@@ -90,6 +90,9 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
         Some(file_format::FileFormat::Table(tables::TableFormat::TfRecord)) => {
             tables::declared_beside(path)
         }
+        Some(file_format::FileFormat::Table(tables::TableFormat::Kitti)) => {
+            tables::pose_times_beside(path)
+        }
         _ => Vec::new(),
     }
 }
@@ -113,6 +116,7 @@ pub fn looks_like_log(head: &[u8]) -> bool {
         file_format::FileFormat::Known { .. } | file_format::FileFormat::Unknown { .. } => false,
         // A table without times may be anything.
         file_format::FileFormat::Table(tables::TableFormat::Csv) => tables::has_time(head),
+        file_format::FileFormat::Table(tables::TableFormat::KittiTimes) => false,
         _ => true,
     }
 }

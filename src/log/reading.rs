@@ -13,7 +13,7 @@ use super::memory_budget::MemoryBudget;
 use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
-use super::tables::{self, Tables};
+use super::tables::{self, TableFormat, Tables};
 use super::unpack::{UnpackBudget, Unpacked};
 use super::{LogError, RemoteFault, file_format, mcap, remote, rosbag1, rosbag2, rtde, unpack};
 use ground::boundary::StagedFile;
@@ -27,10 +27,10 @@ use ground::boundary::StagedFile;
 pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
-    let mut tables = Tables::default();
     let mut memory = MemoryBudget::new(options.max_unpacked_gib);
     let inputs = inputs(paths, options, &mut intake)?;
     reject_duplicates(&inputs)?;
+    let mut tables = Tables::new(&inputs);
     if let Some(progress) = &options.progress {
         progress.set_total(inputs.iter().map(LogInput::bytes).sum());
     }
@@ -186,7 +186,7 @@ impl FileReader<'_> {
         let bytes = sizes.map(|metadata| metadata.len()).sum();
         self.intake.begin_file(folder, bytes);
         self.size = bytes;
-        let kind = FileFormat::Table(tables::TableFormat::Zarr);
+        let kind = FileFormat::Table(TableFormat::Zarr);
         let (container, crc) = self.read_content(kind, folder, &[], || ())?;
         Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
     }
@@ -299,6 +299,12 @@ impl FileReader<'_> {
             }
             FileFormat::Table(kind) => {
                 let places = (self.path, place);
+                let kind = match kind {
+                    TableFormat::Csv if tables::is_tum_by_name(self.path, bytes) => {
+                        TableFormat::Tum
+                    }
+                    kind => kind,
+                };
                 memory.add_file(*size);
                 let mut context = tables::ReadContext { losses, memory };
                 let asked = (&options.columns, *episode);

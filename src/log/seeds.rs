@@ -97,7 +97,16 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
         seeds.push((target, message(type_name, &schema, &data)));
     }
     seeds.extend(tables());
+    seeds.extend(trajectories());
     seeds
+}
+
+fn trajectories() -> [(&'static str, Vec<u8>); 3] {
+    let tum = "# timestamp tx ty tz qx qy qz qw\n1.5e9 1 2 3 0.6 0 0 -0.8\n1500000000.01 1 2 3.5 0 0 0 1\n";
+    let euroc = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n\
+        1403715524907143168,1,2,3,1,0,0,0\n1403715524912143104,1,2,3.5,1,0,0,0\n";
+    let kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0.5 0 0 -1 0 0 1 0 2\n";
+    [tum, euroc, kitti].map(|text| ("csv", text.as_bytes().to_vec()))
 }
 
 fn tables() -> Vec<(&'static str, Vec<u8>)> {

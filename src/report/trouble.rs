@@ -4,7 +4,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::log::{LogError, SourceName};
+use crate::log::{LogError, POSE_TIMES_REMEDY, SourceName};
 use crate::run::RunError;
 
 /// Why a call or a log cannot be processed, and what to do about it.
@@ -121,11 +121,12 @@ impl From<LogError> for Trouble {
             LogError::NotALog { path, looks } => (
                 path,
                 format!("not a robot log: it looks like {looks}"),
-                "name an MCAP file, a bag or a table (CSV, NPY, NPZ, Parquet, HDF5)",
+                "name an MCAP file, a bag or a table (CSV, TUM, NPY, NPZ, Parquet, HDF5)",
             ),
             LogError::Columns { path, what } => {
                 (path, what, "declare it in [columns] of the config (docs/datasets.md)")
             }
+            LogError::PoseTimes { path, what } => (path, what, POSE_TIMES_REMEDY),
             LogError::Episodes { path, most } => (
                 path,
                 format!("it holds more than {most} episodes"),

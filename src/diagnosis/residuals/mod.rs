@@ -4,3 +4,4 @@ pub(crate) mod comparison;
 pub(crate) mod excess;
 pub(crate) mod held_out;
 pub(crate) mod residual_check;
+pub(crate) mod trajectory_error;

@@ -81,8 +81,14 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
             .ok_or_else(|| format!("`columns.time` names '{name}', but there is no such column"))?;
         let column = &table.columns[cell.0];
         let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
-        let kind = column.kind.clone();
-        let own = Column { name: name.clone(), kind, width: 1, values, ..Column::default() };
+        let own = Column {
+            name: name.clone(),
+            kind: column.kind.clone(),
+            width: 1,
+            values,
+            billionths: column.billionths.clone(),
+            parts: Vec::new(),
+        };
         return from_column(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
             || format!("`columns.time` names '{name}', but its numbers are not times: they must increase"),
         );
@@ -367,17 +373,18 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))
         .or_else(|| unit_of(first, step, rise, is_whole))?;
     let step_s = step * unit;
-    // A stamp of 0 means unset: shift such clocks to 1 s.
-    let from = if first * unit < 1.0 && first >= 0.0 { NANOS_PER_SECOND } else { 0 };
-    let nanos = |value: f64| -> Option<i64> {
-        let exact = value.is_finite() && (value * unit).abs() < 9e9;
+    let per_second = (1.0 / unit).round() as i128;
+    let nanos = |(row, &value): (usize, &f64)| -> Option<i64> {
+        let is_in_range = value.is_finite() && (value * unit).abs() < 9e9;
         // Converts integers without rounding.
         let whole = (unit * NANOS_PER_SECOND as f64).round() as i64;
-        let nanos = match is_whole {
-            true => (value as i64).checked_mul(whole)?,
-            false => (value * unit * NANOS_PER_SECOND as f64).round() as i64,
+        let nanos = match column.billionths.get(row).copied().flatten() {
+            Some(own) => i64::try_from((own + own.signum() * per_second / 2) / per_second).ok()?,
+            None if is_whole => (value as i64).checked_mul(whole)?,
+            None => (value * unit * NANOS_PER_SECOND as f64).round() as i64,
         };
-        exact.then_some(from.checked_add(nanos)?)
+        // A stamp of 0 means unset. Tables of one run share a clock, so the others are not shifted.
+        is_in_range.then_some(if nanos == 0 { 1 } else { nanos })
     };
     let grain = rounding_error(column);
     let is_grid = steps.iter().all(|own| (own - step).abs() <= 2e-3 * step + grain);
@@ -395,7 +402,7 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         );
     }
     Some(Clock {
-        stamps: values.iter().map(|value| nanos(*value)).collect(),
+        stamps: values.iter().enumerate().map(nanos).collect(),
         cell: Some((at, 0)),
         nanos: None,
         description,

@@ -23,13 +23,13 @@ const UNIT_NAMES: &[&str] = &[
     "ma", "v", "hz", "rpm", "count", "counts", "bool", "int", "float", "%", "c", "°c",
 ];
 
-struct TextLayout {
-    delimiter: u8,
-    names: Option<Vec<String>>,
-    width: usize,
+pub(super) struct TextLayout {
+    pub delimiter: u8,
+    pub names: Option<Vec<String>>,
+    pub width: usize,
     /// Byte offset; `line` counts from 1.
-    rows_at: usize,
-    line: usize,
+    pub rows_at: usize,
+    pub line: usize,
 }
 
 /// Whether it has rows of numbers, with or without column names.
@@ -44,7 +44,7 @@ pub(crate) fn has_time(bytes: &[u8]) -> bool {
 }
 
 /// Delimiters within quotation marks are text.
-fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
+pub(super) fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
         return words.map(unquoted).collect();
@@ -80,7 +80,7 @@ fn is_number(cell: &[u8], delimiter: u8) -> bool {
     rtde::number(cell, delimiter != b',').is_some()
 }
 
-fn comment(line: &[u8]) -> Option<&[u8]> {
+pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii();
     COMMENT_MARKERS
         .iter()
@@ -89,7 +89,7 @@ fn comment(line: &[u8]) -> Option<&[u8]> {
 }
 
 /// Offset, number from 1 and text of each nonblank line. Tabs stay: they may delimit empty cells.
-fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
+pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let mut at = 0;
     let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
         let offset = at;
@@ -102,12 +102,17 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     all.filter(|(_, _, line)| !line.trim_ascii().is_empty())
 }
 
+/// Of the byte-order mark.
+pub(super) fn mark_length(bytes: &[u8]) -> usize {
+    if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 }
+}
+
 fn trailing_empty_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
 
 fn detect_layout(bytes: &[u8]) -> Option<TextLayout> {
-    let mark = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+    let mark = mark_length(bytes);
     let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
     let mut above: Vec<&[u8]> = Vec::new();
     let mut places: Vec<(usize, usize)> = Vec::new();
@@ -216,12 +221,20 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
 }
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let layout = detect_layout(bytes).ok_or("it contains no rows of numbers")?;
+    Ok(vec![("0".to_owned(), read_rows(bytes, layout, context)?)])
+}
+
+pub(super) fn read_rows(
+    bytes: &[u8],
+    layout: TextLayout,
+    context: &mut ReadContext,
+) -> Result<Table, TableError> {
     let losses = &mut *context.losses;
-    let Some(TextLayout { delimiter, names, width, rows_at, line: first_line }) =
-        detect_layout(bytes)
-    else {
-        return Err("it contains no rows of numbers".into());
-    };
+    let TextLayout { delimiter, names, width, rows_at, line: first_line } = layout;
+    let is_time = |name: &String| clock::is_time(name);
+    let times: Vec<bool> = names.iter().flatten().map(is_time).collect();
+    let mut billionths: Vec<Vec<Option<i128>>> = vec![Vec::new(); width];
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
     let mut line_numbers = Vec::new();
@@ -266,6 +279,11 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         }
         context.memory.reserve(width + 1)?;
         line_numbers.push(line);
+        for at in (0..times.len()).filter(|&at| times[at]) {
+            // Two numbers, and the mark for a missing one.
+            context.memory.reserve(4)?;
+            billionths[at].push(decimal_billionths(row[at], delimiter != b','));
+        }
         for (((column, known), cell), own) in
             values.iter_mut().zip(&mut texts).zip(row).zip(numbers)
         {
@@ -276,8 +294,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
     if let Some((count, first)) = malformed {
         losses.add_unplaced(Extent::Messages, Some(count), first);
     }
-    let table = Table { lines: line_numbers, ..build_table(names, values, &texts) };
-    Ok(vec![("0".to_owned(), table)])
+    Ok(Table { lines: line_numbers, ..build_table(names, values, billionths, &texts) })
 }
 
 /// Markers for missing numbers are not text.
@@ -300,6 +317,7 @@ fn repeats_names(row: &[&[u8]], names: &[String]) -> bool {
 fn build_table(
     names: Option<Vec<String>>,
     values: Vec<Vec<f64>>,
+    billionths: Vec<Vec<Option<i128>>>,
     texts: &[Option<&[u8]>],
 ) -> Table {
     let rows = values.first().map_or(0, Vec::len);
@@ -318,13 +336,16 @@ fn build_table(
             made.unread.push((what, "text, not numbers".to_owned()));
         }
         let name = "array".to_owned();
-        made.columns.push(Column { name, kind: kind(), width, values: all, parts: Vec::new() });
+        made.columns.push(Column { name, kind: kind(), width, values: all, ..Column::default() });
         return made;
     };
-    for (at, (name, values)) in names.into_iter().zip(values).enumerate() {
+    for (at, ((name, values), billionths)) in
+        names.into_iter().zip(values).zip(billionths).enumerate()
+    {
         let name = if name.is_empty() { format!("column {at}") } else { name };
         if is_numeric(&values) {
-            made.columns.push(Column { name, kind: kind(), width: 1, values, parts: Vec::new() });
+            let (kind, parts) = (kind(), Vec::new());
+            made.columns.push(Column { name, kind, width: 1, parts, values, billionths });
             continue;
         }
         let text = texts[at].unwrap_or_default();
@@ -341,6 +362,30 @@ fn build_table(
 fn number(cell: &[u8], delimiter: u8) -> f64 {
     let text = || std::str::from_utf8(unquoted(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
+}
+
+/// The number times 10⁹, rounded to an integer.
+pub(super) fn decimal_billionths(cell: &[u8], decimal_comma: bool) -> Option<i128> {
+    /// Beyond any stamp.
+    const MAX_EXPONENT: i32 = 30;
+    let text = std::str::from_utf8(unquoted(cell)).ok()?;
+    let (mantissa, exponent) = match text.split_once(['e', 'E']) {
+        Some((mantissa, exponent)) => (mantissa, exponent.parse().ok()?),
+        None => (text, 0_i32),
+    };
+    let is_mark = |c: char| c == '.' || (decimal_comma && c == ',');
+    let (whole, fraction) = mantissa.split_once(is_mark).unwrap_or((mantissa, ""));
+    let digits: i128 = format!("{whole}{fraction}").parse().ok()?;
+    if exponent.abs() > MAX_EXPONENT {
+        return None;
+    }
+    match exponent + 9 - fraction.len() as i32 {
+        power @ 0.. => digits.checked_mul(10_i128.checked_pow(power.unsigned_abs())?),
+        power => {
+            let divisor = 10_i128.checked_pow(power.unsigned_abs())?;
+            Some((digits + digits.signum() * divisor / 2) / divisor)
+        }
+    }
 }
 
 fn seconds(cell: &str) -> Option<f64> {
@@ -426,6 +471,26 @@ mod tests {
         for text in ["", "a,b\n1,2\n", "text that is none\nin two lines\n", "1,2,3\n", "x,y,z\n"] {
             assert_eq!(names(text), None, "{text:?}");
         }
+    }
+
+    #[test]
+    fn decimal_stamps_keep_every_nanosecond() {
+        for (cell, expected) in [
+            ("1311868164.363181", Some(1_311_868_164_363_181_000)),
+            ("1.403715529112143517e+09", Some(1_403_715_529_112_143_517)),
+            ("1403715524907143168", Some(1_403_715_524_907_143_168_000_000_000)),
+            ("-0,5", Some(-500_000_000)),
+            ("0.0000000015", Some(2)),
+            ("+7.", Some(7_000_000_000)),
+            ("1e31", None),
+            ("nan", None),
+            ("12:30:00", None),
+            ("0.5 s", None),
+            ("1.2.3", None),
+        ] {
+            assert_eq!(decimal_billionths(cell.as_bytes(), true), expected, "{cell}");
+        }
+        assert_eq!(decimal_billionths(b"0,5", false), None);
     }
 
     #[test]

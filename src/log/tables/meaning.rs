@@ -2,14 +2,14 @@
 //! passed on as bare numbers.
 
 mod configured;
+mod trajectory;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock};
 use super::names::{self, PoseComponent, PosePart};
 use super::{
-    Column, ColumnSettings, RowStamps, Table, TableTopic, array_columns, position_columns,
-    row_losses,
+    Column, ColumnSettings, RowStamps, Table, TableTopic, array_columns, pose_columns, row_losses,
 };
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
@@ -39,6 +39,8 @@ enum ColumnMeaning {
     },
     /// The rotation in any encoding.
     Pose,
+    /// A position and a quaternion xyzw, by the format of the file.
+    QuaternionPose,
     Position,
     Numbers,
     /// Not audited.
@@ -65,6 +67,9 @@ pub(super) fn identify_topics(
     settings: &ColumnSettings,
 ) -> Result<Vec<TableTopic>, String> {
     let mut groups = configured::configured_groups(table, settings)?;
+    if groups.is_empty() {
+        groups = trajectory::trajectory_groups(table);
+    }
     let taken_by = |groups: &[ColumnGroup]| -> HashSet<Cell> {
         groups.iter().flat_map(|group| &group.cells).copied().collect()
     };
@@ -118,6 +123,9 @@ pub(super) fn identify_topics(
     groups.retain(|group| !group.cells.is_empty());
     assign_velocities(table, clock, &mut groups);
     number_duplicates(&mut groups);
+    if settings.pose.is_empty() {
+        name_after_file(&mut groups, &table.stream_name);
+    }
     let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
     let clock_of = |group: &ColumnGroup| {
         let group_of = |cell: &Cell| clock::group_of(&table.columns[cell.column].name);
@@ -694,6 +702,32 @@ fn number_duplicates(groups: &mut [ColumnGroup]) {
     }
 }
 
+/// Names the only pose of a file after the file, if its columns do not name it.
+fn name_after_file(groups: &mut [ColumnGroup], name: &str) {
+    const UNNAMED: [&str; 2] = ["pose", "field_pose"];
+    let is_other = |group: &&ColumnGroup| !matches!(group.meaning, ColumnMeaning::Unused);
+    let unidentified = |group: &ColumnGroup| match group.meaning {
+        ColumnMeaning::Numbers => group.cells.len(),
+        _ => 0,
+    };
+    // So many may be joints.
+    if name.is_empty()
+        || groups.iter().map(unidentified).sum::<usize>() >= *JOINT_COUNTS.start()
+        || groups.iter().filter(is_other).filter(|group| unidentified(group) == 0).count() != 1
+    {
+        return;
+    }
+    let is_pose = |group: &&mut ColumnGroup| {
+        let meaning = &group.meaning;
+        use ColumnMeaning::{Pose, Position, QuaternionPose};
+        matches!(meaning, Pose | Position | QuaternionPose)
+            && UNNAMED.contains(&group.topic.as_str())
+    };
+    if let Some(own) = groups.iter_mut().find(is_pose) {
+        name.clone_into(&mut own.topic);
+    }
+}
+
 fn describe_origin(table: &Table, cells: &[Cell], by: &str) -> String {
     let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
     format!("columns {}, {by}", names.join(", "))
@@ -816,8 +850,8 @@ impl ColumnGroup {
                 let array = array_columns(&stamps, cells.len(), &values());
                 Some(Columns::Array(ArrayColumns { unnamed: true, ..array }))
             }
-            ColumnMeaning::Position => {
-                Some(Columns::Poses(vec![position_columns(&stamps, &values())]))
+            ColumnMeaning::Position | ColumnMeaning::QuaternionPose => {
+                Some(Columns::Poses(vec![pose_columns(&stamps, cells.len(), &values())]))
             }
             ColumnMeaning::Unused => None,
         };

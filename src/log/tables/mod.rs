@@ -1,5 +1,5 @@
 //! Tables: arrays with one row per instant, without messages or robot schema, in NPY, NPZ, Parquet, LeRobot
-//! datasets, HDF5, Zarr, TFRecord, CSV and KUKA RSI packets.
+//! datasets, HDF5, Zarr, TFRecord, CSV, trajectories (TUM, KITTI) and KUKA RSI packets.
 //!
 //! A reader makes one [`Table`] per episode; `clock` finds its stamps and `meaning` identifies its columns.
 //! `run` compares unidentified columns with the motion of the arm.
@@ -22,9 +22,10 @@ mod settings;
 #[cfg(test)]
 pub(super) mod tests;
 mod tfrecord;
+mod trajectory;
 mod zarr;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -32,6 +33,7 @@ use ::bytes::Bytes;
 use serde_json::Value;
 
 use super::decode::Format;
+use super::files::LogInput;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::MappedFile;
@@ -51,6 +53,9 @@ pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::tfrecord::has_record;
+pub(super) use self::trajectory::{
+    detect as detect_trajectory, is_tum_by_name, times_beside as pose_times_beside,
+};
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{is_store, store_files};
 
@@ -84,6 +89,8 @@ pub(super) struct Table {
     pub losses: Vec<RowLoss>,
     /// Line of each row, from 1, in text files.
     pub lines: Vec<usize>,
+    /// Topic of the only pose, if its columns do not name it. Empty within a dataset.
+    pub stream_name: String,
 }
 
 pub(super) struct ReadContext<'a> {
@@ -120,6 +127,9 @@ pub(super) struct Column {
     /// Names of the numbers in a row, if known.
     pub parts: Vec<String>,
     pub values: Vec<f64>,
+    /// Times in text, in billionths, because `f64` rounds stamps since 1970. Empty for other columns; `None`
+    /// if a cell is no decimal number.
+    pub billionths: Vec<Option<i128>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -144,6 +154,10 @@ pub(super) enum TableFormat {
     Parquet,
     Hdf5,
     Csv,
+    Tum,
+    Kitti,
+    /// Times of KITTI poses.
+    KittiTimes,
     Rsi,
     Zarr,
     TfRecord,
@@ -157,6 +171,9 @@ impl TableFormat {
             Self::Parquet => Container::Parquet,
             Self::Hdf5 => Container::Hdf5,
             Self::Csv => Container::Csv,
+            Self::Tum => Container::Tum,
+            Self::Kitti => Container::Kitti,
+            Self::KittiTimes => Container::KittiTimes,
             Self::Rsi => Container::Rsi,
             Self::TfRecord => Container::TfRecord,
             Self::Zarr => Container::Zarr,
@@ -170,6 +187,11 @@ pub(super) struct Tables {
     episodes: Vec<Episode>,
     has_noted_clock: bool,
     repeats: repeats::RepeatCounts,
+    inputs: Vec<LogInput>,
+    /// Keyed by file.
+    stream_names: HashMap<PathBuf, String>,
+    /// Files of [`TableFormat::KittiTimes`], and whether poses use them.
+    pose_times: BTreeMap<PathBuf, bool>,
 }
 
 struct Episode {
@@ -209,6 +231,14 @@ enum EpisodeError {
 }
 
 impl Tables {
+    /// `inputs` are all files of the run.
+    pub(super) fn new(inputs: &[LogInput]) -> Self {
+        let paths: Vec<&Path> = inputs.iter().map(|input| input.path.as_path()).collect();
+        let names = trajectory::stream_names(&paths);
+        let stream_names = paths.into_iter().map(Path::to_owned).zip(names).collect();
+        Self { inputs: inputs.to_owned(), stream_names, ..Self::default() }
+    }
+
     /// `bytes` is the content of the file at `path`. Adds damage and lost rows to the losses.
     pub(super) fn read(
         &mut self,
@@ -231,6 +261,28 @@ impl Tables {
             TableFormat::Npy => npy::read_npy(bytes, context),
             TableFormat::Npz => npy::read_npz(bytes, context),
             TableFormat::Csv => csv::read(bytes, context),
+            TableFormat::Tum => trajectory::read_tum(bytes, context),
+            TableFormat::Kitti => {
+                let times = match trajectory::pose_times(path, bytes, &self.inputs) {
+                    Ok((file, times)) => {
+                        intake.note(path, format!("times of its poses from {}", file.display()));
+                        self.pose_times.insert(file, true);
+                        Some(times)
+                    }
+                    Err(_) if settings.rate_hz.is_some() => None,
+                    Err(refusal) => return Err(refusal),
+                };
+                trajectory::read_kitti(bytes, times.as_deref(), context)
+            }
+            TableFormat::KittiTimes => {
+                if !trajectory::may_have_poses(&self.inputs) {
+                    let looks = "a list of times without KITTI poses";
+                    let instead = "pass it together with the poses of its sequence";
+                    return Err(LogError::Unsupported { path: path.to_owned(), looks, instead });
+                }
+                self.pose_times.entry(path.to_owned()).or_default();
+                return Ok(());
+            }
             TableFormat::Rsi => rsi::read(bytes, context),
             TableFormat::Parquet => {
                 parquet::read(owned_bytes(place, bytes), dataset.as_ref(), wanted, context)
@@ -267,6 +319,9 @@ impl Tables {
         let count = episodes.len();
         if self.episodes.len() + count > MAX_EPISODES {
             return Err(too_many());
+        }
+        if let ([(_, table)], None, None) = (episodes.as_mut_slice(), &dataset, wanted) {
+            table.stream_name = self.stream_names.get(path).cloned().unwrap_or_default();
         }
         let home = enclosing_dataset(path).filter(|_| kind == TableFormat::Parquet);
         let home = home.unwrap_or_else(|| path.to_owned());
@@ -405,6 +460,10 @@ impl Tables {
         if self.has_noted_clock {
             intake.repeats(self.repeats.in_all());
         }
+        for (path, _) in self.pose_times.iter().filter(|(_, is_used)| !**is_used) {
+            let what = "is a list of times, but no KITTI poses use it".to_owned();
+            intake.note(path, what);
+        }
         for TableStream { channel, columns, .. } in self.streams.into_values() {
             intake.columns(channel, columns);
         }
@@ -508,12 +567,13 @@ pub(super) fn array_columns(stamps: &[RowStamps], width: usize, values: &[f64]) 
     array
 }
 
-/// Positions without orientations.
-fn position_columns(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
-    let array = array_columns(stamps, 3, values);
+/// Rows of positions (`width` 3), or of positions and quaternions xyzw (7).
+fn pose_columns(stamps: &[RowStamps], width: usize, values: &[f64]) -> PoseColumns {
+    let array = array_columns(stamps, width, values);
+    let q_xyzw = |row: &[f64]| row.get(3..).and_then(|q| q.try_into().ok()).unwrap_or([0.0; 4]);
     PoseColumns {
-        xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
-        q_xyzw: vec![[0.0; 4]; array.times.len()],
+        xyz: array.values.chunks_exact(width).map(|row| [row[0], row[1], row[2]]).collect(),
+        q_xyzw: array.values.chunks_exact(width).map(q_xyzw).collect(),
         not_finite: array.not_finite,
         times: array.times,
         ..PoseColumns::default()

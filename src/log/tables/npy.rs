@@ -267,7 +267,7 @@ impl<'a> NpyArray<'a> {
             };
             let name = if field.is_empty() { (*name).to_owned() } else { field.clone() };
             let width = if *is_record { *wide } else { inner };
-            let column = Column { name, kind: kind.name(), width, parts: Vec::new(), values };
+            let column = Column { name, kind: kind.name(), width, values, ..Column::default() };
             ReadColumn { column, rows, lost: Vec::new(), why: Option::clone(&why) }
         });
         Ok(columns.collect())

@@ -349,8 +349,8 @@ fn split_episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, TableE
             name: column.name.clone(),
             kind: column.kind.clone(),
             width: column.width,
-            parts: Vec::new(),
             values: column.values[span.start * column.width..span.end * column.width].to_vec(),
+            ..Column::default()
         });
         let lost_in = |lost: &Vec<Range<usize>>| -> Vec<Range<usize>> {
             let own = lost.iter().map(|lost| lost.start.max(span.start)..lost.end.min(span.end));

@@ -82,6 +82,7 @@ pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, 
         width: parts.len().max(1),
         parts: parts.iter().map(|part| (*part).to_owned()).collect(),
         values,
+        ..Column::default()
     };
     let rows = clock.len();
     let is_there = |values: &[f64]| values.iter().any(|value| value.is_finite());

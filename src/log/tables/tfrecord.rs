@@ -268,7 +268,7 @@ fn table_of_single_steps(
 }
 
 fn column(name: String, width: usize, values: Vec<f64>) -> Column {
-    Column { name, kind: "number".to_owned(), width, parts: Vec::new(), values }
+    Column { name, kind: "number".to_owned(), width, values, ..Column::default() }
 }
 
 /// Omits features without numbers.
