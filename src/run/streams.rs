@@ -85,7 +85,7 @@ impl Stream {
 
     /// Whether it has table positions without rotation.
     pub fn lacks_rotation(&self) -> bool {
-        !self.cells.is_empty() && matches!(self.columns, Some(Columns::Poses(_)))
+        self.cells.len() == 3 && matches!(self.columns, Some(Columns::Poses(_)))
     }
 
     /// Whether its numbers lack unit and convention.
