@@ -61,20 +61,25 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
     .collect()
 }
 
-/// Diagnosis with another pose stream as the reference, whose errors explain what those of the others do not.
+/// Diagnosis with another pose stream as the reference, if the errors of this one explain what those of the others do
+/// not, or explain it in a more usual way.
 fn with_other_reference(
     run: &Run,
     arm: &Arm,
     found: &ArmStreamsDiagnosis,
     max_lag_s: f64,
 ) -> Option<(Arm, ArmStreamsDiagnosis)> {
-    arm.trajectory.as_ref().filter(|_| found.arm.is_unexplained())?;
+    let is_unusual = found.arm.has_unusual_misinterpretation();
+    arm.trajectory.as_ref().filter(|_| is_unusual || found.arm.is_unexplained())?;
     let others = (0..arm.poses.len()).filter_map(|source| run.with_other_reference(arm, source));
     let diagnosed = others.map(|other| {
         let found = diagnose_one(run, &other, max_lag_s);
         (other, found)
     });
-    let mut better = diagnosed.filter(|(_, other)| other.arm.is_far_better_than(&found.arm));
+    let mut better = diagnosed.filter(|(_, ArmStreamsDiagnosis { arm: other, .. })| {
+        let is_usual = || is_unusual && !other.has_unusual_misinterpretation();
+        other.is_far_better_than(&found.arm) || (is_usual() && other.is_as_good_as(&found.arm))
+    });
     better.next()
 }
 

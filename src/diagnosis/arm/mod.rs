@@ -22,11 +22,12 @@ use crate::selection::held_out::HeldOut;
 use crate::selection::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointCoupling, JointDiagnosis, JointEncoding,
-    JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
+    JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseEncoding, PoseStream,
+    StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
 use fit::{LinkModel, fit};
-use ground::geometry::Vec3;
+use ground::geometry::{Convention, QuaternionOrderError, Vec3};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
@@ -326,9 +327,43 @@ impl ArmDiagnosis {
         })
     }
 
-    /// Whether it leaves far less unexplained than `other`, of the same streams.
+    /// Whether a rotation is read in the opposite of the usual way, for example `euler:xyz` as a rotation vector. With
+    /// equal frames, the usual way in the reference has the same effect.
+    pub fn has_unusual_misinterpretation(&self) -> bool {
+        self.streams.iter().filter_map(|stream| stream.encoding.as_ref().ok()).any(|encoding| {
+            match encoding.best {
+                PoseEncoding::Misinterpreted(class) => {
+                    class.members.first().is_some_and(|one| one.read_as != Convention::RPY)
+                }
+                PoseEncoding::QuaternionOrder(error) => {
+                    error == QuaternionOrderError::XyzwReadAsWxyz
+                }
+                _ => false,
+            }
+        })
+    }
+
+    /// Residual relative to the motion, so it does not depend on the unit of the reference.
+    fn relative_residual(&self) -> f64 {
+        let of_stream = |stream: &PoseDiagnosis| match (&stream.residual, &stream.encoding) {
+            (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
+            (Ok(residual), _) => {
+                let length = residual.rms_m / extent_m(stream).max(f64::MIN_POSITIVE);
+                length.hypot(residual.rms_rad).min(1.0)
+            }
+        };
+        self.streams.iter().map(of_stream).sum()
+    }
+
+    /// Whether it leaves far less unexplained than `other`, with another reference.
     pub fn is_far_better_than(&self, other: &Self) -> bool {
-        total_excess_m(&self.streams) * MIN_IMPROVEMENT < total_excess_m(&other.streams)
+        self.relative_residual() * MIN_IMPROVEMENT < other.relative_residual()
+    }
+
+    /// Whether it fits about as well as `other`, with another reference.
+    pub fn is_as_good_as(&self, other: &Self) -> bool {
+        const TOLERANCE: f64 = 1.2;
+        self.relative_residual() < TOLERANCE * other.relative_residual()
     }
 }
 
