@@ -3,7 +3,7 @@ use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, StreamEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 
 rule! {
     /// A stream's latency grows: its clock runs at a different rate.
@@ -68,13 +68,19 @@ const GROWS_S: f64 = 2e-3;
 fn judge(
     case: &Case,
     arm: &ArmEvidence,
-    is_of_joints: bool,
+    has_independent_stamps: bool,
     skew: &StreamEvidence<StreamEstimate<'_>>,
 ) -> SubjectResult {
-    if is_of_joints {
-        return SKEW.judge(&LAT002, case, arm, skew);
+    let judged = SKEW.judge(&LAT002, case, arm, skew);
+    // Rows of one clock may have been merged from streams of two.
+    let is_fault = matches!(judged.outcome, Outcome::Evaluated(Ruling::Fail(_)));
+    if has_independent_stamps || is_fault {
+        return judged;
     }
-    let why = "same stamps as the joint states: there is only one clock";
+    let why = arm.arm_or_body(
+        "same stamps as the joint states: there is only one clock",
+        "same stamps as the reference: there is only one clock",
+    );
     skew.judged(Outcome::Skipped(why.to_owned()))
 }
 
