@@ -13,8 +13,8 @@ use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, 
 use crate::log::{Extent, Log, Loss};
 use crate::places::PathRegistry;
 use crate::report::{
-    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, has_decided_hand_eye,
-    join_segments, plans, robot_rows, stream_rows, workspace_coverage,
+    Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, comparison_rows,
+    has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, workspace_coverage,
 };
 use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
 
@@ -242,6 +242,7 @@ fn build_report(
         options.policy.fail_on,
     );
     report.workspace = workspace;
+    report.comparisons = comparison_rows(&main.run);
     report.thresholds = options.policy.rules.thresholds.clone();
     report.plans = plans(
         &main.run,
@@ -293,5 +294,7 @@ impl AuditedSegment {
 }
 
 pub(crate) fn summarize(run: &Run, read: ReadLog) -> Report {
-    Report::from_log(read.summary, robot_rows(run), stream_rows(run))
+    let mut report = Report::from_log(read.summary, robot_rows(run), stream_rows(run));
+    report.comparisons = comparison_rows(run);
+    report
 }

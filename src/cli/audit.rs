@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use poseaudit::checks::Selector;
 use poseaudit::output::replay::Recording;
-use poseaudit::output::{fix, foxglove, tables};
+use poseaudit::output::{fix, foxglove, tables, tum};
 use poseaudit::report::{Format, Report, Trouble};
 use poseaudit::{Audited, Options};
 
@@ -61,6 +61,12 @@ pub struct Args {
     /// Write tables as Parquet into this folder: aligned samples, reach map, findings, checks
     #[arg(long, value_name = "DIR")]
     parquet: Option<PathBuf>,
+
+    /// Write the aligned poses of each stream, and of its reference at the same times, as TUM trajectories into
+    /// this folder, for example for evo
+    #[arg(long, value_name = "DIR")]
+    tum: Option<PathBuf>,
+
     /// Write corrections (offsets, latencies, frames, code, patched URDF) into this folder
     #[arg(long, value_name = "DIR")]
     fix: Option<PathBuf>,
@@ -96,6 +102,9 @@ fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
     if let Some(folder) = &args.parquet {
         tables::register_outputs(folder, &mut places);
     }
+    if let Some(folder) = &args.tum {
+        tum::register_outputs(folder, &mut places);
+    }
     if let Some(folder) = &args.fix {
         fix::register_outputs(folder, &options.run.robots, &mut places);
     }
@@ -117,8 +126,9 @@ impl Args {
         let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
         let messages = self.mcap.as_deref().map(|path| (path, audited.write_foxglove(path)));
         let tables = self.parquet.as_deref().map(|folder| (folder, audited.write_tables(folder)));
+        let trajectories = self.tum.as_deref().map(|folder| (folder, audited.write_tum(folder)));
         let fixes = self.fix.as_deref().map(|folder| (folder, audited.write_fixes(folder)));
-        let outputs = [recorded, messages, tables, fixes].into_iter().flatten();
+        let outputs = [recorded, messages, tables, trajectories, fixes].into_iter().flatten();
         let unwritten =
             outputs.filter_map(|(path, done)| done.map(|()| messages::print_written(path)).err());
         unwritten.collect()
@@ -214,7 +224,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 
 /// The call without output options and verbosity.
 fn call_without_outputs() -> Vec<String> {
-    const OPTIONS_WITH_VALUE: [&str; 9] = [
+    const OPTIONS_WITH_VALUE: [&str; 10] = [
         "--format",
         "--output",
         "-o",
@@ -222,6 +232,7 @@ fn call_without_outputs() -> Vec<String> {
         "--mcap",
         "--parquet",
         "--rrd",
+        "--tum",
         BASELINE_OPTION,
         "--color",
     ];

@@ -71,6 +71,10 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         let line = format!("{name}, {base} → {tip}, from {source}: {joints}");
         writeln!(out, "{}", sanitize_display(line))?;
     }
+    for row in &report.comparisons {
+        let line = format!("{} compared with {}: {}", row.topic, row.reference, row.reason);
+        writeln!(out, "{}", sanitize_display(line))?;
+    }
     writeln!(out, "\n{}", stream_table(&report.streams).trim_fmt())
 }
 

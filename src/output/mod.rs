@@ -9,3 +9,4 @@ pub mod foxglove;
 pub mod replay;
 #[cfg(feature = "tables")]
 pub mod tables;
+pub mod tum;

@@ -53,7 +53,11 @@ fn header(report: &Report, outline: &Outline, out: &mut dyn Write) -> io::Result
             inline_code(&robot.tip)
         )
     });
-    let line: Vec<String> = files.into_iter().chain(outline.extent()).chain(robots).collect();
+    let comparisons = report.comparisons.iter().map(|row| {
+        format!("{} compared with {}", inline_code(&row.topic), inline_code(&row.reference))
+    });
+    let line = files.into_iter().chain(outline.extent()).chain(robots).chain(comparisons);
+    let line: Vec<String> = line.collect();
     if !line.is_empty() {
         writeln!(out, "{}\n", line.join(" · "))?;
     }

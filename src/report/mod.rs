@@ -3,6 +3,7 @@
 
 pub(crate) mod amounts;
 pub mod compare;
+mod comparisons;
 mod figure_builder;
 pub mod figures;
 mod file;
@@ -35,6 +36,8 @@ use crate::finding::{
 };
 use crate::time::Stamp;
 
+pub(crate) use comparisons::comparison_rows;
+pub use comparisons::{ComparisonRow, TrajectoryErrorRow};
 pub(crate) use figure_builder::build_figures;
 pub use figures::Figures;
 pub use file::write_whole;
@@ -73,6 +76,9 @@ pub struct Report {
     pub log: LogSummary,
     /// The arms.
     pub robots: Vec<RobotRow>,
+    /// Pose streams compared with each other, without joint states.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub comparisons: Vec<ComparisonRow>,
     /// The topics.
     pub streams: Vec<StreamRow>,
     /// One row for each rule and each subject it was evaluated on.
@@ -278,6 +284,7 @@ impl Report {
             error: None,
             log: LogSummary::default(),
             robots: Vec::new(),
+            comparisons: Vec::new(),
             streams: Vec::new(),
             checks: Vec::new(),
             findings: Vec::new(),

@@ -106,6 +106,16 @@ impl<'a> TextReport<'a> {
             let (base, tip) = (&robot.base, &robot.tip);
             out.line("", 2, &sanitize(&format!("{name}, {base} → {tip}, from {source}")))?;
         }
+        for row in &self.report.comparisons {
+            let (topic, reference) = (&row.topic, &row.reference);
+            out.line("", 2, &sanitize(&format!("{topic} compared with {reference}")))?;
+            if let Some(errors) = row.errors() {
+                out.note("", NOTE_INDENT, &errors)?;
+            }
+            if self.report.is_verbose {
+                out.note("", NOTE_INDENT, &sanitize(&format!("{reference}: {}", row.reason)))?;
+            }
+        }
         // A note may repeat the error.
         let said = self.report.error.as_ref().map_or("", |trouble| trouble.what.as_str());
         let notes = log.notes.iter().filter(|note| said.is_empty() || note.note != said);

@@ -47,6 +47,12 @@ impl PageSections<'_> {
                         dt { "recording" }
                         dd { (extent) }
                     }
+                    @for row in &self.report.comparisons {
+                        dt { "comparison" }
+                        dd { (row.topic) " with " (row.reference) @if let Some(errors) = row.errors() { ": " (errors) } }
+                        dt { "reference" }
+                        dd { (row.reference) ", " (row.reason) }
+                    }
                     @for robot in &self.report.robots {
                         dt { "robot" }
                         dd { (robot.name) ", " (robot.base) " → " (robot.tip) ", from " (robot.source) }
