@@ -38,7 +38,7 @@ pub struct FrameRule {
     /// Name of the frame.
     pub frame: fn(&StreamEvidence<PoseEvidence>) -> &str,
     /// Reason for not judging this stream.
-    pub not_judged: fn(&StreamEvidence<PoseEvidence>) -> Option<String>,
+    pub not_judged: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>) -> Option<String>,
     /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
@@ -79,7 +79,7 @@ fn judge_stream(
     {
         return SubjectResult::new(subject, outcome).estimated(estimate);
     }
-    let not_judged = (end.not_judged)(stream);
+    let not_judged = (end.not_judged)(arm, stream);
     let confounders = confounders(arm, end, index);
     let reported = || confounders.iter().find(|(_, offset)| offset.is_chosen);
     let frame = match ((end.estimate)(diagnosis), &not_judged) {

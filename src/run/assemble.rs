@@ -122,10 +122,13 @@ impl Run {
         let Assembly { streams, arms, tf, .. } = &assembly;
         topics::check_frames(&options.topics, streams, arms, tf)?;
         assembly.measured_transforms();
-        if no_arm.is_some() {
-            assembly.compare_trajectories()?;
+        if let Some(error) = &no_arm {
+            assembly.compare_trajectories(error)?;
         }
-        let no_arm = no_arm.filter(|_| assembly.arms.is_empty());
+        let is_replaced = |error: &RunError| {
+            matches!(error, RunError::NoJointStates { .. }) && !assembly.arms.is_empty()
+        };
+        let no_arm = no_arm.filter(|error| !is_replaced(error));
         mark_shared_topics(&mut assembly.streams);
         for stream in 0..assembly.streams.len() {
             assembly.assign(stream)?;

@@ -49,9 +49,10 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         name: "reference frame",
         estimate: |diagnosis| &diagnosis.reference,
         frame: |stream| &stream.reference,
-        not_judged: |stream| {
+        not_judged: |arm, stream| {
+            let to = arm.arm_or_body("the robot", &arm.joints_topic);
             let why =
-                || format!("{} is not fixed to the robot; its pose is estimated", stream.reference);
+                || format!("{} is not fixed to {to}; its pose is estimated", stream.reference);
             (!stream.reference_known).then(why)
         },
         changes: |diagnosis| &diagnosis.reference_changes,

@@ -50,7 +50,10 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         name: "tool frame",
         estimate: |diagnosis| &diagnosis.tool,
         frame: |stream| &stream.tip,
-        not_judged: |_| None,
+        not_judged: |arm, stream| {
+            let why = || format!("nothing ties its body to that of {}", arm.joints_topic);
+            (arm.is_trajectory && !stream.is_tip_declared).then(why)
+        },
         changes: |diagnosis| &diagnosis.tool_changes,
         is_confounder: |confounder, index| matches!(confounder, Confounder::Tool(stream, _) if *stream == index),
         zero: JointAxes::zero_from_tool,

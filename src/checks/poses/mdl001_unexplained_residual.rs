@@ -427,10 +427,17 @@ fn unexplained(
     let said = format!("unexplained residual {} rms{shared}", sizes(&residual.error));
     let varying_angle = &attributed.varying_angle;
     let message = format!("{said} after all other findings are corrected{varying_angle}");
-    let fix =
-        "use the arm's calibrated description, or check that it belongs to this arm; if the error \
-        starts at some time, check what happened to the tool, the frames or the joints then"
-            .to_owned();
+    let fix = match &attributed.subject.reference {
+        None => {
+            "use the arm's calibrated description, or check that it belongs to this arm; if the error \
+             starts at some time, check what happened to the tool, the frames or the joints then"
+        }
+        Some(_) => {
+            "look at the error over time in the HTML report: a lost track, a drift that is not even, or two bodies \
+             that are not rigidly connected"
+        }
+    };
+    let fix = fix.to_owned();
     Fault {
         severity: residual.severity,
         cause: Cause::UnexplainedResidual,

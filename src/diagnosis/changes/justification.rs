@@ -5,7 +5,7 @@ use crate::residuals::comparison::{excess_m, log_likelihood_gain, residual_m};
 use crate::selection::model_selection::price;
 
 /// For accepted change points.
-const MAX_RESIDUAL_RATIO: f64 = 0.5;
+pub(super) const MAX_RESIDUAL_RATIO: f64 = 0.5;
 /// If the likelihood must also justify them, because the residual is mostly noise.
 const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
 

@@ -64,15 +64,13 @@ pub(super) fn diagnose_with_changes(
     max_changes: usize,
 ) -> Option<ArmDiagnosis> {
     let jumps = jumps_in_joints(joints);
-    // Link deviations would look like steps.
-    let steps: Vec<(usize, Jump)> = match are_floating(streams) {
-        true => (0..streams.len())
-            .filter_map(|s| Some((s, likeliest_step(&diagnosis.streams[s])?)))
-            .collect(),
-        false => Vec::new(),
-    };
+    let steps: Vec<(usize, Jump)> = (0..streams.len())
+        .filter_map(|s| Some((s, likeliest_step(&diagnosis.streams[s])?)))
+        .collect();
+    // Link deviations look like small steps.
+    let are_exact = are_floating(streams);
     let is_slow = diagnosis.streams.iter().any(has_slow_residual);
-    if jumps.is_empty() && steps.is_empty() && !is_slow {
+    if jumps.is_empty() && !is_slow && (steps.is_empty() || !are_exact) {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -88,11 +86,15 @@ pub(super) fn diagnose_with_changes(
     let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
     let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
     let steps = strongest(steps.collect());
-    let by_steps =
-        if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) };
+    let diagnose_with_steps =
+        || if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) };
+    let by_steps = if are_exact { diagnose_with_steps() } else { None };
     if by_steps.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
         return by_steps;
     }
+    let is_explained = |after: &ArmDiagnosis| {
+        residual_m(after) <= justification::MAX_RESIDUAL_RATIO * residual_m(diagnosis)
+    };
     let mut all = run.change_points(diagnosis, jumps);
     if all.len() > max_changes {
         // Keep the strongest sharp jumps and gaps.
@@ -109,7 +111,8 @@ pub(super) fn diagnose_with_changes(
         return by_sharp;
     }
     let found = [by_steps, by_sharp, diagnose_with_jumps(&run, &all, diagnosis)];
-    found.into_iter().flatten().min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)))
+    let best = found.into_iter().flatten().min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)));
+    best.or_else(|| diagnose_with_steps().filter(|_| !are_exact).filter(is_explained))
 }
 
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run

@@ -2,7 +2,7 @@
 
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_by_wahba, rotation_from_rotvec};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Vector6};
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
 
 /// Relative to the extent, for positions to match FK.
 pub(crate) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
@@ -148,16 +148,13 @@ impl LeastSquares for PositionFit<'_> {
         let Sums { products, weighted, squares, .. } = self.sums(rotation, tool);
         let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * TOOL_PRIOR_M.powi(2));
         let factor = 1.0 + prior * tool.norm_squared();
-        let mut normal = NormalEquations {
-            matrix: DMatrix::from_column_slice(6, 6, (products * factor).as_slice()),
-            right: DVector::from_column_slice((weighted * factor).as_slice()),
-            cost: squares * factor,
-        };
+        let (mut matrix, mut right) = (products * factor, weighted * factor);
         for axis in 0..3 {
-            normal.matrix[(3 + axis, 3 + axis)] += squares * prior;
-            normal.right[3 + axis] -= squares * prior * tool[axis];
+            matrix[(3 + axis, 3 + axis)] += squares * prior;
+            right[3 + axis] -= squares * prior * tool[axis];
         }
-        Some(normal)
+        let cost = squares * factor;
+        Some(NormalEquations::from_sums(|i, j| matrix[(i, j)], right.iter().copied(), cost))
     }
 
     fn moved(&self, (rotation, tool): &Self::State, step: &[f64]) -> Self::State {

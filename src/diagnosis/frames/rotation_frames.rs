@@ -150,9 +150,8 @@ impl LeastSquares for RotationPair<'_> {
     type State = (Rotation, Rotation);
 
     fn linearize(&self, (reference, tool): &Self::State) -> Option<NormalEquations> {
-        let mut normal = NormalEquations::zeros(6);
         let (mut products, mut sum) = (Matrix3::zeros(), Vec3::zeros());
-        let (mut weighted, mut count) = (Vec3::zeros(), 0.0);
+        let (mut weighted, mut count, mut cost) = (Vec3::zeros(), 0.0, 0.0);
         for (truth, fk) in self.candidates.iter().zip(self.fk) {
             let Some(truth) = truth else { continue };
             let predicted = reference * fk * tool;
@@ -162,14 +161,16 @@ impl LeastSquares for RotationPair<'_> {
             sum += residual;
             weighted += hand.inverse() * residual;
             count += 1.0;
-            normal.cost += residual.norm_squared();
+            cost += residual.norm_squared();
         }
         // The design of a sample is `[I, hand]`.
-        normal.matrix.fill_diagonal(count);
-        normal.matrix.view_mut((3, 0), (3, 3)).copy_from(&products.transpose());
-        normal.right.rows_mut(0, 3).copy_from(&sum);
-        normal.right.rows_mut(3, 3).copy_from(&weighted);
-        Some(normal)
+        let matrix = |i: usize, j: usize| match (i, j) {
+            _ if i == j => count,
+            (3.., 0..3) => products[(j, i - 3)],
+            _ => 0.0,
+        };
+        let right = sum.iter().chain(weighted.iter()).copied();
+        Some(NormalEquations::from_sums(matrix, right, cost))
     }
 
     fn moved(&self, (reference, tool): &Self::State, step: &[f64]) -> Self::State {

@@ -36,12 +36,14 @@ impl<'a> PoseJacobian<'a> {
 
     /// Derivative with respect to time, at joint velocities `rates`.
     pub fn velocity(&self, rates: &[f64]) -> Derivative {
-        let mut velocity = [Vec3::zeros(); 2];
-        for (joint, rate) in rates.iter().enumerate() {
-            let own = self.joint(joint);
-            velocity = [velocity[0] + own[0] * *rate, velocity[1] + own[1] * *rate];
+        let mut twist = [0.0; 6];
+        for (column, rate) in self.link.iter().zip(rates) {
+            twist.iter_mut().zip(column).for_each(|(sum, part)| *sum += rate * part);
         }
-        velocity
+        let [x, y, z, rx, ry, rz] = twist;
+        let angular = Vec3::new(rx, ry, rz);
+        let linear = Vec3::new(x, y, z) + angular.cross(&self.lever);
+        [self.reference * linear, self.reference * angular]
     }
 
     /// Derivative with respect to a change of the reference, multiplied on the left: translation along `axis` 0

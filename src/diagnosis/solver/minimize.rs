@@ -6,26 +6,44 @@ use nalgebra::{DMatrix, DVector};
 
 /// Problem linearised about a state.
 pub(crate) struct NormalEquations {
-    /// `AᵀA`.
-    pub matrix: DMatrix<f64>,
+    /// Lower triangle of `AᵀA`, by rows.
+    triangle: Vec<f64>,
     /// `Aᵀr`.
-    pub right: DVector<f64>,
+    right: DVector<f64>,
     /// `rᵀr`.
-    pub cost: f64,
+    cost: f64,
+    /// Derivatives of one residual.
+    row: Vec<f64>,
 }
 
 impl NormalEquations {
-    /// Equations without residuals.
-    pub fn zeros(width: usize) -> Self {
-        Self { matrix: DMatrix::zeros(width, width), right: DVector::zeros(width), cost: 0.0 }
+    /// From sums over all residuals; `matrix` gives the lower triangle of `AᵀA`.
+    pub fn from_sums(
+        matrix: impl Fn(usize, usize) -> f64,
+        right: impl IntoIterator<Item = f64>,
+        cost: f64,
+    ) -> Self {
+        let right = DVector::from_vec(right.into_iter().collect());
+        let rows = (0..right.len()).flat_map(|i| (0..=i).map(move |j| (i, j)));
+        let triangle = rows.map(|(i, j)| matrix(i, j)).collect();
+        Self { triangle, row: vec![0.0; right.len()], right, cost }
     }
 
-    /// Adds one residual with its derivatives. Only the lower triangle is summed.
+    /// Equations without residuals.
+    pub fn zeros(width: usize) -> Self {
+        let triangle = vec![0.0; width * (width + 1) / 2];
+        Self { triangle, right: DVector::zeros(width), cost: 0.0, row: vec![0.0; width] }
+    }
+
+    /// Adds one residual with its derivatives.
     pub fn add(&mut self, derivatives: &[f64], residual: f64) {
-        for (i, a) in derivatives.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-            self.right[i] += a * residual;
-            for (j, b) in derivatives[..=i].iter().enumerate() {
-                self.matrix[(i, j)] += a * b;
+        let mut rest = self.triangle.as_mut_slice();
+        for (i, a) in derivatives.iter().enumerate() {
+            let (row, after) = rest.split_at_mut(i + 1);
+            rest = after;
+            if *a != 0.0 {
+                self.right[i] += a * residual;
+                row.iter_mut().zip(derivatives).for_each(|(sum, b)| *sum += a * b);
             }
         }
         self.cost += residual * residual;
@@ -33,14 +51,29 @@ impl NormalEquations {
 
     /// Adds position and rotation of a pose, with a weight each; 0 excludes them.
     pub fn add_pose(&mut self, derivatives: &[Derivative], residual: [Vec3; 2], weights: [f64; 2]) {
-        let mut row = vec![0.0; derivatives.len()];
+        let mut row = std::mem::take(&mut self.row);
         for (kind, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
             for axis in 0..3 {
-                let own = derivatives.iter().map(|derivative| weight * derivative[kind][axis]);
-                row.iter_mut().zip(own).for_each(|(value, own)| *value = own);
+                for (value, derivative) in row.iter_mut().zip(derivatives) {
+                    *value = weight * derivative[kind][axis];
+                }
                 self.add(&row, weight * residual[kind][axis]);
             }
         }
+        self.row = row;
+    }
+
+    /// Step with each diagonal entry increased by the share `damping`.
+    fn step(&self, damping: f64) -> Option<DVector<f64>> {
+        let width = self.right.len();
+        let mut matrix = DMatrix::zeros(width, width);
+        for i in 0..width {
+            for j in 0..=i {
+                matrix[(i, j)] = self.triangle[i * (i + 1) / 2 + j];
+            }
+            matrix[(i, i)] += damping * matrix[(i, i)] + f64::MIN_POSITIVE;
+        }
+        matrix.cholesky().map(|cholesky| cholesky.solve(&self.right))
     }
 }
 
@@ -79,11 +112,7 @@ pub(crate) fn minimize<P: LeastSquares>(
     // Below it, residuals are rounding errors.
     let min_cost = f64::EPSILON * here.cost;
     for _ in 0..limits.steps {
-        let mut damped = here.matrix.clone();
-        for i in 0..damped.nrows() {
-            damped[(i, i)] += damping * damped[(i, i)] + f64::MIN_POSITIVE;
-        }
-        let step = damped.cholesky().map(|cholesky| cholesky.solve(&here.right));
+        let step = here.step(damping);
         // The predicted decrease of the cost.
         if step.as_ref().is_some_and(|step| step.dot(&here.right) < limits.min_gain * here.cost) {
             break;

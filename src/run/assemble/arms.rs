@@ -171,7 +171,7 @@ impl Assembly<'_> {
 
     pub(super) fn assign_joint_topics(&mut self) {
         let arms = &self.arms;
-        if arms.is_empty() {
+        if arms.iter().all(|arm| arm.trajectory.is_some()) {
             return;
         }
         for (index, stream) in self.streams.iter_mut().enumerate() {

@@ -77,7 +77,7 @@ impl Assembly<'_> {
     ///
     /// # Errors
     /// If the caller's reference is not a stream of poses with rotations that change.
-    pub(super) fn compare_trajectories(&mut self) -> Result<(), RunError> {
+    pub(super) fn compare_trajectories(&mut self, no_arm: &RunError) -> Result<(), RunError> {
         let wanted = self.options.reference.as_deref();
         let compared = self.compared_streams();
         let mut candidates = self.reference_candidates(&compared);
@@ -91,7 +91,10 @@ impl Assembly<'_> {
         let arms = candidates.iter().map(|one| self.trajectory(one, &compared));
         let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
         let is_followed = |arm: &&Arm| self.has_follower(arm);
-        if let Some(arm) = arms.iter().find(is_followed).or(arms.first()).cloned()
+        // Beside joint states, a pose stream may have nothing to do with the others.
+        let has_joints = !matches!(no_arm, RunError::NoJointStates { .. });
+        let first = arms.first().filter(|_| !has_joints);
+        if let Some(arm) = arms.iter().find(is_followed).or(first).cloned()
             && let Some(Trajectory { stream, why, .. }) = &arm.trajectory
         {
             let reference = &mut self.streams[*stream];
