@@ -12,6 +12,7 @@ mod fuzz;
 mod joint_names;
 mod options;
 mod outputs;
+mod pairs;
 mod plan;
 mod program;
 mod real;

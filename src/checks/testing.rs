@@ -164,7 +164,7 @@ pub fn clean_run() -> RunEvidence {
         tf: Some(stream_evidence(TF, stream(false))),
         vibrations: vec![stream_evidence(
             JOINTS,
-            VibrationEvidence { misread: None, vibration: Ok(Vibration::default()) },
+            VibrationEvidence { in_other_units: false, vibration: Ok(Vibration::default()) },
         )],
         imus: vec![stream_evidence(
             IMU,

@@ -284,20 +284,25 @@ pub(super) fn arm_evidence(
     };
     let of_joints = || {
         let vibration = vibration_of_joints(arm, &samples, &track);
-        arm_stream_evidence(run, arm, joints_stream, VibrationEvidence { misread: None, vibration })
+        arm_stream_evidence(
+            run,
+            arm,
+            joints_stream,
+            VibrationEvidence { in_other_units: false, vibration },
+        )
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].lacks_rotation() {
             found.encoding = Err(NotObservable::NoOrientation);
         }
-        let misread = match &found {
-            found if matches!(found.length_unit, Ok(Some(_))) => Some("ORD008"),
-            found if found.is_inverted => Some("ORD003"),
-            _ => None,
-        };
+        let in_other_units = matches!(found.length_unit, Ok(Some(_)));
         let vibration = vibration_of_poses(&source.track, &found, &arm.joints);
-        let vibration =
-            arm_stream_evidence(run, arm, source.stream, VibrationEvidence { misread, vibration });
+        let vibration = arm_stream_evidence(
+            run,
+            arm,
+            source.stream,
+            VibrationEvidence { in_other_units, vibration },
+        );
         let euler = euler(run, source, &found, &options.declared);
         (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), vibration)
     };

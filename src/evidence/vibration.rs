@@ -8,8 +8,8 @@ use crate::stream::{JointTrack, PoseTrack};
 /// Vibration of the tip according to one stream.
 #[derive(Clone, Debug)]
 pub struct VibrationEvidence {
-    /// Rule that finds the positions in another encoding.
-    pub misread: Option<&'static str>,
+    /// Positions are in a wrong unit.
+    pub in_other_units: bool,
     /// Vibration, or why it cannot be estimated.
     pub vibration: Result<Vibration, VibrationFailure>,
 }

@@ -43,19 +43,14 @@ pub struct TrajectoryErrorRow {
 
 impl From<TrajectoryError> for TrajectoryErrorRow {
     fn from(error: TrajectoryError) -> Self {
-        Self {
-            translation_m: error.translation_rmse_m,
-            rotation_rad: error.rotation_rmse_rad,
-        }
+        Self { translation_m: error.translation_rmse_m, rotation_rad: error.rotation_rmse_rad }
     }
 }
 
 impl TrajectoryErrorRow {
     fn show(&self) -> String {
-        let [length, angle] = [
-            Unit::Metre.show(self.translation_m),
-            Unit::Radian.show(self.rotation_rad),
-        ];
+        let [length, angle] =
+            [Unit::Metre.show(self.translation_m), Unit::Radian.show(self.rotation_rad)];
         format!("{length} and {angle}")
     }
 }

@@ -66,9 +66,9 @@ fn judge(
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
-        false => stream
-            .misread
-            .map(|code| format!("its positions are read in another encoding ({code})")),
+        false => {
+            stream.in_other_units.then(|| "its positions are not in metres (ORD008)".to_owned())
+        }
     };
     if let Some(why) = why {
         return judged(Outcome::Inconclusive(why));

@@ -327,11 +327,16 @@ impl ArmDiagnosis {
         })
     }
 
-    /// Whether a rotation is read in the opposite of the usual way, for example `euler:xyz` as a rotation vector. With
-    /// equal frames, the usual way in the reference has the same effect.
+    /// Whether a rotation is read in the opposite of the usual way, for example `euler:xyz` as a rotation vector, or
+    /// positions are in a unit above the metre. The usual error of the reference has the same effect, for rotations
+    /// if the frames are equal.
     pub fn has_unusual_misinterpretation(&self) -> bool {
-        self.streams.iter().filter_map(|stream| stream.encoding.as_ref().ok()).any(|encoding| {
-            match encoding.best {
+        let is_large = |stream: &PoseDiagnosis| {
+            matches!(stream.length_unit, Ok(Some(error)) if error.factor() > 1.0)
+        };
+        let encodings = self.streams.iter().filter_map(|stream| stream.encoding.as_ref().ok());
+        self.streams.iter().any(is_large)
+            || encodings.into_iter().any(|encoding| match encoding.best {
                 PoseEncoding::Misinterpreted(class) => {
                     class.members.first().is_some_and(|one| one.read_as != Convention::RPY)
                 }
@@ -339,8 +344,7 @@ impl ArmDiagnosis {
                     error == QuaternionOrderError::XyzwReadAsWxyz
                 }
                 _ => false,
-            }
-        })
+            })
     }
 
     /// Residual relative to the motion, so it does not depend on the unit of the reference.

@@ -11,6 +11,7 @@ use crate::latency::correlation::{ArmSpeeds, LagPeak, MIN_SPEED_CORRELATION, str
 use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
+use nalgebra::Matrix3;
 use ground::stream::{JointTrack, PoseTrack};
 
 /// As far as positions alone determine it.
@@ -74,7 +75,7 @@ impl PositionEncodingEstimate {
                 (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
             }
-            let constant = constant_coordinates(&track.xyz, &at);
+            let constant = constant_coordinates(&track.xyz, &at, stream.reference_known);
             let left_out = match constant {
                 [false, false, false] => Some(None),
                 [true, false, false] => Some(Some(0)),
@@ -142,7 +143,7 @@ impl PositionEncodingEstimate {
 }
 
 /// Constant up to noise, while the others and all of FK's change.
-fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
+fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3], reference_known: bool) -> [bool; 3] {
     /// Relative to the widest coordinate.
     const MAX_CONSTANT_SPREAD_SHARE: f64 = 0.01;
     /// Spread of FK, relative to the widest coordinate and in m.
@@ -157,13 +158,24 @@ fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
         })
     };
     let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
-    let (logged, expected) = (spreads(xyz), spreads(fk));
+    // In a world of unknown axes, a motion in any plane may have a constant coordinate.
+    let expected = if reference_known { spreads(fk) } else { principal_spreads(fk) };
+    let logged = spreads(xyz);
     let least = MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * widest(expected));
     let all_move = expected.into_iter().all(|spread| spread > least);
     let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
     let some_move = widest(logged) > ROUNDING_SHARE * size;
     logged
         .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
+}
+
+/// Rms distances from the mean along the principal axes.
+fn principal_spreads(points: &[Vec3]) -> [f64; 3] {
+    let count = points.len().max(1) as f64;
+    let mean = points.iter().sum::<Vec3>() / count;
+    let square = |point: &Vec3| (point - mean) * (point - mean).transpose();
+    let covariance = points.iter().map(square).sum::<Matrix3<f64>>() / count;
+    covariance.symmetric_eigenvalues().map(|variance| variance.max(0.0).sqrt()).into()
 }
 
 /// Factor to metres from the extent relative to FK's or, at rest, the distance from a known base.

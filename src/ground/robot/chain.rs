@@ -512,3 +512,55 @@ impl std::ops::Mul for Rigid {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{angle_between, pose, rotation_from_rotvec, rotvec_from_rotation};
+
+    fn floating() -> Chain {
+        let robot = Robot::floating_body("body", "world", "tag");
+        let link = |name| robot.link(name).expect("a link");
+        robot.chain(link("world"), link("tag")).expect("a chain")
+    }
+
+    #[test]
+    fn a_floating_joint_has_the_pose_of_its_coordinates_for_quaternions_of_any_length() {
+        let rotation = rotation_from_rotvec(Vec3::new(0.4, -1.2, 2.0));
+        let [x, y, z, w] = [rotation.i, rotation.j, rotation.k, rotation.w];
+        for length in [1.0, -1.0, 0.3] {
+            let q = [0.5, -0.2, 1.1, length * x, length * y, length * z, length * w];
+            let found = floating().forward(&q);
+            assert!((found.translation.vector - Vec3::new(0.5, -0.2, 1.1)).norm() < 1e-12);
+            assert!(angle_between(&found.rotation, &rotation) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_jacobian_of_a_floating_joint_equals_differences() {
+        const STEP: f64 = 1e-6;
+        let q = [0.5, -0.2, 1.1, 0.2, 0.7, -0.4, 0.5];
+        let mut jacobian = [[0.0; 6]; 7];
+        let at = floating().forward_with_jacobian(&q, &mut jacobian);
+        assert_eq!(at, floating().forward(&q));
+        for coordinate in 0..7 {
+            let [before, after] = [-STEP, STEP].map(|step| {
+                let mut q = q;
+                q[coordinate] += step;
+                floating().forward(&q)
+            });
+            let linear = after.translation.vector - before.translation.vector;
+            let turn = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
+            for axis in 0..3 {
+                assert!((jacobian[coordinate][axis] - linear[axis] / (2.0 * STEP)).abs() < 1e-6);
+                assert!((jacobian[coordinate][axis + 3] - turn[axis] / (2.0 * STEP)).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn a_zero_quaternion_is_no_rotation() {
+        let expected = pose([1.0, 2.0, 3.0], Rotation::identity());
+        assert_eq!(floating().forward(&[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0]), expected);
+    }
+}
