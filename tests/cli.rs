@@ -335,7 +335,7 @@ fn the_demo_of_a_pair_finds_latency_and_slip_within_their_intervals() {
             (code, (end(0)..=end(1)).contains(&planted))
         })
         .collect();
-    assert_eq!(found, [("FRM003", true), ("LAT001", true)], "{findings:#?}");
+    assert_eq!(found, [("LAT001", true), ("FRM003", true)], "{findings:#?}");
     assert!(folder.path().join("pair.mcap").is_file());
 }
 
