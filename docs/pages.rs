@@ -1,11 +1,14 @@
 //! Generated documents: the pages of `docs/rules/`, from the rules' own text, and the outputs in
-//! `docs/tutorial.md`. `examples/rule_pages.rs` writes them, `tests/docs.rs` checks.
+//! [`WITH_OUTPUTS`]. `examples/rule_pages.rs` writes them, `tests/docs.rs` checks.
 
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
 
 use poseaudit::checks::{self, Rule};
+
+/// Documents with the outputs of their commands.
+pub const WITH_OUTPUTS: [&str; 2] = ["tutorial.md", "compare-trajectories.md"];
 
 /// The name and the text of every page.
 pub fn all(symptoms: &str) -> Vec<(String, String)> {

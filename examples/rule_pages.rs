@@ -1,4 +1,4 @@
-//! Regenerates the pages in `docs/rules/`, the outputs in `docs/tutorial.md` and the report's schema:
+//! Regenerates the pages in `docs/rules/`, the outputs in [`pages::WITH_OUTPUTS`] and the report's schema:
 //! `cargo build --features full && cargo run --features full --example rule_pages`.
 
 use std::fs;
@@ -19,10 +19,11 @@ fn main() -> anyhow::Result<()> {
     // The programs are in the parent of the folder of the examples.
     let example = std::env::current_exe()?;
     let programs = example.ancestors().nth(2).context("the programs' folder")?;
-    let folder = tempfile::tempdir()?;
-    let tutorial = docs.join("tutorial.md");
-    let run = pages::shell(programs, folder.path());
-    fs::write(&tutorial, pages::with_outputs(&fs::read_to_string(&tutorial)?, run))?;
+    for name in pages::WITH_OUTPUTS {
+        let (folder, document) = (tempfile::tempdir()?, docs.join(name));
+        let run = pages::shell(programs, folder.path());
+        fs::write(&document, pages::with_outputs(&fs::read_to_string(&document)?, run))?;
+    }
     fs::write(docs.join("poseaudit.report.schema.json"), poseaudit::report::json::schema())?;
     Ok(())
 }

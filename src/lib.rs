@@ -42,8 +42,8 @@ pub use poseaudit_diagnosis as diagnosis;
 pub use poseaudit_log as log;
 
 pub use audit::{
-    Audited, CalibrationInput, CalibrationResult, DEMO_LOG, Demo, Options, PlantedFault, Policy,
-    calibrate, demo,
+    Audited, CalibrationInput, CalibrationResult, DEMO_LOG, DEMO_PAIR_LOG, Demo, Options,
+    PlantedFault, Policy, calibrate, demo, demo_pair,
 };
 pub use report::compare;
 

@@ -317,6 +317,29 @@ fn the_demo_prints_json() {
 }
 
 #[test]
+fn the_demo_of_a_pair_finds_latency_and_slip_within_their_intervals() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path().display().to_string();
+    let output = poseaudit(&["demo", "--pair", &dir, "--format", "json"]);
+    assert_eq!(status(&output), 0, "{}", stderr(&output));
+    let recovered = stderr(&output).lines().filter(|line| line.starts_with("recovered"));
+    assert_eq!(recovered.count(), 2, "{}", stderr(&output));
+    let report = json(&output);
+    let findings = report["findings"].as_array().expect("a list");
+    let faults = findings.iter().filter(|finding| finding["severity"] != "info");
+    let found: Vec<(&str, bool)> = faults
+        .map(|finding| {
+            let code = finding["code"].as_str().expect("a code");
+            let planted = if code == "LAT001" { 0.024 } else { 0.005 };
+            let end = |at: usize| finding["estimate"]["ci95"][at].as_f64().expect("a number");
+            (code, (end(0)..=end(1)).contains(&planted))
+        })
+        .collect();
+    assert_eq!(found, [("LAT001", true), ("FRM003", true)], "{findings:#?}");
+    assert!(folder.path().join("pair.mcap").is_file());
+}
+
+#[test]
 fn a_pose_is_printed_in_every_convention() {
     let pose = "243.69 -249.04 618.32 149.49 -12.78 72.64";
     let output = poseaudit(&["pose", "--all", "--from", "euler:xyz", "--deg", "--mm", pose]);

@@ -84,10 +84,21 @@ fn the_rule_pages_are_current() {
 
 #[cfg(unix)]
 #[test]
-fn the_tutorial_shows_what_its_commands_print() {
+fn documents_show_what_their_commands_print() {
+    for name in pages::WITH_OUTPUTS {
+        let outputs = check_outputs(name);
+        let verdict = |word: &str| outputs.iter().any(|text| text.contains(word));
+        let passes_at_last = name != "tutorial.md" || verdict("PASS");
+        assert!(outputs.len() > 2 && verdict("FAIL") && passes_at_last, "{name}: {outputs:?}");
+    }
+}
+
+/// Compares the outputs in a document with those of its commands, and returns them.
+#[cfg(unix)]
+fn check_outputs(name: &str) -> Vec<String> {
     let folder = tempfile::tempdir().expect("a folder");
     let programs = Path::new(env!("CARGO_BIN_EXE_poseaudit")).parent().expect("a folder");
-    let (page, run) = (document("tutorial.md"), pages::shell(programs, folder.path()));
+    let (page, run) = (document(name), pages::shell(programs, folder.path()));
     let mut outputs = Vec::new();
     let current = pages::with_outputs(&page, |line| {
         outputs.push(run(line));
@@ -95,10 +106,9 @@ fn the_tutorial_shows_what_its_commands_print() {
     });
     assert!(
         page == current,
-        "docs/tutorial.md is not current: run `cargo run --features full --example rule_pages`\n{current}"
+        "docs/{name} is not current: run `cargo run --features full --example rule_pages`\n{current}"
     );
-    let verdict = |word: &str| outputs.iter().any(|text| text.contains(word));
-    assert!(outputs.len() > 5 && verdict("FAIL") && verdict("PASS"), "{page}");
+    outputs
 }
 
 #[test]

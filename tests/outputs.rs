@@ -467,6 +467,7 @@ const WRITING_CALLS: &[&str] = &[
     "fleet LOG --out OUT/store --pending --output OUT/new",
     "fleet report results --output OUT/new",
     "demo OUT",
+    "demo --pair OUT",
     "man --output OUT",
 ];
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FINDINGS, _MISUSE, _UNUSABLE = 1, 2, 3
 #: Options that write files or determine the exit status; omitted when a run is read again.
-_OPTIONS_WITH_SIDE_EFFECTS = ("fix", "rrd", "mesh_root", "parquet", "write_baseline", "require")
+_OPTIONS_WITH_SIDE_EFFECTS = ("fix", "rrd", "mesh_root", "parquet", "tum", "write_baseline", "require")
 
 
 def audit(

@@ -29,6 +29,8 @@ class CommonOptions(TypedDict, total=False):
     """First link of the chain."""
     tip: str | None
     """Last link of the chain."""
+    reference: str | None
+    """Pose topic that the others are compared with, if the log has no joint states."""
     config: Path | None
     """A `poseaudit.toml`."""
     select: Texts | None
@@ -66,6 +68,8 @@ class Options(CommonOptions, total=False):
     """Folders to search for meshes of the robot's URDF, for the recording."""
     parquet: Path | None
     """Folder for tables."""
+    tum: Path | None
+    """Folder for aligned poses as TUM trajectories."""
     write_baseline: Path | None
     """File for the JSON report, as a baseline for later logs."""
 

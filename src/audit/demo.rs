@@ -1,19 +1,20 @@
-//! A log with four planted faults, audited and compared with them.
+//! Logs with planted faults, audited and compared with them.
 
 use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Options;
-use crate::finding::{Cause, Finding};
+use crate::finding::{Cause, Estimate, Finding};
 use crate::geometry::{Convention, Misinterpretation, RotationError};
 use crate::report::{Report, Trouble, TroubleKind, write_whole};
-use crate::stats::Measured;
-use crate::synth;
+use crate::synth::{self, Scenario};
 
-/// File name of the log.
+/// File name of the log of [`demo`].
 pub const DEMO_LOG: &str = "demo.mcap";
+/// File name of the log of [`demo_pair`].
+pub const DEMO_PAIR_LOG: &str = "pair.mcap";
 
 /// A demo run.
 #[derive(Clone, Debug)]
@@ -38,8 +39,23 @@ pub struct PlantedFault {
 /// # Errors
 /// If the log cannot be written, or the audit fails.
 pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
-    let log = dir.join(DEMO_LOG);
-    write(&log).map_err(|error| Trouble {
+    audit_scenario(dir.join(DEMO_LOG), &synth::demo(), check_planted)
+}
+
+/// Writes the poses of a controller and of a faulty tracker to `dir` as [`DEMO_PAIR_LOG`] and audits them.
+///
+/// # Errors
+/// As [`demo`].
+pub fn demo_pair(dir: &Path) -> Result<Demo, Trouble> {
+    audit_scenario(dir.join(DEMO_PAIR_LOG), &synth::pair(), check_planted_in_pair)
+}
+
+fn audit_scenario(
+    log: PathBuf,
+    scenario: &Scenario,
+    check: fn(&[Finding], &Scenario) -> Vec<PlantedFault>,
+) -> Result<Demo, Trouble> {
+    write(&log, scenario).map_err(|error| Trouble {
         kind: TroubleKind::Call,
         what: innermost_cause(&*error).to_string(),
         place: log.display().to_string(),
@@ -47,14 +63,14 @@ pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
     })?;
     let audited = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
     let report = audited.with_figures().into_report();
-    let planted = check_planted(&report.findings);
+    let planted = check(&report.findings, scenario);
     Ok(Demo { report, planted })
 }
 
-fn write(log: &Path) -> Result<(), Box<dyn Error>> {
+fn write(log: &Path, scenario: &Scenario) -> Result<(), Box<dyn Error>> {
     write_whole(log, |staged| {
         let out = BufWriter::new(File::create(staged)?);
-        synth::demo().write_mcap(out, Some(mcap::Compression::Zstd))?;
+        scenario.write_mcap(out, Some(mcap::Compression::Zstd))?;
         Ok(())
     })
 }
@@ -63,7 +79,7 @@ fn innermost_cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'st
     error.source().map_or(error, innermost_cause)
 }
 
-fn check_planted(findings: &[Finding]) -> Vec<PlantedFault> {
+fn check_planted(findings: &[Finding], run: &Scenario) -> Vec<PlantedFault> {
     let has = |topic: Option<&str>, joint: Option<&str>, is_it: &dyn Fn(&Cause) -> bool| {
         findings.iter().any(|finding| {
             finding.subject.topic.as_deref() == topic
@@ -71,9 +87,6 @@ fn check_planted(findings: &[Finding]) -> Vec<PlantedFault> {
                 && is_it(&finding.cause)
         })
     };
-    let near =
-        |found: &Measured, value: f64, tolerance: f64| (found.value - value).abs() <= tolerance;
-    let run = synth::demo();
     let latency_s = run.pose.timing.latency_s;
     let (lift, zero_rad) = ("shoulder_lift_joint", run.joints.zero_offsets[1]);
     let drift_rad_s = run.imu.yaw_drift_rad_s;
@@ -91,14 +104,14 @@ fn check_planted(findings: &[Finding]) -> Vec<PlantedFault> {
             recovered: has(
                 Some(pose),
                 None,
-                &|cause| matches!(cause, Cause::Latency(found) if near(found, latency_s, 1e-3)),
+                &|cause| matches!(cause, Cause::Latency(found) if is_near(found.value, latency_s, 1e-3)),
             ),
         },
         PlantedFault {
             what: format!("zero of {lift} off by {:+.1}°", zero_rad.to_degrees()),
             recovered: has(None, Some(lift), &|cause| {
                 let tolerance = 0.05_f64.to_radians();
-                matches!(cause, Cause::JointZero { offset, .. } if near(offset, zero_rad, tolerance))
+                matches!(cause, Cause::JointZero { offset, .. } if is_near(offset.value, zero_rad, tolerance))
             }),
         },
         PlantedFault {
@@ -109,8 +122,46 @@ fn check_planted(findings: &[Finding]) -> Vec<PlantedFault> {
             ),
             recovered: has(Some(synth::IMU), None, &|cause| {
                 let tolerance = 0.15_f64.to_radians() / 60.0;
-                matches!(cause, Cause::YawDrift(found) if near(found, drift_rad_s, tolerance))
+                matches!(cause, Cause::YawDrift(found) if is_near(found.value, drift_rad_s, tolerance))
             }),
         },
     ]
+}
+
+fn check_planted_in_pair(findings: &[Finding], run: &Scenario) -> Vec<PlantedFault> {
+    let tracker = &run.tracker;
+    let of_tracker =
+        findings.iter().filter(|finding| finding.subject.topic.as_ref() == Some(&tracker.topic));
+    let latency_s = tracker.timing.latency_s;
+    let is_late = |finding: &Finding| matches!(&finding.cause, Cause::Latency(found) if is_near(found.value, latency_s, 1e-3));
+    let slip = tracker.slip.as_ref().expect("the marker slips");
+    let slip_m = slip.tool_from_slipped.translation.vector.norm();
+    let is_slip = |finding: &Finding| {
+        let Some(Estimate::Frame { name: "tool frame", value, change: Some(change), .. }) =
+            &finding.estimate
+        else {
+            return false;
+        };
+        let at_s = change.change_ns.seconds_since(run.start);
+        is_near(*value, slip_m, 3e-4) && is_near(at_s, slip.from_s, 0.5)
+    };
+    vec![
+        PlantedFault {
+            what: format!("{} {:.0} ms late", tracker.topic, latency_s * 1e3),
+            recovered: of_tracker.clone().any(is_late),
+        },
+        PlantedFault {
+            what: format!(
+                "marker of {} slips by {:.0} mm at {:+.0} s",
+                tracker.topic,
+                slip_m * 1e3,
+                slip.from_s
+            ),
+            recovered: of_tracker.clone().any(is_slip),
+        },
+    ]
+}
+
+fn is_near(found: f64, planted: f64, tolerance: f64) -> bool {
+    (found - planted).abs() <= tolerance
 }

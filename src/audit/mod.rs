@@ -19,7 +19,7 @@ use crate::report::{
 use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
 
 pub use calibrate::{CalibrationInput, CalibrationResult, calibrate};
-pub use demo::{DEMO_LOG, Demo, PlantedFault, demo};
+pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
 pub use options::{Options, Policy};
 
 pub(crate) struct ReadLog {

@@ -24,6 +24,7 @@ pub(super) enum Topic {
     CommandedJoints,
     Goal,
     Leader,
+    Tracker,
 }
 
 impl Topic {
@@ -33,7 +34,7 @@ impl Topic {
             Self::TfStatic => TF_STATIC,
             Self::JointStates | Self::SeparateJoints => JOINT_STATES,
             Self::Imu => IMU,
-            Self::Pose | Self::Leader => POSE,
+            Self::Pose | Self::Leader | Self::Tracker => POSE,
             Self::Numbers => NUMBERS,
             Self::Tf => TF,
             Self::Target => TARGET,
@@ -52,9 +53,12 @@ impl Topic {
             }
             Self::Imu => "sensor_msgs/msg/Imu",
             Self::Numbers => "std_msgs/msg/Float64MultiArray",
-            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal | Self::Leader => {
-                "geometry_msgs/msg/PoseStamped"
-            }
+            Self::Pose
+            | Self::Target
+            | Self::CommandedPose
+            | Self::Goal
+            | Self::Leader
+            | Self::Tracker => "geometry_msgs/msg/PoseStamped",
         }
     }
 
@@ -84,7 +88,12 @@ impl Topic {
                  float64[9] linear_acceleration_covariance\n",
                 &[HEADER, TIME, QUATERNION, VECTOR3],
             ),
-            Self::Pose | Self::Target | Self::CommandedPose | Self::Goal | Self::Leader => (
+            Self::Pose
+            | Self::Target
+            | Self::CommandedPose
+            | Self::Goal
+            | Self::Leader
+            | Self::Tracker => (
                 "std_msgs/Header header\nPose pose\n",
                 &[HEADER, TIME, POSE_TYPE, POINT, QUATERNION],
             ),

@@ -16,6 +16,7 @@ mod streams;
 mod structure;
 mod target;
 mod task;
+mod tracker;
 mod truth;
 mod urdf;
 
@@ -27,7 +28,9 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 use nalgebra::Matrix3;
 
-use crate::geometry::{Convention, Misinterpretation, Pose, Vec3, pose, rotation_from_rotvec};
+use crate::geometry::{
+    Convention, Misinterpretation, Pose, Rotation, Vec3, pose, rotation_from_rotvec,
+};
 use crate::robot::{ChainError, Robot, catalogue};
 use crate::time::Stamp;
 
@@ -45,6 +48,7 @@ pub use structure::{
 };
 pub use target::{BodyAxesPart, Camera, TargetStream};
 pub use task::Task;
+pub use tracker::TrackerStream;
 use truth::Truth;
 pub use urdf::urdf_text;
 
@@ -132,6 +136,8 @@ pub struct Scenario {
     pub reference: ReferenceStream,
     /// Leading hand; off at rate 0.
     pub leader: LeaderStream,
+    /// Tracker of a marker on the tip; off at rate 0.
+    pub tracker: TrackerStream,
     /// Namespace of all topics except transforms, such as `/left`.
     pub namespace: String,
     /// First link of joint states and transforms, if above `base`: a rail, lift or waist then moves the
@@ -267,6 +273,7 @@ impl Scenario {
             target: TargetStream::disabled(),
             reference: ReferenceStream::disabled(base),
             leader: LeaderStream::disabled(),
+            tracker: TrackerStream::disabled(),
             namespace: String::new(),
             root: None,
             moving_base: None,
@@ -316,6 +323,7 @@ impl Scenario {
     fn name_of(&self, topic: Topic) -> String {
         let own = match (topic, &self.joints.separate_topic) {
             (Topic::Leader, _) => &self.leader.topic,
+            (Topic::Tracker, _) => &self.tracker.topic,
             (Topic::SeparateJoints, Some((_, name))) => name,
             _ => topic.name(),
         };
@@ -340,6 +348,7 @@ fn write(
             reference::command_messages(arm, &truth),
             structure::moving_base_messages(arm),
             structure::leader_messages(arm, &truth),
+            tracker::tracker_messages(arm, &truth),
         ];
         let said = said.into_iter().flatten();
         messages.extend(said.map(|message| (arm.name_of(message.topic), message)));
@@ -391,6 +400,24 @@ pub fn demo() -> Scenario {
     run.pose.timing.latency_s = 0.022;
     run.joints.zero_offsets = vec![0.0, 0.5_f64.to_radians()];
     run.imu.yaw_drift_rad_s = 3.0_f64.to_radians() / 60.0;
+    run
+}
+
+/// The pair of the demo: 30 s of a UR5e's pose and of a tracker's, without joint states, transforms and
+/// description. The tracker is 24 ms late, and its marker slips by 5 mm after 18 s.
+pub fn pair() -> Scenario {
+    let mut run = Scenario { duration_s: 30.0, has_description: false, ..Scenario::ur5e() };
+    run.joints.timing.rate_hz = 0.0;
+    run.tf.timing.rate_hz = 0.0;
+    run.tf.has_static = false;
+    run.imu.timing.rate_hz = 0.0;
+    run.tracker.timing.rate_hz = 100.0;
+    run.tracker.timing.latency_s = 0.024;
+    run.tracker.slip = Some(ToolSlip {
+        from_s: 18.0,
+        to_s: f64::INFINITY,
+        tool_from_slipped: pose([0.003, 0.004, 0.0], Rotation::identity()),
+    });
     run
 }
 

@@ -95,6 +95,8 @@ pub(super) enum Purpose {
     DriveTransport,
     SecondTfTransport,
     PoseWalk,
+    TrackerNoise,
+    TrackerTransport,
 }
 
 pub(super) fn random(seed: u64, purpose: Purpose) -> Pcg64 {

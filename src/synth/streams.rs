@@ -6,8 +6,7 @@ use super::messages::{self, LoggedImu, LoggedPose, LoggedTransform, Topic};
 use super::noise::{Purpose, UnitNoise, add_noise, random, small_rotation};
 use super::truth::{GRAVITY_M_S2, Truth};
 use super::{
-    IMU_FRAME, ImuStream, JointStream, LoggedEncoding, PoseStream, Scenario, Timing, ToolSlip,
-    urdf_text,
+    IMU_FRAME, ImuStream, JointStream, LoggedEncoding, PoseStream, Scenario, Timing, urdf_text,
 };
 use crate::geometry::{
     Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_matrix_rows,
@@ -124,8 +123,8 @@ fn pose_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
             let stream = &scenario.scenario_at(tick.time_s).pose;
             let stream_from_reference = stream.reference_from_stream.inverse();
             let mut pose = stream_from_reference * reference_from_tip * stream.tip_from_stream;
-            let slipped = |slip: &&ToolSlip| (slip.from_s..slip.to_s).contains(&tick.time_s);
-            if let Some(slip) = stream.tool_slip.as_ref().filter(slipped) {
+            let slip = stream.tool_slip.as_ref();
+            if let Some(slip) = slip.filter(|slip| slip.is_active(tick.time_s)) {
                 pose *= slip.tool_from_slipped;
             }
             let far = scenario.noise.factor_at_distance(pose.translation.vector.norm());

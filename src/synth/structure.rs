@@ -107,6 +107,12 @@ pub struct ToolSlip {
     pub tool_from_slipped: Pose,
 }
 
+impl ToolSlip {
+    pub(super) fn is_active(&self, time_s: f64) -> bool {
+        (self.from_s..self.to_s).contains(&time_s)
+    }
+}
+
 pub(super) fn leader_messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.leader;
     let mut noise = scenario.unit_noise(Purpose::LeaderNoise, 6);

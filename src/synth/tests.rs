@@ -393,14 +393,16 @@ fn encodings_can_be_inverted() {
 
 #[test]
 fn bytes_depend_only_on_scenario_and_seed() {
-    let run = Scenario { duration_s: 2.0, ..demo() };
     let bytes = |run: &Scenario| {
         let mut bytes = Vec::new();
         run.write_mcap(Cursor::new(&mut bytes), Some(Compression::Zstd)).unwrap();
         bytes
     };
-    assert_eq!(bytes(&run), bytes(&run));
-    assert_ne!(bytes(&run), bytes(&Scenario { seed: 2, ..run.clone() }));
+    for run in [demo(), pair()] {
+        let run = Scenario { duration_s: 2.0, ..run };
+        assert_eq!(bytes(&run), bytes(&run));
+        assert_ne!(bytes(&run), bytes(&Scenario { seed: 2, ..run.clone() }));
+    }
 }
 
 #[test]
