@@ -181,6 +181,18 @@ fn an_error_of_the_reference_is_found_by_exchanging_the_streams() {
 }
 
 #[test]
+fn a_third_stream_decides_which_one_is_late() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let late = |t_s: f64| body_at(t_s - 0.06);
+    let mut logs = write_pair(folder.path(), late, |t_s| in_its_frames(&body_at(t_s)));
+    logs.push(write(&folder.path().join("c.tum"), 70.0, 5, body_at));
+    let report = audited(&logs, Some("a"));
+    let fault = only_fault(&report, "LAT001");
+    assert_eq!(fault.subject.topic.as_deref(), Some("a"));
+    assert_contains(fault, 0.06);
+}
+
+#[test]
 fn another_world_does_not_change_the_latency() {
     let moved = pose([-4.0, 2.0, 1.0], rotation_from_rotvec(Vec3::new(0.5, 1.0, -0.7)));
     let late = |t_s: f64| in_its_frames(&body_at(t_s - 0.03));

@@ -113,6 +113,7 @@ class Subject:
     topic: str | None = None
     joint: str | None = None
     frame: str | None = None
+    reference: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +212,27 @@ class Workspace:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrajectoryError:
+    """Root mean squares of the distance and the angle."""
+
+    translation_m: float
+    rotation_rad: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamComparison:
+    """A pose stream compared with another, with ATE and RPE as computed by evo."""
+
+    topic: str
+    reference: str
+    reason: str
+    pairs: int
+    ate: TrajectoryError | None = None
+    ate_aligned: TrajectoryError | None = None
+    rpe: TrajectoryError | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """A motion that would resolve undetermined checks, and the command that writes it."""
 
@@ -237,6 +259,7 @@ class Report:
     """Most severe first; `findings.to_polars()` and `findings.to_pandas()` return data frames."""
     ignored: Rows[Ignored] = field(default_factory=lambda: Rows(Ignored, (), ()))
     observability: tuple[Mapping[str, Any], ...] = ()
+    comparisons: tuple[StreamComparison, ...] = ()
     workspace: tuple[Workspace, ...] = ()
     plans: tuple[Plan, ...] = ()
     open: str | None = None

@@ -111,6 +111,7 @@ mod tests {
         run.robots[0].poses[0].diagnosis.radial_scale_changes = vec![ScalarChange {
             at_s: 5.0,
             within_s: 0.1,
+            is_gradual: false,
             from: 0.0,
             to: 0.01,
             size: precise(0.01),

@@ -134,6 +134,7 @@ pub fn clean_run() -> RunEvidence {
     let arm = ArmEvidence {
         name: ARM.to_owned(),
         joints_topic: JOINTS.to_owned(),
+        is_trajectory: false,
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,

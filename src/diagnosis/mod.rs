@@ -30,9 +30,12 @@
 //! 6. `arm::stream`, `arm::zeros`, `residuals::excess` and `latency::profile` compute values, intervals,
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
-//! 7. `compliance` and `changes` (change points) compete to explain a remaining residual. Each corrects
+//! 7. `compliance` and `changes` (change points and drifts) compete to explain a remaining residual. Each corrects
 //!    the run and repeats steps 2 to 6; it must halve the residual or be clearly likelier. A run that
 //!    follows FK as logged only between gaps or jumps of the numbers starts here.
+//!
+//! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
+//! (`Chain::is_floating`), which has no encoding, zeros, compliance or link deviations.
 //!
 //! Streams derived from joint states, such as /tf, are diagnosed one by one, for encoding and timing only
 //! (`diagnose_derived`). IMUs are compared with FK (`imu`). `residuals::residual_check` compares streams

@@ -62,7 +62,7 @@ pub(super) fn diagnose(run: &mut Run, max_lag_s: f64) -> Vec<ArmStreamsDiagnosis
 }
 
 /// Diagnosis with another pose stream as the reference, if the errors of this one explain what those of the others do
-/// not, or explain it in a more usual way.
+/// not, or explain it in a more usual way, or by fewer of at least three streams.
 fn with_other_reference(
     run: &Run,
     arm: &Arm,
@@ -70,7 +70,10 @@ fn with_other_reference(
     max_lag_s: f64,
 ) -> Option<(Arm, ArmStreamsDiagnosis)> {
     let is_unusual = found.arm.has_unusual_misinterpretation();
-    arm.trajectory.as_ref().filter(|_| is_unusual || found.arm.is_unexplained())?;
+    let deviating = found.arm.deviating_streams();
+    let is_shared = deviating >= 2 && deviating == found.arm.streams.len();
+    let is_open = is_unusual || is_shared || found.arm.is_unexplained();
+    arm.trajectory.as_ref().filter(|_| is_open)?;
     let others = (0..arm.poses.len()).filter_map(|source| run.with_other_reference(arm, source));
     let diagnosed = others.map(|other| {
         let found = diagnose_one(run, &other, max_lag_s);
@@ -78,7 +81,9 @@ fn with_other_reference(
     });
     let mut better = diagnosed.filter(|(_, ArmStreamsDiagnosis { arm: other, .. })| {
         let is_usual = || is_unusual && !other.has_unusual_misinterpretation();
-        other.is_far_better_than(&found.arm) || (is_usual() && other.is_as_good_as(&found.arm))
+        let is_simpler = || is_shared && other.deviating_streams() < deviating;
+        other.is_far_better_than(&found.arm)
+            || ((is_usual() || is_simpler()) && other.is_as_good_as(&found.arm))
     });
     better.next()
 }

@@ -337,7 +337,8 @@ impl Arm {
     }
 
     fn has_joint_states_of(&self, name: &str) -> bool {
-        self.joint_names.iter().any(|known| known == name)
+        // The only joint of a trajectory is floating.
+        self.trajectory.is_some() || self.joint_names.iter().any(|known| known == name)
     }
 
     pub(super) fn has_logged_joint_between(&self, a: &str, b: &str) -> bool {

@@ -186,8 +186,10 @@ cases! {
     FRM007 a_rotated_base_is_still_a_reference_frame: |log| {
         log.run.pose.reference_from_stream = base_rotated_by_180_degrees();
     } => OnlyOtherFinding("FRM002");
-    FRM007 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0
-        => Skipped("no joint states");
+    FRM007 no_joint_states: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("no joint states");
 
     FRM006 goals_missed_by_three_millimetres: |log| {
         follow_commands(log, Commands::Goals, 0.0);

@@ -31,8 +31,10 @@ cases! {
         stop_abruptly(log, 30.0);
         log.run.pose.timing.rate_hz = 50.0;
     } => OnlyOtherFinding("MOT002");
-    MOT001 no_stream_that_can_vibrate: |log| log.run.joints.timing.rate_hz = 0.0
-        => Skipped("joint states");
+    MOT001 no_stream_that_can_vibrate: |log| {
+        log.run.joints.timing.rate_hz = 0.0;
+        log.run.imu.timing.rate_hz = 0.0;
+    } => Skipped("joint states");
 
     MOT002 an_abrupt_stop_at_30_rad_per_s2: |log| stop_abruptly(log, 30.0)
         => warning(Joint("shoulder_lift_joint"), Amount(30.0, 3.0));

@@ -187,18 +187,24 @@ fn jump_json(jump: &YawJump) -> Value {
 fn drift_fault(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.seconds();
     let drifted = Unit::Radian.show(drift.value.abs() * seconds);
+    let reference = imu.subject.reference.as_deref();
     Fault {
         severity,
         cause: Cause::YawDrift(*drift),
         title: "IMU yaw drifts",
-        message: format!("yaw drifts {} against the arm", THRESHOLD.unit.show_signed(drift)),
+        message: format!(
+            "yaw drifts {} against {}",
+            THRESHOLD.unit.show_signed(drift),
+            reference.unwrap_or("the arm")
+        ),
         evidence: Evidence {
             effect: Some(format!("{drifted} over this run of {seconds:.1} s")),
             ..Evidence::default()
         },
-        fix:
-            "take yaw from FK, or enable a magnetometer or another heading reference in the filter"
-                .to_owned(),
+        fix: format!(
+            "take yaw from {}, or enable a magnetometer or another heading reference in the filter",
+            reference.unwrap_or("FK")
+        ),
     }
 }
 

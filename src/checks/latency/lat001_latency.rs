@@ -227,7 +227,7 @@ fn late_joint_states(
             .severity(lateness.value)
             .unwrap_or(Severity::Warning),
         cause: Cause::Latency(*lateness),
-        title: "joint states are late",
+        title: arm.arm_or_body("joint states are late", "stream is late"),
         message: format!("{} late against {topics}", THRESHOLD.unit.show_measured(lateness)),
         evidence: Evidence {
             indistinguishable: alternatives.collect(),
@@ -236,7 +236,11 @@ fn late_joint_states(
             ..Evidence::default()
         },
         fix: format!(
-            "stamp the joint states when the encoders are read, or shift {} by {}",
+            "stamp {}, or shift {} by {}",
+            arm.arm_or_body(
+                "the joint states when the encoders are read",
+                "its poses at acquisition, not at publishing"
+            ),
             arm.joints_topic,
             shift(lateness),
         ),

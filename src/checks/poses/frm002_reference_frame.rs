@@ -21,6 +21,8 @@ rule! {
     ///   distance, `rotation` its angle; all six components are tested jointly.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
     ///   `change_ns`).
+    /// - In `changes`, `is_gradual` marks a drift at a constant rate; the value is then its size over the run, at the
+    ///   middle of the motion.
     /// - `from`, `to`, `change_ns` also if `frame_id` changes during the run and the poses are right under
     ///   only one of the names.
     ///
@@ -32,7 +34,8 @@ rule! {
     /// is preferred unless the angle is round; `indistinguishable` lists the alternative. A frame not fixed
     /// to the robot (a tracker's world) is estimated, never a fault. If the tool is also off and the tip
     /// keeps its orientation, only the usual length of a tool (0.5 m) limits the distance. The interval is
-    /// that wide.
+    /// that wide. Between two pose streams, unrelated frames are estimated as `info`, and a change may be one
+    /// of either stream.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),

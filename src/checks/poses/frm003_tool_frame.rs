@@ -19,7 +19,7 @@ rule! {
     /// - `pose`: `tip_from_stream`, the stream's point in the tip frame. The value is its distance,
     ///   `rotation` its angle; all six components are tested jointly.
     /// - `changes`: times and offsets of changes. The value is then the size of the change (`from`, `to`,
-    ///   `change_ns`).
+    ///   `change_ns`). `is_gradual` marks a drift at a constant rate; the value is then its size over the run.
     ///
     /// The poses may alternate between rigid bodies on one tool (a tracker confuses markers, or the TCP is
     /// switched). Each but the most frequent one has a finding with its offset from that (`pose` is

@@ -331,9 +331,7 @@ impl ArmDiagnosis {
     /// positions are in a unit above the metre. The usual error of the reference has the same effect, for rotations
     /// if the frames are equal.
     pub fn has_unusual_misinterpretation(&self) -> bool {
-        let is_large = |stream: &PoseDiagnosis| {
-            matches!(stream.length_unit, Ok(Some(error)) if error.factor() > 1.0)
-        };
+        let is_large = |stream: &PoseDiagnosis| matches!(stream.length_unit, Ok(Some(error)) if error.factor() > 1.0);
         let encodings = self.streams.iter().filter_map(|stream| stream.encoding.as_ref().ok());
         self.streams.iter().any(is_large)
             || encodings.into_iter().any(|encoding| match encoding.best {
@@ -345,6 +343,31 @@ impl ArmDiagnosis {
                 }
                 _ => false,
             })
+    }
+
+    /// Number of streams that differ from the reference by more than constant frames.
+    pub fn deviating_streams(&self) -> usize {
+        /// Usual delays of drivers, s.
+        const MAX_USUAL_LATENCY_S: f64 = 2e-3;
+        let is_late = |stream: &PoseDiagnosis| {
+            stream.latency_s.as_ref().is_ok_and(|latency| {
+                latency.value.abs() > MAX_USUAL_LATENCY_S.max(3.0 * latency.std_error)
+            })
+        };
+        let is_misread = |stream: &PoseDiagnosis| {
+            stream.is_inverted
+                || matches!(stream.length_unit, Ok(Some(_)))
+                || matches!(stream.axes, Ok(Some(_)))
+                || stream.encoding.as_ref().is_ok_and(|encoding| !encoding.best.is_as_logged())
+        };
+        let is_unsteady = |stream: &PoseDiagnosis| {
+            stream.latency_profile.as_ref().is_ok_and(|profile| profile.is_unsteady)
+                || stream.is_skew_chosen
+        };
+        let deviates = |stream: &&PoseDiagnosis| {
+            is_late(stream) || is_misread(stream) || is_unsteady(stream) || stream.has_changes()
+        };
+        self.streams.iter().filter(deviates).count()
     }
 
     /// Residual relative to the motion, so it does not depend on the unit of the reference.

@@ -11,8 +11,8 @@ use crate::latency::correlation::{ArmSpeeds, LagPeak, MIN_SPEED_CORRELATION, str
 use crate::samples::sampling::{as_rotations, slow_samples};
 use crate::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
-use nalgebra::Matrix3;
 use ground::stream::{JointTrack, PoseTrack};
+use nalgebra::Matrix3;
 
 /// As far as positions alone determine it.
 pub(crate) struct PositionEncodingEstimate {

@@ -161,17 +161,17 @@ impl FindingContext<'_> {
             | Cause::OtherRobot(_) => {
                 evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 evidence.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
-                evidence.plots.extend(self.poses().map(errors::over_reach));
+                evidence.plots.extend(self.over_reach());
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::JointZero { .. } => {
                 evidence.whiskers.extend(self.zero_offsets());
                 evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
-                evidence.plots.extend(self.poses().map(errors::over_reach));
+                evidence.plots.extend(self.over_reach());
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
             Cause::RadialScale => {
-                evidence.plots.extend(self.poses().map(errors::over_reach));
+                evidence.plots.extend(self.over_reach());
                 evidence.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 evidence.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
@@ -250,6 +250,12 @@ impl FindingContext<'_> {
     fn imus(&self) -> impl Iterator<Item = &ImuFigure> {
         let imus = self.figures.imus.iter();
         imus.filter(|imu| self.is_subject(&imu.robot, &imu.topic)).take(MAX_STREAMS)
+    }
+
+    /// Only an arm has a reach.
+    fn over_reach(&self) -> impl Iterator<Item = Plot> {
+        let is_of_arm = self.finding.subject.reference.is_none();
+        self.poses().filter(move |_| is_of_arm).map(errors::over_reach)
     }
 
     /// Several arms may share a topic such as /tf.

@@ -165,7 +165,10 @@ impl RowMap {
         let at = |row: usize| match &topic.columns {
             Some(Columns::Array(array)) => array.row(row)[part],
             Some(Columns::Joints(joints)) => joints.joints[part].position[row],
-            Some(Columns::Poses(poses)) => poses[0].xyz[row][part],
+            Some(Columns::Poses(poses)) => {
+                let (xyz, q_xyzw) = (poses[0].xyz[row], poses[0].q_xyzw[row]);
+                xyz.into_iter().chain(q_xyzw).nth(part).unwrap_or(f64::NAN)
+            }
             _ => f64::NAN,
         };
         self.0.iter().map(|row| row.map_or(f64::NAN, at)).collect()

@@ -15,7 +15,7 @@ pub fn position_over_time(report: &Report, pose: &PoseFigure) -> Plot {
         report,
         pose,
         "Position error over time",
-        "Distance of the logged position from forward kinematics",
+        "Distance of the logged position from",
         (Unit::Metre, "mm", 1e3),
         [&pose.before_m, &pose.after_m],
     )
@@ -27,10 +27,16 @@ pub fn rotation_over_time(report: &Report, pose: &PoseFigure) -> Plot {
         report,
         pose,
         "Rotation error over time",
-        "Angle of the logged orientation to forward kinematics",
+        "Angle of the logged orientation to",
         (Unit::Radian, "°", 1f64.to_degrees()),
         [&pose.before_rad, &pose.after_rad],
     )
+}
+
+/// The reference, or forward kinematics.
+fn predicted_by<'a>(report: &'a Report, pose: &PoseFigure) -> &'a str {
+    let compared = report.comparisons.iter().find(|row| row.topic == pose.topic);
+    compared.map_or("forward kinematics", |row| &row.reference)
 }
 
 fn over_time(
@@ -49,7 +55,11 @@ fn over_time(
         title,
         robot: pose.robot.clone(),
         stream: pose.topic.clone(),
-        caption: format!("{what}: {}.", max_errors_text(&series, unit)),
+        caption: format!(
+            "{what} {}: {}.",
+            predicted_by(report, pose),
+            max_errors_text(&series, unit)
+        ),
         x: pose.t_s.clone(),
         x_label: "time, s",
         y_label: unit,
