@@ -31,7 +31,12 @@ pub fn diagnose_with_latency_compensation(
     let by_recorded_changes =
         diagnose_with_recorded_changes(joints, streams, is_prismatic, max_lag_s);
     if let Some(diagnosis) = by_recorded_changes {
-        return diagnosis;
+        // Between poses in one frame, a drift leaves some segments as logged.
+        let by_drift = are_floating(streams)
+            .then(|| diagnose_arm(joints, streams, max_lag_s))
+            .and_then(|constant| diagnose_with_drift(joints, streams, &constant, max_lag_s))
+            .filter(|drift| residual_m(drift) <= residual_m(&diagnosis));
+        return by_drift.unwrap_or(diagnosis);
     }
     let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
         streams
