@@ -206,7 +206,9 @@ fn an_unknown_reference_is_an_error_of_the_call() {
     let folder = tempfile::tempdir().expect("a folder");
     let logs = write_pair(folder.path(), body_at, body_at);
     let run = RunOptions { reference: Some("/nothing".to_owned()), ..RunOptions::default() };
-    let trouble = audit(&Options { logs, run, ..Options::default() }).err().expect("an error");
+    let Err(trouble) = audit(&Options { logs, run, ..Options::default() }) else {
+        panic!("an error")
+    };
     assert_eq!(trouble.place, "--reference");
     assert!(trouble.what.contains("no topic '/nothing'"), "{}", trouble.what);
 }

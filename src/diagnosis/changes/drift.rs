@@ -29,6 +29,8 @@ struct Drift {
     dof: f64,
     /// Of the whole fit, with weights that depend only on the residual before it.
     cost: f64,
+    /// Of constant frames alone.
+    constant_cost: f64,
 }
 
 struct DriftFit<'a> {
@@ -62,6 +64,8 @@ impl<'a> DriftFit<'a> {
         };
         let (first, normal) = step_with(&linear.first_weights());
         let cost = normal.cost_after(&first);
+        let constant: Vec<usize> = (0..CONSTANT).collect();
+        let constant_cost = normal.cost_after(&normal.step(&DVector::zeros(WIDTH), &constant));
         let weights = linear.weights_after(first.as_slice());
         let (step, normal) = step_with(&weights);
         let columns: Vec<Option<usize>> = all.into_iter().map(Some).collect();
@@ -74,6 +78,7 @@ impl<'a> DriftFit<'a> {
             covariance: covariance.view((CONSTANT, CONSTANT), (6, 6)).into_owned(),
             dof: (normal.independent - WIDTH as f64).max(3.0),
             cost,
+            constant_cost,
         }
     }
 
@@ -118,12 +123,13 @@ pub(crate) fn diagnose_with_drift(
         stream.residual.is_ok() && !stream.is_far_from_fk() && has_slow_residual(stream)
     });
     let by_stream = slow.filter_map(|s| {
-        let cost = |frame: Frame| DriftFit::new(&diagnosis.streams[s], frame).solve().cost;
-        let frame = match cost(Frame::Reference) <= cost(Frame::Tool) {
-            true => Frame::Reference,
-            false => Frame::Tool,
-        };
-        diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s)
+        let fits =
+            Frame::BOTH.map(|frame| (frame, DriftFit::new(&diagnosis.streams[s], frame).solve()));
+        let (frame, fit) = fits.into_iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
+        // A residual of joints hardly depends on time.
+        let may_explain =
+            are_floating(streams) || fit.cost < MAX_RESIDUAL_RATIO.powi(2) * fit.constant_cost;
+        may_explain.then(|| diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s))?
     });
     by_stream.min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)))
 }

@@ -12,8 +12,8 @@ use crate::imu::diagnose_converted_imu;
 use crate::residuals::comparison::{has_latency_steps, has_slow_residual, residual_m};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
-    detect_pose_latency_changes, diagnose_arm,
+    JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
+    detect_imu_latency_changes, detect_pose_latency_changes, diagnose_arm,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
@@ -182,8 +182,9 @@ pub fn diagnose_with_latency_compensation(
         (change, compliance) => (change.is_some(), change.or(compliance)),
     };
     // Steps can imitate a drift.
+    let are_steps = |stream: &PoseDiagnosis| are_floating(&streams) && stream.has_changes();
     let is_open = match &alternative {
-        Some(other) => other.streams.iter().any(|it| it.has_changes() || has_slow_residual(it)),
+        Some(other) => other.streams.iter().any(|it| are_steps(it) || has_slow_residual(it)),
         None => !is_within_links,
     };
     let by_drift = is_open

@@ -2,9 +2,9 @@
 
 use std::sync::OnceLock;
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, Unit, Vector4};
+use nalgebra::{Matrix3, Rotation3, Translation3};
 
-use crate::geometry::{Pose, Rotation, Vec3};
+use crate::geometry::{Pose, Rotation, Vec3, rotation_from_xyzw};
 
 use super::error::ChainError;
 use super::joint::{JointKind, Limits};
@@ -417,26 +417,26 @@ impl Chain {
 
 /// A zero quaternion is no rotation.
 fn floating_pose(q: &[f64]) -> Pose {
-    let [x, y, z, i, j, k, w] = floating_coordinates(q);
-    let rotation = Unit::try_new(Quaternion::new(w, i, j, k), 0.0).unwrap_or_default();
+    let [x, y, z, q_xyzw @ ..] = floating_coordinates(q);
+    let rotation = rotation_from_xyzw(q_xyzw).unwrap_or_default();
     Pose::from_parts(Translation3::new(x, y, z), rotation)
 }
 
-/// The angular velocity in the base is `2 q̇ q⁻¹` (Diebel, "Representing attitude", 2006, §5.4).
+/// The angular velocity in the base is the vector part of `2 q̇ q⁻¹` (Diebel, "Representing attitude", 2006, §5.4).
 fn floating_jacobian(q: &[f64], jacobian: &mut [[f64; 6]]) -> Pose {
-    let [_, _, _, i, j, k, w] = floating_coordinates(q);
-    let inverse = Quaternion::new(w, i, j, k).try_inverse().unwrap_or_default() * 2.0;
-    let base_from_tip = floating_pose(q);
+    let [_, _, _, x, y, z, w] = floating_coordinates(q);
+    let vector = Vec3::new(x, y, z);
+    let square = vector.norm_squared() + w * w;
+    let factor = if square > 0.0 { 2.0 / square } else { 0.0 };
     for (coordinate, column) in jacobian.iter_mut().enumerate() {
+        let unit = Vec3::ith(coordinate % 3, 1.0);
         match coordinate {
-            0..3 => column[coordinate] = 1.0,
-            _ => {
-                let rate = Quaternion::from_vector(Vector4::ith(coordinate - 3, 1.0));
-                add(column, &Vec3::zeros(), &(rate * inverse).imag());
-            }
+            0..3 => add(column, &unit, &Vec3::zeros()),
+            3..6 => add(column, &Vec3::zeros(), &(factor * (w * unit + vector.cross(&unit)))),
+            _ => add(column, &Vec3::zeros(), &(-factor * vector)),
         }
     }
-    base_from_tip
+    floating_pose(q)
 }
 
 fn floating_coordinates(q: &[f64]) -> [f64; FLOATING_COORDINATES.len()] {
