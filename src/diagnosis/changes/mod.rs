@@ -64,13 +64,15 @@ pub(super) fn diagnose_with_changes(
     max_changes: usize,
 ) -> Option<ArmDiagnosis> {
     let jumps = jumps_in_joints(joints);
-    let steps: Vec<(usize, Jump)> = (0..streams.len())
-        .filter_map(|s| Some((s, likeliest_step(&diagnosis.streams[s])?)))
-        .collect();
+    let likeliest_steps = || -> Vec<(usize, Jump)> {
+        let step = |s: usize| Some((s, likeliest_step(&diagnosis.streams[s])?));
+        (0..streams.len()).filter_map(step).collect()
+    };
     // Link deviations look like small steps.
     let are_exact = are_floating(streams);
+    let exact_steps = if are_exact { likeliest_steps() } else { Vec::new() };
     let is_slow = diagnosis.streams.iter().any(has_slow_residual);
-    if jumps.is_empty() && !is_slow && (steps.is_empty() || !are_exact) {
+    if jumps.is_empty() && !is_slow && exact_steps.is_empty() {
         return None;
     }
     let lags: Vec<f64> = streams
@@ -84,11 +86,12 @@ pub(super) fn diagnose_with_changes(
         })
         .collect();
     let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
-    let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
-    let steps = strongest(steps.collect());
-    let diagnose_with_steps =
-        || if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) };
-    let by_steps = if are_exact { diagnose_with_steps() } else { None };
+    let diagnose_with_steps = |steps: Vec<(usize, Jump)>| {
+        let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
+        let steps = strongest(steps.collect());
+        if steps.is_empty() { None } else { diagnose_with_jumps(&run, &steps, diagnosis) }
+    };
+    let by_steps = diagnose_with_steps(exact_steps);
     if by_steps.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
         return by_steps;
     }
@@ -112,7 +115,10 @@ pub(super) fn diagnose_with_changes(
     }
     let found = [by_steps, by_sharp, diagnose_with_jumps(&run, &all, diagnosis)];
     let best = found.into_iter().flatten().min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)));
-    best.or_else(|| diagnose_with_steps().filter(|_| !are_exact).filter(is_explained))
+    if best.is_some() || are_exact {
+        return best;
+    }
+    diagnose_with_steps(likeliest_steps()).filter(is_explained)
 }
 
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run
