@@ -105,7 +105,7 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// Pose streams, without commands and camera detections if two others remain.
+    /// Pose streams. Topics of commands and camera detections take part only if the caller names the reference.
     fn compared_streams(&self) -> Vec<usize> {
         let has_poses = |index: &usize| {
             let stream = &self.streams[*index];
@@ -117,9 +117,17 @@ impl Assembly<'_> {
                 _ => false,
             }
         };
-        let is_measured =
-            |index: &usize| role_outside_arm(&self.streams[*index].topic) == Role::Unassigned;
-        let all: Vec<usize> = (0..self.streams.len()).filter(has_poses).collect();
+        let role_of = |index: &usize| role_outside_arm(&self.streams[*index].topic);
+        let is_measured = |index: &usize| role_of(index) == Role::Unassigned;
+        // Files have names for other reasons than topics.
+        let is_other_topic = |index: &usize| {
+            !is_measured(index)
+                && self.options.reference.is_none()
+                && self.streams[*index].topic.starts_with('/')
+        };
+        let all =
+            (0..self.streams.len()).filter(|index| has_poses(index) && !is_other_topic(index));
+        let all: Vec<usize> = all.collect();
         let measured: Vec<usize> = all.iter().copied().filter(is_measured).collect();
         if measured.len() > 1 { measured } else { all }
     }
