@@ -233,6 +233,14 @@ fn build_report(
         });
         read.summary.notes.extend(unused);
     }
+    if let (Some(reference), Some(log)) = (&options.run.reference, options.logs.first())
+        && main.run.arms.iter().all(|arm| arm.trajectory.is_none())
+    {
+        let note = format!(
+            "'{reference}' is not the reference: forward kinematics of the joint states is (--reference)"
+        );
+        read.summary.notes.push(NoteRow { path: log.clone(), note });
+    }
     let workspace = workspace_coverage(&main.run, &evaluation);
     let mut report = Report::new(
         read.summary,

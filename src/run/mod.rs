@@ -274,12 +274,14 @@ impl Run {
         let is_compared = |arm: &Arm| {
             arm.trajectory.as_ref().is_some_and(|trajectory| trajectory.others.contains(&stream))
         };
+        let reference = self.arms.iter().find(|arm| is_compared(arm));
+        let of = reference.map_or("the arm".to_owned(), |arm| format!("'{}'", arm.name));
         let (is_pose, verdict) = match peak {
-            Some(peak) if peak >= MIN_PRESUMED_CORRELATION && self.arms.iter().any(is_compared) => {
-                (true, format!("it follows that (speed correlation {peak:.2})"))
-            }
-            Some(peak) if peak >= MIN_FOLLOWER_CORRELATION => {
-                (true, format!("it follows the arm (speed correlation {peak:.2})"))
+            Some(peak)
+                if peak >= MIN_FOLLOWER_CORRELATION
+                    || (reference.is_some() && peak >= MIN_PRESUMED_CORRELATION) =>
+            {
+                (true, format!("it follows {of} (speed correlation {peak:.2})"))
             }
             Some(peak) if presumed && peak >= MIN_PRESUMED_CORRELATION => {
                 (true, format!("its motion is consistent with that (speed correlation {peak:.2})"))
@@ -287,12 +289,12 @@ impl Run {
             Some(peak) => (
                 false,
                 format!(
-                    "it does not follow the arm (speed correlation {}, below {MIN_FOLLOWER_CORRELATION})",
+                    "it does not follow {of} (speed correlation {}, below {MIN_FOLLOWER_CORRELATION})",
                     rounded(peak, 2)
                 ),
             ),
             None if presumed => (true, "the motion neither confirms nor refutes it".to_owned()),
-            None => (false, "the motion does not show whether it follows the arm".to_owned()),
+            None => (false, format!("the motion does not show whether it follows {of}")),
         };
         resolved.role = if is_pose { Role::Pose } else { Role::Unassigned };
         resolved.reason = format!("{}; {verdict}", resolved.reason);

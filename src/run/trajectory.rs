@@ -34,11 +34,10 @@ impl Arm {
             "" => unnamed("frame"),
             frame => frame.to_owned(),
         };
-        let body = match stream.child_frame_id.as_str() {
-            "" => unnamed("body"),
-            child if child == frame => unnamed("body"),
-            child => child.to_owned(),
-        };
+        let named = Some(&stream.child_frame_id).filter(|child| !child.is_empty());
+        let bodies = [named.cloned(), Some(unnamed("body"))].into_iter().flatten();
+        let body = bodies.into_iter().find(|body| *body != frame);
+        let body = body.unwrap_or_else(|| format!("{frame}, the body"));
         let robot = Robot::floating_body(&stream.topic, &frame, &body);
         let [base, tip] = [&frame, &body].map(|name| robot.link(name).expect("its link"));
         let chain = robot.chain(base, tip).expect("a floating joint is a chain");

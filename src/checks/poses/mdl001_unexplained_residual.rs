@@ -127,6 +127,13 @@ impl AttributedStream<'_> {
         }
     }
 
+    /// Nothing but their motion shows that two pose streams are of one body.
+    fn are_separate_bodies(&self) -> bool {
+        let diagnosis = &self.stream.diagnosis;
+        self.subject.reference.is_some()
+            && (diagnosis.residual.is_err() || diagnosis.is_far_from_fk())
+    }
+
     fn is_mismatched(&self) -> bool {
         let reference_known = self.stream.reference_known;
         match &self.stream.diagnosis.residual {
@@ -298,6 +305,13 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
         Attribution::SmallErrors(residual) => Outcome::fail(small(case, residual)),
         Attribution::NominalModel(error) => {
             Outcome::fail(nominal(error, attributed.stream.diagnosis.link_m))
+        }
+        Attribution::Unexplained(residual) if attributed.are_separate_bodies() => {
+            Outcome::Inconclusive(format!(
+                "the streams do not move like one rigid body: off by {} at best, by two separate bodies or an unknown \
+                 error; name the stream to compare with by --reference, and exclude poses of other bodies",
+                sizes(&residual.error)
+            ))
         }
         Attribution::Unexplained(residual) if attributed.is_mismatched() => {
             Outcome::fail(disagreement(attributed, residual))

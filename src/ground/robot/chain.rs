@@ -335,7 +335,8 @@ impl Chain {
 
     /// Approximate reach: largest distance found between the origins of base and tip, m.
     ///
-    /// Never above the true reach, and rarely more than 1 % below; 0 for a floating joint. From the middle and the quarters of the
+    /// Never above the true reach, and rarely more than 1 % below; 0 for a floating joint. From the middle and the
+    /// quarters of the
     /// ranges, each joint in turn takes the best of 48 positions. Revolute joints without limits cover ±π;
     /// such prismatic joints stay at zero.
     pub fn max_reach_m(&self) -> f64 {

@@ -111,7 +111,8 @@ impl Assembly<'_> {
                         "" => FrameKind::Unnamed,
                         _ => stream_frames.frame,
                     };
-                    let source_kind = self.source_kind(stream, frame, found.stamps_copied);
+                    let is_of_joints = found.stamps_copied && trajectory.is_none();
+                    let source_kind = self.source_kind(stream, frame, is_of_joints);
                     source = Some((self.arm_pose_source(arm, stream_frames, found), source_kind));
                 }
                 Err(what)

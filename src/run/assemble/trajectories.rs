@@ -15,7 +15,7 @@ use crate::run::role::{Role, array_role, role_outside_arm};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
-use crate::stream::{Columns, Orientations, PoseTrack, sample_noise};
+use crate::stream::{ArrayColumns, Columns, Orientations, PoseTrack, sample_noise};
 
 use super::assembly::{Assembly, is_topic};
 
@@ -91,9 +91,9 @@ impl Assembly<'_> {
         let arms = candidates.iter().map(|one| self.trajectory(one, &compared));
         let arms: Vec<Arm> = arms.filter(|arm| self.has_other_input(arm)).collect();
         let is_followed = |arm: &&Arm| self.has_follower(arm);
-        // Beside joint states, a pose stream may have nothing to do with the others.
-        let has_joints = !matches!(no_arm, RunError::NoJointStates { .. });
-        let first = arms.first().filter(|_| !has_joints);
+        // In a log of an arm, a pose stream may have nothing to do with the others.
+        let is_without_joints = matches!(no_arm, RunError::NoJointStates { question: None, .. });
+        let first = arms.first().filter(|_| is_without_joints);
         if let Some(arm) = arms.iter().find(is_followed).or(first).cloned()
             && let Some(Trajectory { stream, why, .. }) = &arm.trajectory
         {
@@ -113,6 +113,7 @@ impl Assembly<'_> {
                 Some(Columns::Poses(_)) => true,
                 Some(Columns::Array(array)) => {
                     array_role(&stream.topic, array.width, false).0 != Role::Ignored
+                        && may_be_poses(array)
                 }
                 _ => false,
             }
@@ -214,6 +215,21 @@ impl Assembly<'_> {
         let is_imu = |stream: &Stream| matches!(stream.columns, Some(Columns::Imu(_)));
         other_streams(arm).next().is_some() || self.streams.iter().any(is_imu)
     }
+}
+
+/// Seven joint positions are no quaternion.
+fn may_be_poses(array: &ArrayColumns) -> bool {
+    /// Deviation from unit norm, for numbers with two digits.
+    const MAX_DEFECT: f64 = 0.03;
+    if array.width != 7 {
+        return true;
+    }
+    let rows = array.values.chunks_exact(array.width);
+    let norm = |row: &[f64]| row[3..].iter().map(|part| part * part).sum::<f64>().sqrt();
+    let (unit, all) = rows.fold((0, 0), |(unit, all), row| {
+        (unit + usize::from((norm(row) - 1.0).abs() < MAX_DEFECT), all + 1)
+    });
+    2 * unit > all
 }
 
 fn other_streams(arm: &Arm) -> impl Iterator<Item = usize> {
