@@ -61,7 +61,7 @@ fn is_finding(line: &str, code: &str) -> bool {
         .any(|severity| line.starts_with(&format!("{severity}[{code}]")))
 }
 
-/// Whether the call selects single rules, some of which should pass.
+/// Whether the call selects single rules, so some may pass.
 fn is_selected_rule(call: &str, text: &str, code: &str) -> bool {
     call.contains("--select") && text.contains(code)
 }
@@ -93,7 +93,7 @@ fn documents_show_what_their_commands_print() {
     }
 }
 
-/// Compares the outputs in a document with those of its commands, and returns them.
+/// Compares the outputs in a document with its commands' outputs, and returns them.
 #[cfg(unix)]
 fn check_outputs(name: &str) -> Vec<String> {
     let folder = tempfile::tempdir().expect("a folder");

@@ -43,7 +43,7 @@ def copy(file: Path, pages: Path) -> None:
 
 
 def audit(program: Path, call: str, page: Path) -> None:
-    """Writes the report of a call as one page; findings are no failure."""
+    """Writes the report of a call as one page. Findings do not fail the build."""
     # `-v` changes only the text report.
     call_words = [word for word in shlex.split(call) if word != "-v"]
     words = [str(program), *call_words, "--quiet", "--format", "html", "--output", str(page)]
@@ -58,7 +58,7 @@ def report(call: str) -> str:
 
 
 def write_reports(program: Path, pages: Path) -> None:
-    """Makes the reports, says where they are, and shows each rule's on its page."""
+    """Writes the reports and their index, and embeds a report in the page of each rule."""
     folder = pages / "reports"
     folder.mkdir()
     fixtures = [f"audit fixtures/{log.name}" for log in sorted((ROOT / "fixtures").glob("*.mcap"))]
@@ -71,23 +71,23 @@ def write_reports(program: Path, pages: Path) -> None:
     index += "".join(f"- [`poseaudit {call}`]({report(call)})\n" for call in fixtures)
     (folder / "README.md").write_text(index, encoding="utf-8")
     for rule, call in shown.items():
-        # The report in which the rule finds something, rather than one in which it passes.
+        # Prefer a report with a finding of the rule.
         own = [folder / report(call[1])] if call else []
         others = [folder / report(fixture) for fixture in fixtures]
-        told = next((page for page in [*own, *others] if first_finding(page, rule.stem)), None)
-        page = told or next(iter(own), None)
+        with_finding = (page for page in [*own, *others] if first_finding(page, rule.stem))
+        page = next(with_finding, None) or next(iter(own), None)
         if page:
             place = f"../../reports/{page.name}"
             at = first_finding(page, rule.stem)
             with rule.open("a", encoding="utf-8") as text:
-                text.write(f"\n[A report in which it was asked]({place}{at}), as it opens in a browser:\n\n")
+                text.write(f"\n[Example report]({place}{at}):\n\n")
                 # The address of a page ends in a folder.
                 text.write(f'<iframe src="../{place}{at}" title="The report" loading="lazy" ')
                 text.write('style="width: 100%; height: 42rem; border: 1px solid #8888"></iframe>\n')
 
 
 def first_finding(page: Path, code: str) -> str:
-    """Where a report tells a finding of this rule, as a fragment; empty where it has none."""
+    """The fragment of the rule's first finding in a report, or an empty string."""
     for place, found in FINDING.findall(page.read_text(encoding="utf-8")):
         if found == code:
             return f"#{place}"
@@ -105,12 +105,12 @@ def configure(folder: Path, pages: Path, has_audit: bool) -> None:
 
 
 def stage_audit(built: Path, folder: Path) -> None:
-    """The audit in the browser, whose title leads back to the site."""
+    """Copies the audit in the browser and links its title to the site."""
     shutil.copytree(built, folder)
     page, title = folder / "index.html", "<h1>poseaudit</h1>"
     text = page.read_text(encoding="utf-8")
     if title not in text:
-        sys.exit(f"{built}/index.html has no {title}, which leads to the site")
+        sys.exit(f"{built}/index.html has no {title} to link to the site")
     page.write_text(text.replace(title, '<h1><a href="../index.html">poseaudit</a></h1>'), encoding="utf-8")
 
 
@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("--audit", type=Path, metavar="FOLDER")
     given = parser.parse_args()
     if given.out.exists():
-        sys.exit(f"{given.out}: it is there; name a folder that is not")
+        sys.exit(f"{given.out} exists; name a new folder")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         pages = folder / "pages"

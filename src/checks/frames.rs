@@ -84,7 +84,7 @@ fn judge_stream(
     let reported = || confounders.iter().find(|(_, offset)| offset.is_chosen);
     let frame = match ((end.estimate)(diagnosis), &not_judged) {
         (Ok(frame), _) => frame,
-        (Err(_), Some(why)) => return SubjectResult::new(subject, Outcome::Skipped(why.clone())),
+        (Err(_), Some(why)) => return SubjectResult::new(subject, unjudged(arm, why)),
         (Err(why), None) => {
             let outcome = match reported() {
                 Some((joint, _)) => reported_instead(arm, residual_m, *joint),
@@ -98,6 +98,7 @@ fn judge_stream(
         (Decision::Fail(_), Some(_)) if arm.is_trajectory => {
             Outcome::fail((end.fault)(arm, stream, frame, Severity::Info))
         }
+        (Decision::Undecided(_), Some(why)) if arm.is_trajectory => unjudged(arm, &why),
         (_, Some(why)) => Outcome::pass_with_remark(why),
         (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::residual_doubt(residual_m, effect_m) {
@@ -123,6 +124,12 @@ fn judge_stream(
     SubjectResult::new(subject, outcome)
         .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
         .with_evidence("pose", pose_json(&frame.pose))
+}
+
+/// A frame that is not judged, and not determined.
+fn unjudged(arm: &ArmEvidence, why: &str) -> Outcome {
+    let to_settle = format!("{why}, and this motion does not determine it; {}", settle(arm));
+    Outcome::Skipped(arm.arm_or_body(why.to_owned(), to_settle))
 }
 
 fn reported_instead(arm: &ArmEvidence, residual_m: f64, joint: usize) -> Outcome {

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::sanitize::quote_for_shell;
-use super::workspace::has_misinterpreted_joints;
+use super::workspace::arms_with_readable_joints;
 use crate::checks::resolving_motion;
 use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
@@ -39,9 +39,7 @@ pub(crate) fn plans(
     logs: &[PathBuf],
 ) -> Vec<PlanRow> {
     let mut plans: Vec<PlanRow> = Vec::new();
-    let is_plannable =
-        |arm: &&Arm| arm.trajectory.is_none() && !has_misinterpreted_joints(arm, findings);
-    for arm in run.arms.iter().filter(is_plannable) {
+    for arm in arms_with_readable_joints(run, findings) {
         let own = evidence.robots.iter().find(|own| own.name == arm.name);
         let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
         let own_witness = own.map(ArmEvidence::pose_source_kind);

@@ -55,16 +55,22 @@ pub(crate) struct ArmWorkspace<'a> {
 
 /// Also names inconclusive checks due to too little motion. Excludes arms with misinterpreted joint states.
 pub(crate) fn workspace_coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
-    let rows = run.arms.iter().filter(|arm| !has_misinterpreted_joints(arm, &judged.findings));
-    rows.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
+    let arms = arms_with_readable_joints(run, &judged.findings);
+    arms.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
+}
+
+pub(super) fn arms_with_readable_joints<'a>(
+    run: &'a Run,
+    findings: &[Finding],
+) -> impl Iterator<Item = &'a Arm> {
+    let is_readable =
+        |arm: &&Arm| arm.trajectory.is_none() && !has_misinterpreted_joints(arm, findings);
+    run.arms.iter().filter(is_readable)
 }
 
 /// From all samples of the joint states.
 pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
-    let arms = run
-        .arms
-        .iter()
-        .filter(|arm| arm.trajectory.is_none() && !has_misinterpreted_joints(arm, findings));
+    let arms = arms_with_readable_joints(run, findings);
     let reached = arms.map(|arm| {
         let rows = JointRows::new(run, arm);
         let workspace = Workspace::from_samples(
@@ -77,7 +83,7 @@ pub(crate) fn reached_workspaces<'a>(run: &'a Run, findings: &[Finding]) -> Vec<
 }
 
 /// Unit or order of its joint states.
-pub(super) fn has_misinterpreted_joints(arm: &Arm, findings: &[Finding]) -> bool {
+fn has_misinterpreted_joints(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm = |found: &&Finding| found.subject.arm().is_none_or(|robot| *robot == arm.name);
     findings.iter().filter(is_of_arm).any(|found| {
         matches!(found.cause, Cause::AngleUnit(_) | Cause::JointUnit(_) | Cause::JointOrder { .. })

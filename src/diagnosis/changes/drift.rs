@@ -21,9 +21,9 @@ use nalgebra::{DMatrix, DVector};
 /// Columns of the fit: constant frames, then half of the drift over the run.
 const WIDTH: usize = CONSTANT + 6;
 
-/// Drift over the run, in excess of what is already removed.
+/// Drift over the run, in addition to the drift already removed.
 struct Drift {
-    /// Half of it, as a twist.
+    /// Half of the drift, as a twist.
     half: DVector<f64>,
     covariance: DMatrix<f64>,
     dof: f64,
@@ -126,7 +126,7 @@ pub(crate) fn diagnose_with_drift(
         let fits =
             Frame::BOTH.map(|frame| (frame, DriftFit::new(&diagnosis.streams[s], frame).solve()));
         let (frame, fit) = fits.into_iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
-        // A residual of joints hardly depends on time.
+        // The residual of a joint's fault depends on the configuration, not on time.
         let may_explain =
             are_floating(streams) || fit.cost < MAX_RESIDUAL_RATIO.powi(2) * fit.constant_cost;
         may_explain.then(|| diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s))?
@@ -165,7 +165,7 @@ fn diagnose_one(
         half += more;
         after = next;
     }
-    // Unknown faults of joints can look like a drift that leaves a part of the residual.
+    // Unknown faults of joints can look like a drift, but a part of the residual remains.
     let is_explained = !has_slow_residual(&after.streams[s])
         || (are_floating(streams) && residual_m(&after) <= MAX_RESIDUAL_RATIO * residual_m(before));
     if !is_explained || !is_justified(before, &after, PARAMETERS) {
