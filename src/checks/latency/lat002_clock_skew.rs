@@ -72,12 +72,13 @@ fn judge(
     skew: &StreamEvidence<StreamEstimate<'_>>,
 ) -> SubjectResult {
     let judged = SKEW.judge(&LAT002, case, arm, skew);
-    // Rows of one clock may have been merged from streams of two. Small rates are errors of the model.
-    let is_error = matches!(
+    // Rows of one clock may have been merged from streams of two. Against an arm, small rates are errors of the model.
+    let is_fault = matches!(
         &judged.outcome,
-        Outcome::Evaluated(Ruling::Fail(fault)) if fault.severity == Severity::Error
+        Outcome::Evaluated(Ruling::Fail(fault))
+            if arm.is_trajectory || fault.severity == Severity::Error
     );
-    if has_independent_stamps || is_error {
+    if has_independent_stamps || is_fault {
         return judged;
     }
     let why = arm.arm_or_body(

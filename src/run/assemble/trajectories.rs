@@ -11,7 +11,7 @@ use crate::geometry::{Rotation, angle_between};
 use crate::run::arm::Arm;
 use crate::run::error::RunError;
 use crate::run::poses::{self, StampedTrack};
-use crate::run::role::{Role, array_role, role_outside_arm};
+use crate::run::role::{Role, array_role};
 use crate::run::streams::Stream;
 use crate::run::trajectory::{Trajectory, continuous_quaternions};
 use crate::stats::{STD_DEV_PER_MEDIAN, median};
@@ -118,8 +118,11 @@ impl Assembly<'_> {
                 _ => false,
             }
         };
-        let role_of = |index: &usize| role_outside_arm(&self.streams[*index].topic);
-        let is_measured = |index: &usize| role_of(index) == Role::Unassigned;
+        // A tracked marker is not a camera's, unless its frame is a camera.
+        let is_measured = |index: &usize| {
+            let (role, _) = self.role_of(&self.streams[*index], None, false);
+            !matches!(role, Role::Reference | Role::Target)
+        };
         // Files have names for other reasons than topics.
         let is_other_topic = |index: &usize| {
             !is_measured(index)
