@@ -147,7 +147,7 @@ fn of_images_in_uncompressed_chunks_almost_nothing_is_fetched() {
 
     let text = poseaudit(&server, KEY_ID, &["audit", &url, "--select", "ING"]);
     let text = String::from_utf8_lossy(&text.stdout).into_owned();
-    assert!(text.contains(&format!("{url}, ")) && text.contains(" MB fetched ("), "{text}");
+    assert!(text.contains(&format!("{url}  ")) && text.contains(" MB fetched ("), "{text}");
     let info = poseaudit(&server, KEY_ID, &["info", &url]);
     let info = String::from_utf8_lossy(&info.stdout).into_owned();
     assert!(info.contains(" MB fetched (") && info.contains("/camera"), "{info}");
