@@ -31,7 +31,7 @@
 //!    confounders, excess residual and latency profile. A variable latency is compensated; steps 2 to 6
 //!    are repeated.
 //! 7. `compliance` and `changes` (change points and drifts) compete to explain a remaining residual. Each corrects
-//!    the run and repeats steps 2 to 6; it must halve the residual or be clearly likelier. A run that
+//!    the run and repeats steps 2 to 6. The likeliest diagnosis wins (`selection::evidence`). A run that
 //!    follows FK as logged only between gaps or jumps of the numbers starts here.
 //!
 //! Without joint states, the path of a pose stream takes their place: the chain is one floating joint
@@ -63,6 +63,7 @@ mod test_random;
 
 // What every estimator uses.
 mod model;
+mod priors;
 mod samples;
 mod solver;
 

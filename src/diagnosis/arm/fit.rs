@@ -7,9 +7,10 @@ use crate::latency::correlation::LagPeak;
 use crate::model::measurement::{
     MAX_EXPLAINED_M, MAX_EXPLAINED_RAD, PoseObservations, State, StreamState,
 };
+use crate::priors::ZERO_PRIOR;
 use crate::samples::sampling::MAX_SEARCH_SAMPLES;
 use crate::selection::link_deviations::{
-    LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,
+    LinkDeviations, causes_beyond_link_deviations, estimate_link_deviations,
 };
 use crate::selection::model_selection::{
     CandidateCauses, Cause, SelectedModel, SelectionStart, select_from_starts, select_model,

@@ -10,9 +10,9 @@ use ground::geometry::{Pose, Vec3};
 use ground::robot::LinkPath;
 use nalgebra::{DMatrix, DVector};
 
+use crate::priors::FREE_PRIOR;
 /// 0.1° per mm.
-pub(super) use crate::selection::link_deviations::RAD_PER_M;
-use crate::selection::nominal_model::FREE_PRIOR;
+pub(super) use crate::priors::RAD_PER_M;
 
 /// Shared links and zeros come first.
 pub(super) struct CalibrationParameters {

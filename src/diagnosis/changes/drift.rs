@@ -1,15 +1,16 @@
 //! Frames that drift at a constant rate: a tracker's or SLAM's world, a marker that creeps.
 //!
 //! The drift is fitted to the residual of a diagnosis with constant frames, its effect is removed from the poses, and
-//! the run is diagnosed again. It must explain enough of the residual, like a change point.
+//! the run is diagnosed again.
 
 use super::encoding_changes::keep_encoding;
 use super::frame_columns::{CONSTANT, Frame, FrameColumns};
-use super::justification::{MAX_RESIDUAL_RATIO, is_justified};
 use super::{ChangePoint, with_poses};
 use crate::arm::{are_floating, diagnose_arm};
 use crate::model::measurement::pose_of_twist;
+use crate::priors::price;
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
+use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::solver::linear::Normal;
 use crate::solver::robust::sandwich;
 use crate::{ArmDiagnosis, FrameEstimate, PoseDiagnosis, PoseStream};
@@ -27,10 +28,8 @@ struct Drift {
     half: DVector<f64>,
     covariance: DMatrix<f64>,
     dof: f64,
-    /// Of the whole fit, with weights that depend only on the residual before it.
-    cost: f64,
-    /// Of constant frames alone.
-    constant_cost: f64,
+    /// Reduction of the cost beyond constant frames, minus the price of the drift.
+    score: f64,
 }
 
 struct DriftFit<'a> {
@@ -62,12 +61,13 @@ impl<'a> DriftFit<'a> {
             linear.accumulate(weights, &all, &mut normal);
             (normal.step(&DVector::zeros(WIDTH), &all), normal)
         };
-        let (first, normal) = step_with(&linear.first_weights());
-        let cost = normal.cost_after(&first);
-        let constant: Vec<usize> = (0..CONSTANT).collect();
-        let constant_cost = normal.cost_after(&normal.step(&DVector::zeros(WIDTH), &constant));
+        let (first, _) = step_with(&linear.first_weights());
         let weights = linear.weights_after(first.as_slice());
         let (step, normal) = step_with(&weights);
+        let cost = normal.cost_after(&step);
+        let constant: Vec<usize> = (0..CONSTANT).collect();
+        let constant_cost = normal.cost_after(&normal.step(&DVector::zeros(WIDTH), &constant));
+        let price = price(normal.independent) * (WIDTH - CONSTANT) as f64;
         let columns: Vec<Option<usize>> = all.into_iter().map(Some).collect();
         let mut information = DMatrix::zeros(WIDTH, WIDTH);
         let mut scores = information.clone();
@@ -77,8 +77,7 @@ impl<'a> DriftFit<'a> {
             half: step.rows(CONSTANT, 6).into_owned(),
             covariance: covariance.view((CONSTANT, CONSTANT), (6, 6)).into_owned(),
             dof: (normal.independent - WIDTH as f64).max(3.0),
-            cost,
-            constant_cost,
+            score: constant_cost - cost - price,
         }
     }
 
@@ -125,13 +124,11 @@ pub(crate) fn diagnose_with_drift(
     let by_stream = slow.filter_map(|s| {
         let fits =
             Frame::BOTH.map(|frame| (frame, DriftFit::new(&diagnosis.streams[s], frame).solve()));
-        let (frame, fit) = fits.into_iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
-        // The residual of a joint's fault depends on the configuration, not on time.
-        let may_explain =
-            are_floating(streams) || fit.cost < MAX_RESIDUAL_RATIO.powi(2) * fit.constant_cost;
-        may_explain.then(|| diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s))?
+        let (frame, fit) = fits.into_iter().max_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
+        let is_likely = fit.score > 0.0;
+        is_likely.then(|| diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s))?
     });
-    by_stream.min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)))
+    likeliest(by_stream)
 }
 
 fn diagnose_one(
@@ -145,7 +142,6 @@ fn diagnose_one(
     const MAX_ROUNDS: usize = 3;
     /// Of the drift so far, for another round.
     const MIN_RELATIVE_STEP: f64 = 0.02;
-    const PARAMETERS: usize = 6;
     let mut half = DVector::zeros(6);
     let mut after = before.clone();
     for _ in 0..MAX_ROUNDS {
@@ -166,9 +162,7 @@ fn diagnose_one(
         after = next;
     }
     // Unknown faults of joints can look like a drift, but a part of the residual remains.
-    let is_explained = !has_slow_residual(&after.streams[s])
-        || (are_floating(streams) && residual_m(&after) <= MAX_RESIDUAL_RATIO * residual_m(before));
-    if !is_explained || !is_justified(before, &after, PARAMETERS) {
+    if has_slow_residual(&after.streams[s]) && !are_floating(streams) {
         return None;
     }
     let found = &after.streams[s];
@@ -208,5 +202,5 @@ fn diagnose_one(
     }
     keep_encoding(&before.streams[s], after_stream);
     restore_recorded(joints, &streams[s], after_stream);
-    Some(after)
+    (log_bayes_factor(&after, before) > 0.0).then_some(after)
 }

@@ -4,7 +4,7 @@
 //! The longest segment, the baseline, is diagnosed alone. The others are corrected by its result and
 //! diagnosed again, so their models contain only the differences (after Chow 1960). Correcting these
 //! differences gives a run in which the baseline's errors persist from start to end; it is diagnosed as a
-//! whole. Change points are reported only if this reduces the residual enough ([`justification`]).
+//! whole. Change points are reported only if that is likelier ([`crate::selection::evidence`]).
 
 mod change_points;
 mod constant_frames;
@@ -12,7 +12,6 @@ mod drift;
 mod encoding_changes;
 mod frame_columns;
 mod jumps;
-mod justification;
 mod report;
 mod split_run;
 mod step_test;
@@ -24,6 +23,7 @@ use crate::latency::correlation::stream_lag_s;
 use crate::residuals::comparison::{
     MIN_SEGMENT_SAMPLES, has_latency_steps, has_slow_residual, residual_m, restore_recorded,
 };
+use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     ArmDiagnosis, EstimateResult, FrameCorrection, FrameEstimate, JointDiagnosis, NotObservable,
     PoseDiagnosis, PoseStream,
@@ -41,7 +41,6 @@ pub(super) use constant_frames::constant_frames_suffice;
 pub(super) use drift::diagnose_with_drift;
 use encoding_changes::is_same_encoding;
 use jumps::{Jump, gaps, jumps_in_joints, jumps_in_logged_path, strongest};
-use justification::is_justified;
 use split_run::{Span, SplitRun, set_velocity};
 use step_test::likeliest_step;
 
@@ -95,9 +94,6 @@ pub(super) fn diagnose_with_changes(
     if by_steps.as_ref().is_some_and(|after| !after.streams.iter().any(has_slow_residual)) {
         return by_steps;
     }
-    let is_explained = |after: &ArmDiagnosis| {
-        residual_m(after) <= justification::MAX_RESIDUAL_RATIO * residual_m(diagnosis)
-    };
     let mut all = run.change_points(diagnosis, jumps);
     if all.len() > max_changes {
         // Keep the strongest sharp jumps and gaps.
@@ -114,11 +110,11 @@ pub(super) fn diagnose_with_changes(
         return by_sharp;
     }
     let found = [by_steps, by_sharp, diagnose_with_jumps(&run, &all, diagnosis)];
-    let best = found.into_iter().flatten().min_by(|a, b| residual_m(a).total_cmp(&residual_m(b)));
+    let best = likeliest(found.into_iter().flatten());
     if best.is_some() || are_exact {
         return best;
     }
-    diagnose_with_steps(likeliest_steps()).filter(is_explained)
+    diagnose_with_steps(likeliest_steps())
 }
 
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run
@@ -193,7 +189,6 @@ fn diagnose_with_jumps(
         Some(by_encoding) => by_encoding,
         None => (baseline.diagnose_corrected(run, &others)?, others),
     };
-    let before_reporting = after.clone();
     for (s, after) in after.streams.iter_mut().enumerate() {
         if corrected.tracks[s].is_some() {
             baseline.report_encoding(s, &others, after);
@@ -211,28 +206,7 @@ fn diagnose_with_jumps(
     let reports_a_change = !after.joints.changes.is_empty()
         || after.joints.partial_encoding.is_some()
         || after.streams.iter().any(|after| after.has_changes() || has_latency_steps(after));
-    (reports_a_change
-        && is_justified(diagnosis, &before_reporting, parameter_count(&after, spans.len())))
-    .then_some(after)
-}
-
-fn parameter_count(after: &ArmDiagnosis, parts: usize) -> usize {
-    let of_stream = |diagnosis: &PoseDiagnosis| {
-        let frames = diagnosis.tool_changes.len() + diagnosis.reference_changes.len();
-        let times = diagnosis.latency_profile.as_ref().map_or(0, |profile| profile.steps.len());
-        let EncodingSpans { rotation, degrees, length, axes } = diagnosis.encoding_spans;
-        let encodings = [rotation, degrees, length, axes].into_iter().flatten().count();
-        6 * frames + diagnosis.radial_scale_changes.len() + times + encodings
-    };
-    let of_joints =
-        after.joints.changes.iter().map(|change| {
-            usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
-        });
-    let change_point_count = parts.saturating_sub(1);
-    change_point_count
-        + of_joints.sum::<usize>()
-        + usize::from(after.joints.partial_encoding.is_some())
-        + after.streams.iter().map(of_stream).sum::<usize>()
+    (reports_a_change && log_bayes_factor(&after, diagnosis) > 0.0).then_some(after)
 }
 
 /// Whether `both`, the last of `others` merged with `after`, fits about as well as the two apart.

@@ -3,8 +3,8 @@
 use super::frame_columns::{CONSTANT, Frame, FrameColumns};
 use super::jumps::Jump;
 use crate::PoseDiagnosis;
+use crate::priors::price;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
-use crate::selection::model_selection::price;
 use crate::solver::linear::{Linear, Normal, Weight};
 use nalgebra::{DVector, SMatrix, SVector};
 

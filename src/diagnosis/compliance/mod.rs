@@ -6,7 +6,6 @@
 //! reduces the residual substantially.
 
 mod gravity;
-mod model_comparison;
 mod search;
 mod shapes;
 mod system;
@@ -16,17 +15,16 @@ use crate::arm::are_floating;
 use crate::arm::diagnose_arm_as_logged;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
-use crate::residuals::comparison::{has_large_residual, log_likelihood_gain, restore_recorded};
+use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
+use crate::residuals::comparison::{has_large_residual, restore_recorded};
+use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
-    AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
-    PoseDistances, PoseStream,
+    AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis, PoseStream,
 };
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use ground::stats::median;
 use ground::stream::JointTrack;
 
 use gravity::MassModel;
-pub(super) use model_comparison::prefers_compliance;
 use search::{ComplianceSearch, MASS_STD_ERROR};
 use shapes::USUAL_COMPLIANCE_RAD;
 pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
@@ -35,18 +33,10 @@ use term::{ComplianceKind, ComplianceTerm, FreeParameters};
 
 /// Per stream.
 const MAX_SAMPLES: usize = 2000;
-/// Share of the excess residual.
-const MAX_RESIDUAL_RATIO: f64 = 0.5;
-/// Backlash and sag then suffice.
-const SUFFICIENT_RESIDUAL_RATIO: f64 = 0.15;
-/// Replaces [`MAX_RESIDUAL_RATIO`] for the nominal model of a calibrated arm.
-const MAX_RESIDUAL_RATIO_NOMINAL: f64 = 0.25;
 const CONVERGED_RAD: f64 = 2e-5;
 /// Tested against sag.
 const MIN_ZERO_RAD: f64 = 1e-3;
 const MAX_ROUNDS: usize = 3;
-/// Twice the log-likelihood ratio of causes that the log distinguishes.
-const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
 
 struct ComplianceRun<'a> {
     joints: &'a JointTrack,
@@ -139,93 +129,33 @@ pub(super) fn diagnose_scale_as_compliance(
     }
     let run = ComplianceRun { joints, streams, is_prismatic, max_lag_s };
     let after = run.fit_compliance(&diagnose_arm_as_logged(joints, streams, max_lag_s))?;
-    let (gain, _) = log_likelihood_gain(diagnosis, &after);
-    (gain > -MIN_LOG_RATIO_CONFOUNDER).then_some(after)
-}
-
-/// Residual of all pose streams. Angles are weighted by 0.3 m.
-#[derive(Clone, Copy, Debug)]
-struct ArmResidual {
-    /// Excess residual.
-    rms_m: f64,
-    /// Including noise.
-    median_m: f64,
-}
-
-impl ArmResidual {
-    fn from_diagnosis(diagnosis: &ArmDiagnosis) -> Self {
-        let rms = |diagnosis: &PoseDiagnosis| match &diagnosis.residual {
-            Ok(residual) => residual.excess_m.value.hypot(0.3 * residual.excess_rad.value),
-            Err(_) => 1.0,
-        };
-        let median_of = |diagnosis: &PoseDiagnosis| {
-            let PoseDistances { m, rad } = diagnosis.aligned.after();
-            let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
-            median(&mut all).unwrap_or(1.0)
-        };
-        let streams = || diagnosis.streams.iter();
-        Self { rms_m: streams().map(rms).sum(), median_m: streams().map(median_of).sum() }
-    }
-
-    /// Whether it is at most `share` of `other`. Sudden backlash has a residual at each reversal but a
-    /// small median, which relaxes the limit on the rms.
-    fn is_within(&self, share: f64, other: &Self) -> bool {
-        let has_small_median = self.median_m < 0.5 * share * other.median_m;
-        self.rms_m <= share * other.rms_m
-            || (has_small_median && self.rms_m <= 1.5 * share * other.rms_m)
-    }
+    (log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER).then_some(after)
 }
 
 impl ComplianceRun<'_> {
     fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        let is_explained = |after: &ArmDiagnosis| !after.streams.iter().any(has_large_residual);
         let samples = self.samples(self.joints, diagnosis);
-        let before = ArmResidual::from_diagnosis(diagnosis);
-        let mut best: Option<(ArmResidual, ArmDiagnosis)> = None;
-        let candidate_sets = self.search(&samples);
-        for (search, terms) in candidate_sets
-            .iter()
-            .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
-        {
-            let is_eccentric =
-                terms.iter().any(|term| matches!(term.kind, ComplianceKind::Eccentric(_)));
+        let (search, sets) = self.search(&samples)?;
+        let mut found = Vec::new();
+        for terms in sets {
+            found.extend(self.diagnose_without(&search, terms));
             // Eccentricity is flexible: backlash and sag take precedence.
-            let is_sufficient = |(residual, _): &(ArmResidual, ArmDiagnosis)| {
-                residual.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
-            };
-            if is_eccentric && best.as_ref().is_some_and(is_sufficient) {
+            if found.iter().any(is_explained) {
                 break;
             }
-            let Some(after) = self.diagnose_without(search, terms) else { continue };
-            let residual = ArmResidual::from_diagnosis(&after);
-            if best.as_ref().is_none_or(|(best, _)| residual.is_within(MAX_RESIDUAL_RATIO, best)) {
-                best = Some((residual, after));
-            }
         }
-        let is_sufficient = |(residual, _): &(ArmResidual, ArmDiagnosis)| {
-            residual.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
-        };
-        if !best.as_ref().is_some_and(is_sufficient) {
+        if !found.iter().any(is_explained) {
             // A load change gives one joint two sag values.
-            let load_change =
-                candidate_sets.as_ref().map(|(search, _)| (search, search.load_change_terms()));
-            let load_change = load_change.filter(|(_, terms)| !terms.is_empty());
-            if let Some(after) =
-                load_change.and_then(|(search, terms)| self.diagnose_without(search, terms))
-            {
-                let residual = ArmResidual::from_diagnosis(&after);
-                if best
-                    .as_ref()
-                    .is_none_or(|(best, _)| residual.is_within(MAX_RESIDUAL_RATIO, best))
-                {
-                    best = Some((residual, after));
-                }
-            }
+            let terms = search.load_change_terms();
+            found.extend(if terms.is_empty() {
+                None
+            } else {
+                self.diagnose_without(&search, terms)
+            });
         }
-        // Any few compliance terms absorb part of a nominal model's many small causes.
-        let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
-        let max_ratio = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
-        let (residual, mut after) = best?;
-        if !residual.is_within(max_ratio, &before) {
+        let mut after = likeliest(found)?;
+        if log_bayes_factor(&after, diagnosis) <= 0.0 {
             return None;
         }
         if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
@@ -244,8 +174,6 @@ impl ComplianceRun<'_> {
     /// Replaces a joint zero by sag if that is clearly likelier, or lists sag as its confounder if both are
     /// similarly likely. `None` if neither holds.
     fn test_zeros_as_sag(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        /// Twice the log-likelihood ratio.
-        const MIN_LOG_RATIO_TO_REPLACE: f64 = 16.0;
         let is_as_logged =
             diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
         let is_nominal = diagnosis.streams.iter().any(|diagnosis| diagnosis.is_nominal);
@@ -271,11 +199,11 @@ impl ComplianceRun<'_> {
                 after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
             let sag =
                 after.joints.compliance.first().map_or(0.0, |compliance| compliance.value.value);
-            let (gain, _) = log_likelihood_gain(diagnosis, &after);
-            if !is_zero_still_chosen && gain > MIN_LOG_RATIO_TO_REPLACE && !is_nominal {
+            let gain = log_bayes_factor(&after, diagnosis);
+            if !is_zero_still_chosen && gain > MIN_LOG_RATIO_OF_SAG && !is_nominal {
                 return Some(after);
             }
-            if !is_zero_still_chosen && gain > -MIN_LOG_RATIO_CONFOUNDER {
+            if !is_zero_still_chosen && gain > -MAX_LOG_RATIO_OF_CONFOUNDER {
                 let diagnosis = with_confounders.get_or_insert_with(|| diagnosis.clone());
                 diagnosis.joints.offsets[column].confounders.push(Confounder::Sag(column, sag));
             }

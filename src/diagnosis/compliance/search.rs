@@ -7,7 +7,7 @@ use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
 use super::term::{ComplianceKind, ComplianceTerm, FreeParameters, MAX_COMPLIANCE_RAD};
 use super::{ComplianceRun, ResidualSamples};
 use crate::ChangePoint;
-use crate::selection::model_selection::price;
+use crate::priors::price;
 use crate::solver::linear::{Linear, Normal};
 use ground::stats::Measured;
 use std::sync::Arc;

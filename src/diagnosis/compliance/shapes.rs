@@ -74,6 +74,12 @@ pub struct JointSag {
 }
 
 impl JointCompliance {
+    /// Number of fitted parameters.
+    pub(crate) fn parameters(&self) -> usize {
+        let shape = if matches!(self.shape, ComplianceShape::Eccentric { .. }) { 2 } else { 1 };
+        shape + 2 * usize::from(self.change.is_some())
+    }
+
     /// Whether this is backlash.
     pub fn is_backlash(&self) -> bool {
         matches!(self.shape, ComplianceShape::Backlash(_))

@@ -6,6 +6,7 @@ use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{
     PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of,
 };
+use crate::priors::MARKER_PRIOR_M;
 use crate::selection::model_selection::{CandidateCauses, Cause, SelectedModel};
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use crate::{EstimateResult, FrameEstimate, Measured, NotObservable};
@@ -158,8 +159,6 @@ pub(crate) fn tool_start(
 /// Assumed position noise, and the lever arm that converts rotation to position residuals.
 const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
-/// Prior on the marker's distance from the tip: a hand with its tool. It bounds unobservable directions.
-const MARKER_PRIOR_M: f64 = 0.5;
 const LIMITS: Limits = Limits { steps: 25, min_gain: 1e-6 };
 
 /// Closed-form reference and tool frame (`A X = X B`; Park and Martin 1994).

@@ -1,5 +1,6 @@
 //! Compares positions with FK before rotations are decoded.
 
+use crate::priors::MARKER_PRIOR_M;
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose, rotation_by_wahba, rotation_from_rotvec};
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector6};
@@ -141,12 +142,10 @@ impl PositionFit<'_> {
 impl LeastSquares for PositionFit<'_> {
     type State = (Rotation, Vec3);
 
-    /// The cost is the sum of squares times `1 + |tool|² / (3n·TOOL_PRIOR_M²)`: a prior in units of the residual.
+    /// The cost is the sum of squares times `1 + |tool|² / (3n·MARKER_PRIOR_M²)`: a prior in units of the residual.
     fn linearize(&self, (rotation, tool): &Self::State) -> Option<NormalEquations> {
-        /// Standard deviation of a marker's or tool's offset, m: a TCP beyond 0.5 m is rare.
-        const TOOL_PRIOR_M: f64 = 0.5;
         let Sums { products, weighted, squares, .. } = self.sums(rotation, tool);
-        let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * TOOL_PRIOR_M.powi(2));
+        let prior = 1.0 / ((3 * self.xyz.len()).max(1) as f64 * MARKER_PRIOR_M.powi(2));
         let factor = 1.0 + prior * tool.norm_squared();
         let (mut matrix, mut right) = (products * factor, weighted * factor);
         for axis in 0..3 {

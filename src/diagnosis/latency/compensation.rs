@@ -5,11 +5,10 @@ use crate::changes::{
     constant_frames_suffice, diagnose_with_changes, diagnose_with_drift,
     diagnose_with_recorded_changes,
 };
-use crate::compliance::{
-    diagnose_scale_as_compliance, diagnose_with_compliance, prefers_compliance,
-};
+use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
 use crate::imu::diagnose_converted_imu;
-use crate::residuals::comparison::{has_latency_steps, has_slow_residual, residual_m};
+use crate::residuals::comparison::{has_latency_steps, has_slow_residual};
+use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
     JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
@@ -35,7 +34,7 @@ pub fn diagnose_with_latency_compensation(
         let by_drift = are_floating(streams)
             .then(|| diagnose_arm(joints, streams, max_lag_s))
             .and_then(|constant| diagnose_with_drift(joints, streams, &constant, max_lag_s))
-            .filter(|drift| residual_m(drift) <= residual_m(&diagnosis));
+            .filter(|drift| log_bayes_factor(drift, &diagnosis) > 0.0);
         return by_drift.unwrap_or(diagnosis);
     }
     let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
@@ -175,7 +174,7 @@ pub fn diagnose_with_latency_compensation(
         ),
     };
     let (has_changes, alternative) = match (by_change, by_compliance) {
-        (Some(change), Some(compliance)) => match prefers_compliance(&compliance, &change) {
+        (Some(change), Some(compliance)) => match log_bayes_factor(&compliance, &change) > 0.0 {
             true => (false, Some(compliance)),
             false => (true, Some(change)),
         },
@@ -190,11 +189,7 @@ pub fn diagnose_with_latency_compensation(
     let by_drift = is_open
         .then(|| diagnose_with_drift(joints, &compensated_streams, &compensated, max_lag_s))
         .flatten();
-    let alternative = match (by_drift, alternative) {
-        (Some(drift), Some(other)) if residual_m(&other) < residual_m(&drift) => Some(other),
-        (drift, other) => drift.or(other),
-    };
-    if let Some(alternative) = alternative {
+    if let Some(alternative) = likeliest(by_drift.into_iter().chain(alternative)) {
         compensated = alternative;
     }
     for (compensated, profile) in compensated.streams.iter_mut().zip(profiles) {

@@ -5,10 +5,9 @@ use crate::arm::FIT_SAMPLES;
 use crate::hand_eye;
 use crate::imu;
 use crate::model::measurement::{PoseObservations, StreamState, ToolPart};
-use crate::selection::link_deviations::{self, RAD_PER_M, ZERO_PRIOR};
-use crate::selection::nominal_model::{
-    FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames,
-};
+use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, RAD_PER_M, ZERO_PRIOR};
+use crate::selection::link_deviations;
+use crate::selection::nominal_model::{FreeAlongside, link_frames};
 use crate::solver::linear::Linear;
 use crate::solver::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};

@@ -4,9 +4,7 @@ use super::residual_check::align_with_fk;
 use super::residual_check::{ErrorSeries, ErrorSize, PartError};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
 use crate::solver::noise::Noise;
-use crate::{
-    AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream, StreamResidual,
-};
+use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 
@@ -53,18 +51,9 @@ pub(crate) fn has_latency_steps(diagnosis: &PoseDiagnosis) -> bool {
 
 /// Angles are weighted by 0.3 m. An undecoded stream counts as 1 m.
 pub(crate) fn residual_m(diagnosis: &ArmDiagnosis) -> f64 {
-    combined_m(diagnosis, StreamResidual::combined_m)
-}
-
-/// Weighted as in [`residual_m`].
-pub(crate) fn excess_m(diagnosis: &ArmDiagnosis) -> f64 {
-    combined_m(diagnosis, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
-}
-
-fn combined_m(diagnosis: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
     let of_stream = |diagnosis: &PoseDiagnosis| match (&diagnosis.residual, &diagnosis.encoding) {
         (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
-        (Ok(residual), _) => of(residual),
+        (Ok(residual), _) => residual.combined_m(),
     };
     diagnosis.streams.iter().map(of_stream).sum()
 }
@@ -100,35 +89,12 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
 }
 
 /// Position, m, and rotation, rad.
-fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
+pub(crate) fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
     let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
     let turn =
         both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())).into());
     [length.collect(), turn.collect()]
-}
-
-/// Twice the log-likelihood ratio, and the number of independent samples. Autocorrelation reduces it, so a
-/// wrong model's systematic residual counts as few.
-pub(crate) fn log_likelihood_gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
-    /// A longer correlation comes from the motion.
-    const MAX_CORRELATION_SAMPLES: f64 = 200.0;
-    let (mut gain, mut independent) = (0.0, 0.0);
-    for (before, after) in before.streams.iter().zip(&after.streams) {
-        let pairs =
-            residual_vectors(&before.aligned).into_iter().zip(residual_vectors(&after.aligned));
-        for ((before, after), floor) in pairs.zip([FLOOR_M, FLOOR_RAD]) {
-            let noise = |residuals: &[[f64; 3]]| {
-                Noise::estimate(residuals, &vec![1.0; residuals.len()], floor)
-            };
-            let (was, is) = (noise(&before), noise(&after));
-            let samples = 3.0 * after.len().min(before.len()) as f64;
-            let samples = samples / is.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
-            independent += samples;
-            gain += 2.0 * samples * (was.sigma / is.sigma).ln();
-        }
-    }
-    (gain, independent)
 }
 
 /// Restores recorded poses, and FK of recorded joint states, in a corrected stream's samples, for reports.

@@ -11,6 +11,7 @@ use crate::frames::position_fit::FkColumns;
 use crate::latency::correlation::{joint_activity, lag_peaks, linear_speed};
 use crate::model::jacobian::PoseJacobian;
 use crate::model::measurement::pose_of_twist;
+use crate::priors::{FLANGE_PRIOR_M, TOOL_PRIOR_M, price};
 use crate::samples::sampling::slow_samples;
 use crate::solver::minimize::{LeastSquares, Limits, NormalEquations, minimize};
 use ground::geometry::{Pose, Rotation, Vec3, pose};
@@ -21,11 +22,6 @@ const MIN_SAMPLES: usize = 12;
 /// If all residuals are larger, inverted poses and joints in degrees are tried.
 const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
 
-/// Prior on tool length: grippers are 0.1 to 0.3 m long; a TCP beyond 0.5 m is rare.
-const TOOL_PRIOR_M: f64 = 0.2;
-/// Prior on the flange deviation of a calibrated arm. Healthy UR5e of two public data sets deviate by 0.1
-/// to 1.6 mm (docs/real-logs.md).
-const DEVIATION_PRIOR_M: f64 = 1e-3;
 /// Smaller residuals do not count. Nominal models have 0.1 to 1.3 mm, and a wrong arm with a free tool fits
 /// short motion to micrometres.
 const RESIDUAL_FLOOR_M: f64 = 1e-3;
@@ -154,17 +150,16 @@ impl ModelFit {
 
     /// The cheapest of a link deviation, an offset along the flange axis, and an arbitrary tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
-        let price = crate::selection::model_selection::price(self.effective_samples());
-        let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_PRIOR_M).powi(2);
+        let of_parameter = price(self.effective_samples());
+        let deviation = |length_m: f64| 0.5 * (length_m / FLANGE_PRIOR_M).powi(2);
         let prior = (tool_m.norm() / TOOL_PRIOR_M).powi(2);
-        let along_axis = price + deviation(tool_m.xy().norm()) + prior;
-        deviation(tool_m.norm()).min(along_axis).min(3.0 * price + prior)
+        let along_axis = of_parameter + deviation(tool_m.xy().norm()) + prior;
+        deviation(tool_m.norm()).min(along_axis).min(3.0 * of_parameter + prior)
     }
 
     fn price(&self, residual_m: f64, parameters: f64) -> f64 {
         let n = self.effective_samples();
-        n * (residual_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln()
-            + crate::selection::model_selection::price(n) * parameters
+        n * (residual_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln() + price(n) * parameters
     }
 
     fn effective_samples(&self) -> f64 {
@@ -237,7 +232,7 @@ pub(crate) fn tool_fit(
 
 pub(crate) fn frame_price(samples: usize) -> f64 {
     let free = FitAssumption::Reference { tool: false }.parameters() as f64;
-    free * crate::selection::model_selection::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
+    free * price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
 /// From the correlation of stream speed and joint activity, and zero.
@@ -559,7 +554,7 @@ enum ToolPrior {
 impl ToolPrior {
     /// Weights relative to the rms residual.
     fn weights(self) -> Vec3 {
-        let each = RESIDUAL_FLOOR_M / DEVIATION_PRIOR_M / MAX_EFFECTIVE_SAMPLES.sqrt();
+        let each = RESIDUAL_FLOOR_M / FLANGE_PRIOR_M / MAX_EFFECTIVE_SAMPLES.sqrt();
         match self {
             Self::None => Vec3::zeros(),
             Self::AlongAxis => Vec3::new(each, each, 0.0),

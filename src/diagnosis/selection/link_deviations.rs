@@ -15,30 +15,21 @@
 //! maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition and Machine
 //! Learning*, 2006, ch. 10.1 and 10.3).
 
-use super::model_selection::{Cause, price};
-use super::nominal_model::{
-    FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, is_free_parameter, link_frames,
-};
+use super::model_selection::Cause;
+use super::nominal_model::{FreeAlongside, is_free_parameter, link_frames};
 use crate::model::measurement::{PoseObservations, StreamState};
+use crate::priors::{
+    ABSENT_RADIAL_SCALE_PRIOR, FREE_PRIOR, LINK_PRIOR_M, MAX_LOG_RATIO_OF_CONFOUNDER,
+    MIN_LOG_RATIO_OF_ZERO, RAD_PER_M, RADIAL_SCALE_PRIOR, ZERO_PRIOR, price,
+};
 use crate::solver::linear::{Linear, Normal};
 use crate::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use nalgebra::{DMatrix, DVector};
 
-/// Angular to linear link deviations: 0.1° per mm.
-pub(crate) const RAD_PER_M: f64 = 1.745;
 /// Minimum, maximum, ratio.
 pub(crate) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
-/// Standard deviation of a present joint zero, rad or m.
-pub(crate) const ZERO_PRIOR: f64 = 0.02;
-/// Standard deviations of a present and an absent radial scale error.
-const RADIAL_SCALE_PRIOR: f64 = 0.01;
-const ABSENT_RADIAL_SCALE_PRIOR: f64 = 1e-9;
-/// On twice the log-likelihood ratio of a zero (a ratio of about fifty).
-const MIN_LOG_RATIO: f64 = 8.0;
-/// Within this, another joint's zero is a confounder (a ratio of about twenty).
-const MAX_LOG_RATIO_CONFOUNDER: f64 = 6.0;
 /// Zeros with a larger standard error, relative to [`ZERO_PRIOR`], are not observable.
 const MAX_STD_ERROR_SHARE: f64 = 0.5;
 const MAX_ZEROS: usize = 4;
@@ -424,7 +415,9 @@ impl DeviationModel {
             let with = self.with_one_more_zero(&chosen.zeros, &chosen.sizes_m, &[]);
             let best = with.into_iter().max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
             match best {
-                Some((_, best)) if best.evidence > chosen.evidence + MIN_LOG_RATIO => chosen = best,
+                Some((_, best)) if best.evidence > chosen.evidence + MIN_LOG_RATIO_OF_ZERO => {
+                    chosen = best
+                }
                 _ => break,
             }
         }
@@ -459,7 +452,7 @@ impl DeviationModel {
             let instead =
                 self.with_one_more_zero(&fit.zeros_except(joint), &fit.sizes_m, &fit.zeros);
             let as_likely = instead.into_iter().filter(|(_, fit_with_zero)| {
-                fit_with_zero.evidence > fit.evidence - MAX_LOG_RATIO_CONFOUNDER
+                fit_with_zero.evidence > fit.evidence - MAX_LOG_RATIO_OF_CONFOUNDER
             });
             let confounder = |(other, fit_with_zero): (usize, DeviationFit)| {
                 let (column, zero) = absolute(other, self.measured_zero(&fit_with_zero, other)?);

@@ -1,5 +1,6 @@
 //! Selection of the causes that explain the streams of an arm.
 
+pub(crate) mod evidence;
 pub(crate) mod held_out;
 pub(crate) mod link_deviations;
 pub(crate) mod model_selection;

@@ -7,6 +7,7 @@ use crate::model::measurement::{
     LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
     STREAM_WIDTH, State, TOOL_COLUMNS_START,
 };
+use crate::priors::price;
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::solver::noise::Noise;
 use crate::solver::robust::{influence, sandwich};
@@ -315,12 +316,6 @@ pub(crate) struct CauseSet {
     pub causes: Vec<Cause>,
     /// Weighted cost plus price.
     pub score: f64,
-}
-
-/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8, which lowers the
-/// probability of a false cause from about 1 % to about 0.01 %.
-pub(crate) fn price(independent: f64) -> f64 {
-    independent.max(2.0).ln() + 8.0
 }
 
 fn select_causes(linear: &Linearized, candidates: &CandidateCauses, state: &State) -> CauseSet {

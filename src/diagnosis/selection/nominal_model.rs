@@ -10,11 +10,11 @@
 //! large changes. The selected causes are kept unless it has the higher evidence, which it cannot if a few
 //! causes reduce the residual to noise.
 
-use super::model_selection::price;
 use crate::model::jacobian::Derivative;
 use crate::model::measurement::{
     FLOOR_M, FLOOR_RAD, LinearPrediction, PoseObservations, PredictionBuffers, State, StreamState,
 };
+use crate::priors::{FREE_PRIOR, LINK_PRIOR_M, LINK_PRIOR_RAD, price};
 use crate::solver::linear::{Linear, Normal, Weight};
 use crate::{LatencyProfile, LatencyRamp};
 use ground::geometry::{Pose, Vec3};
@@ -27,11 +27,6 @@ pub(crate) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const MIN_EXCESS_M: f64 = 0.3e-3;
 /// Same with joint zeros, whose intervals it widens.
 const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
-/// Prior on a link frame's calibration, per axis (as in UR's factory calibrations).
-pub(crate) const LINK_PRIOR_M: f64 = 0.5e-3;
-pub(crate) const LINK_PRIOR_RAD: f64 = 0.7e-3;
-/// Prior on free frames and times; m, rad or s.
-pub(crate) const FREE_PRIOR: f64 = 0.1;
 /// For link frame changes, m and rad.
 const DAMPING_SCALE: f64 = 0.01;
 const MAX_SAMPLES: usize = 1000;

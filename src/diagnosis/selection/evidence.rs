@@ -1,0 +1,97 @@
+//! The criterion between two diagnoses of one run: constant causes, change points, drifts or joint compliance.
+//!
+//! Twice the log Bayes factor, approximated as by Schwarz (1978, *Estimating the Dimension of a Model*): twice the
+//! log-likelihood ratio of the residuals, minus [`price`] for each additional parameter. Autocorrelation reduces the
+//! number of independent samples, so the systematic residual of a wrong model counts as few.
+
+use crate::priors::{MODEL_ERROR_M, MODEL_ERROR_RAD, price};
+use crate::residuals::comparison::residual_vectors;
+use crate::solver::noise::Noise;
+use crate::{
+    ArmDiagnosis, EncodingSpans, EstimateResult, FrameChange, FrameEstimate, JointChange,
+    JointCompliance, JointDiagnosis, NotObservable, PoseDiagnosis,
+};
+
+/// Residual of a stream that does not follow the arm, m and rad.
+const SIGMA_UNEXPLAINED: f64 = 1.0;
+
+/// Twice the log Bayes factor of `one` over `other`.
+pub(crate) fn log_bayes_factor(one: &ArmDiagnosis, other: &ArmDiagnosis) -> f64 {
+    let (gain, independent) = log_likelihood_ratio(one, other);
+    gain - price(independent) * (parameter_count(one) as f64 - parameter_count(other) as f64)
+}
+
+/// The likeliest of several diagnoses of one run.
+pub(crate) fn likeliest(diagnoses: impl IntoIterator<Item = ArmDiagnosis>) -> Option<ArmDiagnosis> {
+    let likelier = |best, one| if log_bayes_factor(&one, &best) > 0.0 { one } else { best };
+    diagnoses.into_iter().reduce(likelier)
+}
+
+/// Twice the log-likelihood ratio of `one` to `other`, and the number of independent samples.
+fn log_likelihood_ratio(one: &ArmDiagnosis, other: &ArmDiagnosis) -> (f64, f64) {
+    /// A longer correlation comes from the motion.
+    const MAX_CORRELATION_SAMPLES: f64 = 200.0;
+    let (mut gain, mut independent) = (0.0, 0.0);
+    for (one, other) in one.streams.iter().zip(&other.streams) {
+        for (one, other) in noises(one).into_iter().zip(noises(other)) {
+            let better = if one.noise.sigma < other.noise.sigma { &one } else { &other };
+            let samples = 3.0 * better.samples as f64
+                / better.noise.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
+            independent += samples;
+            gain += 2.0 * samples * (other.noise.sigma / one.noise.sigma).ln();
+        }
+    }
+    (gain, independent)
+}
+
+struct ResidualNoise {
+    samples: usize,
+    noise: Noise,
+}
+
+/// Of positions, m, and rotations, rad.
+fn noises(stream: &PoseDiagnosis) -> [ResidualNoise; 2] {
+    let does_not_follow =
+        stream.residual.is_err() || matches!(stream.encoding, Err(NotObservable::DoesNotFollow(_)));
+    let [positions, rotations] = residual_vectors(&stream.aligned);
+    let noise = |residuals: Vec<[f64; 3]>, model_error: f64, is_explained: bool| {
+        let mut noise = Noise::estimate(&residuals, &vec![1.0; residuals.len()], 0.0);
+        noise.sigma = if is_explained { noise.sigma.hypot(model_error) } else { SIGMA_UNEXPLAINED };
+        ResidualNoise { samples: residuals.len(), noise }
+    };
+    [
+        noise(positions, MODEL_ERROR_M, !does_not_follow),
+        noise(rotations, MODEL_ERROR_RAD, !does_not_follow && stream.encoding.is_ok()),
+    ]
+}
+
+/// Without latencies and encodings that hold for the whole run.
+fn parameter_count(diagnosis: &ArmDiagnosis) -> usize {
+    let JointDiagnosis { offsets, scales, changes, compliance, partial_encoding, .. } =
+        &diagnosis.joints;
+    let of_change = |change: &JointChange| {
+        usize::from(change.zero.is_some()) + usize::from(change.factor.is_some())
+    };
+    offsets.iter().filter(|offset| offset.is_chosen).count()
+        + scales.len()
+        + 2 * changes.iter().map(of_change).sum::<usize>()
+        + compliance.iter().map(JointCompliance::parameters).sum::<usize>()
+        + usize::from(partial_encoding.is_some())
+        + diagnosis.streams.iter().map(stream_parameter_count).sum::<usize>()
+}
+
+fn stream_parameter_count(stream: &PoseDiagnosis) -> usize {
+    const FRAME: usize = 6;
+    let of_frame = |frame: &EstimateResult<FrameEstimate>, changes: &[FrameChange]| {
+        let is_chosen = frame.as_ref().is_ok_and(|frame| frame.is_chosen);
+        FRAME * usize::from(is_chosen) + (FRAME + 1) * changes.len()
+    };
+    let EncodingSpans { rotation, degrees, length, axes } = stream.encoding_spans;
+    let steps = stream.latency_profile.as_ref().map_or(0, |profile| profile.steps.len());
+    of_frame(&stream.tool, &stream.tool_changes)
+        + of_frame(&stream.reference, &stream.reference_changes)
+        + usize::from(stream.is_skew_chosen)
+        + usize::from(stream.is_radial_scale_chosen)
+        + 2 * (stream.radial_scale_changes.len() + steps)
+        + 2 * [rotation, degrees, length, axes].into_iter().flatten().count()
+}
