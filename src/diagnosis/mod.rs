@@ -15,7 +15,7 @@
 //! if the joints' encoding has any. The noise is white plus first-order autoregressive (`solver::noise`),
 //! with Huber weights (`solver::robust`).
 //!
-//! # Steps (`latency::compensation`)
+//! # Steps (`diagnose`)
 //! 1. `latency::coarse` estimates large latency steps and ramps from speeds, to correct the stamps.
 //! 2. `latency::correlation` cross-correlates speeds to find candidate lags.
 //! 3. `encodings::position`, `encodings::axis_convention` and `joints` determine the encoding of positions
@@ -69,8 +69,10 @@ mod solver;
 
 // One arm and its pose streams.
 mod arm;
+mod arm_run;
 mod changes;
 mod compliance;
+mod diagnose;
 mod encodings;
 mod frames;
 mod joints;
@@ -113,6 +115,7 @@ pub use commands::{
     estimate_joint_delays, estimate_pose_delay, infer_joint_order,
 };
 pub use compliance::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+pub use diagnose::diagnose_run;
 pub use encodings::reinterpret::{IntendedEncoding, reinterpret_poses};
 pub use frames::moving_base::{
     BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag,
@@ -137,9 +140,7 @@ pub use joints::{
 use latency::coarse::{
     CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes,
 };
-pub use latency::compensation::{
-    compensate_latency, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
-};
+pub use latency::compensation::{compensate_latency, diagnose_imu_with_latency_compensation};
 pub use latency::correlation::LagPeak;
 pub use latency::delay_jitter::DelayJitter;
 pub use latency::profile::{LatencyProfile, LatencyShape, LatencyStep};

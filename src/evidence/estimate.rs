@@ -3,8 +3,8 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
     NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak, compensate_latency,
-    diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
-    fault_count, position_misfit_m,
+    diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_run, fault_count,
+    position_misfit_m,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, common_diagnosis_count, realign_moving_bases};
@@ -162,12 +162,8 @@ fn position_factor(found: &PoseDiagnosis) -> f64 {
 fn diagnose_one(run: &Run, arm: &Arm, max_lag_s: f64) -> ArmStreamsDiagnosis {
     let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
     let together = common_diagnosis_count(arm);
-    let mut diagnosis = diagnose_with_latency_compensation(
-        &arm.joints,
-        &streams[..together],
-        &arm.are_prismatic(),
-        max_lag_s,
-    );
+    let mut diagnosis =
+        diagnose_run(&arm.joints, &streams[..together], &arm.are_prismatic(), max_lag_s);
     let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.are_prismatic());
     let derived_streams = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));

@@ -6,7 +6,8 @@
 use super::encoding_changes::keep_encoding;
 use super::frame_columns::{CONSTANT, Frame, FrameColumns};
 use super::{ChangePoint, with_poses};
-use crate::arm::{are_floating, diagnose_arm};
+use crate::arm::are_floating;
+use crate::arm_run::ArmRun;
 use crate::model::measurement::pose_of_twist;
 use crate::priors::price;
 use crate::residuals::comparison::{has_slow_residual, residual_m, restore_recorded};
@@ -16,7 +17,7 @@ use crate::solver::robust::sandwich;
 use crate::{ArmDiagnosis, FrameEstimate, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Rotation};
 use ground::stats::MeasuredLength;
-use ground::stream::{JointTrack, PoseTrack};
+use ground::stream::PoseTrack;
 use nalgebra::{DMatrix, DVector};
 
 /// Columns of the fit: constant frames, then half of the drift over the run.
@@ -111,13 +112,8 @@ impl<'a> DriftFit<'a> {
 }
 
 /// Diagnoses the run with the drift of a stream's frame removed, and reports it. `None` if no frame drifts.
-pub(crate) fn diagnose_with_drift(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    diagnosis: &ArmDiagnosis,
-    max_lag_s: f64,
-) -> Option<ArmDiagnosis> {
-    let slow = (0..streams.len()).filter(|&s| {
+pub(crate) fn diagnose_with_drift(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+    let slow = (0..run.streams.len()).filter(|&s| {
         let stream = &diagnosis.streams[s];
         stream.residual.is_ok() && !stream.is_far_from_fk() && has_slow_residual(stream)
     });
@@ -126,17 +122,15 @@ pub(crate) fn diagnose_with_drift(
             Frame::BOTH.map(|frame| (frame, DriftFit::new(&diagnosis.streams[s], frame).solve()));
         let (frame, fit) = fits.into_iter().max_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
         let is_likely = fit.score > 0.0;
-        is_likely.then(|| diagnose_one(joints, streams, diagnosis, (s, frame), max_lag_s))?
+        is_likely.then(|| diagnose_one(run, diagnosis, (s, frame)))?
     });
     likeliest(by_stream)
 }
 
 fn diagnose_one(
-    joints: &JointTrack,
-    streams: &[PoseStream],
+    run: &ArmRun,
     before: &ArmDiagnosis,
     (s, frame): (usize, Frame),
-    max_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
     /// The later ones remove what constant frames had absorbed.
     const MAX_ROUNDS: usize = 3;
@@ -152,9 +146,9 @@ fn diagnose_one(
             break;
         }
         let track = fit.steady_track(found, more.as_slice());
-        let mut steady = streams.to_vec();
-        steady[s] = PoseStream { track: &track, ..streams[s] };
-        let next = diagnose_arm(joints, &steady, max_lag_s);
+        let mut steady = run.streams.to_vec();
+        steady[s] = PoseStream { track: &track, ..run.streams[s] };
+        let next = ArmRun { streams: &steady, ..*run }.diagnose();
         if residual_m(&next) >= residual_m(&after) {
             break;
         }
@@ -162,7 +156,7 @@ fn diagnose_one(
         after = next;
     }
     // Unknown faults of joints can look like a drift, but a part of the residual remains.
-    if has_slow_residual(&after.streams[s]) && !are_floating(streams) {
+    if has_slow_residual(&after.streams[s]) && !are_floating(run.streams) {
         return None;
     }
     let found = &after.streams[s];
@@ -201,6 +195,6 @@ fn diagnose_one(
         Frame::Tool => after_stream.tool_changes.push(change),
     }
     keep_encoding(&before.streams[s], after_stream);
-    restore_recorded(joints, &streams[s], after_stream);
+    restore_recorded(run.joints, &run.streams[s], after_stream);
     (log_bayes_factor(&after, before) > 0.0).then_some(after)
 }

@@ -16,7 +16,8 @@ mod report;
 mod split_run;
 mod step_test;
 
-use crate::arm::{are_floating, diagnose_arm, diagnose_arm_as_logged, diagnose_other_segment};
+use crate::arm::{are_floating, diagnose_other_segment};
+use crate::arm_run::ArmRun;
 use crate::compliance::diagnose_with_compliance;
 use crate::joints::follows_as_logged;
 use crate::latency::correlation::stream_lag_s;
@@ -55,13 +56,11 @@ const MAX_BASELINE_SHARE: f64 = 0.97;
 /// Diagnoses the run with its changes corrected, and reports them. `diagnosis` is of the uncorrected run.
 /// `None` if there are no changes or they do not explain enough of the residual.
 pub(super) fn diagnose_with_changes(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    is_prismatic: &[bool],
+    arm: &ArmRun,
     diagnosis: &ArmDiagnosis,
-    max_lag_s: f64,
     max_changes: usize,
 ) -> Option<ArmDiagnosis> {
+    let ArmRun { joints, streams, max_lag_s, .. } = *arm;
     let jumps = jumps_in_joints(joints);
     let likeliest_steps = || -> Vec<(usize, Jump)> {
         let step = |s: usize| Some((s, likeliest_step(&diagnosis.streams[s])?));
@@ -84,7 +83,7 @@ pub(super) fn diagnose_with_changes(
             Err(_) => stream_lag_s(joints, stream, max_lag_s),
         })
         .collect();
-    let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
+    let run = SplitRun { arm: *arm, lags: &lags };
     let diagnose_with_steps = |steps: Vec<(usize, Jump)>| {
         let steps = steps.into_iter().map(|(s, step)| Jump { at_s: step.at_s - lags[s], ..step });
         let steps = strongest(steps.collect());
@@ -120,14 +119,10 @@ pub(super) fn diagnose_with_changes(
 /// Same, for a run that follows FK as logged in some segments only, for example because a unit changes. The run
 /// itself then needs no search for an encoding that fits all of it. It is split at gaps, or also at jumps of the
 /// recorded numbers.
-pub(super) fn diagnose_with_recorded_changes(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    is_prismatic: &[bool],
-    max_lag_s: f64,
-) -> Option<ArmDiagnosis> {
+pub(super) fn diagnose_with_recorded_changes(arm: &ArmRun) -> Option<ArmDiagnosis> {
+    let ArmRun { joints, streams, .. } = *arm;
     let lags = vec![0.0; streams.len()];
-    let run = SplitRun { joints, streams, is_prismatic, lags: &lags, max_lag_s };
+    let run = SplitRun { arm: *arm, lags: &lags };
     // `None` if the motion determines it for no stream.
     let all_follow = |span: &Span| {
         let (joints, tracks) = (run.joints_in(*span), run.tracks_in(*span));
@@ -136,7 +131,7 @@ pub(super) fn diagnose_with_recorded_changes(
         known.reduce(|all, one| all && one)
     };
     let whole = all_follow(&(f64::NEG_INFINITY, f64::INFINITY));
-    let as_logged = LazyCell::new(|| diagnose_arm_as_logged(joints, streams, max_lag_s));
+    let as_logged = LazyCell::new(|| arm.diagnose_as_logged());
     let is_explained = |after: &ArmDiagnosis| {
         constant_frames_suffice(after) || !after.streams.iter().any(has_slow_residual)
     };
@@ -161,7 +156,7 @@ fn diagnose_with_jumps(
     jumps: &[Jump],
     diagnosis: &ArmDiagnosis,
 ) -> Option<ArmDiagnosis> {
-    let SplitRun { joints, streams, .. } = *run;
+    let ArmRun { joints, streams, .. } = run.arm;
     let spans = run.split_at(jumps);
     let baseline = (0..spans.len()).max_by_key(|&part| run.samples(spans[part]))?;
     let baseline = (spans.len() > 1).then(|| BaselineSegment::diagnose(run, spans[baseline]))?;
@@ -292,8 +287,9 @@ impl BaselineSegment {
         if residual_m(&alone) > MAX_RESIDUAL_RATIO * max_residual_m {
             return None;
         }
-        let joints = self.joints_in_encoding_of(&alone).corrected_joints(&joints, run.is_prismatic);
-        let tracks: Vec<PoseTrack> = (0..run.streams.len())
+        let joints =
+            self.joints_in_encoding_of(&alone).corrected_joints(&joints, run.arm.is_prismatic);
+        let tracks: Vec<PoseTrack> = (0..run.arm.streams.len())
             .map(|s| {
                 let decoded = decoded_poses(&alone.streams[s]);
                 let frame_correction = &self.diagnosis.streams[s].frame_correction;
@@ -305,7 +301,7 @@ impl BaselineSegment {
             .into_iter()
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
-        let difference = diagnose_other_segment(&joints, &known, run.max_lag_s);
+        let difference = diagnose_other_segment(&joints, &known, run.arm.max_lag_s);
         let other = OtherSegment { span, alone, difference };
         let is_explained =
             residual_m(&other.difference) <= max_residual_m && self.is_reliable(&other);
@@ -367,26 +363,24 @@ impl BaselineSegment {
         run: &SplitRun,
         others: &[OtherSegment],
     ) -> Option<(CorrectedRun, ArmDiagnosis)> {
-        let SplitRun { streams, is_prismatic, max_lag_s, .. } = *run;
         let corrected = self.correct_changes(run, others)?;
-        let tracks = corrected.tracks.iter().zip(streams);
+        let tracks = corrected.tracks.iter().zip(run.arm.streams);
         let streams: Vec<PoseStream> = tracks
             .map(|(track, stream)| PoseStream {
                 track: track.as_ref().unwrap_or(stream.track),
                 ..*stream
             })
             .collect();
-        let joints = &corrected.joints;
-        let after = diagnose_arm(joints, &streams, max_lag_s);
+        let arm = ArmRun { joints: &corrected.joints, streams: &streams, ..run.arm };
+        let after = arm.diagnose();
         // Compliance persists across change points.
-        let with_compliance =
-            diagnose_with_compliance(joints, &streams, is_prismatic, &after, max_lag_s);
+        let with_compliance = diagnose_with_compliance(&arm, &after);
         Some((corrected, with_compliance.unwrap_or(after)))
     }
 
     /// `None` if nothing changed.
     fn correct_changes(&self, run: &SplitRun, others: &[OtherSegment]) -> Option<CorrectedRun> {
-        let mut joints = run.joints.clone();
+        let mut joints = run.arm.joints.clone();
         let mut patches = Vec::new();
         for other in others {
             let (from_s, to_s) = other.span;
@@ -399,7 +393,7 @@ impl BaselineSegment {
                 factor: 1.0,
                 offset: 0.0,
             };
-            let exchanges = exchanges(&self.diagnosis.joints, &in_its_encoding, run.joints.dof);
+            let exchanges = exchanges(&self.diagnosis.joints, &in_its_encoding, run.arm.joints.dof);
             patches.extend(exchanges.into_iter().map(|(column, other)| JointPatch {
                 column,
                 exchanged_with: Some(other),
@@ -416,7 +410,7 @@ impl BaselineSegment {
             patches.extend(own_patches);
         }
         patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
-        let tracks: Vec<Option<PoseTrack>> = (0..run.streams.len())
+        let tracks: Vec<Option<PoseTrack>> = (0..run.arm.streams.len())
             .map(|s| {
                 let differs = |other: &&OtherSegment| {
                     let difference = &other.difference.streams[s];
@@ -585,7 +579,7 @@ fn joint_map(
     difference: &JointDiagnosis,
     run: &SplitRun,
 ) -> Vec<(usize, f64, f64)> {
-    let dof = run.joints.dof;
+    let dof = run.arm.joints.dof;
     let order = joint_order(baseline, dof);
     let is_in_order =
         difference.encoding.as_ref().is_ok_and(|encoding| encoding.permutation.is_none());
@@ -602,7 +596,7 @@ fn joint_map(
     };
     let corrected = |diagnosis: &JointDiagnosis, joints: &JointTrack| {
         let unpatched = JointDiagnosis { patches: Vec::new(), ..diagnosis.clone() };
-        unpatched.corrected_joints(joints, run.is_prismatic)
+        unpatched.corrected_joints(joints, run.arm.is_prismatic)
     };
     let by_baseline = corrected(baseline, &probe);
     let by_both = corrected(difference, &corrected(in_its_encoding, &probe));

@@ -40,7 +40,7 @@ impl BaselineSegment {
                     frame_change(at, of_baseline, of_segment(before), of_segment(next))
                 };
                 after.tool_changes.extend(frame(|diagnosis| &diagnosis.tool, false));
-                let is_free = !run.streams[s].reference_known;
+                let is_free = !run.arm.streams[s].reference_known;
                 after.reference_changes.extend(frame(|diagnosis| &diagnosis.reference, is_free));
                 let radial_scale = |diagnosis: &PoseDiagnosis| {
                     diagnosis
@@ -73,7 +73,7 @@ impl BaselineSegment {
                     size_s: change.size,
                 }));
             }
-            for column in 0..run.joints.dof {
+            for column in 0..run.arm.joints.dof {
                 let zero = |segment: Option<&OtherSegment>| {
                     let offset = segment?.difference.joints.offsets.get(column)?;
                     offset.offset.as_ref().ok().filter(|_| offset.is_chosen).copied()
@@ -98,7 +98,7 @@ impl BaselineSegment {
                 }
             }
         }
-        if let [stream] = run.streams {
+        if let [stream] = run.arm.streams {
             let joints = &mut after.joints;
             for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
                 let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());

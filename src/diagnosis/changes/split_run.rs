@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::jumps::{Jump, detect_jumps, strongest};
-use crate::arm::diagnose_arm;
+use crate::arm_run::ArmRun;
 use crate::latency::compensation::with_stamps;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::{ArmDiagnosis, PoseStream};
@@ -11,12 +11,9 @@ use ground::stream::{JointTrack, PoseTrack};
 
 /// Change points are on the joint states' clock.
 pub(super) struct SplitRun<'a> {
-    pub joints: &'a JointTrack,
-    pub streams: &'a [PoseStream<'a>],
-    pub is_prismatic: &'a [bool],
+    pub arm: ArmRun<'a>,
     /// Latency per stream.
     pub lags: &'a [f64],
-    pub max_lag_s: f64,
 }
 
 /// Start (inclusive) and end (exclusive), s.
@@ -38,11 +35,11 @@ impl SplitRun<'_> {
     pub fn change_points(&self, diagnosis: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
             let aligned = &diagnosis.streams[s].aligned;
-            let jumps =
-                detect_jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
+            let jumps = detect_jumps(self.arm.joints, &self.arm.streams[s], aligned, self.lags[s])
+                .into_iter();
             jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
         };
-        strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
+        strongest((0..self.arm.streams.len()).flat_map(of_stream).chain(of_joints).collect())
     }
 
     /// Segments between jumps. Of the two jumps that bound a segment with too few samples, drops the weaker.
@@ -64,18 +61,18 @@ impl SplitRun<'_> {
     }
 
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
-        let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
+        let (t_s, lag_s) = (&self.arm.streams[stream].track.t_s, self.lags[stream]);
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
         from..to
     }
 
     /// Samples of the stream that has most.
     pub fn samples(&self, span: Span) -> usize {
-        (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
+        (0..self.arm.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }
 
     pub fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
-        let JointTrack { t_s, dof, q, qd, noise } = self.joints;
+        let JointTrack { t_s, dof, q, qd, noise } = self.arm.joints;
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
         let mut segment = JointTrack {
             t_s: t_s[from..to].to_vec(),
@@ -98,25 +95,26 @@ impl SplitRun<'_> {
 
     pub fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
         let track = |s: usize| {
-            let track = self.streams[s].track;
+            let track = self.arm.streams[s].track;
             let rows: Vec<(usize, f64)> =
                 self.rows(s, span).map(|row| (row, track.t_s[row])).collect();
             with_stamps(track, &rows)
         };
-        (0..self.streams.len()).map(track).collect()
+        (0..self.arm.streams.len()).map(track).collect()
     }
 
     /// Replaces the tracks.
     pub fn with_tracks<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
         let with =
             |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
-        self.streams.iter().zip(tracks).map(with).collect()
+        self.arm.streams.iter().zip(tracks).map(with).collect()
     }
 
     /// Diagnoses a segment alone.
     pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
-        let diagnosis = diagnose_arm(&joints, &self.with_tracks(&tracks), self.max_lag_s);
+        let streams = self.with_tracks(&tracks);
+        let diagnosis = ArmRun { joints: &joints, streams: &streams, ..self.arm }.diagnose();
         (joints, diagnosis)
     }
 }

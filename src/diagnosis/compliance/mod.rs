@@ -12,7 +12,7 @@ mod system;
 mod term;
 
 use crate::arm::are_floating;
-use crate::arm::diagnose_arm_as_logged;
+use crate::arm_run::ArmRun;
 use crate::joints::correct_joints;
 use crate::latency::correlation::stream_lag_s;
 use crate::priors::{MAX_LOG_RATIO_OF_CONFOUNDER, MIN_LOG_RATIO_OF_SAG};
@@ -38,13 +38,6 @@ const CONVERGED_RAD: f64 = 2e-5;
 const MIN_ZERO_RAD: f64 = 1e-3;
 const MAX_ROUNDS: usize = 3;
 
-struct ComplianceRun<'a> {
-    joints: &'a JointTrack,
-    streams: &'a [PoseStream<'a>],
-    is_prismatic: &'a [bool],
-    max_lag_s: f64,
-}
-
 /// Residuals under a diagnosis, in the base frame at the tip.
 #[derive(Default)]
 struct ResidualSamples {
@@ -64,12 +57,10 @@ struct ResidualSamples {
 
 /// `diagnosis` is the diagnosis without compliance. `None` if no joint has any or it does not explain enough.
 pub(super) fn diagnose_with_compliance(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    is_prismatic: &[bool],
+    run: &ArmRun,
     diagnosis: &ArmDiagnosis,
-    max_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
+    let ArmRun { joints, streams, is_prismatic, .. } = *run;
     let is_coded = diagnosis.joints.scales.iter().any(JointScale::is_coded);
     let is_applicable = !are_floating(streams)
         && !is_coded
@@ -80,25 +71,20 @@ pub(super) fn diagnose_with_compliance(
         return None;
     }
     let has_large = diagnosis.streams.iter().any(has_large_residual);
-    let diagnose_run = |run: ComplianceRun, diagnosis: &ArmDiagnosis| match has_large {
+    let diagnose_run = |run: &ArmRun, diagnosis: &ArmDiagnosis| match has_large {
         true => run.fit_compliance(diagnosis),
         false => run.test_zeros_as_sag(diagnosis),
     };
     let encoding = match &diagnosis.joints.encoding {
         Ok(encoding) if !encoding.is_as_logged() => encoding,
-        _ => {
-            return diagnose_run(
-                ComplianceRun { joints, streams, is_prismatic, max_lag_s },
-                diagnosis,
-            );
-        }
+        _ => return diagnose_run(run, diagnosis),
     };
     if !has_large && !diagnosis.joints.offsets.iter().any(|offset| offset.is_chosen) {
         return None;
     }
     let corrected = correct_joints(joints, encoding, is_prismatic);
-    let run = ComplianceRun { joints: &corrected, streams, is_prismatic, max_lag_s };
-    let mut after = diagnose_run(run, &diagnose_arm_as_logged(&corrected, streams, max_lag_s))?;
+    let run = ArmRun { joints: &corrected, ..*run };
+    let mut after = diagnose_run(&run, &run.diagnose_as_logged())?;
     after.joints.encoding.clone_from(&diagnosis.joints.encoding);
     after.joints.scales.clone_from(&diagnosis.joints.scales);
     for ((stream, diagnosis), after) in
@@ -115,11 +101,8 @@ pub(super) fn diagnose_with_compliance(
 /// Diagnosis with compliance, if it explains a joint scale in `diagnosis` about as well. Over a small range,
 /// sag looks like a scale of 1 %, and no gear or encoder has such a ratio.
 pub(super) fn diagnose_scale_as_compliance(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    is_prismatic: &[bool],
+    run: &ArmRun,
     diagnosis: &ArmDiagnosis,
-    max_lag_s: f64,
 ) -> Option<ArmDiagnosis> {
     let is_odd = |scale: &JointScale| {
         !scale.is_coded() && (!scale.is_round() || scale.factor.value.round() == 1.0)
@@ -127,12 +110,11 @@ pub(super) fn diagnose_scale_as_compliance(
     if !diagnosis.joints.scales.iter().any(is_odd) {
         return None;
     }
-    let run = ComplianceRun { joints, streams, is_prismatic, max_lag_s };
-    let after = run.fit_compliance(&diagnose_arm_as_logged(joints, streams, max_lag_s))?;
+    let after = run.fit_compliance(&run.diagnose_as_logged())?;
     (log_bayes_factor(&after, diagnosis) > -MAX_LOG_RATIO_OF_CONFOUNDER).then_some(after)
 }
 
-impl ComplianceRun<'_> {
+impl ArmRun<'_> {
     fn fit_compliance(&self, diagnosis: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let is_explained = |after: &ArmDiagnosis| !after.streams.iter().any(has_large_residual);
         let samples = self.samples(self.joints, diagnosis);
@@ -282,7 +264,7 @@ impl ComplianceRun<'_> {
         }
         let mut joints = self.joints.clone();
         apply_compliance(&mut joints, compliances);
-        let diagnosis = diagnose_arm_as_logged(&joints, self.streams, self.max_lag_s);
+        let diagnosis = ArmRun { joints: &joints, ..*self }.diagnose_as_logged();
         Some((joints, diagnosis))
     }
 

@@ -1,12 +1,13 @@
 //! Selects the joints with compliance by linear least squares on the residual of one diagnosis, with all
 //! causes of its model free.
 
+use super::ResidualSamples;
 use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
 use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
 use super::term::{ComplianceKind, ComplianceTerm, FreeParameters, MAX_COMPLIANCE_RAD};
-use super::{ComplianceRun, ResidualSamples};
 use crate::ChangePoint;
+use crate::arm_run::ArmRun;
 use crate::priors::price;
 use crate::solver::linear::{Linear, Normal};
 use ground::stats::Measured;
@@ -30,7 +31,7 @@ const TRIAL_TIMES: usize = 12;
 const GRID_REFINEMENT: i32 = 4;
 
 pub(super) struct ComplianceSearch<'a> {
-    run: &'a ComplianceRun<'a>,
+    run: &'a ArmRun<'a>,
     samples: &'a [ResidualSamples],
     gravity: Arc<GravityTorques>,
     /// Per joint over the run.
@@ -40,11 +41,7 @@ pub(super) struct ComplianceSearch<'a> {
 }
 
 impl<'a> ComplianceSearch<'a> {
-    pub fn new(
-        run: &'a ComplianceRun,
-        samples: &'a [ResidualSamples],
-        masses: MassModel,
-    ) -> Option<Self> {
+    pub fn new(run: &'a ArmRun, samples: &'a [ResidualSamples], masses: MassModel) -> Option<Self> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
         let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
         let torques = torques(&gravity, samples, run.joints.dof);

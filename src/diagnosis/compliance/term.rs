@@ -1,7 +1,7 @@
 //! Terms of the compliance model, and the parameters fitted with them.
 
-use super::ComplianceRun;
 use super::shapes::BacklashCrossing;
+use crate::arm_run::ArmRun;
 use crate::{ArmDiagnosis, EstimateResult, FrameEstimate};
 
 const MIN_STD_ERRORS: f64 = 4.0;
@@ -70,7 +70,7 @@ pub(super) struct FreeParameters {
 
 impl FreeParameters {
     /// All zeros, latencies and frames.
-    pub fn all(run: &ComplianceRun) -> Self {
+    pub fn all(run: &ArmRun) -> Self {
         Self {
             zeros: vec![true; run.joints.dof],
             streams: vec![[true, false, true, true]; run.streams.len()],
@@ -78,7 +78,7 @@ impl FreeParameters {
     }
 
     /// Only the causes of the selected model.
-    pub fn from_selected(run: &ComplianceRun, diagnosis: &ArmDiagnosis) -> Self {
+    pub fn from_selected(run: &ArmRun, diagnosis: &ArmDiagnosis) -> Self {
         let streams = run.streams.iter().zip(&diagnosis.streams).map(|(stream, diagnosis)| {
             let frame = |frame: &EstimateResult<FrameEstimate>| {
                 frame.as_ref().is_ok_and(|frame| frame.is_chosen)

@@ -1,203 +1,135 @@
 //! Diagnoses streams with a variable latency after correcting their stamps.
 
-use crate::arm::are_floating;
-use crate::changes::{
-    constant_frames_suffice, diagnose_with_changes, diagnose_with_drift,
-    diagnose_with_recorded_changes,
-};
-use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
+use crate::arm::diagnose_arm;
+use crate::arm_run::ArmRun;
 use crate::imu::diagnose_converted_imu;
-use crate::residuals::comparison::{has_latency_steps, has_slow_residual};
-use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    JointEncoding, LatencyProfile, LatencyRamp, PoseDiagnosis, PoseStream,
-    detect_imu_latency_changes, detect_pose_latency_changes, diagnose_arm,
+    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
+    detect_pose_latency_changes,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
 const MAX_REFINEMENTS: usize = 2;
 
-/// Diagnoses an arm's pose streams. Compensates a variable latency first, so its effects are not attributed
-/// to another cause.
-pub fn diagnose_with_latency_compensation(
-    joints: &JointTrack,
-    streams: &[PoseStream],
-    is_prismatic: &[bool],
-    max_lag_s: f64,
-) -> ArmDiagnosis {
-    let by_recorded_changes =
-        diagnose_with_recorded_changes(joints, streams, is_prismatic, max_lag_s);
-    if let Some(diagnosis) = by_recorded_changes {
-        // Between poses in one frame, a drift leaves some segments as logged.
-        let by_drift = are_floating(streams)
-            .then(|| diagnose_arm(joints, streams, max_lag_s))
-            .and_then(|constant| diagnose_with_drift(joints, streams, &constant, max_lag_s))
-            .filter(|drift| log_bayes_factor(drift, &diagnosis) > 0.0);
-        return by_drift.unwrap_or(diagnosis);
-    }
-    let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
-        streams
-            .par_iter()
-            .map(|stream| detect_pose_latency_changes(joints, stream, max_lag_s))
-            .collect()
-    };
-    let mut changes = detect_changes(joints);
-    let as_detected = changes.clone();
-    let first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
-    let diagnose_without = |changes: &[Option<CoarseLatencyChange>]| match changes == as_detected {
-        true => first.clone(),
-        false => diagnose_without_coarse_changes(joints, streams, changes, max_lag_s),
-    };
-    let mut diagnosis = first.clone();
-    let are_joints_misinterpreted =
-        !diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
-    if are_joints_misinterpreted && changes.iter().all(Option::is_none) {
-        // Misread joints and latency changes hide each other.
-        let corrected = match &diagnosis.joints.encoding {
-            Ok(_) => diagnosis.joints.corrected_joints(joints, is_prismatic),
-            Err(_) => {
-                let mut radians = joints.clone();
-                radians.convert_from_degrees(is_prismatic);
-                radians
-            }
+/// Run with constant latencies.
+pub(crate) struct CompensatedRun {
+    /// Tracks with corrected stamps, per stream. `None` if the latency is constant.
+    pub tracks: Vec<Option<PoseTrack>>,
+    /// Latencies over the run.
+    pub profiles: Vec<EstimateResult<LatencyProfile>>,
+    /// With constant causes.
+    pub diagnosis: ArmDiagnosis,
+}
+
+impl CompensatedRun {
+    /// Compensates a variable latency, so its effects are not attributed to another cause.
+    pub fn new(run: &ArmRun) -> Self {
+        let ArmRun { joints, streams, is_prismatic, max_lag_s } = *run;
+        let detect_changes = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
+            streams
+                .par_iter()
+                .map(|stream| detect_pose_latency_changes(joints, stream, max_lag_s))
+                .collect()
         };
-        changes = detect_changes(&corrected);
-        if changes.iter().any(Option::is_some) {
+        let mut changes = detect_changes(joints);
+        let as_detected = changes.clone();
+        let first = diagnose_without_coarse_changes(joints, streams, &changes, max_lag_s);
+        let diagnose_without =
+            |changes: &[Option<CoarseLatencyChange>]| match changes == as_detected {
+                true => first.clone(),
+                false => diagnose_without_coarse_changes(joints, streams, changes, max_lag_s),
+            };
+        let mut diagnosis = first.clone();
+        let are_joints_misinterpreted =
+            !diagnosis.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
+        if are_joints_misinterpreted && changes.iter().all(Option::is_none) {
+            // Misread joints and latency changes hide each other.
+            let corrected = match &diagnosis.joints.encoding {
+                Ok(_) => diagnosis.joints.corrected_joints(joints, is_prismatic),
+                Err(_) => {
+                    let mut radians = joints.clone();
+                    radians.convert_from_degrees(is_prismatic);
+                    radians
+                }
+            };
+            changes = detect_changes(&corrected);
+            if changes.iter().any(Option::is_some) {
+                diagnosis = diagnose_without(&changes);
+            }
+        }
+        for _ in 0..MAX_REFINEMENTS {
+            let both = changes.iter_mut().zip(&diagnosis.streams);
+            if both
+                .filter_map(|(change, diagnosis)| refine_ramp(change, &diagnosis.latency_profile))
+                .count()
+                == 0
+            {
+                break;
+            }
             diagnosis = diagnose_without(&changes);
         }
-    }
-    for _ in 0..MAX_REFINEMENTS {
-        let both = changes.iter_mut().zip(&diagnosis.streams);
-        if both
-            .filter_map(|(change, diagnosis)| refine_ramp(change, &diagnosis.latency_profile))
-            .count()
-            == 0
-        {
-            break;
+        let steps: Vec<_> = changes
+            .iter()
+            .map(|change| change.as_ref().and_then(CoarseLatencyChange::steps))
+            .collect();
+        // Ramps stay in the estimated profile; only steps are removed.
+        let step_free_tracks: Vec<Option<PoseTrack>> = streams
+            .iter()
+            .zip(&steps)
+            .map(|(stream, steps)| {
+                Some(with_stamps(stream.track, &(*steps)?.compensated(&stream.track.t_s)))
+            })
+            .collect();
+        let streams = with_tracks(streams, &step_free_tracks);
+        let mut tracks = Vec::new();
+        let mut profiles = Vec::new();
+        for ((stream, diagnosis), change) in streams.iter().zip(&diagnosis.streams).zip(&changes) {
+            tracks.push(compensate_latency(stream, &diagnosis.latency_profile));
+            profiles.push(match change.as_ref().and_then(CoarseLatencyChange::steps) {
+                Some(steps) => Ok(steps.profile(&diagnosis.latency_profile)),
+                None => diagnosis.latency_profile.clone(),
+            });
         }
-        diagnosis = diagnose_without(&changes);
-    }
-    let steps: Vec<_> =
-        changes.iter().map(|change| change.as_ref().and_then(CoarseLatencyChange::steps)).collect();
-    // Ramps stay in the estimated profile; only steps are removed.
-    let step_free_tracks: Vec<Option<PoseTrack>> = streams
-        .iter()
-        .zip(&steps)
-        .map(|(stream, steps)| {
-            Some(with_stamps(stream.track, &(*steps)?.compensated(&stream.track.t_s)))
-        })
-        .collect();
-    let streams = with_tracks(streams, &step_free_tracks);
-    let mut tracks = Vec::new();
-    let mut profiles = Vec::new();
-    for ((stream, diagnosis), change) in streams.iter().zip(&diagnosis.streams).zip(&changes) {
-        tracks.push(compensate_latency(stream, &diagnosis.latency_profile));
-        profiles.push(match change.as_ref().and_then(CoarseLatencyChange::steps) {
-            Some(steps) => Ok(steps.profile(&diagnosis.latency_profile)),
-            None => diagnosis.latency_profile.clone(),
-        });
-    }
-    let mut compensated = if tracks.iter().all(Option::is_none) {
-        diagnosis
-    } else {
-        diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s)
-    };
-    // Profiles on stamps with large errors are approximate; refine once.
-    let mut is_refined = false;
-    for s in 0..streams.len() {
-        if steps[s].is_some() || tracks[s].is_none() {
-            continue;
-        }
-        let (Ok(profile), Ok(rest)) = (&profiles[s], &compensated.streams[s].latency_profile)
-        else {
-            continue;
+        let mut compensated = if tracks.iter().all(Option::is_none) {
+            diagnosis
+        } else {
+            diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s)
         };
-        let refined = profile.clone().combined_with(rest);
-        if refined != *profile {
-            let track = streams[s].track;
-            tracks[s] = Some(with_stamps(track, &refined.compensated(&track.t_s)));
-            (profiles[s], is_refined) = (Ok(refined), true);
+        // Profiles on stamps with large errors are approximate; refine once.
+        let mut is_refined = false;
+        for s in 0..streams.len() {
+            if steps[s].is_some() || tracks[s].is_none() {
+                continue;
+            }
+            let (Ok(profile), Ok(rest)) = (&profiles[s], &compensated.streams[s].latency_profile)
+            else {
+                continue;
+            };
+            let refined = profile.clone().combined_with(rest);
+            if refined != *profile {
+                let track = streams[s].track;
+                tracks[s] = Some(with_stamps(track, &refined.compensated(&track.t_s)));
+                (profiles[s], is_refined) = (Ok(refined), true);
+            }
         }
-    }
-    if is_refined {
-        compensated = diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s);
-    }
-    // Profiles of large steps are already relative to the lowest level.
-    for ((profile, stream), steps) in profiles.iter_mut().zip(&streams).zip(&steps) {
-        if let (Ok(unsteady), None) = (profile.as_mut(), steps)
-            && unsteady.is_unsteady
-        {
-            *unsteady = unsteady.clone().relative_to_typical(&stream.track.t_s);
+        if is_refined {
+            compensated = diagnose_arm(joints, &with_tracks(&streams, &tracks), max_lag_s);
         }
-    }
-    let compensated_streams = with_tracks(&streams, &tracks);
-    let is_within_links = !are_floating(&streams) && constant_frames_suffice(&compensated);
-    let by_sag = diagnose_scale_as_compliance(
-        joints,
-        &compensated_streams,
-        is_prismatic,
-        &compensated,
-        max_lag_s,
-    );
-    // Link deviations look like sag and eccentricity, not like backlash.
-    let is_smooth = |with_compliance: &ArmDiagnosis| {
-        with_compliance.joints.compliance.iter().any(|compliance| !compliance.is_backlash())
-    };
-    let by_compliance = by_sag.or_else(|| {
-        diagnose_with_compliance(
-            joints,
-            &compensated_streams,
-            is_prismatic,
-            &compensated,
-            max_lag_s,
-        )
-        .filter(|with_compliance| !is_within_links || !is_smooth(with_compliance))
-    });
-    let is_sufficient = |with_compliance: &ArmDiagnosis| {
-        !with_compliance.joints.compliance.is_empty()
-            && !with_compliance.streams.iter().any(has_slow_residual)
-    };
-    // Backlash with few reversals resembles a changing zero or frame.
-    let max_changes =
-        if by_compliance.as_ref().is_some_and(is_sufficient) { 1 } else { usize::MAX };
-    let by_change = match is_within_links {
-        true => None,
-        false => diagnose_with_changes(
-            joints,
-            &compensated_streams,
-            is_prismatic,
-            &compensated,
-            max_lag_s,
-            max_changes,
-        ),
-    };
-    let (has_changes, alternative) = match (by_change, by_compliance) {
-        (Some(change), Some(compliance)) => match log_bayes_factor(&compliance, &change) > 0.0 {
-            true => (false, Some(compliance)),
-            false => (true, Some(change)),
-        },
-        (change, compliance) => (change.is_some(), change.or(compliance)),
-    };
-    // Steps can imitate a drift.
-    let are_steps = |stream: &PoseDiagnosis| are_floating(&streams) && stream.has_changes();
-    let is_open = match &alternative {
-        Some(other) => other.streams.iter().any(|it| are_steps(it) || has_slow_residual(it)),
-        None => !is_within_links,
-    };
-    let by_drift = is_open
-        .then(|| diagnose_with_drift(joints, &compensated_streams, &compensated, max_lag_s))
-        .flatten();
-    if let Some(alternative) = likeliest(by_drift.into_iter().chain(alternative)) {
-        compensated = alternative;
-    }
-    for (compensated, profile) in compensated.streams.iter_mut().zip(profiles) {
-        if !has_changes || !has_latency_steps(compensated) {
-            compensated.latency_profile = profile;
+        // Profiles of large steps are already relative to the lowest level.
+        for ((profile, stream), steps) in profiles.iter_mut().zip(&streams).zip(&steps) {
+            if let (Ok(unsteady), None) = (profile.as_mut(), steps)
+                && unsteady.is_unsteady
+            {
+                *unsteady = unsteady.clone().relative_to_typical(&stream.track.t_s);
+            }
         }
+        for (track, step_free) in tracks.iter_mut().zip(&step_free_tracks) {
+            *track = track.take().or_else(|| step_free.clone());
+        }
+        Self { tracks, profiles, diagnosis: compensated }
     }
-    compensated
 }
 
 /// Refines a ramp with the profile of the compensated stream. If that is constant, the speeds differ for
@@ -232,7 +164,8 @@ fn diagnose_without_coarse_changes(
     diagnose_arm(joints, &streams, max_lag_s)
 }
 
-fn with_tracks<'a>(
+/// Streams with other tracks, if there are any.
+pub(crate) fn with_tracks<'a>(
     streams: &[PoseStream<'a>],
     tracks: &'a [Option<PoseTrack>],
 ) -> Vec<PoseStream<'a>> {

@@ -1,0 +1,28 @@
+//! Input of a diagnosis of an arm's run.
+
+use crate::arm::{diagnose_arm, diagnose_arm_as_logged};
+use crate::{ArmDiagnosis, PoseStream};
+use ground::stream::JointTrack;
+
+/// Joint states and pose streams of an arm.
+#[derive(Clone, Copy)]
+pub(crate) struct ArmRun<'a> {
+    pub joints: &'a JointTrack,
+    pub streams: &'a [PoseStream<'a>],
+    /// Per joint.
+    pub is_prismatic: &'a [bool],
+    /// The largest latency to search, s.
+    pub max_lag_s: f64,
+}
+
+impl ArmRun<'_> {
+    /// With constant causes.
+    pub fn diagnose(&self) -> ArmDiagnosis {
+        diagnose_arm(self.joints, self.streams, self.max_lag_s)
+    }
+
+    /// The same, without another encoding of the joint states.
+    pub fn diagnose_as_logged(&self) -> ArmDiagnosis {
+        diagnose_arm_as_logged(self.joints, self.streams, self.max_lag_s)
+    }
+}
