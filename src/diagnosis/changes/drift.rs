@@ -20,7 +20,7 @@ use ground::stats::MeasuredLength;
 use ground::stream::PoseTrack;
 use nalgebra::{DMatrix, DVector};
 
-/// Columns of the fit: constant frames, then half of the drift over the run.
+/// Columns of the fit: constant causes, then half of the drift over the run.
 const WIDTH: usize = CONSTANT + 6;
 
 /// Drift over the run, in addition to the drift already removed.
@@ -29,7 +29,7 @@ struct Drift {
     half: DVector<f64>,
     covariance: DMatrix<f64>,
     dof: f64,
-    /// Reduction of the cost beyond constant frames, minus the price of the drift.
+    /// Reduction of the cost beyond constant causes, minus the price of the drift.
     score: f64,
 }
 
@@ -43,19 +43,11 @@ impl<'a> DriftFit<'a> {
         Self { columns: FrameColumns::new(diagnosis), frame }
     }
 
-    /// From −1 at the first sample to 1 at the last.
-    fn part(&self, t_s: f64) -> f64 {
-        (t_s - self.columns.aligned.middle_s()) / self.half_span_s().max(f64::MIN_POSITIVE)
-    }
-
-    fn half_span_s(&self) -> f64 {
-        let t_s = &self.columns.aligned.t_s;
-        t_s.first().zip(t_s.last()).map_or(0.0, |(first, last)| 0.5 * (last - first))
-    }
-
     /// Directions that the motion does not show stay zero.
     fn solve(&self) -> Drift {
-        let linear = self.columns.linearize(WIDTH, |t_s| Some((self.frame, self.part(t_s))));
+        let linear = self
+            .columns
+            .linearize(WIDTH, |t_s| Some((self.frame.columns(), self.columns.part(t_s))));
         let all: Vec<usize> = (0..WIDTH).collect();
         let step_with = |weights: &[_]| {
             let mut normal = Normal::zeros(WIDTH);
@@ -84,7 +76,7 @@ impl<'a> DriftFit<'a> {
 
     /// Change of the drifting frame at `t_s`, in the base or the tool.
     fn drift_at(&self, half: &[f64], t_s: f64) -> Pose {
-        let part = self.part(t_s);
+        let part = self.columns.part(t_s);
         let twist: Vec<f64> = half.iter().map(|value| value * part).collect();
         let change = pose_of_twist(&twist);
         match self.frame {
@@ -177,7 +169,7 @@ fn diagnose_one(
     let base = base.map_or_else(Pose::identity, |frame| frame.pose);
     let change = ChangePoint {
         at_s: fit.columns.aligned.middle_s(),
-        within_s: fit.half_span_s(),
+        within_s: fit.columns.half_span_s(),
         is_gradual: true,
         from: pose_of_twist(&total.iter().map(|value| -0.5 * value).collect::<Vec<f64>>()) * base,
         to: pose_of_twist(&total.iter().map(|value| 0.5 * value).collect::<Vec<f64>>()) * base,

@@ -1,4 +1,4 @@
-//! Residual of a diagnosis, with its derivatives by small changes of the reference and the tool frame.
+//! Residual of a diagnosis, with its derivatives by small changes of the reference, the tool frame and the latency.
 
 use crate::model::jacobian::{Derivative, PoseJacobian};
 use crate::model::measurement::{FLOOR_M, FLOOR_RAD};
@@ -26,8 +26,10 @@ impl Frame {
     }
 }
 
-/// Number of columns of both frames.
-pub(super) const CONSTANT: usize = 12;
+/// Column of the latency, followed by the skew.
+pub(super) const LATENCY: usize = 12;
+/// Number of columns of constant causes.
+pub(super) const CONSTANT: usize = LATENCY + 2;
 
 pub(super) struct FrameColumns<'a> {
     pub aligned: &'a AlignedSamples,
@@ -51,9 +53,34 @@ impl<'a> FrameColumns<'a> {
         (0..all).step_by(all.div_ceil(MAX_SAMPLES).max(1))
     }
 
-    /// Residuals in m and rad, and their derivatives: `width` columns, the first [`CONSTANT`] for constant changes
-    /// of both frames. `more` gives columns and their factors to a frame's derivatives at a time.
-    pub fn linearize(&self, width: usize, more: impl Fn(f64) -> Option<(Frame, f64)>) -> Linear {
+    /// From −1 at the first sample to 1 at the last.
+    pub fn part(&self, t_s: f64) -> f64 {
+        (t_s - self.aligned.middle_s()) / self.half_span_s().max(f64::MIN_POSITIVE)
+    }
+
+    pub fn half_span_s(&self) -> f64 {
+        let t_s = &self.aligned.t_s;
+        t_s.first().zip(t_s.last()).map_or(0.0, |(first, last)| 0.5 * (last - first))
+    }
+
+    /// Of FK at a row.
+    fn velocity(&self, row: usize) -> Derivative {
+        let AlignedSamples { t_s, fk_at_truth, .. } = self.aligned;
+        let (from, to) = (row.saturating_sub(1), (row + 1).min(t_s.len() - 1));
+        let (before, after) = (&fk_at_truth[from], &fk_at_truth[to]);
+        let moved = after.translation.vector - before.translation.vector;
+        let turned = rotvec_from_rotation(&(after.rotation * before.rotation.inverse()));
+        let interval_s = (t_s[to] - t_s[from]).max(f64::MIN_POSITIVE);
+        [moved, turned].map(|change| change / interval_s)
+    }
+
+    /// Residuals in m and rad, and their derivatives: `width` columns, the first [`CONSTANT`] for constant causes.
+    /// `more` gives the columns that are repeated behind them, and their factor at a time.
+    pub fn linearize(
+        &self,
+        width: usize,
+        more: impl Fn(f64) -> Option<(Range<usize>, f64)>,
+    ) -> Linear {
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
         let identity = Pose::identity();
         let mask = |vector: Vec3| if self.has_rotation { vector } else { Vec3::zeros() };
@@ -64,17 +91,21 @@ impl<'a> FrameColumns<'a> {
             let mut rows = linear.push(&[shift.into(), mask(turn).into()]);
             let about_centre = pose((fk.translation.vector - self.centre).into(), fk.rotation);
             let jacobian = PoseJacobian::new(&[], &identity, &about_centre, &identity);
+            let late = self.velocity(row).map(|part| -part);
+            let part = self.part(self.aligned.t_s[row]);
             let derivatives: [Derivative; CONSTANT] = std::array::from_fn(|column| match column {
                 0..6 => jacobian.reference(column),
-                _ => jacobian.tool(column - 6),
+                6..LATENCY => jacobian.tool(column - 6),
+                LATENCY => late,
+                _ => late.map(|late| late * part),
             });
             let mut set = |column: usize, [linear, angular]: Derivative| {
                 rows.set(0, column, linear.into());
                 rows.set(1, column, mask(angular).into());
             };
             derivatives.iter().enumerate().for_each(|(column, own)| set(column, *own));
-            if let Some((frame, factor)) = more(self.aligned.t_s[row]) {
-                for (at, column) in frame.columns().enumerate() {
+            if let Some((columns, factor)) = more(self.aligned.t_s[row]) {
+                for (at, column) in columns.enumerate() {
                     set(CONSTANT + at, derivatives[column].map(|vector| vector * factor));
                 }
             }

@@ -1,19 +1,23 @@
-//! Score test for a step of a frame at any time: finds steps within the noise, which no single sample shows.
+//! Score test for a step of a frame or the latency at any time: finds steps within the noise, which no single sample
+//! shows.
 
-use super::frame_columns::{CONSTANT, Frame, FrameColumns};
+use super::frame_columns::{CONSTANT, Frame, FrameColumns, LATENCY};
 use super::jumps::Jump;
 use crate::PoseDiagnosis;
 use crate::priors::price;
 use crate::residuals::comparison::MIN_SEGMENT_SAMPLES;
 use crate::solver::linear::{Linear, Normal, Weight};
 use nalgebra::{DVector, SMatrix, SVector};
+use std::ops::Range;
 
 type Matrix = SMatrix<f64, CONSTANT, CONSTANT>;
 type Vector = SVector<f64, CONSTANT>;
 
-/// Columns of a step, and of both.
-const STEP: usize = 6;
-const WIDTH: usize = CONSTANT + STEP;
+/// Columns that may step together.
+const CAUSES: [Range<usize>; 3] =
+    [Frame::Reference.columns(), Frame::Tool.columns(), LATENCY..LATENCY + 1];
+/// Columns of constant causes and of a frame's step.
+const MAX_WIDTH: usize = CONSTANT + 6;
 
 /// Sums over the samples before each sample, and over all.
 struct PrefixSums {
@@ -38,24 +42,25 @@ impl PrefixSums {
         Self { matrix, right }
     }
 
-    /// Reduction of the cost by a step of `frame` before `sample`, in excess of constant frames.
-    fn gain(&self, sample: usize, frame: Frame) -> f64 {
+    /// Reduction of the cost by a step of `columns` before `sample`, in excess of constant causes.
+    fn gain(&self, sample: usize, columns: &Range<usize>) -> f64 {
         let last = self.matrix.len() - 1;
         let (all, later) = (&self.matrix[last], self.matrix[last] - self.matrix[sample]);
         let later_right = self.right[last] - self.right[sample];
-        let own = frame.columns();
-        let mut matrix = SMatrix::<f64, WIDTH, WIDTH>::zeros();
-        let mut right = SVector::<f64, WIDTH>::zeros();
+        let mut matrix = SMatrix::<f64, MAX_WIDTH, MAX_WIDTH>::zeros();
+        let mut right = SVector::<f64, MAX_WIDTH>::zeros();
         matrix.fixed_view_mut::<CONSTANT, CONSTANT>(0, 0).copy_from(all);
         right.fixed_rows_mut::<CONSTANT>(0).copy_from(&self.right[last]);
-        let of_step = later.fixed_columns::<STEP>(own.start);
-        matrix.fixed_view_mut::<CONSTANT, STEP>(0, CONSTANT).copy_from(&of_step);
-        matrix.fixed_view_mut::<STEP, CONSTANT>(CONSTANT, 0).copy_from(&of_step.transpose());
-        let both = of_step.fixed_rows::<STEP>(own.start);
-        matrix.fixed_view_mut::<STEP, STEP>(CONSTANT, CONSTANT).copy_from(&both);
-        right
-            .fixed_rows_mut::<STEP>(CONSTANT)
-            .copy_from(&later_right.fixed_rows::<STEP>(own.start));
+        for (at, column) in (CONSTANT..).zip(columns.clone()) {
+            for other in 0..CONSTANT {
+                let product = later[(other, column)];
+                (matrix[(other, at)], matrix[(at, other)]) = (product, product);
+            }
+            for (other_at, other) in (CONSTANT..).zip(columns.clone()) {
+                matrix[(at, other_at)] = later[(column, other)];
+            }
+            right[at] = later_right[column];
+        }
         explained(matrix, right) - explained(*all, self.right[last])
     }
 }
@@ -70,8 +75,8 @@ fn explained<const N: usize>(mut matrix: SMatrix<f64, N, N>, right: SVector<f64,
     matrix.cholesky().map_or(0.0, |cholesky| right.dot(&cholesky.solve(&right)))
 }
 
-/// The likeliest step of a frame of the stream, if the likelihood justifies one. Its strength is relative to the price
-/// of a step's parameters.
+/// The likeliest step of the stream, if the likelihood justifies one. Its strength is relative to the price of its
+/// parameters.
 pub(super) fn likeliest_step(diagnosis: &PoseDiagnosis) -> Option<Jump> {
     /// In the log-likelihood, of the 95 % interval of its time.
     const TIME_TOLERANCE: f64 = 1.92;
@@ -81,37 +86,51 @@ pub(super) fn likeliest_step(diagnosis: &PoseDiagnosis) -> Option<Jump> {
         return None;
     }
     let candidates = MIN_SEGMENT_SAMPLES..rows.len() - MIN_SEGMENT_SAMPLES;
-    let best = |sums: &PrefixSums| {
-        let of = |sample: usize| Frame::BOTH.map(|frame| (sums.gain(sample, frame), sample, frame));
+    let best = |sums: &PrefixSums, price: f64| {
+        // The time is a parameter, too.
+        let score = |sample: usize, step: Range<usize>| {
+            let score = sums.gain(sample, &step) - price * (step.len() + 1) as f64;
+            (score, sample, step)
+        };
+        let of = |sample: usize| CAUSES.map(|step| score(sample, step));
         candidates.clone().flat_map(of).max_by(|a, b| a.0.total_cmp(&b.0))
     };
     let constant = columns.linearize(CONSTANT, |_| None);
-    let (_, sample, frame) = best(&PrefixSums::new(&constant, &constant.first_weights()))?;
+    let normal_equations = |linear: &Linear, weights: &[Weight]| {
+        let all: Vec<usize> = (0..linear.width).collect();
+        let mut normal = Normal::zeros(linear.width);
+        linear.accumulate(weights, &all, &mut normal);
+        normal
+    };
+    let weights = constant.first_weights();
+    let price_of =
+        |linear: &Linear, weights: &[Weight]| price(normal_equations(linear, weights).independent);
+    let (_, sample, step) =
+        best(&PrefixSums::new(&constant, &weights), price_of(&constant, &weights))?;
     // The noise without that step.
     let at_s = columns.aligned.t_s[rows[sample]];
-    let with_step =
-        columns.linearize(WIDTH, |t_s| Some((frame, if t_s < at_s { 0.0 } else { 1.0 })));
-    let all: Vec<usize> = (0..WIDTH).collect();
-    let mut normal = Normal::zeros(WIDTH);
-    with_step.accumulate(&with_step.first_weights(), &all, &mut normal);
-    let step = normal.step(&DVector::zeros(WIDTH), &all);
-    let weights = with_step.weights_after(step.as_slice());
+    let with_step = columns.linearize(CONSTANT + step.len(), |t_s| {
+        Some((step.clone(), if t_s < at_s { 0.0 } else { 1.0 }))
+    });
+    let all: Vec<usize> = (0..with_step.width).collect();
+    let fit = normal_equations(&with_step, &with_step.first_weights())
+        .step(&DVector::zeros(with_step.width), &all);
+    let weights = with_step.weights_after(fit.as_slice());
+    let price = price_of(&with_step, &weights);
     let sums = PrefixSums::new(&constant, &weights);
-    let (gain, sample, frame) = best(&sums)?;
-    let mut normal = Normal::zeros(WIDTH);
-    with_step.accumulate(&weights, &all, &mut normal);
-    let price = price(normal.independent) * STEP as f64;
-    if gain < price {
+    let (score, sample, step) = best(&sums, price)?;
+    if score < 0.0 {
         return None;
     }
-    let is_likely = |at: &usize| sums.gain(*at, frame) > gain - 2.0 * TIME_TOLERANCE;
+    let gain = sums.gain(sample, &step);
+    let is_likely = |at: &usize| sums.gain(*at, &step) > gain - 2.0 * TIME_TOLERANCE;
     let first = candidates.clone().take_while(|&at| at < sample).find(is_likely).unwrap_or(sample);
     let last = candidates.rev().take_while(|&at| at > sample).find(is_likely).unwrap_or(sample);
     let t_s = |sample: usize| columns.aligned.t_s[rows[sample]];
     Some(Jump {
         at_s: 0.5 * (t_s(sample - 1) + t_s(sample)),
         within_s: 0.5 * (t_s(last) - t_s(first - 1)),
-        strength: gain / price,
+        strength: gain / (price * (step.len() + 1) as f64),
         window_s: 0.0,
     })
 }
