@@ -11,7 +11,7 @@ use crate::changes::{
 };
 use crate::compliance::{diagnose_scale_as_compliance, diagnose_with_compliance};
 use crate::latency::compensation::{CompensatedRun, with_tracks};
-use crate::residuals::comparison::{has_latency_steps, has_slow_residual};
+use crate::residuals::comparison::has_slow_residual;
 use crate::selection::evidence::{likeliest, log_bayes_factor};
 use crate::{ArmDiagnosis, JointCompliance, PoseDiagnosis, PoseStream};
 use ground::stream::JointTrack;
@@ -37,10 +37,15 @@ pub fn diagnose_run(
     let run = ArmRun { streams: &streams, ..run };
     let (mut diagnosis, has_changes) =
         diagnose_with_varying_causes(&run, &diagnosis).unwrap_or((diagnosis, false));
-    for (stream, profile) in diagnosis.streams.iter_mut().zip(profiles) {
-        // Change points include steps of the latency.
-        if !has_changes || !has_latency_steps(stream) {
-            stream.latency_profile = profile;
+    for (stream, compensated) in diagnosis.streams.iter_mut().zip(profiles) {
+        match (&mut stream.latency_profile, compensated) {
+            // Change points include further steps of the latency.
+            (Ok(further), Ok(compensated)) if has_changes && !further.steps.is_empty() => {
+                if let Some(all) = compensated.with_further_steps(further) {
+                    *further = all;
+                }
+            }
+            (profile, compensated) => *profile = compensated,
         }
     }
     diagnosis

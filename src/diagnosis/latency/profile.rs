@@ -119,6 +119,36 @@ impl LatencyProfile {
         })
     }
 
+    /// Adds steps that were estimated after compensating those of this profile. They refine steps at the same time.
+    /// `None` if this profile has no steps.
+    pub(crate) fn with_further_steps(self, further: &Self) -> Option<Self> {
+        /// In addition to the compensation, which shifts the stamps.
+        const MAX_TIME_DIFFERENCE_S: f64 = 0.5;
+        let mut steps = Some(self.steps).filter(|steps| !steps.is_empty())?;
+        for step in &further.steps {
+            let is_same = |own: &&mut LatencyStep| {
+                let shift_s = own.size_s.value.abs() + MAX_TIME_DIFFERENCE_S;
+                (own.at_s - step.at_s).abs() < shift_s
+            };
+            match steps.iter_mut().find(is_same) {
+                Some(own) => {
+                    let value = own.size_s.value + step.size_s.value;
+                    own.size_s = Measured { value, ..step.size_s };
+                }
+                None => steps.push(*step),
+            }
+        }
+        steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        let (start_s, first_s) = *self.levels.first()?;
+        let mut level_s = first_s + further.levels.first()?.1;
+        let mut levels = vec![(start_s, level_s)];
+        levels.extend(steps.iter().map(|step| {
+            level_s += step.size_s.value;
+            (step.at_s, level_s)
+        }));
+        Self::from_steps(steps, levels, self.windows)
+    }
+
     /// Stamps compensated for the deviation from the median level, each with its row. Drops rows that would
     /// be out of order.
     pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
