@@ -1,7 +1,8 @@
 //! Motion shared by tests.
 
+use crate::PoseStream;
 use ground::robot::{Chain, catalogue};
-use ground::stream::JointTrack;
+use ground::stream::{JointTrack, PoseTrack};
 
 /// 20 s of a UR5e with swinging joints, and its chain `base` to `tool0`.
 pub fn arm() -> (JointTrack, Chain) {
@@ -19,4 +20,17 @@ pub fn arm() -> (JointTrack, Chain) {
         }
     }
     (joints, chain)
+}
+
+/// Stream of the tip of [`arm`].
+pub fn tip_stream<'a>(track: &'a PoseTrack, chain: &'a Chain) -> PoseStream<'a> {
+    PoseStream {
+        track,
+        chain,
+        columns: &[0, 1, 2, 3, 4, 5],
+        reference_known: true,
+        stamp_error_s: 0.0,
+        stamps_copied: false,
+        removed_ramp: None,
+    }
 }

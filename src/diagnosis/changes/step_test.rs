@@ -134,3 +134,49 @@ pub(super) fn likeliest_step(diagnosis: &PoseDiagnosis) -> Option<Jump> {
         window_s: 0.0,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::diagnose_arm;
+    use crate::test_motion;
+    use crate::test_random::Lcg;
+    use ground::geometry::Vec3;
+    use ground::stream::{Orientations, PoseTrack};
+
+    /// Likeliest step of 20 s of poses with 5 mm of noise, whose latency and tool depend on time.
+    fn likeliest_step_of(
+        latency_s: impl Fn(f64) -> f64,
+        tool_m: impl Fn(f64) -> f64,
+    ) -> Option<Jump> {
+        let (joints, chain) = test_motion::arm();
+        let mut random = Lcg::new();
+        let (mut q, mut qd, mut cursor) = (vec![0.0; 6], vec![0.0; 6], 0);
+        let (mut t_s, mut xyz, mut rotations) = (Vec::new(), Vec::new(), Vec::new());
+        for at_s in (10..980).map(|row| f64::from(row) * 0.02) {
+            assert!(joints.at(at_s - latency_s(at_s), &mut cursor, &mut q, &mut qd));
+            let pose = chain.forward(&q);
+            let tip = pose * nalgebra::Point3::new(0.0, tool_m(at_s), 0.0);
+            t_s.push(at_s);
+            xyz.push(tip.coords + Vec3::from(random.triple(5e-3)));
+            rotations.push(pose.rotation);
+        }
+        let orientation = Orientations::Rotations(rotations);
+        let track = PoseTrack { t_s, xyz, orientation, declared: None };
+        let stream = test_motion::tip_stream(&track, &chain);
+        likeliest_step(&diagnose_arm(&joints, &[stream], 1.0).streams[0])
+    }
+
+    #[test]
+    fn a_step_within_the_noise_is_dated() {
+        let after = |t_s: f64, size: f64| if t_s > 12.0 { size } else { 0.0 };
+        for step in [
+            likeliest_step_of(|t_s| after(t_s, 0.02), |_| 0.0),
+            likeliest_step_of(|_| 0.0, |t_s| after(t_s, 4e-3)),
+        ] {
+            let step = step.expect("a step");
+            assert!((step.at_s - 12.0).abs() < 0.5, "{step:?}");
+        }
+        assert_eq!(likeliest_step_of(|_| 0.01, |_| 2e-3), None);
+    }
+}

@@ -95,3 +95,42 @@ fn stream_parameter_count(stream: &PoseDiagnosis) -> usize {
         + 2 * (stream.radial_scale_changes.len() + steps)
         + 2 * [rotation, degrees, length, axes].into_iter().flatten().count()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::diagnose_arm;
+    use crate::test_motion;
+    use crate::test_random::Lcg;
+    use ground::geometry::Vec3;
+    use ground::stream::{Orientations, PoseTrack};
+
+    #[test]
+    fn a_smaller_residual_is_likelier_and_a_parameter_has_its_price() {
+        let (joints, chain) = test_motion::arm();
+        let mut random = Lcg::new();
+        let poses: Vec<_> = joints.q.chunks(6).map(|q| chain.forward(q)).collect();
+        let noisy = |pose: &ground::geometry::Pose| {
+            pose.translation.vector + Vec3::from(random.triple(1e-3))
+        };
+        let track = PoseTrack {
+            t_s: joints.t_s.clone(),
+            xyz: poses.iter().map(noisy).collect(),
+            orientation: Orientations::Rotations(poses.iter().map(|pose| pose.rotation).collect()),
+            declared: None,
+        };
+        let stream = test_motion::tip_stream(&track, &chain);
+        let healthy = diagnose_arm(&joints, &[stream], 1.0);
+        let mut off = healthy.clone();
+        for pose in &mut off.streams[0].aligned.corrected {
+            pose.translation.vector.x += 3e-3;
+        }
+        let factor = log_bayes_factor(&healthy, &off);
+        assert!(factor > 100.0, "{factor}");
+        assert_eq!(factor, -log_bayes_factor(&off, &healthy));
+        let mut skewed = healthy.clone();
+        skewed.streams[0].is_skew_chosen = true;
+        let independent = log_likelihood_ratio(&skewed, &healthy).1;
+        assert_eq!(log_bayes_factor(&skewed, &healthy), -price(independent));
+    }
+}

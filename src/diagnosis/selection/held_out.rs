@@ -150,8 +150,8 @@ fn mean_square(residual: &[[f64; 3]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use crate::test_motion::arm;
-    use crate::{PoseStream, diagnose_arm};
+    use crate::diagnose_arm;
+    use crate::test_motion::{arm, tip_stream};
     use ground::geometry::Vec3;
     use ground::stream::{Orientations, PoseTrack};
     use rand::{RngExt, SeedableRng};
@@ -175,15 +175,7 @@ mod tests {
         }
         let orientation = Orientations::Rotations(rotations);
         let track = PoseTrack { t_s, xyz, orientation, declared: None };
-        let stream = PoseStream {
-            track: &track,
-            chain: &chain,
-            columns: &[0, 1, 2, 3, 4, 5],
-            reference_known: true,
-            stamp_error_s: 0.0,
-            stamps_copied: false,
-            removed_ramp: None,
-        };
+        let stream = tip_stream(&track, &chain);
         let found = diagnose_arm(&joints, &[stream], 5.0);
         let zeros: Vec<bool> =
             found.joints.offsets.iter().map(|offset| offset.held_out.is_some()).collect();

@@ -9,7 +9,7 @@ fn truth(t_s: f64) -> Pose {
     )
 }
 
-fn course_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
+fn profile_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
     latency_profile(aligned, skew, None, |_| 0.0)
 }
 
@@ -38,11 +38,11 @@ fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedS
 #[test]
 fn a_latency_step_is_estimated_with_time_and_size() {
     for (at_s, size_s) in [(7.3, 0.012), (12.41, -0.03)] {
-        let profile = course_at(
+        let profile = profile_at(
             &aligned(|t_s| if t_s < at_s { 0.001 } else { 0.001 + size_s }, 1e-4, 0.0),
             0.0,
         );
-        let profile = profile.expect("a course");
+        let profile = profile.expect("a profile");
         let [jump] = profile.steps.as_slice() else { panic!("{profile:?}") };
         assert!((jump.size_s.value - size_s).abs() < 1e-3, "{jump:?}");
         assert!((jump.at_s - at_s).abs() < 0.2, "{jump:?}");
@@ -55,8 +55,8 @@ fn a_latency_step_is_estimated_with_time_and_size() {
 
 #[test]
 fn a_wandering_latency_is_measured_from_minimum_to_maximum() {
-    let profile = course_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
-    let profile = profile.expect("a course");
+    let profile = profile_at(&aligned(|t_s| 0.01 * (0.6 * t_s).sin(), 1e-4, 0.0), 0.0);
+    let profile = profile.expect("a profile");
     assert!(profile.is_unsteady, "{profile:?}");
     assert!((0.016..0.024).contains(&profile.swing_s.value.abs()), "{profile:?}");
 }
@@ -64,12 +64,12 @@ fn a_wandering_latency_is_measured_from_minimum_to_maximum() {
 #[test]
 fn noise_skew_and_model_error_are_steady() {
     for noise_m in [1e-6, 1e-4, 2e-3] {
-        let steady = course_at(&aligned(|_| 0.0, noise_m, 0.0), 0.0).expect("a course");
+        let steady = profile_at(&aligned(|_| 0.0, noise_m, 0.0), 0.0).expect("a profile");
         assert!(!steady.is_unsteady, "{steady:?}");
     }
-    let skewed = course_at(&aligned(|t_s| 3e-4 * t_s, 1e-4, 0.0), 0.0).expect("a course");
+    let skewed = profile_at(&aligned(|t_s| 3e-4 * t_s, 1e-4, 0.0), 0.0).expect("a profile");
     assert!(!skewed.is_unsteady, "{skewed:?}");
-    let bent = course_at(&aligned(|_| 0.0, 1e-5, 0.01), 0.0).expect("a course");
+    let bent = profile_at(&aligned(|_| 0.0, 1e-5, 0.01), 0.0).expect("a profile");
     assert!(!bent.is_unsteady, "{bent:?}");
 }
 
@@ -77,14 +77,14 @@ fn noise_skew_and_model_error_are_steady() {
 fn an_arm_at_rest_has_no_latency_profile() {
     let mut still = aligned(|_| 0.0, 0.0, 0.0);
     still.fk_at_truth.fill(truth(0.0));
-    assert!(course_at(&still, 0.0).is_err());
-    assert!(course_at(&AlignedSamples::default(), 0.0).is_err());
+    assert!(profile_at(&still, 0.0).is_err());
+    assert!(profile_at(&AlignedSamples::default(), 0.0).is_err());
 }
 
 #[test]
 fn a_ramp_is_estimated_with_its_ends() {
     let late = |t_s: f64| 0.02 * ((t_s - 6.0) / 7.0).clamp(0.0, 1.0);
-    let found = course_at(&aligned(late, 1e-4, 0.0), 0.0).expect("a course");
+    let found = profile_at(&aligned(late, 1e-4, 0.0), 0.0).expect("a profile");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{:?}", found.shape) };
     assert!((from_s - 6.0).abs() < 1.0 && (to_s - 13.0).abs() < 1.0, "{from_s} {to_s}");
     assert!((found.swing_s.value - 0.02).abs() < 1e-3, "{:?}", found.swing_s);
@@ -114,7 +114,7 @@ fn a_ramp_is_estimated_in_stop_and_go_motion() {
         found.corrected.push(logged);
         found.fk_at_truth.push(stop_and_go(t_s));
     }
-    let found = course_at(&found, 0.0).expect("a course");
+    let found = profile_at(&found, 0.0).expect("a profile");
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{found:?}") };
     assert!((from_s - 12.0).abs() < 1.5 && (to_s - 20.0).abs() < 1.5, "{from_s} {to_s}");
     let off_s = (found.swing_s.value - 0.025).abs();
@@ -126,12 +126,33 @@ fn a_load_dependent_latency_is_estimated_with_its_range() {
     let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
     let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
     let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;
-    let found = latency_profile(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a course");
+    let found = latency_profile(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a profile");
     assert_eq!(found.shape, LatencyShape::WithLoad);
     let swing_s = 0.015 * (most - least) / most;
     assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
     assert!(found.is_unsteady);
     let steady =
-        latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a course");
+        latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a profile");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
+}
+
+#[test]
+fn further_steps_refine_a_step_or_follow_it() {
+    let size = |value| Measured { value, std_error: 1e-3, dof: 100.0 };
+    let profile = |at_s: f64, by_s: f64, first_s: f64| {
+        let step = LatencyStep { at_s, size_s: size(by_s) };
+        let levels = vec![(0.0, first_s), (at_s, first_s + by_s)];
+        LatencyProfile::from_steps(vec![step], levels, Vec::new()).expect("a step")
+    };
+    let coarse = profile(9.38, 0.218, 0.0);
+    let refined = coarse.clone().with_further_steps(&profile(9.41, 0.053, -0.01)).expect("a step");
+    let [step] = refined.steps.as_slice() else { panic!("{refined:?}") };
+    assert!((step.size_s.value - 0.271).abs() < 1e-12 && step.at_s == 9.38, "{step:?}");
+    assert!((refined.relative_s(20.0) - 0.261).abs() < 1e-12, "{refined:?}");
+    let both = coarse.clone().with_further_steps(&profile(3.0, -0.02, 0.0)).expect("steps");
+    let levels = [1.0, 5.0, 20.0].map(|t_s| both.relative_s(t_s));
+    let expected = [0.0, -0.02, 0.198];
+    assert!(levels.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{levels:?}");
+    let steady = LatencyProfile { steps: Vec::new(), ..coarse };
+    assert_eq!(steady.with_further_steps(&profile(3.0, 0.1, 0.0)), None);
 }
