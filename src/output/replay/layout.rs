@@ -2,7 +2,8 @@
 
 use re_log_types::EntityPath;
 use re_sdk_types::blueprint::archetypes::{
-    Background, EyeControls3D, LineGrid3D, PlotLegend, TextLogColumns, TimePanelBlueprint,
+    Background, EyeControls3D, LineGrid3D, PlotLegend, SpatialInformation, TextLogColumns,
+    TimePanelBlueprint,
 };
 use re_sdk_types::blueprint::components::{
     AbsoluteTimeRange, BackgroundKind, Corner2D, LoopMode, PanelState, PlayState,
@@ -19,7 +20,8 @@ use super::chunk_writer::ChunkWriter;
 use super::finding_views::{self, ViewKind};
 use super::plots::{self, PlotQuantity};
 use super::{
-    Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, timeline_writer, tools,
+    Replay, ReplayArm, ReplayCause, ReplayImu, StreamKind, findings, page, scene, timeline_writer,
+    tools,
 };
 use crate::finding::Finding;
 use crate::geometry::Vec3;
@@ -30,21 +32,28 @@ const MAX_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// The viewer plays in a loop.
-pub(super) fn draw(replay: &Replay<'_>, chunks: &ChunkWriter) -> Result<(), ReplayCause> {
+/// The viewer plays in a loop. If it also shows the log, the layout has a view of the log.
+pub(super) fn draw(
+    replay: &Replay<'_>,
+    chunks: &ChunkWriter,
+    has_log: bool,
+) -> Result<(), ReplayCause> {
     let blueprint = Blueprint::new(chunks);
     let arms = replay.arms.iter().map(|arm| scene_view(arm, &blueprint));
-    let arms = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
+    let mut scenes = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
+    if has_log {
+        scenes.extend(replay.arms.first().map(|arm| log_view(arm, &blueprint)).transpose()?);
+    }
     let proof = verdict_views(replay, &blueprint)?;
-    let above = match arms.as_slice() {
+    let above = match scenes.as_slice() {
         [] => proof,
         [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
-        arms => {
+        scenes => {
             // Arm of the worst finding.
             let first = replay.report.findings.first().and_then(|it| replay.arm_of(it));
             let is_first = |arm: &ReplayArm<'_>| Some(arm.name) == first.map(|arm| arm.name);
             let first = replay.arms.iter().position(is_first).unwrap_or(0);
-            blueprint.row(&[blueprint.tabs(arms, first)?, proof], &[5.0, 4.0])?
+            blueprint.row(&[blueprint.tabs(scenes, first)?, proof], &[5.0, 4.0])?
         }
     };
     let root = match replay.report.findings.len() {
@@ -114,6 +123,26 @@ fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPa
     let [red, green, blue, alpha] = GRID_RGBA;
     let grid = LineGrid3D::new().with_color(Color::from_unmultiplied_rgba(red, green, blue, alpha));
     blueprint.set(view, &grid)?;
+    Ok(view)
+}
+
+/// Scene of the log's own entities, in the frame of the arm's base if the log has transforms.
+fn log_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
+    /// Entities of the audit.
+    const AUDIT_RULES: [&str; 7] = [
+        "- /arms/**",
+        "- /errors/**",
+        "- /joints/**",
+        "- /proof/**",
+        "- /findings/**",
+        "- /spans/**",
+        "- /report/**",
+    ];
+    let rules = ["+ /**"].into_iter().chain(AUDIT_RULES);
+    let view = blueprint.view_of::<Spatial3DView>("log", &EntityPath::root(), rules)?;
+    if arm.streams.iter().any(|stream| stream.kind == StreamKind::Tf) {
+        blueprint.set(view, &SpatialInformation::new(arm.chain.base_name()))?;
+    }
     Ok(view)
 }
 

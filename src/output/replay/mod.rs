@@ -20,6 +20,7 @@
 
 mod arm;
 mod audited;
+mod base_recording;
 mod blueprint;
 mod chunk_writer;
 mod encoder;
@@ -52,6 +53,7 @@ use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
+pub use base_recording::{BaseError, BaseRecording};
 use chunk_writer::ChunkWriter;
 pub use row_times::ReceiveTimes;
 use timeline_writer::{TimelineNames, TimelineWriter};
@@ -71,10 +73,26 @@ pub struct Recording {
     /// Recording id. Default: derived from the content.
     pub id: Option<String>,
     /// The viewer also shows the log: timelines have its names, `ros2_timestamp` and `message_log_time`, so
-    /// that one cursor moves both.
+    /// that one cursor moves both, and the layout has a view of the log.
     pub shares_log_timelines: bool,
+    /// Recording of the log that this one is a layer of. It is never overwritten.
+    pub base: Option<PathBuf>,
     /// Folders of meshes. No file outside them is read.
     pub mesh_roots: Vec<PathBuf>,
+}
+
+impl Recording {
+    /// This recording as a layer of the one at `path`.
+    #[must_use]
+    pub fn with_base(self, path: PathBuf, base: &BaseRecording) -> Self {
+        Self {
+            application: Some(base.application.clone()),
+            id: Some(base.id.clone()),
+            shares_log_timelines: base.has_log_timelines(),
+            base: Some(path),
+            ..self
+        }
+    }
 }
 
 impl From<PathBuf> for Recording {
@@ -308,7 +326,7 @@ fn messages(
     replay: &Replay<'_>,
 ) -> Result<(Vec<LogMsg>, Vec<String>), ReplayCause> {
     let chunks = ChunkWriter::new(replay, &application(wanted), wanted.id.clone());
-    layout::draw(replay, &chunks)?;
+    layout::draw(replay, &chunks, wanted.shares_log_timelines)?;
     let names =
         if wanted.shares_log_timelines { TimelineNames::VIEWER } else { TimelineNames::STANDALONE };
     let writer = TimelineWriter::new(chunks, replay.origin, names);
