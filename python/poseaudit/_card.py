@@ -105,10 +105,13 @@ def _largest(episode: Episode) -> list[Amount]:
 
 
 def _shown(amount: Amount) -> str:
+    """The amount in units for people, to the first digit of its half-width."""
     factor, unit = _SHOWN.get(amount.unit, (1.0, amount.unit.removeprefix("1")))
-    spread = (amount.ci95[1] - amount.ci95[0]) / 2 * factor if amount.ci95 else None
-    precision = "" if spread is None else f" ± {spread:.2g}"
-    return f"{amount.code} {amount.value * factor:.3g}{precision} {unit}".rstrip()
+    spread = (amount.ci95[1] - amount.ci95[0]) / 2 * factor if amount.ci95 else 0.0
+    if spread <= 0.0:
+        return f"{amount.code} {amount.value * factor:.3g} {unit}".rstrip()
+    digits = max(0, -math.floor(math.log10(spread)))
+    return f"{amount.code} {amount.value * factor:.{digits}f} ± {spread:.{digits}f} {unit}".rstrip()
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]], rest: str) -> Iterable[str]:

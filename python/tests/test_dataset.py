@@ -77,7 +77,7 @@ def test_the_card_keeps_its_text_and_its_section_is_replaced(v3: Path) -> None:
     )
     card = (v3 / "README.md").read_text(encoding="utf-8")
     assert card.startswith(lerobot.CARD)
-    assert "## Pose audit: FAIL" in card and "| 2 | fail | LAT004 | LAT004 200 ±" in card
+    assert "## Pose audit: FAIL" in card and "| 2 | fail | LAT004 | LAT004 200.1 ± 0.2 ms |" in card
     assert re.search(r"LAT004: state follows its command late \| action \| 3 \|", card)
     outputs = [path for path in v3.rglob("*") if path.is_file()]
     before = {path: path.read_bytes() for path in outputs}

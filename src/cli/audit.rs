@@ -198,7 +198,7 @@ fn read_base(args: &Args) -> Result<Option<BaseRecording>, Trouble> {
     let remedy = "name a recording of the log, such as one that `rerun mcap convert` wrote";
     let base = BaseRecording::read(path)
         .map_err(|error| misuse(place.clone(), error.to_string(), remedy))?;
-    if !base.shares_timeline() {
+    if base.shared_timeline().is_none() {
         let names = base.timelines.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
         return Err(misuse(
             place,

@@ -8,6 +8,7 @@
 //!
 //! Each row belongs to one stream; the cells of the others are empty, which PlotJuggler skips.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -75,15 +76,15 @@ fn plotted_streams(audited: &Audited) -> Vec<PlottedStream> {
             let topic = stream.topic().trim_start_matches('/');
             let name =
                 if has_several_arms { format!("{}/{topic}", arm.name) } else { topic.to_owned() };
-            let is_on =
-                |finding: &&Finding| finding.subject.topic.as_deref() == Some(stream.topic());
-            let codes: Vec<&str> =
-                report.findings.iter().filter(is_on).map(|finding| finding.code).collect();
-            let title = if codes.is_empty() {
-                name.clone()
-            } else {
-                format!("{name}: {}", codes.join(", "))
+            // Findings of joints affect every stream of their arm.
+            let affects = |finding: &&Finding| match finding.subject.topic.as_deref() {
+                Some(topic) => topic == stream.topic(),
+                None => finding.subject.arm().is_none_or(|own| *own == arm.name),
             };
+            let affecting = report.findings.iter().filter(affects);
+            let codes: BTreeSet<&str> = affecting.map(|finding| finding.code).collect();
+            let codes = codes.into_iter().collect::<Vec<_>>().join(", ");
+            let title = if codes.is_empty() { name.clone() } else { format!("{name}: {codes}") };
             let errors = ErrorSeries::new(stream, report, run.origin);
             streams.push(PlottedStream { name: column_name(&name), title, errors });
         }

@@ -217,7 +217,7 @@ fn the_plotjuggler_layout_plots_columns_of_its_table() {
     };
     assert_eq!(named("fileInfo", "filename"), ["errors.csv"]);
     assert_eq!(named("parameters", "time_axis"), [header[0].clone()]);
-    assert_eq!(named("Tab", "tab_name"), ["tcp_pose_broadcaster/pose: LAT001"]);
+    assert_eq!(named("Tab", "tab_name"), ["tcp_pose_broadcaster/pose: LAT001, ZER001"]);
     assert_eq!(named("curve", "name"), header[1..]);
     let largest = |name: &str| {
         let column = header.iter().position(|own| own.ends_with(name)).expect(name);

@@ -92,18 +92,17 @@ impl BaseRecording {
         }
     }
 
-    /// Whether its timelines are those of a log that the viewer has read. Assumed without a footer.
-    pub fn has_log_timelines(&self) -> bool {
-        self.timelines.is_empty() || self.has_timeline_of(TimelineNames::VIEWER)
+    /// Whether its timelines are those of a log that the viewer has read.
+    pub(super) fn has_log_timelines(&self) -> bool {
+        let TimelineNames { stamp, log } = TimelineNames::VIEWER;
+        self.shared_timeline().is_some_and(|name| [stamp, log].contains(&name))
     }
 
-    /// Whether one cursor moves the recording and an audit.
-    pub fn shares_timeline(&self) -> bool {
-        self.has_log_timelines() || self.has_timeline_of(TimelineNames::STANDALONE)
-    }
-
-    fn has_timeline_of(&self, names: TimelineNames) -> bool {
-        [names.stamp, names.log].iter().any(|name| self.timelines.contains(*name))
+    /// A timeline whose cursor moves the recording and an audit. Without a footer, that of a log.
+    pub fn shared_timeline(&self) -> Option<&'static str> {
+        let names = [TimelineNames::VIEWER, TimelineNames::STANDALONE];
+        let mut names = names.into_iter().flat_map(|names| [names.stamp, names.log]);
+        names.find(|name| self.timelines.is_empty() || self.timelines.contains(*name))
     }
 }
 
@@ -174,7 +173,11 @@ mod tests {
     }
 
     /// A recording with one row on this timeline.
-    fn recording(kind: StoreKind, id: &str, timeline: &str) -> Result<Vec<LogMsg>, Failure> {
+    fn recording(
+        kind: StoreKind,
+        id: &str,
+        timeline: &'static str,
+    ) -> Result<Vec<LogMsg>, Failure> {
         let store = store(kind, id);
         let info = StoreInfo::new(store.clone(), StoreSource::Unknown);
         let row_id = re_log_types::external::re_tuid::Tuid::from_u128(1);
@@ -200,25 +203,27 @@ mod tests {
         let base = read(&bytes)?;
         assert_eq!((base.application.as_str(), base.id.as_str()), ("an-app", "rec-1"));
         assert_eq!(base.timelines, BTreeSet::from(["message_log_time".to_owned()]));
-        assert!(base.has_log_timelines() && base.shares_timeline());
+        assert_eq!(base.shared_timeline(), Some("message_log_time"));
         // A recorder still writes: there is no footer.
         let unfinished = &encoder::encode(&messages[2..])?;
         let end = unfinished.len() / 2;
         let base = read(&unfinished[..end])?;
         assert_eq!((base.id.as_str(), base.timelines.len()), ("rec-1", 0));
-        assert!(base.has_log_timelines() && base.shares_timeline());
+        assert!(base.has_log_timelines());
+        assert_eq!(base.shared_timeline(), Some("ros2_timestamp"));
         Ok(())
     }
 
     #[test]
     fn other_timelines_share_no_cursor() -> Result<(), Failure> {
-        let read_with = |timeline: &str| -> Result<BaseRecording, Failure> {
+        let read_with = |timeline: &'static str| -> Result<BaseRecording, Failure> {
             let messages = recording(StoreKind::Recording, "rec-1", timeline)?;
             Ok(read(&encoder::encode(&messages)?)?)
         };
         let of_program = read_with("log_time")?;
-        assert!(!of_program.has_log_timelines() && of_program.shares_timeline());
-        assert!(!read_with("frame")?.shares_timeline());
+        assert!(!of_program.has_log_timelines());
+        assert_eq!(of_program.shared_timeline(), Some("log_time"));
+        assert_eq!(read_with("frame")?.shared_timeline(), None);
         Ok(())
     }
 

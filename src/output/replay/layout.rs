@@ -2,8 +2,7 @@
 
 use re_log_types::EntityPath;
 use re_sdk_types::blueprint::archetypes::{
-    Background, EyeControls3D, LineGrid3D, PlotLegend, SpatialInformation, TextLogColumns,
-    TimePanelBlueprint,
+    Background, EyeControls3D, LineGrid3D, PlotLegend, TextLogColumns, TimePanelBlueprint,
 };
 use re_sdk_types::blueprint::components::{
     AbsoluteTimeRange, BackgroundKind, Corner2D, LoopMode, PanelState, PlayState,
@@ -20,7 +19,7 @@ use super::chunk_writer::ChunkWriter;
 use super::finding_views::{self, ViewKind};
 use super::plots::{self, PlotQuantity};
 use super::{
-    Replay, ReplayArm, ReplayCause, ReplayImu, StreamKind, findings, page, scene, timeline_writer,
+    Recording, Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, timeline_writer,
     tools,
 };
 use crate::finding::Finding;
@@ -32,28 +31,26 @@ const MAX_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// The viewer plays in a loop. If it also shows the log, the layout has a view of the log.
+/// The viewer plays in a loop. Scenes of a layer also contain the log.
 pub(super) fn draw(
     replay: &Replay<'_>,
     chunks: &ChunkWriter,
-    has_log: bool,
+    wanted: &Recording,
 ) -> Result<(), ReplayCause> {
     let blueprint = Blueprint::new(chunks);
-    let arms = replay.arms.iter().map(|arm| scene_view(arm, &blueprint));
-    let mut scenes = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
-    if has_log {
-        scenes.extend(replay.arms.first().map(|arm| log_view(arm, &blueprint)).transpose()?);
-    }
+    let is_layer = wanted.base.is_some();
+    let arms = replay.arms.iter().map(|arm| scene_view(arm, is_layer, &blueprint));
+    let arms = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
     let proof = verdict_views(replay, &blueprint)?;
-    let above = match scenes.as_slice() {
+    let above = match arms.as_slice() {
         [] => proof,
         [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
-        scenes => {
+        arms => {
             // Arm of the worst finding.
             let first = replay.report.findings.first().and_then(|it| replay.arm_of(it));
             let is_first = |arm: &ReplayArm<'_>| Some(arm.name) == first.map(|arm| arm.name);
             let first = replay.arms.iter().position(is_first).unwrap_or(0);
-            blueprint.row(&[blueprint.tabs(scenes, first)?, proof], &[5.0, 4.0])?
+            blueprint.row(&[blueprint.tabs(arms, first)?, proof], &[5.0, 4.0])?
         }
     };
     let root = match replay.report.findings.len() {
@@ -64,18 +61,18 @@ pub(super) fn draw(
             &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)],
         )?,
     };
-    blueprint.finish(root, &time_panel(replay))
+    blueprint.finish(root, &time_panel(replay, wanted.timeline))
 }
 
-/// Plays the run, or the shorter time span of the worst finding.
-fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
+/// Plays the run, or the shorter time span of the worst finding, on a timeline of stamps if one is named.
+fn time_panel(replay: &Replay<'_>, stamps: Option<&str>) -> TimePanelBlueprint {
     /// Longer spans, as a fraction of the run, are replaced by the run.
     const MAX_SPAN_RATIO: f64 = 0.8;
     /// Margin before and after the span, s.
     const SPAN_MARGIN_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
-        .with_timeline(timeline_writer::RUN_TIMELINE)
+        .with_timeline(stamps.unwrap_or(timeline_writer::RUN_TIMELINE))
         .with_play_state(PlayState::Playing);
     let (first, last) = replay.span;
     let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
@@ -87,7 +84,8 @@ fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
     };
     match part.filter(is_part) {
         Some((start, end)) => {
-            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
+            let origin = if stamps.is_some() { 0 } else { replay.origin.nanos() };
+            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(origin);
             let range = datatypes::AbsoluteTimeRange {
                 min: datatypes::TimeInt(nanos(start)),
                 max: datatypes::TimeInt(nanos(end)),
@@ -99,7 +97,12 @@ fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
     }
 }
 
-fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
+/// The arm, and in a layer all entities of the log that are connected to its base.
+fn scene_view(
+    arm: &ReplayArm<'_>,
+    is_layer: bool,
+    blueprint: &Blueprint<'_>,
+) -> Result<LayoutPart, ReplayCause> {
     /// Viewing direction.
     const VIEW_DIRECTION: Vec3 = Vec3::new(0.72, -0.88, 0.5);
     /// Viewing distance as a multiple of the scene's radius.
@@ -109,7 +112,21 @@ fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPa
         1.0 => arm.name.to_owned(),
         factor => format!("{}, errors × {factor}", arm.name),
     };
-    let view = blueprint.view::<Spatial3DView>(&name, &scene::arm_root(arm.name))?;
+    /// The audit has other views for these entities.
+    const LAYER_RULES: [&str; 8] = [
+        "+ /**",
+        "- /arms/**",
+        "- /errors/**",
+        "- /joints/**",
+        "- /proof/**",
+        "- /findings/**",
+        "- /spans/**",
+        "- /report/**",
+    ];
+    let mut rules = vec!["$origin/**"];
+    rules.extend(LAYER_RULES.iter().filter(|_| is_layer));
+    let root = scene::arm_root(arm.name);
+    let view = blueprint.view_of::<Spatial3DView>(&name, &root, rules)?;
     // A fault may place logged poses a kilometre away.
     let (middle, radius_m) = scene::bounding_sphere(arm);
     let eye = middle + VIEW_DIRECTION.normalize() * VIEW_DISTANCE_RATIO * radius_m.max(0.1);
@@ -123,26 +140,6 @@ fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPa
     let [red, green, blue, alpha] = GRID_RGBA;
     let grid = LineGrid3D::new().with_color(Color::from_unmultiplied_rgba(red, green, blue, alpha));
     blueprint.set(view, &grid)?;
-    Ok(view)
-}
-
-/// Scene of the log's own entities, in the frame of the arm's base if the log has transforms.
-fn log_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
-    /// Entities of the audit.
-    const AUDIT_RULES: [&str; 7] = [
-        "- /arms/**",
-        "- /errors/**",
-        "- /joints/**",
-        "- /proof/**",
-        "- /findings/**",
-        "- /spans/**",
-        "- /report/**",
-    ];
-    let rules = ["+ /**"].into_iter().chain(AUDIT_RULES);
-    let view = blueprint.view_of::<Spatial3DView>("log", &EntityPath::root(), rules)?;
-    if arm.streams.iter().any(|stream| stream.kind == StreamKind::Tf) {
-        blueprint.set(view, &SpatialInformation::new(arm.chain.base_name()))?;
-    }
     Ok(view)
 }
 

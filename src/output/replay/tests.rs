@@ -8,7 +8,7 @@ use re_sdk_types::archetypes::{
 };
 use re_sdk_types::blueprint::archetypes::ViewContents;
 use re_sdk_types::blueprint::components::QueryExpression;
-use re_sdk_types::components::{Scalar, Text};
+use re_sdk_types::components::{Scalar, Text, TransformFrameId};
 
 use super::timeline_writer::entity_path;
 use super::*;
@@ -425,7 +425,7 @@ fn the_layout_has_the_application_of_the_recording() -> Outcome {
 }
 
 #[test]
-fn a_layer_has_a_view_of_the_log_without_the_audit() -> Outcome {
+fn scenes_of_a_layer_contain_the_log_in_its_frames() -> Outcome {
     let robot = catalogue::find("ur5e").unwrap();
     let chain = chain(robot);
     let (recorded, _) = motion(&chain, 50);
@@ -446,7 +446,7 @@ fn a_layer_has_a_view_of_the_log_without_the_audit() -> Outcome {
         });
         Ok(rules.collect())
     };
-    let of_log = |rules: &String| rules.starts_with("+ /** - /arms/**");
+    let of_log = |rules: &String| rules.starts_with("$origin/** + /** - /arms/**");
     assert_eq!(views(&Recording::default())?.iter().filter(|rules| of_log(rules)).count(), 0);
     let base = BaseRecording {
         application: "an-app".to_owned(),
@@ -459,6 +459,15 @@ fn a_layer_has_a_view_of_the_log_without_the_audit() -> Outcome {
         (Some("an-app"), Some("rec-1"))
     );
     assert_eq!(views(&layer)?.iter().filter(|rules| of_log(rules)).count(), 1);
+    let arms = vec![arm(robot, &chain, &recorded)];
+    let seen = ReadRecording::write_and_read(&replay(arms, &report), &layer)?;
+    let frame = |descriptor: ComponentDescriptor| {
+        let chunk = seen.with(&["arms", "ur5e"], &descriptor).expect("a connection");
+        let frames = chunk.component_batch::<TransformFrameId>(descriptor.component, 0);
+        frames.unwrap().unwrap().remove(0).to_string()
+    };
+    assert_eq!(frame(Transform3D::descriptor_parent_frame()), "base");
+    assert_eq!(frame(Transform3D::descriptor_child_frame()), "tf#/arms/ur5e");
     Ok(())
 }
 
