@@ -29,9 +29,9 @@ TEST = """def test_calibration_run(pose_audit):
 CARD = """
 import sys
 from pathlib import Path
-import lerobot, markdown, poseaudit
+import lerobot_datasets, markdown, poseaudit
 
-audit = poseaudit.dataset(lerobot.write(Path(sys.argv[1], "pick_cube"), "v3.0", [0.12, 0.12, 0.2, 0.0, 0.13]))
+audit = poseaudit.dataset(lerobot_datasets.write(Path(sys.argv[1], "pick_cube"), "v3.0", [0.12, 0.12, 0.2, 0.0, 0.13]))
 text = audit.card.read_text(encoding="utf-8").partition("\\n---\\n")[2]
 text = text.replace("<details>", '<details open markdown="1">').replace("<summary>", '<summary markdown="0">')
 print(markdown.markdown(text, extensions=["tables", "md_in_html"]))

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from ._dataset import Dataset, dataset
-from ._errors import CallError, PoseauditError
+from ._errors import PoseauditError
 from ._options import SWITCHES, FleetOptions, names
 
 _FAILING, _MISUSE, _NONE_AUDITED = 1, 2, 3
@@ -16,11 +16,12 @@ _EPILOG = """
 The other options are those of `poseaudit fleet`, such as --robot, --config, --select and --fail-on.
 
 Exit status: 0 nothing at or above --fail-on; 1 a finding, or an episode that could not be audited;
-2 invalid call; 3 no episode could be audited.
+2 invalid call, or huggingface_hub is missing; 3 no episode could be audited.
 
 Examples:
   poseaudit dataset ~/.cache/huggingface/lerobot/me/pick_cube --robot so101
-  poseaudit dataset me/pick_cube --out pick_cube && hf upload me/pick_cube pick_cube --repo-type dataset
+  poseaudit dataset me/pick_cube --out card
+  hf upload me/pick_cube card . --repo-type dataset
 """
 
 
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         audit = dataset(source, progress=not quiet, **given)
     except PoseauditError as error:
         print(f"error: {error}", file=sys.stderr)
-        return _MISUSE if isinstance(error, CallError) else _FAILING
+        return _MISUSE
     print(_outcome(audit))
     if not audit.audited:
         return _NONE_AUDITED

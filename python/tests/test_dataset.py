@@ -20,14 +20,14 @@ pytest.importorskip("numpy")
 import numpy as np
 import pyarrow.parquet as pq
 
-import lerobot
+import lerobot_datasets
 
 DELAYS_S = [0.12, 0.12, 0.2, 0.0]
 
 
 @pytest.fixture
 def v3(tmp_path: Path) -> Path:
-    return lerobot.write(tmp_path / "pick_cube", "v3.0", DELAYS_S)
+    return lerobot_datasets.write(tmp_path / "pick_cube", "v3.0", DELAYS_S)
 
 
 def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
@@ -48,12 +48,12 @@ def delay_by_correlation(folder: Path, episode: int) -> float:
     ]
     action, state = (np.stack(rows[name].to_numpy()) for name in ("action", "observation.state"))
     errors = [np.mean((action[: len(action) - lag] - state[lag:]) ** 2) for lag in range(15)]
-    return float(np.argmin(errors)) / lerobot.FPS
+    return float(np.argmin(errors)) / lerobot_datasets.FPS
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_planted_delays_are_found_in_each_episode(tmp_path: Path, version: str) -> None:
-    folder = lerobot.write(tmp_path / "set", version, DELAYS_S)
+    folder = lerobot_datasets.write(tmp_path / "set", version, DELAYS_S)
     audit = poseaudit.dataset(folder)
     assert (audit.verdict, audit.failing, audit.robots, audit.expected) == ("fail", True, ("so101",), 4)
     assert [one.episode for one in audit.episodes] == [0, 1, 2, 3]
@@ -61,7 +61,9 @@ def test_planted_delays_are_found_in_each_episode(tmp_path: Path, version: str) 
     for one, delay_s in zip(audit.episodes, DELAYS_S, strict=True):
         amounts = [amount.value for amount in one.amounts if amount.code == "LAT004"]
         assert max(amounts) == pytest.approx(delay_s, abs=2e-3)
-        assert delay_by_correlation(folder, one.episode or 0) == pytest.approx(delay_s, abs=0.5 / lerobot.FPS)
+        assert delay_by_correlation(folder, one.episode or 0) == pytest.approx(
+            delay_s, abs=0.5 / lerobot_datasets.FPS
+        )
     stored = json.loads(audit.json.read_bytes())
     assert stored["schema"] == "poseaudit.dataset/1" and str(tmp_path) not in audit.json.read_text()
     assert [one["codes"] for one in stored["episodes"]] == [["LAT004"], ["LAT004"], ["LAT004"], []]
@@ -76,7 +78,7 @@ def test_the_card_keeps_its_text_and_its_section_is_replaced(v3: Path) -> None:
         "FAIL  4 episodes: 0 pass, 3 fail, 1 inconclusive"
     )
     card = (v3 / "README.md").read_text(encoding="utf-8")
-    assert card.startswith(lerobot.CARD)
+    assert card.startswith(lerobot_datasets.CARD)
     assert "## Pose audit: FAIL" in card and "| 2 | fail | LAT004 | LAT004 200.1 ± 0.2 ms |" in card
     assert re.search(r"LAT004: state follows its command late \| action \| 3 \|", card)
     outputs = [path for path in v3.rglob("*") if path.is_file()]
@@ -88,14 +90,14 @@ def test_the_card_keeps_its_text_and_its_section_is_replaced(v3: Path) -> None:
     assert run(v3, "--quiet", "--ignore", "LAT004", "--fail-on=never").returncode == 0
     card = (v3 / "README.md").read_text(encoding="utf-8")
     assert card.count(BEGIN) == card.count(END) == 1 and "LAT004" not in card
-    assert card.startswith(lerobot.CARD) and card.endswith("\n## Licence\n")
+    assert card.startswith(lerobot_datasets.CARD) and card.endswith("\n## Licence\n")
 
 
 def test_only_new_episodes_are_audited_if_the_results_are_kept(v3: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     assert run(v3, "--results", results, "--out", tmp_path / "page").returncode == 1
     assert not (v3 / "poseaudit").exists() and "poseaudit" not in (v3 / "README.md").read_text()
-    assert (tmp_path / "page" / "README.md").read_text().startswith(lerobot.CARD)
+    assert (tmp_path / "page" / "README.md").read_text().startswith(lerobot_datasets.CARD)
     again = run(v3, "--results", results, "--out", tmp_path / "page")
     assert again.returncode == 1 and poseaudit.fleet(v3, results).done_now == 0
 
@@ -165,8 +167,11 @@ def test_a_dataset_of_the_hub_is_not_changed(
     assert (audit.name, audit.revision, audit.card) == ("me/cube", "0123abc", Path("cube/README.md"))
     assert [one.verdict for one in audit.episodes] == ["fail", "fail", "fail", "inconclusive"]
     assert audit.episodes[3].path == "data/chunk-000/file-001.parquet#3"
-    assert audit.card.read_text(encoding="utf-8").startswith(lerobot.CARD)
-    assert not (snapshot / "poseaudit").exists() and (snapshot / "README.md").read_text() == lerobot.CARD
+    assert audit.card.read_text(encoding="utf-8").startswith(lerobot_datasets.CARD)
+    assert (
+        not (snapshot / "poseaudit").exists()
+        and (snapshot / "README.md").read_text() == lerobot_datasets.CARD
+    )
 
 
 def test_broken_markers_are_refused() -> None:

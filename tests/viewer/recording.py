@@ -170,18 +170,35 @@ def record_demo(program: Path, folder: Path) -> Path:
 
 
 def record_layer(program: Path, folder: Path) -> list[Path]:
-    """The recording of a log by the viewer, and the audit as its layer."""
-    base, layer = folder / "log.rrd", folder / "layer.rrd"
-    subprocess.run([VIEWER, "mcap", "convert", FIXTURES / "faulty.mcap", "-o", base], check=True, capture_output=True)
+    """A log as the viewer converts it, with a point cloud at the tool, and the audit as a layer of it."""
+    import math
+
+    import rerun
+
+    log, cloud, base, layer = (folder / f"{name}.rrd" for name in ("run", "cloud", "log", "layer"))
+    ids = ["--application-id", "cell", "--recording-id", "run-1"]
+    call = [VIEWER, "mcap", "convert", FIXTURES / "faulty.mcap", *ids, "-o", log]
+    subprocess.run(call, check=True, capture_output=True)
+    with rerun.RecordingStream("cell", recording_id="run-1", send_properties=False) as recording:
+        recording.save(cloud)
+        turns = [(at / 40, at * 2.4) for at in range(600)]
+        points = [(0.006 * r * math.cos(a), 0.006 * r * math.sin(a), 0.12 + 0.01 * r) for r, a in turns]
+        frame, cloud_points = rerun.CoordinateFrame("tool0"), rerun.Points3D(points, colors=(90, 160, 255), radii=0.004)
+        recording.log("camera/points", frame, cloud_points, static=True)
+    merge([log, cloud], base)
     command = [program, "audit", FIXTURES / "faulty.mcap", "--rrd", layer, "--rrd-layer", base]
     run = subprocess.run(command, stdout=subprocess.DEVNULL)
     assert run.returncode == 1, f"audit: exit status {run.returncode}"
     merged = folder / "merged.rrd"
-    subprocess.run([VIEWER, "rrd", "merge", base, layer, "-o", merged], check=True, capture_output=True)
+    merge([base, layer], merged)
     printed = subprocess.run([VIEWER, "rrd", "print", merged], check=True, capture_output=True, text=True).stdout
-    recordings = printed.count("Recording,")
+    recordings = len(set(re.findall(r"Recording,\s*\"([^\"]+)\",\s*\"([^\"]+)\"", printed)))
     assert recordings == 1, f"log and audit are {recordings} recordings"
     return [base, layer]
+
+
+def merge(files: list[Path], to: Path) -> None:
+    subprocess.run([VIEWER, "rrd", "merge", *files, "-o", to], check=True, capture_output=True)
 
 
 def main() -> None:
