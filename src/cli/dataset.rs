@@ -62,10 +62,6 @@ fn find_program() -> Result<PathBuf, Trouble> {
     let mut programs = folders.map(|folder| folder.join(&name));
     programs.find(|program| program.is_file()).ok_or_else(|| {
         let what = format!("{PROGRAM} is not installed: the command is part of the Python package");
-        misuse(
-            "dataset",
-            what,
-            "install it with `pip install poseaudit`, or audit it with `poseaudit fleet`",
-        )
+        misuse("dataset", what, "run `python -m poseaudit dataset` after `pip install poseaudit`")
     })
 }
