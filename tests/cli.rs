@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 
 use serde_json::Value;
 
@@ -337,6 +337,26 @@ fn the_demo_of_a_pair_finds_latency_and_slip_within_their_intervals() {
         .collect();
     assert_eq!(found, [("LAT001", true), ("FRM003", true)], "{findings:#?}");
     assert!(folder.path().join("pair.mcap").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn the_command_for_datasets_is_the_program_of_the_python_package() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().expect("a folder");
+    let call = |arguments: &[&str]| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+        let program = program.arg("dataset").args(arguments).env("PATH", folder.path());
+        program.output().expect("the program runs")
+    };
+    let missing = call(&["runs"]);
+    assert_eq!(status(&missing), 2);
+    assert!(stderr(&missing).contains("pip install poseaudit"), "{}", stderr(&missing));
+    let program = folder.path().join("poseaudit-dataset");
+    fs::write(&program, "#!/bin/sh\necho \"$@\"\nexit 3\n").expect("a program");
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).expect("permissions");
+    let called = call(&["a/b", "--robot", "so101", "--out=x"]);
+    assert_eq!((status(&called), stdout(&called)), (3, "a/b --robot so101 --out=x\n"));
 }
 
 #[test]

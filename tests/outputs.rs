@@ -63,6 +63,11 @@ const CALLS: &[Call] = &[
         file: None,
     },
     Call {
+        args: "audit READS --corrections corrections.toml --plotjuggler OUT",
+        inputs: AUDIT_INPUTS,
+        file: None,
+    },
+    Call {
         args: "audit READS --corrections corrections.toml --parquet OUT",
         inputs: AUDIT_INPUTS,
         file: Some("findings.parquet"),

@@ -29,6 +29,44 @@ fn the_importer_adds_the_audit_to_the_named_recording() {
     assert!(contains_text(&output.stdout, "an-app") && contains_text(&output.stdout, "rec-4711"));
 }
 
+/// An audit that writes `layer.rrd` as a layer of another recording.
+fn audit_with_layer(folder: &Path, base: &str) -> Output {
+    let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
+    audit.args(["audit", FAULTY, "-q", "--rrd"]).arg(folder.join("layer.rrd"));
+    audit.arg("--rrd-layer").arg(folder.join(base)).output().expect("the program runs")
+}
+
+#[test]
+fn a_layer_has_the_ids_and_timelines_of_its_base() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let imported = import(&[FAULTY, "--application-id", "an-app", "--recording-id", "rec-4711"]);
+    fs::write(folder.path().join("base.rrd"), &imported.stdout).expect("a file");
+    let output = audit_with_layer(folder.path(), "base.rrd");
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    let layer = fs::read(folder.path().join("layer.rrd")).expect("a layer");
+    for part in ["an-app", "rec-4711", "ros2_timestamp"] {
+        assert!(contains_text(&layer, part), "{part}");
+    }
+}
+
+#[test]
+fn a_base_that_is_no_recording_of_a_log_is_refused_in_one_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("text.rrd"), "nothing\n").expect("a file");
+    for (base, expected) in [("text.rrd", "not a Rerun recording"), ("none.rrd", "cannot be read")]
+    {
+        let output = audit_with_layer(folder.path(), base);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(expected) && stderr.lines().count() == 1, "{stderr}");
+        assert!(!folder.path().join("layer.rrd").exists());
+    }
+    let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
+    let output = audit.args(["audit", FAULTY, "--rrd-layer", FAULTY]).output();
+    let stderr = String::from_utf8(output.expect("the program runs").stderr).expect("UTF-8");
+    assert!(stderr.contains("add --rrd FILE or --view"), "{stderr}");
+}
+
 #[test]
 fn files_without_an_arm_are_left_to_other_importers() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -12,6 +12,7 @@ The package runs its binary `poseaudit`, which is also available as `python -m p
 
 from ._audit import audit
 from ._compare import Comparison, compare
+from ._dataset import Amount, Dataset, Episode, dataset
 from ._desk import fk, pose
 from ._errors import CallError, LogError, PoseauditError, ProgramError, ReportError
 from ._fleet import Failure, Fleet, fleet
@@ -40,9 +41,12 @@ from ._report import (
 )
 
 __all__ = [
+    "Amount",
     "CallError",
     "Check",
     "Comparison",
+    "Dataset",
+    "Episode",
     "Estimate",
     "Failure",
     "File",
@@ -72,6 +76,7 @@ __all__ = [
     "Workspace",
     "audit",
     "compare",
+    "dataset",
     "fk",
     "fleet",
     "pose",

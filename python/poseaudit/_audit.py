@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 _FINDINGS, _MISUSE, _UNUSABLE = 1, 2, 3
 #: Options that write files or determine the exit status; omitted when a run is read again.
-_OPTIONS_WITH_SIDE_EFFECTS = ("fix", "rrd", "mesh_root", "parquet", "tum", "write_baseline", "require")
+_OPTIONS_WITH_SIDE_EFFECTS = (
+    *("fix", "mcap", "mesh_root", "parquet", "plotjuggler", "rrd", "rrd_layer", "tum", "write_baseline"),
+    "require",
+)
 
 
 def audit(

@@ -62,8 +62,12 @@ class Options(CommonOptions, total=False):
     """Folder for corrections of the findings."""
     rrd: Path | None
     """File for a recording for the Rerun viewer."""
+    rrd_layer: Path | None
+    """Recording of the log, of which `rrd` becomes a layer."""
     mcap: Path | None
     """File for the findings as messages for Foxglove."""
+    plotjuggler: Path | None
+    """File for errors and limits as CSV for PlotJuggler."""
     mesh_root: Path | Sequence[Path] | None
     """Folders to search for meshes of the robot's URDF, for the recording."""
     parquet: Path | None
@@ -94,7 +98,7 @@ class FleetOptions(CommonOptions, total=False):
 
 
 #: Options without a value.
-_SWITCHES = ("pages", "retry", "verify")
+SWITCHES = ("pages", "retry", "verify")
 
 
 def names(kind: type[CommonOptions]) -> list[str]:
@@ -118,7 +122,7 @@ def _argument(function: str, name: str, value: object) -> list[str]:
     if value is None or value is False:
         return []
     if value is True:
-        if name not in _SWITCHES:
+        if name not in SWITCHES:
             raise TypeError(f"{function}(): {name}=True: this option takes a value")
         return [flag]
     return [f"{flag}={text}" for text in _texts(function, name, value)]

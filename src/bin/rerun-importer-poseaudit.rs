@@ -87,7 +87,7 @@ impl Call {
             application: self.application.clone(),
             id: self.recording.clone(),
             shares_log_timelines: true,
-            mesh_roots: Vec::new(),
+            ..Recording::default()
         };
         let options = Options { logs: vec![self.log.clone()], ..Options::default() };
         let Ok(mut audited) = poseaudit::audit(&options) else { return Ok(false) };

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use poseaudit::checks::Selector;
-use poseaudit::output::replay::Recording;
-use poseaudit::output::{fix, foxglove, tables, tum};
+use poseaudit::output::replay::{BaseRecording, Recording};
+use poseaudit::output::{fix, foxglove, plotjuggler, tables, tum};
 use poseaudit::report::{Format, Report, Trouble};
 use poseaudit::{Audited, Options};
 
@@ -46,9 +46,21 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
+    /// Write the recording as a layer of this Rerun recording of the log: the viewer shows both as one
+    #[arg(long, value_name = "RRD")]
+    rrd_layer: Option<PathBuf>,
+
+    /// Of --rrd-layer
+    #[arg(skip)]
+    base_recording: Option<BaseRecording>,
+
     /// Write findings and errors as messages for Foxglove, to open together with the log, and a layout
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
+
+    /// Write errors, corrected errors and limits as CSV for PlotJuggler, and a layout
+    #[arg(long, value_name = "FILE")]
+    plotjuggler: Option<PathBuf>,
 
     /// Open the recording in the Rerun viewer, which must be on the PATH
     #[arg(long)]
@@ -99,6 +111,9 @@ fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
     if let Some(path) = &args.mcap {
         foxglove::register_outputs(path, &mut places);
     }
+    if let Some(path) = &args.plotjuggler {
+        plotjuggler::register_outputs(path, &mut places);
+    }
     if let Some(folder) = &args.parquet {
         tables::register_outputs(folder, &mut places);
     }
@@ -117,7 +132,11 @@ fn check_options(args: &Args, options: Options) -> Result<Options, Trouble> {
 impl Args {
     fn recording(&self) -> Option<Recording> {
         let (path, mesh_roots) = (self.rrd.clone()?, self.mesh_roots.clone());
-        Some(Recording { path, mesh_roots, ..Recording::default() })
+        let recording = Recording { path, mesh_roots, ..Recording::default() };
+        Some(match (&self.rrd_layer, &self.base_recording) {
+            (Some(path), Some(base)) => recording.with_base(path.clone(), base),
+            _ => recording,
+        })
     }
 
     /// Returns the outputs that failed.
@@ -125,10 +144,13 @@ impl Args {
         let recorded = self.rrd.as_deref().zip(self.recording());
         let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
         let messages = self.mcap.as_deref().map(|path| (path, audited.write_foxglove(path)));
+        let plots = self.plotjuggler.as_deref();
+        let plots = plots.map(|path| (path, audited.write_plotjuggler(path)));
         let tables = self.parquet.as_deref().map(|folder| (folder, audited.write_tables(folder)));
         let trajectories = self.tum.as_deref().map(|folder| (folder, audited.write_tum(folder)));
         let fixes = self.fix.as_deref().map(|folder| (folder, audited.write_fixes(folder)));
-        let outputs = [recorded, messages, tables, trajectories, fixes].into_iter().flatten();
+        let outputs =
+            [recorded, messages, plots, tables, trajectories, fixes].into_iter().flatten();
         let unwritten =
             outputs.filter_map(|(path, done)| done.map(|()| messages::print_written(path)).err());
         unwritten.collect()
@@ -166,6 +188,27 @@ fn check_mesh_roots(args: &Args) -> Result<(), Trouble> {
     Ok(())
 }
 
+/// The recording must be one of a log, and a layer must be written.
+fn read_base(args: &Args) -> Result<Option<BaseRecording>, Trouble> {
+    let Some(path) = &args.rrd_layer else { return Ok(None) };
+    if args.rrd.is_none() && !args.view {
+        return Err(misuse("--rrd-layer", "no recording is written", "add --rrd FILE or --view"));
+    }
+    let place = path.display().to_string();
+    let remedy = "name a recording of the log, such as one that `rerun mcap convert` wrote";
+    let base = BaseRecording::read(path)
+        .map_err(|error| misuse(place.clone(), error.to_string(), remedy))?;
+    if base.shared_timeline().is_none() {
+        let names = base.timelines.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        return Err(misuse(
+            place,
+            format!("its timelines are not those of a log: {names}"),
+            remedy,
+        ));
+    }
+    Ok(Some(base))
+}
+
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     args.reports.check_destination()?;
     if args.statistics {
@@ -173,6 +216,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
     args.audit_options.find_config(&args.logs)?;
     check_mesh_roots(&args)?;
+    args.base_recording = read_base(&args)?;
     // Before reading the config: an error report must not overwrite a file.
     check_options(&args, args.audit_options.options_without_config())?;
     let viewer = args.view.then(|| view::find_viewer(view::VIEW_OPTION)).transpose()?;
@@ -212,7 +256,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         return Ok(trouble.kind.into());
     }
     if let (Some(viewer), Some(recording), None) = (&viewer, &args.rrd, &report.error) {
-        view::open(viewer, recording)?;
+        view::open(viewer, args.rrd_layer.iter().chain([recording]))?;
     }
     let open = report.undecided_requirements();
     let is_shown = args.reports.prints_text() && !args.statistics;
@@ -224,14 +268,16 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 
 /// The call without output options and verbosity.
 fn call_without_outputs() -> Vec<String> {
-    const OPTIONS_WITH_VALUE: [&str; 10] = [
+    const OPTIONS_WITH_VALUE: [&str; 12] = [
         "--format",
         "--output",
         "-o",
         "--fix",
         "--mcap",
         "--parquet",
+        "--plotjuggler",
         "--rrd",
+        "--rrd-layer",
         "--tum",
         BASELINE_OPTION,
         "--color",

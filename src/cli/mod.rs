@@ -6,6 +6,7 @@ mod audit_options;
 mod calibrate;
 mod compare;
 mod completions;
+mod dataset;
 mod demo;
 mod explain;
 mod fk;
@@ -93,6 +94,7 @@ enum Command {
     Calibrate(Box<calibrate::Args>),
     Compare(Box<compare::Args>),
     Fleet(Box<fleet::Args>),
+    Dataset(dataset::Args),
     Info(info::Args),
     Init(init::Args),
     Demo(demo::Args),
@@ -127,6 +129,7 @@ fn dispatch(command: Command) -> Result<Outcome, Trouble> {
         Command::Calibrate(args) => calibrate::run(*args),
         Command::Compare(args) => compare::run(*args),
         Command::Fleet(args) => fleet::run(*args),
+        Command::Dataset(args) => dataset::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Init(args) => init::run(args),
         Command::Demo(args) => demo::run(&args),

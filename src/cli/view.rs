@@ -44,13 +44,18 @@ fn creation_trouble(option: &str, error: &io::Error) -> Trouble {
     misuse(option, what, "free some space, or set TMPDIR to another folder")
 }
 
-/// Does not wait for the viewer to close.
-pub fn open(viewer: &Path, recording: &Path) -> Result<(), Trouble> {
+/// Opens recordings together. Does not wait for the viewer to close.
+pub fn open<'a>(
+    viewer: &Path,
+    recordings: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<(), Trouble> {
     let mut command = Command::new(viewer);
-    command.arg(recording).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let recordings: Vec<&PathBuf> = recordings.into_iter().collect();
+    command.args(&recordings).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     let started = command.spawn().map(drop);
     started.map_err(|error| {
-        start_trouble(viewer, &error, format!("open {} manually", recording.display()))
+        let files: Vec<String> = recordings.iter().map(|path| path.display().to_string()).collect();
+        start_trouble(viewer, &error, format!("open {} manually", files.join(" and ")))
     })
 }
 

@@ -152,10 +152,10 @@ impl<'de> Visitor<'de> for Table {
                 }
             }
         }
-        match table.thresholds.iter().find(|threshold| threshold.warning >= threshold.error) {
+        match table.thresholds.iter().find(|threshold| threshold.warning > threshold.error) {
             None => Ok(table),
             Some(Threshold { unit, warning, error }) => Err(A::Error::custom(format!(
-                "{}: the warning ({}) must be below the error ({})",
+                "{}: the warning ({}) must not exceed the error ({})",
                 rule.code,
                 unit.show(*warning),
                 unit.show(*error)

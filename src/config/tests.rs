@@ -114,7 +114,7 @@ fn config_errors_name_line_and_suggestion() {
         ("[rules.LAT001]\nwarnign = \"2 ms\"", 2, "did you mean `warning`?"),
         ("[rules.LAT001]\n# so\nwarning = \"2 mm\"", 3, "write it in ms"),
         ("[rules.LAT001]\nwarning = 2", 2, "2 has no unit"),
-        ("[rules.LAT001]\nwarning = \"20 ms\"", 1, "must be below the error"),
+        ("[rules.LAT001]\nwarning = \"21 ms\"", 1, "must not exceed the error"),
         ("[rules.ORD001]\nwarning = \"20 ms\"", 2, "known are severity"),
         ("[rules.MOT002]\nturning = \"5 m/s²\"", 2, "rad/s²"),
         ("max_latency = \"5 m\"", 1, "write it in ms"),

@@ -2,9 +2,11 @@
 //! first checks that it does not overwrite an input file. Outputs do not change the findings.
 
 pub mod calibration;
+mod error_series;
 #[cfg(feature = "fix")]
 pub mod fix;
 pub mod foxglove;
+pub mod plotjuggler;
 #[cfg(feature = "recording")]
 pub mod replay;
 #[cfg(feature = "tables")]

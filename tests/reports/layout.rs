@@ -195,6 +195,42 @@ fn findings_have_plots_with_their_limits() {
 }
 
 #[test]
+fn the_plotjuggler_layout_plots_columns_of_its_table() {
+    let audited = audit_fixture("faulty");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("errors.csv");
+    audited.write_plotjuggler(&path).expect("a file");
+    let mut reader = csv::Reader::from_path(&path).expect("a table");
+    let header: Vec<String> =
+        reader.headers().expect("a header").iter().map(str::to_owned).collect();
+    let rows: Vec<Vec<f64>> = reader
+        .records()
+        .map(|row| row.expect("a row").iter().map(|cell| cell.parse().expect(cell)).collect())
+        .collect();
+    assert!(rows.len() > 500 && rows.is_sorted_by(|a, b| a[0] <= b[0]));
+    let layout =
+        std::fs::read_to_string(folder.path().join("errors.layout.xml")).expect("a layout");
+    let layout = roxmltree::Document::parse(&layout).expect("XML");
+    let named = |tag: &str, name: &str| -> Vec<String> {
+        let tags = layout.descendants().filter(|node| node.has_tag_name(tag));
+        tags.map(|node| node.attribute(name).expect(name).to_owned()).collect()
+    };
+    assert_eq!(named("fileInfo", "filename"), ["errors.csv"]);
+    assert_eq!(named("parameters", "time_axis"), [header[0].clone()]);
+    assert_eq!(named("Tab", "tab_name"), ["tcp_pose_broadcaster/pose: LAT001, ZER001"]);
+    assert_eq!(named("curve", "name"), header[1..]);
+    let largest = |name: &str| {
+        let column = header.iter().position(|own| own.ends_with(name)).expect(name);
+        rows.iter().map(|row| row[column]).fold(0.0, f64::max)
+    };
+    // 15 ms at up to 0.66 m/s, and a zero offset.
+    assert!((5.0..40.0).contains(&largest("position_mm/as_logged")));
+    assert!(largest("position_mm/corrected") < largest("position_mm/limit"));
+    assert!(largest("rotation_deg/corrected") < largest("rotation_deg/limit"));
+    assert!(largest("rotation_deg/limit") < largest("rotation_deg/as_logged"));
+}
+
+#[test]
 fn the_foxglove_file_holds_every_finding_and_the_tool_error_and_a_layout() {
     let audited = audit_fixture("faulty");
     let folder = tempfile::tempdir().expect("a folder");

@@ -2,12 +2,12 @@
 """Opens recordings in the Rerun viewer and checks its screenshots.
 
     python3 tests/viewer/recording.py target/debug/poseaudit                # checks
-    python3 tests/viewer/recording.py target/debug/poseaudit docs/images    # and writes recording.png there
+    python3 tests/viewer/recording.py target/debug/poseaudit docs/images    # and writes pictures there
     python3 tests/viewer/recording.py --probe                               # only checks that the viewer draws
 
 Needs the viewer of the crate's minor version and Pillow (pip install rerun-sdk==0.36.* pillow), and Vulkan: a driver, or
-Mesa's lavapipe (apt install mesa-vulkan-drivers). The viewer runs headless. It must open the demo's recording, and a
-log through the importer, without warnings. It must show a scene, plots, spans and text.
+Mesa's lavapipe (apt install mesa-vulkan-drivers). The viewer runs headless. It must open the demo's recording, a
+layer with its log, and a log through the importer, without warnings. It must show a scene, plots, spans and text.
 """
 
 import os
@@ -40,15 +40,15 @@ def free_port() -> int:
 
 
 class Viewer:
-    """A headless viewer with an open file."""
+    """A headless viewer with open files."""
 
-    def __init__(self, file: Path | None, folder: Path, programs: Path | None = None, log: str = "warn"):
+    def __init__(self, files: list[Path], folder: Path, programs: Path | None = None, log: str = "warn"):
         self.port, self.folder, self.log_file = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
         path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
         # Separate settings, to ignore those of the user.
         homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
         environment = {**os.environ, **homes, "PATH": path, "RUST_LOG": log, "NO_COLOR": "1"}
-        command = [VIEWER, *[file] * bool(file), "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
+        command = [VIEWER, *files, "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
         command += ["--port", str(self.port), "--window-size", "x".join(map(str, SIZE))]
         # No telemetry.
         subprocess.run([VIEWER, "analytics", "disable"], env=environment, capture_output=True, check=True)
@@ -150,11 +150,11 @@ def write_small(image: Image.Image, path: Path) -> None:
     print(f"{path}: {SIZE[0]} x {SIZE[1]}, {path.stat().st_size} bytes")
 
 
-def check(file: Path, folder: Path, programs: Path | None = None) -> Image.Image:
-    with Viewer(file, folder, programs) as viewer:
+def check(files: list[Path], folder: Path, programs: Path | None = None) -> Image.Image:
+    with Viewer(files, folder, programs) as viewer:
         image = viewer.picture(missing_in_audit)
         warnings = viewer.warnings()
-    assert not warnings, f"{file.name}: the viewer complains: {warnings}"
+    assert not warnings, f"{files[-1].name}: the viewer complains: {warnings}"
     return image
 
 
@@ -169,15 +169,49 @@ def record_demo(program: Path, folder: Path) -> Path:
     return path
 
 
+def record_layer(program: Path, folder: Path) -> list[Path]:
+    """A log as the viewer converts it, with a point cloud at the tool, and the audit as a layer of it."""
+    import math
+
+    import rerun
+
+    log, cloud, base, layer = (folder / f"{name}.rrd" for name in ("run", "cloud", "log", "layer"))
+    ids = ["--application-id", "cell", "--recording-id", "run-1"]
+    call = [VIEWER, "mcap", "convert", FIXTURES / "faulty.mcap", *ids, "-o", log]
+    subprocess.run(call, check=True, capture_output=True)
+    with rerun.RecordingStream("cell", recording_id="run-1", send_properties=False) as recording:
+        recording.save(cloud)
+        turns = [(at / 40, at * 2.4) for at in range(600)]
+        points = [(0.006 * r * math.cos(a), 0.006 * r * math.sin(a), 0.12 + 0.01 * r) for r, a in turns]
+        frame, cloud_points = rerun.CoordinateFrame("tool0"), rerun.Points3D(points, colors=(90, 160, 255), radii=0.004)
+        recording.log("camera/points", frame, cloud_points, static=True)
+    merge([log, cloud], base)
+    command = [program, "audit", FIXTURES / "faulty.mcap", "--rrd", layer, "--rrd-layer", base]
+    run = subprocess.run(command, stdout=subprocess.DEVNULL)
+    assert run.returncode == 1, f"audit: exit status {run.returncode}"
+    merged = folder / "merged.rrd"
+    merge([base, layer], merged)
+    printed = subprocess.run([VIEWER, "rrd", "print", merged], check=True, capture_output=True, text=True).stdout
+    recordings = len(set(re.findall(r"Recording,\s*\"([^\"]+)\",\s*\"([^\"]+)\"", printed)))
+    assert recordings == 1, f"log and audit are {recordings} recordings"
+    return [base, layer]
+
+
+def merge(files: list[Path], to: Path) -> None:
+    subprocess.run([VIEWER, "rrd", "merge", *files, "-o", to], check=True, capture_output=True)
+
+
 def main() -> None:
     program = Path(sys.argv[1]).resolve()
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        check(record_demo(program, folder), folder)
+        check([record_demo(program, folder)], folder)
+        layered = record_layer(program, folder)
+        check(layered, folder)
         # A finding without a scene: bars and a trace.
         shake = folder / "shake.rrd"
         subprocess.run([program, "audit", FIXTURES / "shake.mcap", "--rrd", shake], stdout=subprocess.DEVNULL)
-        with Viewer(shake, folder) as viewer:
+        with Viewer([shake], folder) as viewer:
             viewer.picture(lambda image: blank_part(image, PARTS))
             assert not viewer.warnings(), f"{shake.name}: the viewer complains: {viewer.warnings()}"
         importers = folder / "importers"
@@ -188,20 +222,21 @@ def main() -> None:
         # The viewer does not call importers for file types that it reads itself.
         log = folder / "faulty.log"
         shutil.copy(FIXTURES / "faulty.mcap", log)
-        check(log, folder, importers)
-        print("recording: the demo and a log with the importer looked at in the viewer")
+        check([log], folder, importers)
+        print("recording: the demo, a layer and a log with the importer looked at in the viewer")
         if len(sys.argv) > 2:
-            # Log messages would cover the picture.
-            with Viewer(folder / "demo.rrd", folder, log="off") as viewer:
-                # The recording plays, so take several pictures and keep the one that shows both tools best.
-                images = [viewer.picture(missing_in_audit) for _ in range(6)]
-            image = max(images, key=lambda it: min(count_pixels(it, LOGGED), count_pixels(it, EXPLAINED)))
-            write_small(image, Path(sys.argv[2]) / "recording.png")
+            for files, name in (([folder / "demo.rrd"], "recording.png"), (layered, "rerun-layer.png")):
+                # Log messages would cover the picture.
+                with Viewer(files, folder, log="off") as viewer:
+                    # The recording plays, so take several pictures and keep the one that shows both tools best.
+                    images = [viewer.picture(missing_in_audit) for _ in range(6)]
+                image = max(images, key=lambda it: min(count_pixels(it, LOGGED), count_pixels(it, EXPLAINED)))
+                write_small(image, Path(sys.argv[2]) / name)
 
 
 def probe() -> None:
     """Fails if the viewer draws nothing."""
-    with tempfile.TemporaryDirectory() as folder, Viewer(None, Path(folder)) as viewer:
+    with tempfile.TemporaryDirectory() as folder, Viewer([], Path(folder)) as viewer:
         everywhere = {"the window": (0.0, 0.0, 1.0, 1.0)}
         try:
             viewer.picture(lambda image: blank_part(image, everywhere))

@@ -67,6 +67,13 @@ pub fn enclosing_dataset(file: &Path) -> Option<PathBuf> {
     file.ancestors().skip(1).take(MAX_PARENTS).find(|folder| is_dataset(folder)).map(Path::to_owned)
 }
 
+/// Whether episodes share the data file, as in v3; in v2 each file is named after its episode.
+pub(super) fn is_shared_file(file: &Path) -> bool {
+    let is_numbered =
+        file.file_name().is_some_and(|name| name.to_string_lossy().starts_with("file-"));
+    is_numbered && enclosing_dataset(file).is_some()
+}
+
 /// # Errors
 /// If the dataset has no data files, or more than one audit can take.
 pub(crate) fn dataset_files(folder: &Path) -> Result<Vec<LogInput>, LogError> {

@@ -620,7 +620,8 @@ fn most_frequent(rows: impl Iterator<Item = usize>) -> usize {
     rows.iter().copied().max_by_key(|&of| (count(of), of)).unwrap_or(0)
 }
 
-/// Names of the episodes at `path`. Empty if there is only one or no table.
+/// Names of the episodes at `path`. Empty if there is only one or no table. A data file of LeRobot v3 also
+/// names its only episode, because the file's name does not.
 pub fn episodes(path: &Path) -> Vec<String> {
     if is_store(path) {
         return if_several(zarr::episodes_in(zarr::StoreLocation::Folder(path)));
@@ -628,7 +629,11 @@ pub fn episodes(path: &Path) -> Vec<String> {
     let Some(mapped) = MappedFile::open(path).ok() else { return Vec::new() };
     if_several(match crate::file_format::detect_format(mapped.bytes()) {
         crate::file_format::FileFormat::Table(TableFormat::Parquet) => {
-            parquet::episodes_in(Bytes::from_owner(mapped))
+            let names = parquet::episodes_in(Bytes::from_owner(mapped));
+            if lerobot::is_shared_file(path) {
+                return names.unwrap_or_default();
+            }
+            names
         }
         crate::file_format::FileFormat::Table(TableFormat::Hdf5) => {
             hdf5::episodes_in(Bytes::from_owner(mapped))

@@ -289,6 +289,23 @@ fn episodes_are_consecutive_and_one_can_be_selected() {
 }
 
 #[test]
+fn the_only_episode_of_a_shared_lerobot_file_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (meta, chunk) = (folder.path().join("meta"), folder.path().join("data/chunk-000"));
+    fs::create_dir_all(&meta).and_then(|()| fs::create_dir_all(&chunk)).expect("folders");
+    let bytes = parquet(60, 1, Compression::SNAPPY, |_| 7);
+    let episodes = |name: &str| {
+        let path = chunk.join(name);
+        fs::write(&path, &bytes).expect("data");
+        super::episodes(&path)
+    };
+    assert!(episodes("file-000.parquet").is_empty(), "not a dataset yet");
+    fs::write(meta.join("info.json"), r#"{"fps": 30, "features": {}}"#).expect("metadata");
+    assert_eq!(episodes("file-000.parquet"), ["0"]);
+    assert!(episodes("episode_000000.parquet").is_empty());
+}
+
+#[test]
 fn damaged_parquet_is_reported_in_one_line() {
     let whole = parquet(50, 2, Compression::SNAPPY, |_| 7);
     for end in [4, 12, 100, whole.len() / 2, whole.len() - 1] {

@@ -56,8 +56,18 @@ impl<'a> Blueprint<'a> {
         name: &str,
         origin: &EntityPath,
     ) -> Result<LayoutPart, ReplayCause> {
+        self.view_of::<V>(name, origin, ["$origin/**"])
+    }
+
+    /// View of class `V` on the entities that the rules include.
+    pub fn view_of<'r, V: View>(
+        &self,
+        name: &str,
+        origin: &EntityPath,
+        rules: impl IntoIterator<Item = &'r str>,
+    ) -> Result<LayoutPart, ReplayCause> {
         let view = self.part("view");
-        let contents = ViewContents::new(["$origin/**"]);
+        let contents = ViewContents::new(rules);
         self.log(format!("{}/ViewContents", view.path()), &contents)?;
         let blueprint = ViewBlueprint::new(V::identifier().as_str())
             .with_display_name(name)

@@ -19,7 +19,8 @@ use super::chunk_writer::ChunkWriter;
 use super::finding_views::{self, ViewKind};
 use super::plots::{self, PlotQuantity};
 use super::{
-    Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, timeline_writer, tools,
+    Recording, Replay, ReplayArm, ReplayCause, ReplayImu, findings, page, scene, timeline_writer,
+    tools,
 };
 use crate::finding::Finding;
 use crate::geometry::Vec3;
@@ -30,10 +31,15 @@ const MAX_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// The viewer plays in a loop.
-pub(super) fn draw(replay: &Replay<'_>, chunks: &ChunkWriter) -> Result<(), ReplayCause> {
+/// The viewer plays in a loop. Scenes of a layer also contain the log.
+pub(super) fn draw(
+    replay: &Replay<'_>,
+    chunks: &ChunkWriter,
+    wanted: &Recording,
+) -> Result<(), ReplayCause> {
     let blueprint = Blueprint::new(chunks);
-    let arms = replay.arms.iter().map(|arm| scene_view(arm, &blueprint));
+    let is_layer = wanted.base.is_some();
+    let arms = replay.arms.iter().map(|arm| scene_view(arm, is_layer, &blueprint));
     let arms = arms.collect::<Result<Vec<_>, ReplayCause>>()?;
     let proof = verdict_views(replay, &blueprint)?;
     let above = match arms.as_slice() {
@@ -55,18 +61,18 @@ pub(super) fn draw(replay: &Replay<'_>, chunks: &ChunkWriter) -> Result<(), Repl
             &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)],
         )?,
     };
-    blueprint.finish(root, &time_panel(replay))
+    blueprint.finish(root, &time_panel(replay, wanted.timeline))
 }
 
-/// Plays the run, or the shorter time span of the worst finding.
-fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
+/// Plays the run, or the shorter time span of the worst finding, on a timeline of stamps if one is named.
+fn time_panel(replay: &Replay<'_>, stamps: Option<&str>) -> TimePanelBlueprint {
     /// Longer spans, as a fraction of the run, are replaced by the run.
     const MAX_SPAN_RATIO: f64 = 0.8;
     /// Margin before and after the span, s.
     const SPAN_MARGIN_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
-        .with_timeline(timeline_writer::RUN_TIMELINE)
+        .with_timeline(stamps.unwrap_or(timeline_writer::RUN_TIMELINE))
         .with_play_state(PlayState::Playing);
     let (first, last) = replay.span;
     let worst = replay.report.findings.first().map(|finding| replay.span_of(finding));
@@ -78,7 +84,8 @@ fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
     };
     match part.filter(is_part) {
         Some((start, end)) => {
-            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(replay.origin.nanos());
+            let origin = if stamps.is_some() { 0 } else { replay.origin.nanos() };
+            let nanos = |stamp: Stamp| stamp.nanos().saturating_sub(origin);
             let range = datatypes::AbsoluteTimeRange {
                 min: datatypes::TimeInt(nanos(start)),
                 max: datatypes::TimeInt(nanos(end)),
@@ -90,7 +97,12 @@ fn time_panel(replay: &Replay<'_>) -> TimePanelBlueprint {
     }
 }
 
-fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPart, ReplayCause> {
+/// The arm, and in a layer all entities of the log that are connected to its base.
+fn scene_view(
+    arm: &ReplayArm<'_>,
+    is_layer: bool,
+    blueprint: &Blueprint<'_>,
+) -> Result<LayoutPart, ReplayCause> {
     /// Viewing direction.
     const VIEW_DIRECTION: Vec3 = Vec3::new(0.72, -0.88, 0.5);
     /// Viewing distance as a multiple of the scene's radius.
@@ -100,7 +112,21 @@ fn scene_view(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<LayoutPa
         1.0 => arm.name.to_owned(),
         factor => format!("{}, errors × {factor}", arm.name),
     };
-    let view = blueprint.view::<Spatial3DView>(&name, &scene::arm_root(arm.name))?;
+    /// The audit has other views for these entities.
+    const LAYER_RULES: [&str; 8] = [
+        "+ /**",
+        "- /arms/**",
+        "- /errors/**",
+        "- /joints/**",
+        "- /proof/**",
+        "- /findings/**",
+        "- /spans/**",
+        "- /report/**",
+    ];
+    let mut rules = vec!["$origin/**"];
+    rules.extend(LAYER_RULES.iter().filter(|_| is_layer));
+    let root = scene::arm_root(arm.name);
+    let view = blueprint.view_of::<Spatial3DView>(&name, &root, rules)?;
     // A fault may place logged poses a kilometre away.
     let (middle, radius_m) = scene::bounding_sphere(arm);
     let eye = middle + VIEW_DIRECTION.normalize() * VIEW_DISTANCE_RATIO * radius_m.max(0.1);

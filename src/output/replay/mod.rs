@@ -20,6 +20,7 @@
 
 mod arm;
 mod audited;
+mod base_recording;
 mod blueprint;
 mod chunk_writer;
 mod encoder;
@@ -52,6 +53,7 @@ use crate::robot::{Chain, Robot};
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
+pub use base_recording::{BaseError, BaseRecording};
 use chunk_writer::ChunkWriter;
 pub use row_times::ReceiveTimes;
 use timeline_writer::{TimelineNames, TimelineWriter};
@@ -73,8 +75,28 @@ pub struct Recording {
     /// The viewer also shows the log: timelines have its names, `ros2_timestamp` and `message_log_time`, so
     /// that one cursor moves both.
     pub shares_log_timelines: bool,
+    /// Recording of the log that this one is a layer of, which is never overwritten. Arms are then drawn in the
+    /// frames of the log.
+    pub base: Option<PathBuf>,
+    /// Timeline that the layout shows. Default: `run`.
+    pub timeline: Option<&'static str>,
     /// Folders of meshes. No file outside them is read.
     pub mesh_roots: Vec<PathBuf>,
+}
+
+impl Recording {
+    /// This recording as a layer of the one at `path`.
+    #[must_use]
+    pub fn with_base(self, path: PathBuf, base: &BaseRecording) -> Self {
+        Self {
+            application: Some(base.application.clone()),
+            id: Some(base.id.clone()),
+            shares_log_timelines: base.has_log_timelines(),
+            base: Some(path),
+            timeline: base.shared_timeline(),
+            ..self
+        }
+    }
 }
 
 impl From<PathBuf> for Recording {
@@ -308,13 +330,13 @@ fn messages(
     replay: &Replay<'_>,
 ) -> Result<(Vec<LogMsg>, Vec<String>), ReplayCause> {
     let chunks = ChunkWriter::new(replay, &application(wanted), wanted.id.clone());
-    layout::draw(replay, &chunks)?;
+    layout::draw(replay, &chunks, wanted)?;
     let names =
         if wanted.shares_log_timelines { TimelineNames::VIEWER } else { TimelineNames::STANDALONE };
     let writer = TimelineWriter::new(chunks, replay.origin, names);
     let mut meshes = Vec::new();
     for arm in &replay.arms {
-        meshes.extend(draw_arm(&writer, arm, &wanted.mesh_roots)?);
+        meshes.extend(draw_arm(&writer, arm, wanted)?);
         plots::draw(&writer, arm, replay.report)?;
     }
     finding_views::draw(&writer, replay)?;
@@ -327,11 +349,15 @@ fn messages(
 fn draw_arm(
     writer: &TimelineWriter,
     arm: &ReplayArm<'_>,
-    mesh_roots: &[PathBuf],
+    wanted: &Recording,
 ) -> Result<Vec<String>, ReplayCause> {
     let size_m = arm.chain.max_reach_m();
-    writer.log_static(&scene::arm_root(arm.name), &ViewCoordinates::RIGHT_HAND_Z_UP())?;
-    let drawn = visuals::draw(writer, arm, size_m, mesh_roots)?;
+    let root = scene::arm_root(arm.name);
+    writer.log_static(&root, &ViewCoordinates::RIGHT_HAND_Z_UP())?;
+    if wanted.base.is_some() {
+        writer.log_static(&root, &scene::connection_to_log(&root, arm.chain.base_name()))?;
+    }
+    let drawn = visuals::draw(writer, arm, size_m, &wanted.mesh_roots)?;
     if !drawn.is_complete {
         arm::draw(writer, arm, "arm", &arm.corrected, size_m)?;
     }

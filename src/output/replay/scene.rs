@@ -2,7 +2,7 @@
 
 use re_log_types::EntityPath;
 use re_sdk_types::archetypes::Transform3D;
-use re_sdk_types::components::{Radius, RotationQuat};
+use re_sdk_types::components::{Radius, RotationQuat, TransformFrameId};
 use re_sdk_types::datatypes::Quaternion;
 
 use super::timeline_writer::entity_path;
@@ -18,6 +18,13 @@ pub(super) const RECORDED_RGB: [u8; 3] = [110, 115, 125];
 /// Everything drawn for an arm, in the base of the chain.
 pub(super) fn arm_root(arm: &str) -> EntityPath {
     entity_path(&["arms", arm])
+}
+
+/// Places the space of an arm in the frame of its base, as the log's transforms name it.
+pub(super) fn connection_to_log(root: &EntityPath, base: &str) -> Transform3D {
+    Transform3D::update_fields()
+        .with_child_frame(TransformFrameId::from_entity_path(root))
+        .with_parent_frame(TransformFrameId::new(base))
 }
 
 pub(super) fn drawn_rows(joints: &JointTrack) -> Vec<usize> {

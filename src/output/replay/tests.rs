@@ -6,7 +6,9 @@ use re_sdk_types::ComponentDescriptor;
 use re_sdk_types::archetypes::{
     Asset3D, BarChart, Capsules3D, Scalars, StateChange, TextDocument, Transform3D,
 };
-use re_sdk_types::components::{Scalar, Text};
+use re_sdk_types::blueprint::archetypes::ViewContents;
+use re_sdk_types::blueprint::components::QueryExpression;
+use re_sdk_types::components::{Scalar, Text, TransformFrameId};
 
 use super::timeline_writer::entity_path;
 use super::*;
@@ -419,6 +421,53 @@ fn the_layout_has_the_application_of_the_recording() -> Outcome {
         seen.messages.iter().map(LogMsg::store_id).filter(|id| id.kind() == StoreKind::Blueprint);
     let layout = layouts.next().ok_or("a layout")?;
     assert_eq!(layout.application_id().as_str(), "an-opened-log");
+    Ok(())
+}
+
+#[test]
+fn scenes_of_a_layer_contain_the_log_in_its_frames() -> Outcome {
+    let robot = catalogue::find("ur5e").unwrap();
+    let chain = chain(robot);
+    let (recorded, _) = motion(&chain, 50);
+    let report = report(Verdict::Pass, Vec::new());
+    let views = |wanted: &Recording| -> Result<Vec<String>, Box<dyn std::error::Error>> {
+        let arms = vec![arm(robot, &chain, &recorded)];
+        let seen = ReadRecording::write_and_read(&replay(arms, &report), wanted)?;
+        let contents = ViewContents::descriptor_query().component;
+        let layouts = seen.messages.iter().filter_map(|message| match message {
+            LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Blueprint => {
+                Some(Chunk::from_arrow_msg(message).unwrap())
+            }
+            _ => None,
+        });
+        let rules = layouts.filter_map(|chunk| {
+            let rules = chunk.component_batch::<QueryExpression>(contents, 0)?.ok()?;
+            Some(rules.iter().map(|rule| rule.0.to_string()).collect::<Vec<_>>().join(" "))
+        });
+        Ok(rules.collect())
+    };
+    let of_log = |rules: &String| rules.starts_with("$origin/** + /** - /arms/**");
+    assert_eq!(views(&Recording::default())?.iter().filter(|rules| of_log(rules)).count(), 0);
+    let base = BaseRecording {
+        application: "an-app".to_owned(),
+        id: "rec-1".to_owned(),
+        timelines: ["message_log_time".to_owned()].into(),
+    };
+    let layer = Recording::default().with_base("log.rrd".into(), &base);
+    assert_eq!(
+        (layer.application.as_deref(), layer.id.as_deref()),
+        (Some("an-app"), Some("rec-1"))
+    );
+    assert_eq!(views(&layer)?.iter().filter(|rules| of_log(rules)).count(), 1);
+    let arms = vec![arm(robot, &chain, &recorded)];
+    let seen = ReadRecording::write_and_read(&replay(arms, &report), &layer)?;
+    let frame = |descriptor: ComponentDescriptor| {
+        let chunk = seen.with(&["arms", "ur5e"], &descriptor).expect("a connection");
+        let frames = chunk.component_batch::<TransformFrameId>(descriptor.component, 0);
+        frames.unwrap().unwrap().remove(0).to_string()
+    };
+    assert_eq!(frame(Transform3D::descriptor_parent_frame()), "base");
+    assert_eq!(frame(Transform3D::descriptor_child_frame()), "tf#/arms/ur5e");
     Ok(())
 }
 
