@@ -110,7 +110,8 @@ impl<'a> Outline<'a> {
         let topics = self.report.streams.iter().map(|stream| stream.topic.as_str());
         let topics = topics.collect::<BTreeSet<_>>().len();
         let duration_s = log.duration_s?;
-        Some(format!("{duration_s:.1} s, {} messages, {topics} topics", group_digits(log.messages)))
+        let topics = if topics == 1 { "1 topic".to_owned() } else { format!("{topics} topics") };
+        Some(format!("{duration_s:.1} s, {} messages, {topics}", group_digits(log.messages)))
     }
 
     pub fn subject(&self, subject: &Subject) -> String {
