@@ -42,6 +42,7 @@ mod source_kind;
 mod sources;
 mod stale;
 mod streams;
+mod table_clocks;
 mod targets;
 #[cfg(test)]
 mod tests;
@@ -90,6 +91,7 @@ pub use source_kind::PoseSourceKind;
 pub use sources::MovingBase;
 pub use sources::{ImuSource, PoseSource};
 pub use streams::Stream;
+pub use table_clocks::align_table_clocks;
 pub(crate) use streams::{tf_topics, with_key};
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_error::TfError;

@@ -89,7 +89,11 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
     let aligned = clock.alignment.map(|aligned| (-seconds(aligned.offset_nanos), aligned.spread_s));
     let offset_s = aligned.map(|(offset_s, _)| offset_s).or(clock.log_minus_header_s.map(|s| -s));
     let by = offset_s.map_or(String::new(), |offset_s| format!("{} ", Unit::Second.show(offset_s)));
+    let is_by_motion = clock.alignment.is_some_and(|aligned| aligned.is_by_motion);
     let effect = match aligned {
+        Some(_) if is_by_motion => {
+            "aligned by motion, so its delay is unknown".to_owned()
+        }
         Some((_, spread_s)) => {
             let spread = Unit::Second.show(spread_s);
             format!("aligned by minimum delay, within the transport's spread of {spread}")
@@ -103,8 +107,9 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
         message: format!("stamps are {by}off the other streams' clock"),
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
         fix: format!(
-            "stamp {} with the clock of the other streams, or use --stamp log",
-            stream.subject.label()
+            "stamp {} with the clock of the other streams{}",
+            stream.subject.label(),
+            if is_by_motion { "" } else { ", or use --stamp log" }
         ),
     };
     let spread_s = aligned.map(|(_, spread_s)| spread_s);
