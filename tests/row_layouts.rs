@@ -133,9 +133,9 @@ fn time_origins_without_motion_are_refused_in_one_line() {
     let still = fs::read_to_string(&tool).expect("text");
     let lines: Vec<&str> = still.lines().collect();
     let pose = lines[1].split_once(',').expect("cells").1;
-    let rows = lines[1..].iter().map(|line| {
-        format!("{},{pose}\n", line.split_once(',').expect("cells").0)
-    });
+    let rows = lines[1..]
+        .iter()
+        .map(|line| format!("{},{pose}\n", line.split_once(',').expect("cells").0));
     fs::write(&tool, format!("{}\n{}", lines[0], rows.collect::<String>())).expect("a file");
     let refusal = audit_with(&[joints, tool], Some("ur5e"), None).expect_err("a refusal");
     assert!(refusal.what.contains("at another time origin"), "{}", refusal.what);

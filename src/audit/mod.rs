@@ -17,9 +17,7 @@ use crate::report::{
     has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, table_rows,
     workspace_coverage,
 };
-use crate::run::{
-    Arm, Excerpts, Run, Segment, align_table_clocks, identify_columns, segments,
-};
+use crate::run::{Arm, Excerpts, Run, Segment, align_table_clocks, identify_columns, segments};
 
 pub use calibrate::{CalibrationInput, CalibrationResult, calibrate};
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};

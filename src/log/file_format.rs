@@ -45,11 +45,7 @@ const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
         "a MATLAB file of a version before 7.3",
         "save it with save('run.mat', '-v7.3'), or convert it with scipy.io.loadmat and numpy.savez",
     ),
-    (
-        b"\xd0\xcf\x11\xe0",
-        "an Office file in the format before 2007",
-        "save it as .xlsx or CSV",
-    ),
+    (b"\xd0\xcf\x11\xe0", "an Office file in the format before 2007", "save it as .xlsx or CSV"),
 ];
 
 const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[

@@ -59,8 +59,7 @@ pub use self::reading::open;
 pub use self::remote::{RemoteFault, RemoteObject, is_url, list, normalize_url};
 pub use self::tables::{
     ColumnSelector, ColumnSettings, DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning,
-    RowLayout, enclosing_dataset, episodes, is_dataset, is_store,
-    split_episode, store_files,
+    RowLayout, enclosing_dataset, episodes, is_dataset, is_store, split_episode, store_files,
 };
 
 /// Local file named by `path` or a `file://` URL. `None` for an object in a store.

@@ -261,6 +261,13 @@ impl FileReader<'_> {
     ) -> Result<(Container, Crc), LogError> {
         let Self { options, losses, intake, rtde, tables, memory, size, present, episode, .. } =
             self;
+        // A layout replaces the names of RTDE fields.
+        let kind = match kind {
+            FileFormat::Rtde if options.columns.layout_of(self.path).is_some() => {
+                FileFormat::Table(TableFormat::Csv)
+            }
+            kind => kind,
+        };
         let path = || self.path.to_owned();
         let absent = |MissingByte(byte)| {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };

@@ -188,7 +188,9 @@ fn is_text_table(path: &Path) -> bool {
 fn columns_of(path: &Path) -> Option<Vec<String>> {
     let mapped = MappedFile::open(path).ok()?;
     match file_format::detect_format(mapped.bytes()) {
-        FileFormat::Rtde | FileFormat::Table(TableFormat::Csv) => tables::column_names(mapped.bytes()),
+        FileFormat::Rtde | FileFormat::Table(TableFormat::Csv) => {
+            tables::column_names(mapped.bytes())
+        }
         _ => None,
     }
 }

@@ -112,7 +112,9 @@ fn trajectories() -> [(&'static str, Vec<u8>); 3] {
 
 /// Records, a sheet of a workbook behind its strings, and a table behind its layout.
 fn records() -> [(&'static str, Vec<u8>); 8] {
-    let row = |n: u32| format!("{{\"t\":{n},\"q\":[0.{n},1,2,3,4,5],\"pose\":{{\"x\":1e-3,\"mode\":\"a\"}}}}");
+    let row = |n: u32| {
+        format!("{{\"t\":{n},\"q\":[0.{n},1,2,3,4,5],\"pose\":{{\"x\":1e-3,\"mode\":\"a\"}}}}")
+    };
     let rows: Vec<String> = (0..4).map(row).collect();
     let columns = "{\"fps\":30,\"t\":[0,1,2],\"q\":[[1,2,3,4],[1,2,3,5],[1,2,3,6]]}";
     let list = "- time: 0.0\n  q: [1, 2, 3, 4]\n  pose: {x: 1, y: 2, z: 3}\n- time: 0.1\n  q: &a [1, 2, 3, 5]\n";

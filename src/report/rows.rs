@@ -118,8 +118,7 @@ pub(crate) fn table_rows(log: &Log) -> Vec<TableRow> {
             }
         }
         let column = |(run, read_as): (Vec<usize>, String)| {
-            let names: Vec<String> =
-                run.iter().map(|&at| shape.numbers[at].name.clone()).collect();
+            let names: Vec<String> = run.iter().map(|&at| shape.numbers[at].name.clone()).collect();
             let (first, last) = (run[0] + 1, run[run.len() - 1] + 1);
             ColumnRow {
                 numbers: if first == last { first.to_string() } else { format!("{first}-{last}") },

@@ -125,9 +125,11 @@ impl From<LogError> for Trouble {
                 format!("not a robot log: it looks like {looks}"),
                 "name an MCAP file, a bag or a table (CSV, TUM, NPY, NPZ, Parquet, HDF5)",
             ),
-            LogError::Columns { path, what } => {
-                (path, what, "declare it with --columns, or in [columns] of the config (docs/datasets.md)")
-            }
+            LogError::Columns { path, what } => (
+                path,
+                what,
+                "declare it with --columns, or in [columns] of the config (docs/datasets.md)",
+            ),
             LogError::Layout { path, what } => {
                 (path, what, "correct --columns; `_` ignores a column (docs/datasets.md)")
             }

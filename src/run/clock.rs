@@ -186,8 +186,14 @@ pub(super) fn group_by_clock<'a>(
     let mut seen: Vec<(HeaderStamps, Option<DelayStats>)> = Vec::new();
     for (index, (child, times)) in transforms.enumerate() {
         let frame = Some(child);
-        let alone =
-            ClockSource { stream, frame, times: vec![times], has_header: true, is_joints: false, is_aligned_by_motion: false };
+        let alone = ClockSource {
+            stream,
+            frame,
+            times: vec![times],
+            has_header: true,
+            is_joints: false,
+            is_aligned_by_motion: false,
+        };
         let (stamps, _) = alone.header_stamps();
         let delay = alone.delay(Clock::Header);
         let fits = |(other, group): &(HeaderStamps, Option<DelayStats>)| {

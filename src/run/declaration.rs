@@ -10,10 +10,10 @@ use crate::log::FileLayout;
 use crate::robot::Robot;
 use crate::stream::Columns;
 
+use super::RunOptions;
 use super::error::RunError;
 use super::models::load_robot;
 use super::topics::{RoleSetting, TopicSettings};
-use super::RunOptions;
 
 /// Source of a robot: `FILE`, a catalogue `NAME`, or either after `PREFIX=`.
 #[derive(Clone, Debug, PartialEq, Eq)]

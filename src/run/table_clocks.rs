@@ -18,11 +18,11 @@ use super::{RunOptions, models};
 
 /// Encoding of a table by UR's RTDE client.
 const RTDE: &str = "csv";
-/// Clocks of the same epoch differ by less: 3 years, s.
+/// Clocks with the same epoch differ by less: 3 years, s.
 const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
-/// Of the speeds of joints and tool at the offset.
+/// Correlation of the speeds of joints and tool at the offset.
 const MIN_CORRELATION: f64 = 0.8;
-/// Largest correlation at another offset, relative to the best, and how far away that is, s.
+/// Largest correlation at another offset, relative to the best, and the distance of other offsets, s.
 const MAX_RIVAL_SHARE: f64 = 0.95;
 const RIVAL_DISTANCE_S: f64 = 1.0;
 const MAX_ROWS: usize = 20_000;
@@ -50,7 +50,8 @@ pub fn align_table_clocks(log: &mut Log, options: &RunOptions) -> Result<(), Run
                 && role_by_content(&topic.name, it).map(|(role, _)| role) == Some(Role::Joints)
         })
     };
-    let with_joints = |group: &&ClockGroup| group.topics.iter().any(|&at| is_state(&log.topics[at]));
+    let with_joints =
+        |group: &&ClockGroup| group.topics.iter().any(|&at| is_state(&log.topics[at]));
     let Some(reference) = groups.iter().find(with_joints) else { return Ok(()) };
     let joints = reference.topics.iter().copied().find(|&at| is_state(&log.topics[at]));
     let Some(joints) = joints else { return Ok(()) };

@@ -18,7 +18,8 @@ rule! {
     /// ## Evidence
     /// The offset of the stream's clock from the others' clock, by the message with the minimum transport
     /// delay. `spread_s` is the scatter of the delay, the limit of any alignment; LAT001's interval
-    /// includes it. The row of a stream on the common clock reports messages received before their stamps.
+    /// includes it. Tables with another time origin are aligned by their motion, which leaves their delay
+    /// unknown. The row of a stream on the common clock reports messages received before their stamps.
     ///
     /// ## How to fix
     /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with `--stamp
@@ -91,9 +92,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
     let by = offset_s.map_or(String::new(), |offset_s| format!("{} ", Unit::Second.show(offset_s)));
     let is_by_motion = clock.alignment.is_some_and(|aligned| aligned.is_by_motion);
     let effect = match aligned {
-        Some(_) if is_by_motion => {
-            "aligned by motion, so its delay is unknown".to_owned()
-        }
+        Some(_) if is_by_motion => "aligned by motion, so its delay is unknown".to_owned(),
         Some((_, spread_s)) => {
             let spread = Unit::Second.show(spread_s);
             format!("aligned by minimum delay, within the transport's spread of {spread}")

@@ -143,7 +143,7 @@ pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>,
             }
             _ => "they are not whole seconds and nanoseconds".to_owned(),
         };
-        format!("--columns declares times that are none: {what}")
+        format!("--columns declares times that are not times: {what}")
     };
     clock.map(Some).ok_or_else(refuse)
 }

@@ -144,7 +144,8 @@ impl GroupWalk {
         }
         if depth < MAX_DEPTH {
             // MATLAB's objects.
-            let own = |group: &Group| !group.name().rsplit('/').next().unwrap_or("").starts_with('#');
+            let own =
+                |group: &Group| !group.name().rsplit('/').next().unwrap_or("").starts_with('#');
             for group in groups.into_iter().filter(own) {
                 self.descend(&group, &below(group.name()), depth + 1);
             }

@@ -53,12 +53,10 @@ pub(super) use self::csv::{column_names, has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
-pub(super) use self::npy::MAGIC as NPY_MAGIC;
-pub(super) use self::records::{
-    has_times as has_record_times, looks_like_json, looks_like_yaml,
-};
-pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::meaning::LayoutColumns;
+pub(super) use self::npy::MAGIC as NPY_MAGIC;
+pub(super) use self::records::{has_times as has_record_times, looks_like_json, looks_like_yaml};
+pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
 pub(super) use self::tfrecord::has_record;
@@ -458,7 +456,10 @@ impl Tables {
         };
         let found = meaning::identify_topics(table, &clock, settings, layout.as_ref())
             .map_err(EpisodeError::Unidentified)?;
-        if found.iter().all(|found| found.columns.is_none() && found.cells.is_empty()) {
+        // A file of other quantities, such as accelerations, may accompany the joints.
+        let is_unused = |found: &TableTopic| found.columns.is_none() && !found.cells.is_empty();
+        let accompanies = self.inputs.len() > 1 && found.iter().all(is_unused);
+        if found.iter().all(|found| found.columns.is_none()) && !accompanies {
             return Err(EpisodeError::UnusableRows(
                 "it holds no numbers besides its times".to_owned(),
             ));
@@ -487,8 +488,9 @@ impl Tables {
         for mut found in found {
             let (unstamped, damaged) = (found.unstamped, found.damaged.take());
             let TableTopic { topic, kind, why, contradiction, columns, rows, .. } = found;
-            let [cells, velocity_cells] = [found.cells, found.velocity_cells]
-                .map(|cells| cells.into_iter().map(|cell| TableCell { table: shape, ..cell }).collect());
+            let [cells, velocity_cells] = [found.cells, found.velocity_cells].map(|cells| {
+                cells.into_iter().map(|cell| TableCell { table: shape, ..cell }).collect()
+            });
             if let Some(what) = contradiction {
                 intake.contradiction(path, what);
             }

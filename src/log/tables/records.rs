@@ -94,7 +94,7 @@ pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episo
     read_document(&document, context)
 }
 
-/// JSON lines; `None` if the first line is no record.
+/// JSON lines; `None` if the first line is not a record.
 fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>, TableError> {
     let mut records = Records::default();
     let mut malformed: Option<(u64, String)> = None;
@@ -108,7 +108,7 @@ fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>,
             }
             _ if records.rows == 0 => return Ok(None),
             _ => {
-                let what = format!("line {} is no JSON record", index + 1);
+                let what = format!("line {} is not a JSON record", index + 1);
                 malformed.get_or_insert((0, what)).0 += 1;
             }
         }
@@ -265,7 +265,7 @@ fn joined(path: &str, key: &str) -> String {
 struct Records {
     rows: usize,
     columns: Vec<Column>,
-    /// Text cells of each column, and the first one.
+    /// Number of text cells in each column, and the first one.
     texts: Vec<(usize, String)>,
     lines: Vec<usize>,
     rate_hz: Option<f64>,

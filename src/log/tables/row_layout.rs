@@ -215,7 +215,7 @@ pub struct RowLayout {
     rate_hz: Option<f64>,
 }
 
-/// Why a text is no [`RowLayout`].
+/// Why a text is not a [`RowLayout`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("character {at}: {what}")]
 pub struct LayoutError {
@@ -286,7 +286,10 @@ pub struct DeclaredPose {
 /// Columns of the times in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum LayoutTime {
-    Column { index: usize, unit_s: Option<f64> },
+    Column {
+        index: usize,
+        unit_s: Option<f64>,
+    },
     SecondsAndNanos([usize; 2]),
     Rate(f64),
     /// By name or by numbers.
@@ -376,9 +379,8 @@ impl RowLayout {
             ) {
                 continue;
             }
-            let is_it = |group: &LayoutGroup| {
-                group.arm == item.arm && group.is_command == item.is_command
-            };
+            let is_it =
+                |group: &LayoutGroup| group.arm == item.arm && group.is_command == item.is_command;
             let at = groups.iter().position(is_it).unwrap_or_else(|| {
                 let (arm, is_command) = (item.arm.clone(), item.is_command);
                 groups.push(LayoutGroup { arm, is_command, ..LayoutGroup::default() });
@@ -449,7 +451,10 @@ impl RowLayout {
             let is_same = |other: &&LayoutItem| {
                 let is_arm = other.arm == item.arm && other.is_command == item.is_command;
                 let is_rotation = |it: &LayoutItem| {
-                    matches!(it.meaning, Meaning::Rotation(_) | Meaning::Matrix | Meaning::Vendor(_))
+                    matches!(
+                        it.meaning,
+                        Meaning::Rotation(_) | Meaning::Matrix | Meaning::Vendor(_)
+                    )
                 };
                 let is_pair = other.meaning == item.meaning && !item.meaning.repeats();
                 is_arm && (is_pair || (is_rotation(item) && is_rotation(other)))
@@ -466,7 +471,10 @@ impl RowLayout {
                 return Err((at, "use either `t`, or `s` and `ns`".to_owned()));
             }
             (None, Some(at), None) | (None, None, Some(at)) => {
-                return Err((at, "`s` and `ns` belong together; use `t` for one column".to_owned()));
+                return Err((
+                    at,
+                    "`s` and `ns` belong together; use `t` for one column".to_owned(),
+                ));
             }
             _ => {}
         }
@@ -474,9 +482,8 @@ impl RowLayout {
             return Err((last, "use either a time column or `@RATE`".to_owned()));
         }
         for group in self.groups() {
-            let of_group = |item: &LayoutItem| {
-                item.arm == group.arm && item.is_command == group.is_command
-            };
+            let of_group =
+                |item: &LayoutItem| item.arm == group.arm && item.is_command == group.is_command;
             let of = |meanings: &dyn Fn(Meaning) -> bool| {
                 index(&|item| of_group(item) && meanings(item.meaning)).unwrap_or(last)
             };
@@ -484,7 +491,10 @@ impl RowLayout {
             let (joints, velocities) = (group.joints.len(), group.velocities.len());
             if velocities > 0 && velocities != joints {
                 let at = of(&|meaning| meaning == Meaning::JointVelocities);
-                return fail(at, format!("{velocities} velocities (`qd`) for {joints} joints (`q`)"));
+                return fail(
+                    at,
+                    format!("{velocities} velocities (`qd`) for {joints} joints (`q`)"),
+                );
             }
             let (position, rotation) = (group.position.len(), group.rotation.len());
             let is_axis = |meaning: Meaning| matches!(meaning, Meaning::Axis(_));
@@ -497,7 +507,8 @@ impl RowLayout {
             if parts > 0 && parts < 4 {
                 return fail(of(&is_part), "a quaternion needs qx, qy, qz and qw".to_owned());
             }
-            if parts > 0 && self.items.iter().any(|item| of_group(item) && is_rotation(item.meaning))
+            if parts > 0
+                && self.items.iter().any(|item| of_group(item) && is_rotation(item.meaning))
             {
                 return fail(of(&is_part), "a pose has one rotation".to_owned());
             }
@@ -522,9 +533,7 @@ impl RowLayout {
         };
         match self.items.iter().any(is_used) {
             true => Ok(()),
-            false => {
-                Err((last, format!("no joints and no pose are named; known are {KNOWN}")))
-            }
+            false => Err((last, format!("no joints and no pose are named; known are {KNOWN}"))),
         }
     }
 }
@@ -569,8 +578,10 @@ impl FromStr for RowLayout {
             items.extend(parsed);
             at += part.len() + 1;
         }
-        Self::new(items, rate_hz)
-            .map_err(|(item, what)| LayoutError { at: places.get(item).copied().unwrap_or(1), what })
+        Self::new(items, rate_hz).map_err(|(item, what)| LayoutError {
+            at: places.get(item).copied().unwrap_or(1),
+            what,
+        })
     }
 }
 
@@ -590,14 +601,17 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
     let head = match head {
         "quat" | "euler" => match words.next() {
             Some(order) => format!("{head}:{order}"),
-            None => return Err(format!("`{head}` needs an order, as in `quat:xyzw` or `euler:zyx`")),
+            None => {
+                return Err(format!("`{head}` needs an order, as in `quat:xyzw` or `euler:zyx`"));
+            }
         },
         head => head.to_owned(),
     };
     let (name, count) = match head.strip_suffix(']').and_then(|head| head.rsplit_once('[')) {
         None => (head.as_str(), None),
         Some((name, count)) => {
-            let known = count.trim().parse::<usize>().ok().filter(|own| (1..=MAX_COUNT).contains(own));
+            let known =
+                count.trim().parse::<usize>().ok().filter(|own| (1..=MAX_COUNT).contains(own));
             let count = known.ok_or_else(|| {
                 format!("`[{count}]` is not a number of columns from 1 to {MAX_COUNT}")
             })?;
@@ -629,7 +643,7 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
     };
     let meaning = meanings[0];
     if of_row(meaning) && (arm.is_some() || is_command) {
-        return Err(format!("`{name}` belongs to no arm and is no command"));
+        return Err(format!("`{name}` cannot belong to an arm or be a command"));
     }
     let counts = meaning.counts();
     let count = match (count, counts) {
@@ -644,13 +658,13 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
     let (has_length, has_angle) = meaning.has_units(count);
     let (mut units, mut time_unit_s) = (Units::default(), None);
     for word in words {
-        let time = TIME_UNITS.iter().find(|(symbol, _)| *symbol == word || (word == "µs" && *symbol == "us"));
+        let time = TIME_UNITS
+            .iter()
+            .find(|(symbol, _)| *symbol == word || (word == "µs" && *symbol == "us"));
         let is_angle = word == AngleUnit::Radian.symbol() || word == AngleUnit::Degree.symbol();
         let is_length = LengthScale::common().any(|unit| unit.to_string() == word);
         let set = match (meaning, time) {
-            (Meaning::Time, Some((_, unit))) => {
-                *time_unit_s.get_or_insert(*unit) == *unit
-            }
+            (Meaning::Time, Some((_, unit))) => *time_unit_s.get_or_insert(*unit) == *unit,
             _ if (has_angle && is_angle) || (has_length && is_length) => {
                 units.set_symbol(word).is_ok()
             }
@@ -662,7 +676,7 @@ fn parse_item(text: &str) -> Result<Vec<LayoutItem>, String> {
                     () if has_angle => "rad or deg",
                     () => "none",
                 };
-                return Err(format!("`{word}` is no unit of `{name}`; possible: {allowed}"));
+                return Err(format!("`{word}` is not a unit of `{name}`; possible: {allowed}"));
             }
         };
         if !set {
@@ -753,7 +767,7 @@ mod tests {
         for (text, part) in [
             ("t,q[6],tau[6]", "character 8: `tau` has no known meaning; known are t, s, ns"),
             ("t,q[0]", "character 3: `[0]` is not a number of columns"),
-            ("t,q[6]:mm", "character 3: `mm` is no unit of `q`; possible: rad or deg"),
+            ("t,q[6]:mm", "character 3: `mm` is not a unit of `q`; possible: rad or deg"),
             ("t,rot,x,y,z", "character 3: `rot` has 3 or 4 columns"),
             ("t,quat,x", "character 3: `quat` needs an order"),
             ("t,x,y", "character 5: a position needs x, y and z"),
@@ -767,7 +781,7 @@ mod tests {
             ("q[6]@fast", "character 6: `@fast` is not a rate"),
             ("t,_[4]", "character 3: no joints and no pose"),
             ("t,,q", "character 3: a column has no meaning"),
-            ("t,cmd._", "character 3: `_` belongs to no arm"),
+            ("t,cmd._", "character 3: `_` cannot belong to an arm"),
             ("é,q", "character 1: `é` has no known meaning"),
             ("", "character 1: a column has no meaning"),
         ] {
@@ -821,9 +835,7 @@ mod tests {
                     is_command: is_command && !is_of_row,
                     meaning,
                     count,
-                    time_unit_s: time
-                        .filter(|_| meaning == Meaning::Time)
-                        .map(|(_, unit)| unit),
+                    time_unit_s: time.filter(|_| meaning == Meaning::Time).map(|(_, unit)| unit),
                     units: Units {
                         length: length.filter(|_| has_length),
                         angle: angle.filter(|_| has_angle),

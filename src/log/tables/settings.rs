@@ -37,7 +37,7 @@ impl ColumnSettings {
     }
 
     /// The layout that names the file, otherwise the one for all files.
-    pub(super) fn layout_of(&self, path: &Path) -> Option<&RowLayout> {
+    pub(crate) fn layout_of(&self, path: &Path) -> Option<&RowLayout> {
         let names = |own: &&FileLayout| own.file.as_ref().is_some_and(|file| path.ends_with(file));
         let of_all = || self.layouts.iter().find(|own| own.file.is_none());
         self.layouts.iter().find(names).or_else(of_all).map(|own| &own.layout)

@@ -342,7 +342,8 @@ impl<'a> ColumnSearch<'a> {
             cells: cells(columns),
         };
         let mut assigned: Vec<Assignment> = groups.iter().map(assignment).collect();
-        let is_asked = |content: fn(&Content) -> bool| groups.iter().any(|(_, own, _)| content(own));
+        let is_asked =
+            |content: fn(&Content) -> bool| groups.iter().any(|(_, own, _)| content(own));
         let joints = self.cells.columns_of_kind(NumberKind::Joint);
         if !joints.is_empty() && !is_asked(|own| matches!(own, Content::Joints(_))) {
             assigned.push(assignment(&(None, Content::Joints(None), &joints)));
@@ -511,8 +512,7 @@ impl<'a> ColumnSearch<'a> {
             let is_it = |block: &JointColumns| block.joints == run;
             let mut arms = 0..self.arms.len();
             let arm = arms.find(|&arm| {
-                wanted.chains[arm].dof() == run.len()
-                    && table.blocks(wanted, arm).iter().any(is_it)
+                wanted.chains[arm].dof() == run.len() && table.blocks(wanted, arm).iter().any(is_it)
             })?;
             Some((arm, run))
         })?;

@@ -1,7 +1,9 @@
 //! The meaning of a table's columns as a value of `--columns`.
 
 use crate::geometry::{AngleUnit, Units};
-use crate::log::{LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic};
+use crate::log::{
+    LayoutItem, Log, Meaning, RotationLabels, RowLayout, TableCell, TableShape, Topic,
+};
 use crate::run::role::{Role, role_by_content, role_outside_arm};
 use crate::stream::{Columns, JointColumns};
 
@@ -92,12 +94,9 @@ pub(super) fn layout(
 impl Part {
     fn continues(&self, last: &Self) -> bool {
         let is_same = self.meaning == last.meaning
-            && (&self.arm, self.is_command, self.unit)
-                == (&last.arm, last.is_command, last.unit);
-        let is_repeated = matches!(
-            self.meaning,
-            Meaning::Ignored | Meaning::Joints | Meaning::JointVelocities
-        );
+            && (&self.arm, self.is_command, self.unit) == (&last.arm, last.is_command, last.unit);
+        let is_repeated =
+            matches!(self.meaning, Meaning::Ignored | Meaning::Joints | Meaning::JointVelocities);
         is_same && (is_repeated || self.within.0 > 0)
     }
 }
@@ -164,9 +163,8 @@ pub(super) fn assignments(topics: &[Topic], table: usize) -> Option<Vec<Assignme
     for topic in own.clone() {
         let (Some(columns), Some(role)) = (&topic.columns, role_of(topic)) else { continue };
         let are_joints = |topic: &Topic| matches!(topic.columns, Some(Columns::Joints(_)));
-        let is_alike = |other: &&Topic| {
-            role_of(other) == Some(role) && are_joints(other) == are_joints(topic)
-        };
+        let is_alike =
+            |other: &&Topic| role_of(other) == Some(role) && are_joints(other) == are_joints(topic);
         let arm = match (own.clone().filter(is_alike).count() > 1, topic.name.split_once('/')) {
             (false, None) => None,
             (false, Some((arm, _))) if !["first", "second"].contains(&arm) => None,

@@ -27,10 +27,8 @@ impl LayoutColumns {
         table: &mut Table,
     ) -> Result<Self, String> {
         let places = table.row_cells();
-        let cells: Vec<Option<Cell>> = places
-            .iter()
-            .map(|place| place.map(|(column, part)| Cell { column, part }))
-            .collect();
+        let cells: Vec<Option<Cell>> =
+            places.iter().map(|place| place.map(|(column, part)| Cell { column, part })).collect();
         let meanings = layout.meanings();
         if meanings.len() != cells.len() {
             return Err(format!(
@@ -41,7 +39,8 @@ impl LayoutColumns {
             ));
         }
         let is_free = |meaning: &Meaning| matches!(meaning, Meaning::Ignored | Meaning::Open);
-        let text = cells.iter().zip(&meanings).position(|(cell, it)| cell.is_none() && !is_free(it));
+        let text =
+            cells.iter().zip(&meanings).position(|(cell, it)| cell.is_none() && !is_free(it));
         if let Some(at) = text {
             let (number, meaning) = (at + 1, &meanings[at]);
             return Err(format!(

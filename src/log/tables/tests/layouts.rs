@@ -26,7 +26,11 @@ fn rows() -> String {
             .chain((0..5).map(|joint| format!("{}", (0.1 * at + f64::from(joint)).cos())))
             .chain(["100.5", "200.5", "-300.5"].map(str::to_owned))
             .collect();
-        format!("{},{row},IDLE,{}\n", 1_692_874_987_554_129_225_i64 + 10_000_000 * i64::from(row), cells.join(","))
+        format!(
+            "{},{row},IDLE,{}\n",
+            1_692_874_987_554_129_225_i64 + 10_000_000 * i64::from(row),
+            cells.join(",")
+        )
     };
     (0..50).map(row).collect()
 }
@@ -56,7 +60,7 @@ fn a_layout_that_contradicts_the_table_is_refused_in_one_line() {
     let line = refusal(&rows(), "t,_,q[6],_[8]");
     assert!(line.contains("--columns names column 3 `q`, but it holds text"), "{line}");
     let line = refusal(&rows(), "_[3],t,q[4],_[8]");
-    assert!(line.contains("--columns declares times that are none"), "{line}");
+    assert!(line.contains("--columns declares times that are not times"), "{line}");
     let line = refusal(&rows(), "other.csv=t,_[2],q[5],_[8]");
     assert!(line.contains("no file it applies to is one"), "{line}");
 }
