@@ -59,8 +59,9 @@ struct ColumnQuestion {
 /// Minimum score difference between mappings: a likelihood ratio of e¹⁰.
 const MIN_SCORE_DIFFERENCE: f64 = 20.0;
 const MAX_ARMS: usize = 2;
-/// Minimum spread of the tool position, m.
+/// Spread of the tool position, m. No arm reaches further.
 const MIN_SPREAD_M: f64 = 0.02;
+const MAX_SPREAD_M: f64 = 4.0;
 
 /// Identifies unnamed columns as joints, poses and commands, and rewrites their topics. Returns the mapping
 /// for other logs of the dataset.
@@ -183,7 +184,9 @@ impl<'a> ColumnSearch<'a> {
                 max_lag_s: self.max_lag_s,
             };
             let mut mappings = self.cells.table.mappings(&wanted);
-            mappings.retain(|mapping| self.uses_whole_arrays(mapping));
+            mappings.retain(|mapping| {
+                self.uses_whole_arrays(mapping) && mapping.spread_m < MAX_SPREAD_M
+            });
             // A second arm uses the same unit, and the base frame if the first does.
             if let Some(first) = identified.arms.first().map(|arm| &arm.mapping) {
                 mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
@@ -459,7 +462,10 @@ impl<'a> ColumnSearch<'a> {
             first += width;
         }
         if suggestions.is_empty() {
-            return self.question_by_rates().or_else(|| self.question_by_motion(&wanted));
+            return self
+                .question_by_rates()
+                .or_else(|| self.question_by_motion(&wanted))
+                .or_else(|| self.question_by_order());
         }
         let texts: Vec<String> = suggestions.iter().map(Answer::to_string).collect();
         let text = format!(
@@ -488,6 +494,30 @@ impl<'a> ColumnSearch<'a> {
              confirmed: if these are the joints, use {answer}, and name the arm with --robot",
             self.label(&rates),
             self.label(&own),
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
+    }
+
+    /// Suggests the first columns within the joint limits, as many as the only arm has joints; those followed by
+    /// their rates come first.
+    fn question_by_order(&self) -> Option<ColumnQuestion> {
+        let arm = self.arms.first().filter(|_| self.arms.len() <= MAX_ARMS)?;
+        let (table, dof) = (&self.cells.table, arm.chain.dof());
+        let starts = 0..(self.cells.numbers.len() + 1).saturating_sub(dof);
+        let blocks = starts.map(|from| (from..from + dof).collect::<Vec<usize>>());
+        let fits = |block: &Vec<usize>| {
+            block.iter().all(|&at| table.home(at) == table.home(block[0]))
+                && table.is_within_limits(block, &arm.chain)
+        };
+        let blocks: Vec<Vec<usize>> = blocks.filter(fits).collect();
+        let with_rates = blocks.iter().find(|block| table.rates_of(block).is_some());
+        let joints = with_rates.or(blocks.first())?;
+        let answer = self.answer_with_joints(joints);
+        let text = format!(
+            "{} are the first columns within the joint limits of {}, but the motion does not confirm that they are \
+             joints: if they are, use {answer}",
+            self.label(joints),
+            arm.name,
         );
         Some(ColumnQuestion { text, proposal: answer.layout })
     }
