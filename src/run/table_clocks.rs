@@ -253,5 +253,5 @@ fn position_track(columns: &Columns) -> Option<(i64, PoseTrack)> {
     let (origin, rows, t_s) = rows_of(times);
     let xyz: Vec<Vec3> = rows.iter().map(|&row| at(row)).collect();
     let orientation = Orientations::Unset(xyz.len());
-    (xyz.len() > 1).then(|| (origin, PoseTrack { t_s, xyz, orientation, declared: None }))
+    (xyz.len() > 1).then_some((origin, PoseTrack { t_s, xyz, orientation, declared: None }))
 }

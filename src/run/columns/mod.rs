@@ -233,10 +233,12 @@ impl<'a> ColumnSearch<'a> {
                 break;
             }
         }
-        if identified.arms.is_empty() && identified.question.is_none() && !are_joints_known {
-            if let Some(question) = self.question_by_width(log) {
-                identified.ask(question);
-            }
+        let is_open = identified.arms.is_empty() && identified.question.is_none();
+        if is_open
+            && !are_joints_known
+            && let Some(question) = self.question_by_width(log)
+        {
+            identified.ask(question);
         }
         identified
     }
