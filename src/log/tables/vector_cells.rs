@@ -94,8 +94,7 @@ fn list(cell: &[u8]) -> Option<Vec<&[u8]>> {
     let numbers: Vec<&[u8]> = cell.split(is_separator).filter(|own| !own.is_empty()).collect();
     let is_number =
         |own: &&[u8]| std::str::from_utf8(own).is_ok_and(|text| text.parse::<f64>().is_ok());
-    ((2..=MAX_WIDTH).contains(&numbers.len()) && numbers.iter().all(is_number))
-        .then_some(numbers)
+    ((2..=MAX_WIDTH).contains(&numbers.len()) && numbers.iter().all(is_number)).then_some(numbers)
 }
 
 /// Cells with their quotation marks. Delimiters in brackets are not split at, unless a bracket is open.
