@@ -40,3 +40,26 @@ pub fn tfrecord_frame(record: &[u8]) -> Vec<u8> {
     let length = (record.len() as u64).to_le_bytes();
     [&length, masked(&length).as_slice(), record, &masked(record)].concat()
 }
+
+/// A workbook of Excel with one sheet.
+#[allow(dead_code, reason = "not every program that loads this file makes workbooks")]
+pub fn workbook(strings: &[u8], sheet: &[u8]) -> Vec<u8> {
+    let types = br#"<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"/>"#;
+    let relations = concat!(
+        r#"<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">"#,
+        r#"<Relationship Id="rId1" Type="http://schemas.openxmlformats.org/officeDocument/2006/relationships/worksheet" "#,
+        r#"Target="worksheets/sheet1.xml"/></Relationships>"#
+    );
+    let book = concat!(
+        r#"<workbook xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" "#,
+        r#"xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships">"#,
+        r#"<sheets><sheet name="run" sheetId="1" r:id="rId1"/></sheets></workbook>"#
+    );
+    zip_archive(&[
+        ("[Content_Types].xml", types.as_slice()),
+        ("xl/_rels/workbook.xml.rels", relations.as_bytes()),
+        ("xl/workbook.xml", book.as_bytes()),
+        ("xl/sharedStrings.xml", strings),
+        ("xl/worksheets/sheet1.xml", sheet),
+    ])
+}

@@ -4,9 +4,9 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-use self::containers::{tfrecord_frame, zip_archive};
+use self::containers::{tfrecord_frame, workbook, zip_archive};
 use mcap::records::MessageHeader;
-use poseaudit::log::{self, Log, LogError, ReadOptions};
+use poseaudit::log::{self, ColumnSettings, Log, LogError, ReadOptions};
 use poseaudit::time::Clock;
 
 #[path = "containers.rs"]
@@ -16,7 +16,7 @@ mod containers;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
-pub const TARGETS: [Target; 20] = [
+pub const TARGETS: [Target; 24] = [
     ("mcap", read_file),
     ("rosbag1", read_file),
     ("rosbag2", read_file),
@@ -37,6 +37,10 @@ pub const TARGETS: [Target; 20] = [
     ("rsi", read_file),
     ("tfrecord", read_tfrecord),
     ("zarr", read_zarr),
+    ("columns", read_columns),
+    ("records", read_file),
+    ("xlsx", read_workbook),
+    ("yaml", read_file),
 ];
 
 /// Runs the named target on `bytes`.
@@ -51,6 +55,25 @@ fn read_file(bytes: &[u8]) {
     let path = folder.path().join("log");
     fs::write(&path, bytes).expect("a file");
     check_log(open(&path));
+}
+
+/// Reads a table with a layout of its columns, which follows one byte of its length.
+fn read_columns(bytes: &[u8]) {
+    let Some((layout, table)) = split_after_length::<1>(bytes) else { return };
+    let Some(layout) = std::str::from_utf8(layout).ok().and_then(|text| text.parse().ok()) else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("log");
+    fs::write(&path, table).expect("a file");
+    let columns = ColumnSettings { layouts: vec![layout], ..ColumnSettings::default() };
+    check_log(log::open(&[path], &ReadOptions { columns, ..ReadOptions::default() }));
+}
+
+/// Reads a workbook with one sheet; its shared strings follow two bytes of their length.
+fn read_workbook(bytes: &[u8]) {
+    let Some((strings, sheet)) = split_after_length::<2>(bytes) else { return };
+    read_file(&workbook(strings, sheet));
 }
 
 /// Reads a folder with this `metadata.yaml` and a valid file.

@@ -83,6 +83,7 @@ pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> 
 pub fn info(options: &Options) -> Result<Report, Trouble> {
     let mut log = log::open(&options.logs, &options.read)?;
     run::identify_columns(&mut log, &options.run);
+    run::align_table_clocks(&mut log, &options.run)?;
     let read = audit::ReadLog::from_log(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summarize(&run, read))

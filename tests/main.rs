@@ -18,6 +18,7 @@ mod program;
 mod real;
 mod reports;
 mod robot;
+mod row_layouts;
 mod rule_registry;
 mod tables;
 mod two_arms;

@@ -154,7 +154,7 @@ fn columns_that_fit_no_arm_are_not_assigned() {
     let path = csv(folder.path(), &alone, None);
     let found = audit_table(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     let question = found.error.expect("a question").what;
-    assert!(question.contains("joints = [\"c0\", \"c1\""), "{question}");
+    assert!(question.contains("--columns 't,q[6]"), "{question}");
 }
 
 #[test]

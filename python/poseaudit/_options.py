@@ -47,6 +47,8 @@ class CommonOptions(TypedDict, total=False):
     """Check every checksum."""
     max_unpacked: int | None
     """Maximum unpacked size of a file, GiB."""
+    columns: Texts | Mapping[str, str] | None
+    """Meaning of the columns of a table: `"t,q[6],xyz,rotvec"`, or `{file: text}`."""
     declare: Texts | Mapping[str, str] | None
     """Encoding of streams: `{topic: convention}`, or `topic=convention`."""
 

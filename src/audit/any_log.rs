@@ -283,6 +283,8 @@ impl AnyLog {
                 unusable: None,
                 read_as: None,
                 cells: Vec::new(),
+                velocity_cells: Vec::new(),
+                is_aligned_by_motion: false,
                 span: None,
             });
         };
@@ -367,6 +369,7 @@ impl AnyLog {
             repeats: None,
             robot_type: None,
             time_column: None,
+            tables: Vec::new(),
             question: None,
         };
         let end = |index: usize| {

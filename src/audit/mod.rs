@@ -14,9 +14,10 @@ use crate::log::{Extent, Log, Loss};
 use crate::places::PathRegistry;
 use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, Trouble, build_figures, comparison_rows,
-    has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, workspace_coverage,
+    has_decided_hand_eye, join_segments, plans, robot_rows, stream_rows, table_rows,
+    workspace_coverage,
 };
-use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
+use crate::run::{Arm, Excerpts, Run, Segment, align_table_clocks, identify_columns, segments};
 
 pub use calibrate::{CalibrationInput, CalibrationResult, calibrate};
 pub use demo::{DEMO_LOG, DEMO_PAIR_LOG, Demo, PlantedFault, demo, demo_pair};
@@ -68,6 +69,7 @@ impl ReadLog {
                 notes: notes.collect(),
                 messages: log.messages,
                 time_column: log.time_column.clone(),
+                tables: table_rows(log),
                 start_ns: log.span.map(|span| span.0),
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
@@ -107,6 +109,7 @@ impl Audited {
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
         identify_columns(&mut log, &options.run);
+        align_table_clocks(&mut log, &options.run)?;
         let mut read = ReadLog::from_log(&log);
         if let Some(given) = &given {
             read.note_corrections(given);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use poseaudit::checks::Selector;
 use poseaudit::config::{self, ClockName, Config, FILE_NAME};
-use poseaudit::log::is_url;
+use poseaudit::log::{FileLayout, is_url};
 use poseaudit::report::Trouble;
 use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, RunOptions};
 
@@ -74,6 +74,11 @@ pub struct AuditOptions {
     #[arg(long, value_name = "GIB")]
     max_unpacked: Option<u32>,
 
+    /// Meaning of every column of a table without names, in order, such as 't,q[6],qd[6],_[6],x,y,z,rotvec'; see
+    /// docs/datasets.md. FILE=SPEC for one of several tables
+    #[arg(long, value_name = "[FILE=]SPEC")]
+    columns: Vec<FileLayout>,
+
     /// Encoding of a stream: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a manufacturer such as kuka
     #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
     declare: Vec<Declaration>,
@@ -139,7 +144,7 @@ impl AuditOptions {
     pub fn into_options(self) -> Result<poseaudit::Options, Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
         let mut options = config.as_ref().map(Config::options).unwrap_or_default();
-        let (run, policy) = (&mut options.run, &mut options.policy);
+        let run = &mut options.run;
         if !self.robots.is_empty() {
             run.robots = self.robots;
         }
@@ -157,6 +162,8 @@ impl AuditOptions {
         // Replaces the config's declaration of the same topic only.
         run.declared.retain(|config| !self.declare.iter().any(|given| given.is_of(&config.topic)));
         run.declared.splice(..0, self.declare);
+        use_columns(&mut options, self.columns);
+        let policy = &mut options.policy;
         if !self.select.is_empty() {
             policy.rules.select = self.select;
         }
@@ -168,6 +175,14 @@ impl AuditOptions {
         options.read.verify = self.verify;
         options.read.max_unpacked_gib = self.max_unpacked;
         Ok(options)
+    }
+}
+
+/// Replaces the layouts of the config.
+pub fn use_columns(options: &mut poseaudit::Options, columns: Vec<FileLayout>) {
+    if !columns.is_empty() {
+        options.run.declare_layouts(&columns, "--columns");
+        options.read.columns.layouts = columns;
     }
 }
 

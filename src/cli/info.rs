@@ -5,10 +5,15 @@ use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
 use poseaudit::config::Config;
+use poseaudit::log::FileLayout;
 use poseaudit::places::PathRegistry;
-use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, sanitize, sanitize_display};
+use poseaudit::report::{
+    LogSummary, Report, StreamRow, TableRow, Trouble, sanitize, sanitize_display,
+};
+use poseaudit::run::RobotSource;
 use poseaudit::time::seconds;
 
+use super::audit_options::use_columns;
 use super::progress::with_progress;
 use super::{Outcome, output};
 
@@ -18,7 +23,8 @@ use super::{Outcome, output};
 Examples:
   poseaudit info run.mcap
   poseaudit info run_0.db3 run_1.db3
-  poseaudit info episodes.npz --config poseaudit.toml")]
+  poseaudit info episodes.npz --config poseaudit.toml
+  poseaudit info run.csv --robot ur10e --columns t,q[6],qd[6],_[18]")]
 pub struct Args {
     /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
     #[arg(value_name = "LOG", required = true)]
@@ -27,6 +33,14 @@ pub struct Args {
     /// Config file (TOML), as for an audit: table columns, topics and robot
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+
+    /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
+    #[arg(long = "robot", value_name = "FILE|NAME")]
+    robots: Vec<RobotSource>,
+
+    /// Meaning of every column of a table without names, as for `audit`
+    #[arg(long, value_name = "[FILE=]SPEC")]
+    columns: Vec<FileLayout>,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
@@ -34,6 +48,10 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let config = args.config.as_deref().map(Config::from_file).transpose()?;
     let mut options = config.as_ref().map(Config::options).unwrap_or_default();
     options.logs.clone_from(&args.logs);
+    if !args.robots.is_empty() {
+        options.run.robots.clone_from(&args.robots);
+    }
+    use_columns(&mut options, args.columns.clone());
     let report = with_progress(|progress| {
         options.read.progress = Some(progress);
         poseaudit::info(&options)
@@ -75,7 +93,28 @@ fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         let line = format!("{} compared with {}: {}", row.topic, row.reference, row.reason);
         writeln!(out, "{}", sanitize_display(line))?;
     }
-    writeln!(out, "\n{}", stream_table(&report.streams).trim_fmt())
+    writeln!(out, "\n{}", stream_table(&report.streams).trim_fmt())?;
+    report.log.tables.iter().try_for_each(|table| write_columns(table, out))
+}
+
+/// The meaning of each column of a table, and the option that states it.
+fn write_columns(table: &TableRow, out: &mut dyn Write) -> io::Result<()> {
+    let path = sanitize_display(table.path.display()).to_string();
+    writeln!(out, "\n{path}: {} columns", table.width)?;
+    let mut rows = output::table(["column", "name", "read as"]);
+    for column in &table.columns {
+        let cells = [&column.numbers, &column.names, &column.read_as];
+        rows.add_row(cells.map(|cell| sanitize(cell).into_owned()));
+    }
+    writeln!(out, "{}", rows.trim_fmt())?;
+    let Some(layout) = &table.layout else { return Ok(()) };
+    let layout = format!("--columns '{layout}'");
+    // The notes say why it is only a proposal.
+    let line = match &table.layout_reason {
+        None => layout,
+        Some(_) => format!("proposal: {layout}"),
+    };
+    writeln!(out, "{}", sanitize_display(line))
 }
 
 fn stream_table(streams: &[StreamRow]) -> Table {

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use poseaudit::Options;
 use poseaudit::config;
-use poseaudit::log::ReadOptions;
+use poseaudit::log::{FileLayout, ReadOptions};
 use poseaudit::places::PathRegistry;
 use poseaudit::report::Trouble;
 
+use super::audit_options::use_columns;
 use super::progress::with_progress;
 use super::{Outcome, misuse, output};
 
@@ -29,6 +30,10 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
+    /// Meaning of every column of a table without names, as for `audit`
+    #[arg(long, value_name = "[FILE=]SPEC", conflicts_with = "schema")]
+    columns: Vec<FileLayout>,
+
     /// Also list all other keys as comments, with their defaults
     #[arg(long, conflicts_with = "schema")]
     all: bool,
@@ -39,7 +44,7 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
-    let Args { logs, output, all, schema } = args;
+    let Args { logs, output, columns, all, schema } = args;
     if let Some(path) = output.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
         let what = "exists already and is not overwritten";
         return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
@@ -54,7 +59,9 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     }
     let audited = with_progress(|progress| {
         let read = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
-        poseaudit::audit(&Options { logs, read, ..Options::default() })
+        let mut options = Options { logs, read, ..Options::default() };
+        use_columns(&mut options, columns);
+        poseaudit::audit(&options)
     })?;
     let report = audited.into_report();
     output::emit(output.as_deref(), |out| {

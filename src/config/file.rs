@@ -12,7 +12,7 @@ use super::rules::Rules;
 use crate::checks::Selector;
 use crate::finding::{Severity, Unit};
 use crate::geometry::{RotationEncoding, Units, vendors};
-use crate::log::{ColumnSelector, ColumnSettings};
+use crate::log::{ColumnSelector, ColumnSettings, FileLayout, RowLayout};
 use crate::robot::nearest;
 use crate::run::{PoseSourceKind, RoleSetting};
 use crate::time::Clock;
@@ -97,6 +97,9 @@ impl ByPrefix {
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Columns {
+    /// Meaning of every column in order, as for `--columns`: `t,q[6],qd[6],_[6],x,y,z,rotvec`; for several
+    /// files, a table by their names. Replaces the other keys for its files.
+    pub layout: Option<ByFile>,
     /// Time column.
     pub time: Option<String>,
     /// Rows per second, if there is no time column.
@@ -157,6 +160,23 @@ impl Columns {
         own.into_iter().chain(arms.map(of_arm)).collect()
     }
 
+    /// Layouts, by file if there are several.
+    pub fn layouts(&self) -> Vec<FileLayout> {
+        match &self.layout {
+            None => Vec::new(),
+            Some(ByFile::One(Layout(layout))) => {
+                vec![FileLayout { file: None, layout: layout.clone() }]
+            }
+            Some(ByFile::Each(each)) => {
+                let own = |(file, Layout(layout)): (&String, &Layout)| FileLayout {
+                    file: Some(file.clone()),
+                    layout: layout.clone(),
+                };
+                each.iter().map(own).collect()
+            }
+        }
+    }
+
     pub fn settings(&self) -> ColumnSettings {
         let of_arm = |(name, arm): (&String, &ArmColumns)| {
             let settings = ColumnSettings {
@@ -180,7 +200,45 @@ impl Columns {
             pose: self.pose.0.clone(),
             pose_commands: self.pose_commands.0.clone(),
             arms: self.arm.iter().map(of_arm).collect(),
+            layouts: self.layouts(),
         }
+    }
+}
+
+/// Meaning of the columns of one table, or of several by file.
+#[derive(Clone, Debug, JsonSchema)]
+#[schemars(untagged)]
+pub(super) enum ByFile {
+    /// All tables.
+    One(Layout),
+    /// By file name.
+    Each(BTreeMap<String, Layout>),
+}
+
+impl<'de> Deserialize<'de> for ByFile {
+    /// Keeps the error of a layout, which an untagged enum replaces.
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let layout = |text: String| Layout::try_from(text).map_err(serde::de::Error::custom);
+        match ByPrefix::deserialize(from)? {
+            ByPrefix::One(text) => layout(text).map(Self::One),
+            ByPrefix::Each(each) => {
+                let own = |(file, text)| Ok((file, layout(text)?));
+                each.into_iter().map(own).collect::<Result<_, _>>().map(Self::Each)
+            }
+        }
+    }
+}
+
+/// Meaning of every column of a table, in order.
+#[derive(Clone, Debug, JsonSchema)]
+#[schemars(with = "String")]
+pub(super) struct Layout(pub RowLayout);
+
+impl TryFrom<String> for Layout {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse().map(Self).map_err(|error: crate::log::LayoutError| error.to_string())
     }
 }
 

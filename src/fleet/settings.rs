@@ -55,7 +55,7 @@ impl AuditSettings {
             Some(place) => text.replace(place.as_str(), "config"),
             None => text,
         };
-        let readable = json!({
+        let mut readable = json!({
             "robots": run.robots.iter().map(robot).collect::<Result<Vec<_>, _>>()?,
             "calibrations": run.calibrations.iter().map(calibration).collect::<Result<Vec<_>, _>>()?,
             "joint_map": run.joint_map.iter().map(|of| (&of.logged, &of.modelled)).collect::<Vec<_>>(),
@@ -71,6 +71,11 @@ impl AuditSettings {
             "config": config.map(file_hash).transpose()?,
             "corrections": options.corrections.as_deref().map(file_hash).transpose()?,
         });
+        if !read.columns.layouts.is_empty() {
+            let layouts = read.columns.layouts.iter();
+            readable["columns"] =
+                layouts.map(|own| json!([own.file, own.layout.to_string()])).collect();
+        }
         let hash = blake3::hash(readable.to_string().as_bytes()).to_hex()[..HASH_DIGITS].to_owned();
         Ok(Self { hash, readable })
     }

@@ -28,6 +28,8 @@ pub struct Log {
     pub robot_type: Option<String>,
     /// Table column identified as times by its numbers.
     pub time_column: Option<String>,
+    /// Columns of each table.
+    pub tables: Vec<TableShape>,
     /// Question about undetermined columns, asked if no arm is found.
     pub question: Option<String>,
 }
@@ -89,6 +91,12 @@ pub enum Container {
     TfRecord,
     /// KUKA Robot Sensor Interface.
     Rsi,
+    /// Excel workbook.
+    Xlsx,
+    /// JSON or JSON lines.
+    Json,
+    /// YAML.
+    Yaml,
 }
 
 impl Container {
@@ -111,6 +119,9 @@ impl Container {
             Container::Zarr => "zarr",
             Container::TfRecord => "tfrecord",
             Container::Rsi => "kuka-rsi",
+            Container::Xlsx => "xlsx",
+            Container::Json => "json",
+            Container::Yaml => "yaml",
         }
     }
 }
@@ -166,13 +177,49 @@ pub struct Topic {
     pub read_as: Option<String>,
     /// Its table columns, in order.
     pub cells: Vec<TableCell>,
+    /// Table columns of its joint velocities.
+    pub velocity_cells: Vec<TableCell>,
+    /// Whether its receive times come from its motion, because its clock has another origin.
+    pub is_aligned_by_motion: bool,
     /// First and last log time.
     pub span: Option<(Stamp, Stamp)>,
+}
+
+/// Columns of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TableShape {
+    /// The first file with this table.
+    pub file: PathBuf,
+    /// Its columns, in the order of a row.
+    pub numbers: Vec<TableNumber>,
+    /// Column of the stamps.
+    pub time: Option<(usize, usize)>,
+    /// Column of their nanoseconds, if `time` holds whole seconds.
+    pub nanos: Option<(usize, usize)>,
+    /// Unit of the stamps, s, unless the numbers show that they are seconds.
+    pub time_unit_s: Option<f64>,
+    /// Set if the stamps are generated.
+    pub rate_hz: Option<f64>,
+    /// The meaning of its columns as a value of `--columns`.
+    pub layout: Option<String>,
+    /// Why the layout is only a proposal; `None` if it is how the columns were read.
+    pub layout_reason: Option<String>,
+}
+
+/// One column in the rows of a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TableNumber {
+    /// As in [`TableCell::at`]; `None` for text.
+    pub at: Option<(usize, usize)>,
+    /// Name in `[columns]` of a config.
+    pub name: String,
 }
 
 /// One number in the rows of a table.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TableCell {
+    /// Index of its table in [`Log::tables`].
+    pub table: usize,
     /// Index of its column in the table, and within the column.
     pub at: (usize, usize),
     /// Name in `[columns]` of a config.

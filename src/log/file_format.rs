@@ -40,6 +40,12 @@ const UNSUPPORTED_FORMATS: &[(&[u8], &str, &str)] = &[
         "fetch it with `git lfs pull`",
     ),
     (ZIP_MAGIC, "a zip archive", UNPACK),
+    (
+        b"MATLAB 5.0 MAT-file",
+        "a MATLAB file of a version before 7.3",
+        "save it with save('run.mat', '-v7.3'), or convert it with scipy.io.loadmat and numpy.savez",
+    ),
+    (b"\xd0\xcf\x11\xe0", "an Office file in the format before 2007", "save it as .xlsx or CSV"),
 ];
 
 const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
@@ -52,6 +58,11 @@ const SUPPORTED_FORMATS: &[(&[u8], FileFormat)] = &[
 ];
 
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
+/// Sizes of the block before HDF5, up to the bytes read to detect a format.
+const HDF5_USER_BLOCKS: [usize; 3] = [512, 1024, 2048];
+const PICKLE_PROTOCOLS: std::ops::RangeInclusive<u8> = 2..=5;
+const FROM_PICKLE: &str = "reading one can run any program, so load it in Python if you trust it, and save its arrays \
+     with numpy.savez or pandas.DataFrame.to_csv";
 /// Offset of the first member's name.
 const ZIP_NAME: usize = 30;
 
@@ -77,6 +88,17 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     if tables::has_record(bytes) {
         return FileFormat::Table(tables::TableFormat::TfRecord);
     }
+    if bytes.starts_with(ZIP_MAGIC) && tables::is_workbook(bytes) {
+        return FileFormat::Table(tables::TableFormat::Xlsx);
+    }
+    // MATLAB 7.3 writes 512 bytes of its own before HDF5.
+    let has_hdf5 = |at: usize| bytes.get(at..).is_some_and(|rest| rest.starts_with(HDF5_MAGIC));
+    if HDF5_USER_BLOCKS.into_iter().any(has_hdf5) {
+        return FileFormat::Table(tables::TableFormat::Hdf5);
+    }
+    if matches!(bytes, [0x80, protocol, ..] if PICKLE_PROTOCOLS.contains(protocol)) {
+        return FileFormat::Known { looks: "a Python pickle", instead: FROM_PICKLE };
+    }
     let known = UNSUPPORTED_FORMATS.iter().find(|(magic, ..)| bytes.starts_with(magic));
     if let Some(&(_, looks, instead)) = known {
         return FileFormat::Known { looks, instead };
@@ -87,12 +109,18 @@ pub(super) fn detect_format(bytes: &[u8]) -> FileFormat {
     } else if is_text(glance) {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return FileFormat::Rtde,
+            rtde::FirstLine::Other if tables::looks_like_json(bytes) => {
+                return FileFormat::Table(tables::TableFormat::Json);
+            }
             _ if tables::has_packet(glance) => return FileFormat::Table(tables::TableFormat::Rsi),
             rtde::FirstLine::Other if let Some(kind) = tables::detect_trajectory(bytes) => {
                 return FileFormat::Table(kind);
             }
             rtde::FirstLine::Other if tables::is_table(bytes) => {
                 return FileFormat::Table(tables::TableFormat::Csv);
+            }
+            rtde::FirstLine::Other if tables::looks_like_yaml(bytes) => {
+                return FileFormat::Table(tables::TableFormat::Yaml);
             }
             rtde::FirstLine::Other => "text",
         }

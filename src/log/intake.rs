@@ -14,7 +14,7 @@ use super::topic::{
     saturating_nanos,
 };
 use super::unpack::{UnpackBudget, Unpacker};
-use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, TableShape, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -32,6 +32,9 @@ const MAX_SCHEMA_BYTES: usize = 32 << 20;
 const MAX_DESCRIPTIONS: usize = 64;
 
 const MAX_NOTES: usize = 100;
+
+/// Three years; stamps that are further apart have different epochs.
+const MAX_EPOCH_GAP_S: f64 = 1e8;
 
 pub(super) const MAX_BATCH_MESSAGES: usize = 1 << 14;
 
@@ -53,6 +56,7 @@ pub(super) struct Intake {
     repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
     time_column: Option<String>,
+    tables: Vec<TableShape>,
     files: Vec<PathBuf>,
     pub(super) unpack_budget: UnpackBudget,
     unpacker: Unpacker,
@@ -130,6 +134,7 @@ impl Intake {
                 columns: None,
                 read_as: None,
                 cells: Vec::new(),
+                velocity_cells: Vec::new(),
                 waiting: Vec::new(),
             });
             self.topics.len() - 1
@@ -231,9 +236,26 @@ impl Intake {
         self.topics[topic].columns = Some(columns);
     }
 
-    pub(super) fn read_as(&mut self, channel: ChannelId, how: String, cells: Vec<TableCell>) {
+    pub(super) fn read_as(
+        &mut self,
+        channel: ChannelId,
+        how: String,
+        cells: Vec<TableCell>,
+        velocity_cells: Vec<TableCell>,
+    ) {
         let topic = &mut self.topics[self.channels[channel.0].topic];
-        (topic.read_as, topic.cells) = (Some(how), cells);
+        topic.read_as = Some(how);
+        (topic.cells, topic.velocity_cells) = (cells, velocity_cells);
+    }
+
+    /// Index of the table; episodes with the same columns are one.
+    pub(super) fn table(&mut self, shape: TableShape) -> usize {
+        let is_same =
+            |own: &TableShape| own == &TableShape { file: own.file.clone(), ..shape.clone() };
+        self.tables.iter().position(is_same).unwrap_or_else(|| {
+            self.tables.push(shape);
+            self.tables.len() - 1
+        })
     }
 
     /// Once for all episodes.
@@ -322,6 +344,7 @@ impl Intake {
             repeats: self.repeats,
             robot_type: self.robot_type,
             time_column: self.time_column,
+            tables: self.tables,
             question: None,
         }
     }
@@ -343,7 +366,13 @@ impl Intake {
                 }
             }
         }
+        // Tables with another time origin are aligned by motion, or refused.
+        let are_tables =
+            self.topics.iter().all(|topic| ["table", "csv"].contains(&topic.encoding.as_str()));
         for (earlier, later, apart_s) in gaps(&self.file_spans()) {
+            if are_tables && apart_s > MAX_EPOCH_GAP_S {
+                continue;
+            }
             let (hours, other) = (apart_s / 3600.0, self.file(earlier).display());
             let what = format!(
                 "it begins {hours:.1} h after {other} ends: does it belong to the same run?"

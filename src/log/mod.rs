@@ -47,7 +47,7 @@ use std::path::{Path, PathBuf};
 pub use self::calibration_table::{CalibrationTable, RotationColumns, read_calibration_table};
 pub use self::contents::{
     Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
-    TableCell, Topic, Undecodable,
+    TableCell, TableNumber, TableShape, Topic, Undecodable,
 };
 pub use self::error::{LogError, POSE_TIMES_REMEDY};
 pub use self::follow::{Growth, LogFollower};
@@ -58,8 +58,8 @@ pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{RemoteFault, RemoteObject, is_url, list, normalize_url};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, enclosing_dataset, episodes, is_dataset, is_store,
-    split_episode, store_files,
+    ColumnSelector, ColumnSettings, DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning,
+    RowLayout, enclosing_dataset, episodes, is_dataset, is_store, split_episode, store_files,
 };
 
 /// Local file named by `path` or a `file://` URL. `None` for an object in a store.
@@ -116,7 +116,11 @@ pub fn looks_like_log(head: &[u8]) -> bool {
         file_format::FileFormat::Known { .. } | file_format::FileFormat::Unknown { .. } => false,
         // A table without times may be anything.
         file_format::FileFormat::Table(tables::TableFormat::Csv) => tables::has_time(head),
-        file_format::FileFormat::Table(tables::TableFormat::KittiTimes) => false,
+        file_format::FileFormat::Table(tables::TableFormat::Json) => tables::has_record_times(head),
+        // A list of times, or the settings of anything.
+        file_format::FileFormat::Table(
+            tables::TableFormat::KittiTimes | tables::TableFormat::Yaml,
+        ) => false,
         _ => true,
     }
 }

@@ -68,6 +68,11 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
             progress.finish_file(bytes);
         }
     }
+    if !options.columns.layouts.is_empty() && !tables.has_used_layout() && !files.is_empty() {
+        let path = files[0].path.clone();
+        let what = "--columns names the columns of a table, but no file it applies to is one";
+        return Err(LogError::Layout { path, what: what.to_owned() });
+    }
     rtde.hand_over(&mut intake);
     tables.finish(&mut intake);
     let log = intake.finish(files);
@@ -256,6 +261,13 @@ impl FileReader<'_> {
     ) -> Result<(Container, Crc), LogError> {
         let Self { options, losses, intake, rtde, tables, memory, size, present, episode, .. } =
             self;
+        // A layout replaces the names of RTDE fields.
+        let kind = match kind {
+            FileFormat::Rtde if options.columns.layout_of(self.path).is_some() => {
+                FileFormat::Table(TableFormat::Csv)
+            }
+            kind => kind,
+        };
         let path = || self.path.to_owned();
         let absent = |MissingByte(byte)| {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };
@@ -306,7 +318,7 @@ impl FileReader<'_> {
                     kind => kind,
                 };
                 memory.add_file(*size);
-                let mut context = tables::ReadContext { losses, memory };
+                let mut context = tables::ReadContext { losses, memory, times: Vec::new() };
                 let asked = (&options.columns, *episode);
                 tables.read(kind, places, bytes, asked, &mut context, intake)?;
                 (kind.container(), Crc::None)

@@ -12,6 +12,7 @@ mod tests;
 #[cfg(not(target_arch = "wasm32"))]
 mod wal;
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ use super::files::LogInput;
 use super::intake::Intake;
 use super::losses::Losses;
 use super::mapped::MappedFile;
+use super::tables::{self, TableFormat};
 use super::{Extent, LogError, looks_like_log, read_head};
 
 #[cfg(not(target_arch = "wasm32"))]
@@ -148,8 +150,16 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
 fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
     let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
+    let tables: Vec<PathBuf> = paths.iter().filter(|path| is_text_table(path)).cloned().collect();
     let paths: Vec<PathBuf> = paths.into_iter().filter(|path| is_log(path)).collect();
     let runs = || LogError::Runs { path: folder.to_owned() };
+    let is_of_tables = paths.iter().all(|path| tables.contains(path));
+    if tables.len() > 1 && is_of_tables && recording_names(&tables).len() > 1 {
+        return match have_different_columns(&tables) {
+            true => Ok(tables.into_iter().map(LogInput::bag_file).collect()),
+            false => Err(runs()),
+        };
+    }
     let Some(first) = paths.first() else {
         return Err(if contains_logs(folder) { runs() } else { refuse("without log files") });
     };
@@ -157,6 +167,32 @@ fn logs_in(folder: &Path) -> Result<Vec<LogInput>, LogError> {
         return Err(runs());
     }
     Ok(paths.into_iter().map(LogInput::bag_file).collect())
+}
+
+fn recording_names(paths: &[PathBuf]) -> BTreeSet<&str> {
+    paths.iter().map(|path| recording_name(path)).collect()
+}
+
+/// Text tables of one run have one signal each; runs have the same columns.
+fn have_different_columns(paths: &[PathBuf]) -> bool {
+    let columns: Vec<Vec<String>> = paths.iter().filter_map(|path| columns_of(path)).collect();
+    let distinct: BTreeSet<&Vec<String>> = columns.iter().collect();
+    distinct.len() == paths.len()
+}
+
+fn is_text_table(path: &Path) -> bool {
+    columns_of(path).is_some()
+}
+
+/// Names of the columns of a text table. `None` if none is a time.
+fn columns_of(path: &Path) -> Option<Vec<String>> {
+    let mapped = MappedFile::open(path).ok()?;
+    match file_format::detect_format(mapped.bytes()) {
+        FileFormat::Rtde | FileFormat::Table(TableFormat::Csv) => {
+            tables::column_names(mapped.bytes())
+        }
+        _ => None,
+    }
 }
 
 /// Log files not in `inputs` that differ from one of them only in the split number: the list may be

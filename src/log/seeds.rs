@@ -98,6 +98,7 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
     }
     seeds.extend(tables());
     seeds.extend(trajectories());
+    seeds.extend(records());
     seeds
 }
 
@@ -107,6 +108,37 @@ fn trajectories() -> [(&'static str, Vec<u8>); 3] {
         1403715524907143168,1,2,3,1,0,0,0\n1403715524912143104,1,2,3.5,1,0,0,0\n";
     let kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0.5 0 0 -1 0 0 1 0 2\n";
     [tum, euroc, kitti].map(|text| ("csv", text.as_bytes().to_vec()))
+}
+
+/// Records, a sheet of a workbook behind its strings, and a table behind its layout.
+fn records() -> [(&'static str, Vec<u8>); 8] {
+    let row = |n: u32| {
+        format!("{{\"t\":{n},\"q\":[0.{n},1,2,3,4,5],\"pose\":{{\"x\":1e-3,\"mode\":\"a\"}}}}")
+    };
+    let rows: Vec<String> = (0..4).map(row).collect();
+    let columns = "{\"fps\":30,\"t\":[0,1,2],\"q\":[[1,2,3,4],[1,2,3,5],[1,2,3,6]]}";
+    let list = "- time: 0.0\n  q: [1, 2, 3, 4]\n  pose: {x: 1, y: 2, z: 3}\n- time: 0.1\n  q: &a [1, 2, 3, 5]\n";
+    let documents = "stamp: {secs: 17, nsecs: 1}\nposition: [1, 2, 3, 4]\n---\nstamp: {secs: 17, nsecs: 2000000}\n\
+        position: [1, 2, 3, 5]\n";
+    let strings: &[u8] = b"<sst><si><t>time</t></si><si><t>q1</t></si></sst>";
+    let sheet = b"<worksheet><sheetData><row r=\"1\"><c r=\"A1\" t=\"s\"><v>0</v></c><c r=\"B1\" t=\"s\"><v>1</v></c>\
+        <c r=\"C1\" t=\"inlineStr\"><is><t>q2</t></is></c></row><row r=\"2\"><c r=\"A2\"><v>0</v></c><c r=\"B2\"><v>0.5</v>\
+        </c><c r=\"C2\"><v>1</v></c></row><row r=\"3\"><c r=\"A3\"><v>0.1</v></c><c r=\"B3\"><v>0.6</v></c><c r=\"C3\"><v>2\
+        </v></c></row></sheetData></worksheet>";
+    let workbook = [&(strings.len() as u16).to_le_bytes(), strings, sheet].concat();
+    let vectors = b"timestamp,q\n0.1,\"[1, 2, 3, 4]\"\n0.2,\"[1, 2, 3, 5]\"\n".to_vec();
+    let layout: &[u8] = b"t:ms,q[2]:deg,qd[2],_,cmd.xyz,?";
+    let table = b"1,2,3,4,5,a,7,8,9,1\n2,2,3,4,5,a,7,8,9,2\n3,2.5,3,4,5,a,7,8,9,3\n";
+    [
+        ("records", rows.join("\n").into_bytes()),
+        ("records", format!("[{}]", rows.join(",")).into_bytes()),
+        ("records", columns.into()),
+        ("yaml", list.into()),
+        ("yaml", documents.into()),
+        ("xlsx", workbook),
+        ("csv", vectors),
+        ("columns", [&[layout.len() as u8], layout, table].concat()),
+    ]
 }
 
 fn tables() -> Vec<(&'static str, Vec<u8>)> {

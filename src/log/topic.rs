@@ -69,6 +69,7 @@ pub(super) struct TopicIntake {
     pub(super) columns: Option<Columns>,
     pub(super) read_as: Option<String>,
     pub(super) cells: Vec<TableCell>,
+    pub(super) velocity_cells: Vec<TableCell>,
     /// Index of channel and message.
     pub(super) waiting: Vec<(usize, usize)>,
 }
@@ -191,6 +192,7 @@ impl TopicIntake {
             columns: self.columns.clone(),
             read_as: self.read_as.clone(),
             cells: self.cells.clone(),
+            velocity_cells: self.velocity_cells.clone(),
             waiting: Vec::new(),
         }
     }
@@ -221,6 +223,8 @@ impl TopicIntake {
             unusable: useless.clone(),
             read_as: self.read_as.clone(),
             cells: self.cells.clone(),
+            velocity_cells: self.velocity_cells.clone(),
+            is_aligned_by_motion: false,
             span,
         };
         parts.into_iter().map(topic).collect()

@@ -46,7 +46,7 @@ pub use format::{FORMATS, Format};
 pub use plans::PlanRow;
 pub(crate) use plans::{PlanInputs, plan_command, plans};
 pub use rows::{RobotRow, StreamRow};
-pub(crate) use rows::{join_segments, robot_rows, stream_rows};
+pub(crate) use rows::{join_segments, robot_rows, stream_rows, table_rows};
 pub(crate) use sanitize::quote_line;
 pub use sanitize::{escape_direction, quote_for_shell, sanitize, sanitize_display};
 pub use trouble::{Trouble, TroubleKind};
@@ -161,6 +161,38 @@ pub struct LogSummary {
     /// Remarks on the files that are not damage.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<NoteRow>,
+    /// Tables, with the meaning of their columns.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tables: Vec<TableRow>,
+}
+
+/// One table; episodes with the same columns are one.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct TableRow {
+    /// Its first file.
+    #[schemars(with = "String")]
+    pub path: PathBuf,
+    /// Columns of a row.
+    pub width: usize,
+    /// Meaning of the columns as a value of `--columns`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layout: Option<String>,
+    /// Why the layout is only a proposal; absent if the columns were read like that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layout_reason: Option<String>,
+    /// Neighbouring columns with the same meaning.
+    pub columns: Vec<ColumnRow>,
+}
+
+/// Neighbouring columns with the same meaning.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct ColumnRow {
+    /// Positions in the row, from 1, as in `2-7`.
+    pub numbers: String,
+    /// Names, as in `[columns]` of a config.
+    pub names: String,
+    /// Topic that they are part of, or why they are not read.
+    pub read_as: String,
 }
 
 /// One file.

@@ -5,7 +5,9 @@ use std::collections::HashMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{ColumnRow, TableRow};
 use crate::finding::{Word, deserialize_optional_word, deserialize_word};
+use crate::log::{Log, TableShape};
 use crate::run::{Arm, PoseSourceKind, Run, selectors};
 use crate::stream::Columns;
 use crate::time::Stamp;
@@ -102,6 +104,65 @@ pub(crate) fn robot_rows(run: &Run) -> Vec<RobotRow> {
         joints: arm.chain.joint_names().to_vec(),
     };
     run.arms.iter().filter(|arm| arm.trajectory.is_none()).map(row).collect()
+}
+
+/// The tables of a log whose columns are identified.
+pub(crate) fn table_rows(log: &Log) -> Vec<TableRow> {
+    let row = |(table, shape): (usize, &TableShape)| {
+        let mut columns: Vec<(Vec<usize>, String)> = Vec::new();
+        for at in 0..shape.numbers.len() {
+            let read_as = reading(log, table, shape.numbers[at].at);
+            match columns.last_mut() {
+                Some((run, last)) if *last == read_as => run.push(at),
+                _ => columns.push((vec![at], read_as)),
+            }
+        }
+        let column = |(run, read_as): (Vec<usize>, String)| {
+            let names: Vec<String> = run.iter().map(|&at| shape.numbers[at].name.clone()).collect();
+            let (first, last) = (run[0] + 1, run[run.len() - 1] + 1);
+            ColumnRow {
+                numbers: if first == last { first.to_string() } else { format!("{first}-{last}") },
+                names: selectors(&names).join(", "),
+                read_as,
+            }
+        };
+        TableRow {
+            path: shape.file.clone(),
+            width: shape.numbers.len(),
+            layout: shape.layout.clone(),
+            layout_reason: shape.layout_reason.clone(),
+            columns: columns.into_iter().map(column).collect(),
+        }
+    };
+    log.tables.iter().enumerate().map(row).collect()
+}
+
+/// Topic of a column, or why it has none.
+fn reading(log: &Log, table: usize, at: Option<(usize, usize)>) -> String {
+    let Some(at) = at else { return "text, not numbers".to_owned() };
+    let shape = &log.tables[table];
+    if [shape.time, shape.nanos].contains(&Some(at)) {
+        return "stamps".to_owned();
+    }
+    let is_it = |cell: &crate::log::TableCell| cell.table == table && cell.at == at;
+    for topic in &log.topics {
+        if topic.cells.iter().any(is_it) {
+            let why = topic.unusable.as_ref().or(topic.read_as.as_ref());
+            return match (&topic.columns, why) {
+                (Some(_), _) if !is_bare(topic) => topic.name.clone(),
+                (_, Some(why)) => format!("not read: {why}"),
+                (_, None) => "not read".to_owned(),
+            };
+        }
+        if topic.velocity_cells.iter().any(is_it) {
+            return format!("velocities of {}", topic.name);
+        }
+    }
+    "not read".to_owned()
+}
+
+fn is_bare(topic: &crate::log::Topic) -> bool {
+    matches!(&topic.columns, Some(Columns::Array(array)) if array.unnamed)
 }
 
 pub(crate) fn stream_rows(run: &Run) -> Vec<StreamRow> {

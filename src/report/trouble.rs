@@ -58,6 +58,7 @@ impl From<&RunError> for Trouble {
             | RunError::Numbered { .. }
             | RunError::SameMotion { .. }
             | RunError::UnknownJoints { .. }
+            | RunError::TimeOrigins { .. }
             | RunError::MissingJoints { .. } => TroubleKind::Log,
             RunError::UnknownRobot { .. }
             | RunError::Robot(_)
@@ -76,9 +77,10 @@ impl From<&RunError> for Trouble {
 impl From<LogError> for Trouble {
     fn from(error: LogError) -> Self {
         let kind = match error {
-            LogError::NotFound { .. } | LogError::Twice { .. } | LogError::Temporary { .. } => {
-                TroubleKind::Call
-            }
+            LogError::NotFound { .. }
+            | LogError::Twice { .. }
+            | LogError::Temporary { .. }
+            | LogError::Layout { .. } => TroubleKind::Call,
             LogError::Remote { ref fault, .. } if fault.is_of_the_call() => TroubleKind::Call,
             _ => TroubleKind::Log,
         };
@@ -123,8 +125,13 @@ impl From<LogError> for Trouble {
                 format!("not a robot log: it looks like {looks}"),
                 "name an MCAP file, a bag or a table (CSV, TUM, NPY, NPZ, Parquet, HDF5)",
             ),
-            LogError::Columns { path, what } => {
-                (path, what, "declare it in [columns] of the config (docs/datasets.md)")
+            LogError::Columns { path, what } => (
+                path,
+                what,
+                "declare it with --columns, or in [columns] of the config (docs/datasets.md)",
+            ),
+            LogError::Layout { path, what } => {
+                (path, what, "correct --columns; `_` ignores a column (docs/datasets.md)")
             }
             LogError::PoseTimes { path, what } => (path, what, POSE_TIMES_REMEDY),
             LogError::Episodes { path, most } => (

@@ -38,6 +38,8 @@ pub struct Alignment {
     pub offset_nanos: i64,
     /// Standard error of the offset, s: typical minus minimum transport delay of both streams.
     pub spread_s: f64,
+    /// Whether the offset comes from the motion, which leaves the delay unknown.
+    pub is_by_motion: bool,
 }
 
 /// Clock of one stream.
@@ -100,6 +102,8 @@ pub(super) struct ClockSource<'a> {
     pub has_header: bool,
     /// Joint states break ties.
     pub is_joints: bool,
+    /// Its receive times come from its motion.
+    pub is_aligned_by_motion: bool,
 }
 
 impl ClockSource<'_> {
@@ -182,8 +186,14 @@ pub(super) fn group_by_clock<'a>(
     let mut seen: Vec<(HeaderStamps, Option<DelayStats>)> = Vec::new();
     for (index, (child, times)) in transforms.enumerate() {
         let frame = Some(child);
-        let alone =
-            ClockSource { stream, frame, times: vec![times], has_header: true, is_joints: false };
+        let alone = ClockSource {
+            stream,
+            frame,
+            times: vec![times],
+            has_header: true,
+            is_joints: false,
+            is_aligned_by_motion: false,
+        };
         let (stamps, _) = alone.header_stamps();
         let delay = alone.delay(Clock::Header);
         let fits = |(other, group): &(HeaderStamps, Option<DelayStats>)| {
@@ -303,7 +313,7 @@ fn align(
     };
     let Some(&(_, common)) = votes.iter().max_by_key(rank) else { return };
     let is_recorders = common.is_within(max_latency_s, 0);
-    for (clock, delay) in clocks.iter_mut().zip(delays) {
+    for ((clock, delay), source) in clocks.iter_mut().zip(delays).zip(sources) {
         let Some(delay) = delay else { continue };
         let agrees = delay.is_within(max_latency_s, common.median);
         if clock.clock == Clock::Header {
@@ -316,7 +326,11 @@ fn align(
         if !agrees {
             clock.alignment = Some(Alignment {
                 offset_nanos: delay.floor.saturating_sub(common.floor),
-                spread_s: delay.spread_s().hypot(common.spread_s()),
+                spread_s: match source.is_aligned_by_motion {
+                    true => max_latency_s,
+                    false => delay.spread_s().hypot(common.spread_s()),
+                },
+                is_by_motion: source.is_aligned_by_motion,
             });
         }
     }
@@ -347,6 +361,7 @@ mod tests {
             times: vec![times],
             has_header: true,
             is_joints: stream == JOINTS,
+            is_aligned_by_motion: false,
         }
     }
 

@@ -6,11 +6,14 @@ use std::str::FromStr;
 use crate::geometry::{
     AngleUnit, ConventionError, LengthScale, RotationEncoding, UnitError, Units, vendors,
 };
+use crate::log::FileLayout;
 use crate::robot::Robot;
 use crate::stream::Columns;
 
+use super::RunOptions;
 use super::error::RunError;
 use super::models::load_robot;
+use super::topics::{RoleSetting, TopicSettings};
 
 /// Source of a robot: `FILE`, a catalogue `NAME`, or either after `PREFIX=`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -183,6 +186,36 @@ impl FromStr for Declaration {
             angle: units.angle.unwrap_or_default(),
             is_of_vendor: vendor.is_some(),
         })
+    }
+}
+
+impl RunOptions {
+    /// Declares the poses of table layouts, unless declared otherwise. `place` names their source.
+    pub fn declare_layouts(&mut self, layouts: &[FileLayout], place: &str) {
+        for pose in layouts.iter().flat_map(|own| own.layout.poses()) {
+            let settings = TopicSettings {
+                topic: pose.topic.clone(),
+                place: place.to_owned(),
+                role: (!pose.is_command).then_some(RoleSetting::Pose),
+                of_columns: true,
+                ..TopicSettings::default()
+            };
+            match self.topics.iter_mut().find(|known| known.is_of(&pose.topic)) {
+                Some(known) => known.role = known.role.or(settings.role),
+                None => self.topics.push(settings),
+            }
+            let is_declared = self.declared.iter().any(|known| known.is_of(&pose.topic));
+            if let (Some(coding), false) = (pose.coding, is_declared) {
+                self.declared.push(Declaration {
+                    topic: pose.topic,
+                    place: place.to_owned(),
+                    coding,
+                    length: pose.units.length.unwrap_or_default(),
+                    angle: pose.units.angle.unwrap_or_default(),
+                    is_of_vendor: false,
+                });
+            }
+        }
     }
 }
 

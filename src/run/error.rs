@@ -103,6 +103,11 @@ pub enum RunError {
         /// The joints.
         joints: Vec<String>,
     },
+    /// Tables of one run have different time origins, and the motion does not show the offset.
+    TimeOrigins {
+        /// The problem.
+        what: String,
+    },
     /// A declaration without a topic, or that does not fit its messages.
     Declared {
         /// Source of the declaration.
@@ -132,6 +137,7 @@ impl RunError {
             | Self::Numbered { .. }
             | Self::SameMotion { .. }
             | Self::UnknownJoints { .. }
+            | Self::TimeOrigins { .. }
             | Self::Robot(_) => false,
         }
     }
@@ -193,7 +199,7 @@ impl RunError {
                 arms.len(),
                 few(arms)
             ),
-            Self::JointMap { what } => what.clone(),
+            Self::JointMap { what } | Self::TimeOrigins { what } => what.clone(),
             Self::UnknownRobot { name, nearest } => {
                 format!("'{name}' is neither a file nor a catalogue arm{}", did_you_mean(nearest))
             }
@@ -229,6 +235,7 @@ impl RunError {
             | Self::NoModel { .. }
             | Self::Ambiguous { .. }
             | Self::Numbered { .. }
+            | Self::TimeOrigins { .. }
             | Self::SameMotion { .. } => "the log".to_owned(),
             Self::JointMap { .. } => "--joint-map".to_owned(),
             Self::NoSamples { .. } | Self::MissingJoints { .. } => "joint states".to_owned(),
@@ -245,11 +252,11 @@ impl RunError {
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::NoJointStates { question: Some(_), .. } => {
-                "set it in the config given by --config, or name the arm with --robot"
+                "pass that option, or name the arm with --robot"
             }
             Self::NoJointStates { .. } => {
-                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in \
-                 [columns] of the config"
+                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns with \
+                 --columns (docs/datasets.md)"
             }
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
@@ -257,6 +264,9 @@ impl RunError {
             }
             Self::Ambiguous { .. } | Self::Numbered { .. } | Self::SameMotion { .. } => {
                 "pass --robot NAME with the correct one"
+            }
+            Self::TimeOrigins { .. } => {
+                "write the same clock into all files, or audit them separately"
             }
             Self::JointMap { .. } => {
                 "write --joint-map LOG=MODEL,… with joint names of the log and of the model"

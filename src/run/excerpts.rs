@@ -219,6 +219,8 @@ mod tests {
             unusable: None,
             read_as: None,
             cells: Vec::new(),
+            velocity_cells: Vec::new(),
+            is_aligned_by_motion: false,
             span: None,
         }]);
         let clocks = StreamClocks::select(&streams, crate::time::Clock::Header, 5.0);

@@ -42,6 +42,7 @@ mod source_kind;
 mod sources;
 mod stale;
 mod streams;
+mod table_clocks;
 mod targets;
 #[cfg(test)]
 mod tests;
@@ -91,6 +92,7 @@ pub use sources::MovingBase;
 pub use sources::{ImuSource, PoseSource};
 pub use streams::Stream;
 pub(crate) use streams::{tf_topics, with_key};
+pub use table_clocks::align_table_clocks;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_error::TfError;
 pub use tf_problems::{FramePair, TfProblem, TfProblemKind};

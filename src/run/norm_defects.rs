@@ -235,6 +235,8 @@ mod tests {
                 unusable: None,
                 read_as: None,
                 cells: Vec::new(),
+                velocity_cells: Vec::new(),
+                is_aligned_by_motion: false,
                 span: None,
             };
             let mut streams = split(vec![topic]);

@@ -80,6 +80,7 @@ fn without_topics(log: &Log) -> Log {
         contradictions: log.contradictions.clone(),
         repeats: log.repeats.clone(),
         time_column: log.time_column.clone(),
+        tables: log.tables.clone(),
         robot_type: log.robot_type.clone(),
         question: log.question.clone(),
     }
@@ -261,7 +262,7 @@ fn segment_of_topic(topic: &Topic, restarts: &[ClockRestart], segment: usize) ->
         };
         columns.clear_dropped(is_first);
         columns.retain(&rows);
-        if topic.read_as.is_some() {
+        if topic.read_as.is_some() && !topic.is_aligned_by_motion {
             // Table rows have made-up receive times that put episodes one after another.
             columns.times_mut().into_iter().for_each(|times| times.log.clone_from(&times.header));
         }
@@ -299,6 +300,8 @@ mod tests {
             unusable: None,
             read_as: None,
             cells: Vec::new(),
+            velocity_cells: Vec::new(),
+            is_aligned_by_motion: false,
             span: None,
         }
     }
@@ -327,6 +330,7 @@ mod tests {
             contradictions: None,
             repeats: None,
             time_column: None,
+            tables: Vec::new(),
             robot_type: None,
             question: None,
         }

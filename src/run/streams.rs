@@ -56,6 +56,8 @@ pub struct Stream {
     pub read_as: Option<String>,
     /// Its table columns, in `[columns]` syntax.
     pub cells: Vec<String>,
+    /// Whether its receive times come from its motion.
+    pub is_aligned_by_motion: bool,
     /// Rotation encoding by column names.
     pub labels: Option<RotationLabels>,
     /// Unidentified measured table columns.
@@ -249,6 +251,7 @@ fn streams_of_topic(topic: Topic) -> Vec<Stream> {
             .map(|cell| cell.name.clone())
             .collect(),
         cells: topic.cells.into_iter().map(|cell| cell.name).collect(),
+        is_aligned_by_motion: topic.is_aligned_by_motion,
         columns: None,
     };
     let is_wanted_and_empty = |held: &Columns| {
@@ -352,6 +355,7 @@ impl StreamClocks {
                         times: stream.times(),
                         has_header: stream.times().iter().any(|times| !times.unstamped),
                         is_joints: stream.role == Role::Joints,
+                        is_aligned_by_motion: stream.is_aligned_by_motion,
                     });
                 }
             }

@@ -70,6 +70,12 @@ pub fn arguments_of(expectation: &Expectation) -> String {
     if call.is_empty() { "as recorded".to_owned() } else { call.to_owned() }
 }
 
+/// As code, because `_` and `*` are marks of Markdown.
+fn quoted_arguments(expectation: &Expectation) -> String {
+    let call = arguments_of(expectation);
+    if expectation.args.is_empty() { call } else { format!("`{call}`") }
+}
+
 /// Generates `docs/real-logs.md`.
 pub fn markdown(sources: &[Source]) -> String {
     let mut page = "# Real logs\n\n\
@@ -99,7 +105,7 @@ pub fn markdown(sources: &[Source]) -> String {
                 page,
                 "| {} | {} | {} | {answer} | {} |",
                 line.logs.iter().map(|logs| format!("`{logs}`")).collect::<Vec<_>>().join(", "),
-                arguments_of(line),
+                quoted_arguments(line),
                 line.arm.join(", "),
                 line.open.as_deref().unwrap_or_default(),
             );

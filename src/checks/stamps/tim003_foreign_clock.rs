@@ -18,7 +18,8 @@ rule! {
     /// ## Evidence
     /// The offset of the stream's clock from the others' clock, by the message with the minimum transport
     /// delay. `spread_s` is the scatter of the delay, the limit of any alignment; LAT001's interval
-    /// includes it. The row of a stream on the common clock reports messages received before their stamps.
+    /// includes it. Tables with another time origin are aligned by their motion, which leaves their delay
+    /// unknown. The row of a stream on the common clock reports messages received before their stamps.
     ///
     /// ## How to fix
     /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with `--stamp
@@ -89,7 +90,9 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
     let aligned = clock.alignment.map(|aligned| (-seconds(aligned.offset_nanos), aligned.spread_s));
     let offset_s = aligned.map(|(offset_s, _)| offset_s).or(clock.log_minus_header_s.map(|s| -s));
     let by = offset_s.map_or(String::new(), |offset_s| format!("{} ", Unit::Second.show(offset_s)));
+    let is_by_motion = clock.alignment.is_some_and(|aligned| aligned.is_by_motion);
     let effect = match aligned {
+        Some(_) if is_by_motion => "aligned by motion, so its delay is unknown".to_owned(),
         Some((_, spread_s)) => {
             let spread = Unit::Second.show(spread_s);
             format!("aligned by minimum delay, within the transport's spread of {spread}")
@@ -103,8 +106,9 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResu
         message: format!("stamps are {by}off the other streams' clock"),
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
         fix: format!(
-            "stamp {} with the clock of the other streams, or use --stamp log",
-            stream.subject.label()
+            "stamp {} with the clock of the other streams{}",
+            stream.subject.label(),
+            if is_by_motion { "" } else { ", or use --stamp log" }
         ),
     };
     let spread_s = aligned.map(|(_, spread_s)| spread_s);

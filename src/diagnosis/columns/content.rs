@@ -1,6 +1,7 @@
 //! Relations between columns: time-shifted copies and rates.
 
-use super::{MIN_MOVING_JOINTS, NumericTable};
+use super::{LIMIT_TOLERANCE, MIN_MOVING_JOINTS, NumericTable, TWO_TURNS_RAD};
+use ground::robot::Chain;
 use ground::stats::median;
 
 /// Between a column and another's rate.
@@ -201,6 +202,15 @@ impl NumericTable {
                 .all(|(&at, &rate)| self.rate_correlation(rate, at) > MIN_RATE_CORRELATION)
         };
         shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
+    }
+
+    /// Whether the numbers of some columns, in rad or m, are within the limits of the chain's joints.
+    pub fn is_within_limits(&self, columns: &[usize], chain: &Chain) -> bool {
+        columns.iter().zip(chain.limits()).all(|(&at, limits)| {
+            let low = limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE;
+            let high = limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE;
+            self.columns[at].iter().all(|value| (low..=high).contains(value))
+        })
     }
 
     /// Longest run of columns followed by their rates at a constant offset. It may include columns that do

@@ -57,6 +57,10 @@ pub(super) struct Clock {
     pub description: String,
     /// Set if identified by its numbers.
     pub unnamed_column: Option<String>,
+    /// Unit of `cell`, s, unless its numbers show that they are seconds.
+    pub unit_s: Option<f64>,
+    /// Set if the stamps are generated.
+    pub rate_hz: Option<f64>,
     /// Median step, s.
     step_s: f64,
 }
@@ -89,7 +93,7 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
             billionths: column.billionths.clone(),
             parts: Vec::new(),
         };
-        return from_column(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
+        return from_column(cell.0, &own, None).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
             || format!("`columns.time` names '{name}', but its numbers are not times: they must increase"),
         );
     }
@@ -102,6 +106,57 @@ pub(super) fn detect(table: &Table, settings: &ColumnSettings) -> Result<Clock, 
         (None, Some(rate_hz)) => Ok(from_rate(table, rate_hz, "from the metadata")),
         (None, None) => clock_by_values(table),
     }
+}
+
+/// Clock that a layout declares; `None` if it leaves the times open.
+///
+/// # Errors
+/// If the declared columns do not hold times.
+pub(super) fn of_layout(table: &Table, time: &CellTime) -> Result<Option<Clock>, String> {
+    let clock = match *time {
+        CellTime::Open => return Ok(None),
+        CellTime::Rate(rate_hz) => Some(from_rate(table, rate_hz, "from --columns")),
+        CellTime::SecondsAndNanos(cells) => seconds_and_nanos(table, cells),
+        CellTime::Column(cell, unit_s) => {
+            let column = &table.columns[cell.0];
+            let exact = table.exact_times.get(&cell);
+            let own = Column {
+                name: table.cell_name(cell),
+                kind: column.kind.clone(),
+                width: 1,
+                values: column.values.iter().skip(cell.1).step_by(column.width).copied().collect(),
+                billionths: match column.width {
+                    1 => column.billionths.clone(),
+                    _ => exact.cloned().unwrap_or_default(),
+                },
+                parts: Vec::new(),
+            };
+            let clock = from_column(cell.0, &own, unit_s);
+            clock.map(|clock| Clock { cell: Some(cell), ..clock })
+        }
+    };
+    let refuse = || {
+        let what = match time {
+            CellTime::Column((at, _), _) => {
+                let column = &table.columns[*at];
+                if column.width == 1 { why_not_times(column) } else { NOT_INCREASING.to_owned() }
+            }
+            _ => "they are not whole seconds and nanoseconds".to_owned(),
+        };
+        format!("--columns declares times that are not times: {what}")
+    };
+    clock.map(Some).ok_or_else(refuse)
+}
+
+const NOT_INCREASING: &str = "its numbers must increase, in s, ms, us or ns (such as `t:ms`)";
+
+/// Times that a layout declares.
+pub(super) enum CellTime {
+    /// With its unit, s.
+    Column((usize, usize), Option<f64>),
+    SecondsAndNanos([(usize, usize); 2]),
+    Rate(f64),
+    Open,
 }
 
 /// Best clock per column group, keyed by the group's path.
@@ -129,7 +184,7 @@ fn clocks_by_name(table: &Table) -> Vec<Clock> {
     let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
     let mut clocks: Vec<Clock> = times
         .filter_map(|(at, column)| match column.width {
-            1 => from_column(at, column),
+            1 => from_column(at, column, None),
             2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
             _ => None,
         })
@@ -212,6 +267,8 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
         nanos: Some(nanos),
         description,
         unnamed_column: None,
+        unit_s: None,
+        rate_hz: None,
         step_s,
     })
 }
@@ -234,8 +291,8 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
             None => "no column holds times, and the metadata has no rate".to_owned(),
         };
         format!(
-            "{why}: add `[columns]` with `rate_hz = 30` (the true rows per second) or `time = \"COLUMN\"` to \
-             poseaudit.toml; for separate configurations rather than a run, use `poseaudit calibrate`"
+            "{why}: end --columns with the true rows per second, as in 'q[6],xyz,rotvec@30', or add `[columns]` with \
+             `rate_hz = 30` or `time = \"COLUMN\"` to poseaudit.toml; for separate configurations rather than a run, use `poseaudit calibrate`"
         )
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
@@ -245,7 +302,7 @@ fn clock_by_values(table: &Table) -> Result<Clock, String> {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
             let kind = column.kind.clone();
             let own = Column { kind, width: 1, values, ..Column::default() };
-            let Some(clock) = from_column(at, &own).filter(|_| increases_evenly(&own.values))
+            let Some(clock) = from_column(at, &own, None).filter(|_| increases_evenly(&own.values))
             else {
                 continue;
             };
@@ -346,12 +403,14 @@ fn from_rate(table: &Table, rate_hz: f64, by: &str) -> Clock {
              columns"
         ),
         unnamed_column: None,
+        unit_s: None,
+        rate_hz: Some(rate_hz),
         step_s: 1.0 / rate_hz,
     }
 }
 
-/// `None` if it does not hold times.
-fn from_column(at: usize, column: &Column) -> Option<Clock> {
+/// `None` if it does not hold times. `unit_s` is declared.
+fn from_column(at: usize, column: &Column, unit_s: Option<f64>) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -369,7 +428,9 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         .or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
     let is_whole = finite.iter().all(|value| value.fract() == 0.0);
     let rise = (finite[finite.len() - 1] - first) / (finite.len() - 1).max(1) as f64;
-    let unit = by_name
+    let unit = unit_s.or(by_name);
+    let is_declared = unit.is_some();
+    let unit = unit
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))
         .or_else(|| unit_of(first, step, rise, is_whole))?;
     let step_s = step * unit;
@@ -407,6 +468,8 @@ fn from_column(at: usize, column: &Column) -> Option<Clock> {
         nanos: None,
         description,
         unnamed_column: None,
+        unit_s: (is_declared || unit != 1.0).then_some(unit),
+        rate_hz: None,
         step_s,
     })
 }

@@ -3,9 +3,13 @@
 //! The first row of numbers determines the delimiter and the decimal mark. A table without names becomes
 //! one column, like a NumPy array.
 
+use std::collections::BTreeMap;
+
 use jiff::civil::{DateTime, Time};
 
-use super::{Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock};
+use super::{
+    Column, Episodes, MAX_COLUMNS, MAX_WIDTH, ReadContext, Table, TableError, clock, vector_cells,
+};
 use crate::Extent;
 use crate::rtde;
 
@@ -35,12 +39,22 @@ pub(super) struct TextLayout {
 /// Whether it has rows of numbers, with or without column names.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     detect_layout(bytes).is_some()
+        || vector_cells::expand(bytes).is_some_and(|bytes| detect_layout(&bytes).is_some())
 }
 
 /// A text table with times is a log rather than a calibration table.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
-    let names = detect_layout(bytes).and_then(|layout| layout.names);
+    let expanded = vector_cells::expand(bytes);
+    let layout = detect_layout(expanded.as_deref().unwrap_or(bytes));
+    let names = layout.and_then(|layout| layout.names);
     names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
+}
+
+/// Names of the columns of a table with times.
+pub(crate) fn column_names(bytes: &[u8]) -> Option<Vec<String>> {
+    let expanded = vector_cells::expand(bytes);
+    let names = detect_layout(expanded.as_deref().unwrap_or(bytes))?.names?;
+    names.iter().any(|name| clock::is_time(name)).then_some(names)
 }
 
 /// Delimiters within quotation marks are text.
@@ -221,6 +235,8 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
 }
 
 pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let expanded = vector_cells::expand(bytes);
+    let bytes = expanded.as_deref().unwrap_or(bytes);
     let layout = detect_layout(bytes).ok_or("it contains no rows of numbers")?;
     Ok(vec![("0".to_owned(), read_rows(bytes, layout, context)?)])
 }
@@ -234,6 +250,10 @@ pub(super) fn read_rows(
     let TextLayout { delimiter, names, width, rows_at, line: first_line } = layout;
     let is_time = |name: &String| clock::is_time(name);
     let times: Vec<bool> = names.iter().flatten().map(is_time).collect();
+    let times: Vec<bool> = match names.is_some() {
+        true => times,
+        false => (0..width).map(|at| context.times.contains(&at)).collect(),
+    };
     let mut billionths: Vec<Vec<Option<i128>>> = vec![Vec::new(); width];
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
@@ -331,6 +351,15 @@ fn build_table(
         let numeric: Vec<&Vec<f64>> = values.iter().filter(|values| is_numeric(values)).collect();
         let all = (0..rows).flat_map(|row| numeric.iter().map(move |column| column[row])).collect();
         let width = numeric.len();
+        let is_text = |at: &usize| !is_numeric(&values[*at]);
+        made.text_columns = (0..values.len()).filter(is_text).collect();
+        let kept = (0..values.len()).filter(|at| !is_text(at)).zip(0..);
+        let exact: BTreeMap<usize, usize> = kept.collect();
+        for (at, billionths) in billionths.into_iter().enumerate() {
+            if let (Some(part), false) = (exact.get(&at), billionths.is_empty()) {
+                made.exact_times.insert((0, *part), billionths);
+            }
+        }
         if width < values.len() {
             let what = format!("{} of its {} columns", values.len() - width, values.len());
             made.unread.push((what, "text, not numbers".to_owned()));
@@ -348,6 +377,7 @@ fn build_table(
             made.columns.push(Column { name, kind, width: 1, parts, values, billionths });
             continue;
         }
+        made.text_columns.push(at);
         let text = texts[at].unwrap_or_default();
         if !text.is_empty() {
             made.texts.insert(name.clone(), String::from_utf8_lossy(text).into_owned());
@@ -362,6 +392,11 @@ fn build_table(
 fn number(cell: &[u8], delimiter: u8) -> f64 {
     let text = || std::str::from_utf8(unquoted(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
+}
+
+/// A number, a date or a time of day in text with decimal points; NaN for other text.
+pub(super) fn text_number(text: &[u8]) -> f64 {
+    number(text, b',')
 }
 
 /// The number times 10⁹, rounded to an integer.

@@ -143,7 +143,10 @@ impl GroupWalk {
             self.found.push((name, dataset));
         }
         if depth < MAX_DEPTH {
-            for group in groups {
+            // MATLAB's objects.
+            let own =
+                |group: &Group| !group.name().rsplit('/').next().unwrap_or("").starts_with('#');
+            for group in groups.into_iter().filter(own) {
                 self.descend(&group, &below(group.name()), depth + 1);
             }
         }

@@ -2,6 +2,7 @@
 //! passed on as bare numbers.
 
 mod configured;
+mod row_layout;
 mod trajectory;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
@@ -13,6 +14,8 @@ use super::{
 };
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
+pub(crate) use row_layout::LayoutColumns;
+
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
 /// Joints of an arm, with its gripper.
@@ -65,15 +68,20 @@ pub(super) fn identify_topics(
     table: &Table,
     clock: &Clock,
     settings: &ColumnSettings,
+    layout: Option<&LayoutColumns>,
 ) -> Result<Vec<TableTopic>, String> {
-    let mut groups = configured::configured_groups(table, settings)?;
+    let mut groups = match layout {
+        Some(layout) => layout.groups(table),
+        None => configured::configured_groups(table, settings)?,
+    };
     if groups.is_empty() {
         groups = trajectory::trajectory_groups(table);
     }
     let taken_by = |groups: &[ColumnGroup]| -> HashSet<Cell> {
-        groups.iter().flat_map(|group| &group.cells).copied().collect()
+        groups.iter().flat_map(ColumnGroup::all_cells).copied().collect()
     };
-    let own_clocks = match settings.time.is_none() && settings.rate_hz.is_none() {
+    let is_clock_open = settings.time.is_none() && settings.rate_hz.is_none() && layout.is_none();
+    let own_clocks = match is_clock_open {
         true => clock::detect_in_groups(table),
         false => BTreeMap::new(),
     };
@@ -121,9 +129,11 @@ pub(super) fn identify_topics(
     }
     join_pose_parts(table, &mut groups);
     groups.retain(|group| !group.cells.is_empty());
-    assign_velocities(table, clock, &mut groups);
+    if layout.is_none() {
+        assign_velocities(table, clock, &mut groups);
+    }
     number_duplicates(&mut groups);
-    if settings.pose.is_empty() {
+    if settings.pose.is_empty() && layout.is_none() {
         name_after_file(&mut groups, &table.stream_name);
     }
     let most = groups.iter().map(|group| group.max_position(table)).fold(0.0, f64::max);
@@ -141,6 +151,7 @@ pub(super) fn identify_topics(
         kind: "unread".to_owned(),
         why: why.clone(),
         cells: Vec::new(),
+        velocity_cells: Vec::new(),
         contradiction: None,
         columns: None,
         rows: table.rows as u64,
@@ -194,9 +205,8 @@ fn name(table: &Table, cell: Cell) -> &str {
 
 /// In the notation `NAME[INDEX]` of the configuration.
 fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
-    let Column { name, width, .. } = &table.columns[column];
-    let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
-    TableCell { at: (column, part), name, labels: None, is_unidentified: false }
+    let (at, name) = ((column, part), table.cell_name((column, part)));
+    TableCell { table: 0, at, name, labels: None, is_unidentified: false }
 }
 
 /// Measured values change and have fractions.
@@ -734,6 +744,15 @@ fn describe_origin(table: &Table, cells: &[Cell], by: &str) -> String {
 }
 
 impl ColumnGroup {
+    /// With joint velocities.
+    fn all_cells(&self) -> impl Iterator<Item = &Cell> {
+        let velocities = match &self.meaning {
+            ColumnMeaning::Joints { velocities, .. } => velocities.as_slice(),
+            _ => &[],
+        };
+        self.cells.iter().chain(velocities)
+    }
+
     /// Absolute and in the logged unit, without the gripper; 0 if no joints.
     fn max_position(&self, table: &Table) -> f64 {
         let ColumnMeaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
@@ -794,6 +813,12 @@ impl ColumnGroup {
         };
         let values = || values_of(&cells);
         let is_pose = matches!(meaning, ColumnMeaning::Pose);
+        let velocity_cells = match &meaning {
+            ColumnMeaning::Joints { velocities, .. } => {
+                velocities.iter().map(|&cell| table_cell(table, cell)).collect()
+            }
+            _ => Vec::new(),
+        };
         let is_open = matches!(meaning, ColumnMeaning::Numbers);
         let columns = match meaning {
             ColumnMeaning::Joints { names, unnamed, lines, velocities } => {
@@ -864,7 +889,18 @@ impl ColumnGroup {
         };
         let cells = cells.iter().enumerate().map(cell).collect();
         let rows = stamps.len() as u64;
-        TableTopic { topic, kind, why, cells, contradiction, columns, rows, unstamped, damaged }
+        TableTopic {
+            topic,
+            kind,
+            why,
+            cells,
+            velocity_cells,
+            contradiction,
+            columns,
+            rows,
+            unstamped,
+            damaged,
+        }
     }
 }
 

@@ -14,8 +14,10 @@ mod names;
 mod npy;
 mod pages;
 mod parquet;
+mod records;
 mod repeats;
 mod rlds;
+mod row_layout;
 mod row_losses;
 mod rsi;
 mod settings;
@@ -23,6 +25,8 @@ mod settings;
 pub(super) mod tests;
 mod tfrecord;
 mod trajectory;
+mod vector_cells;
+mod xlsx;
 mod zarr;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -38,17 +42,20 @@ use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::MappedFile;
 use super::memory_budget::MemoryBudget;
-use super::{Container, Extent, LogError, TableCell};
+use super::{Container, Extent, LogError, TableCell, TableNumber, TableShape};
 use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, is_usable};
 use ground::time::NANOS_PER_SECOND;
 
+pub use self::row_layout::{DeclaredPose, FileLayout, LayoutError, LayoutItem, Meaning, RowLayout};
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
-pub(super) use self::csv::{has_time, is_table};
+pub(super) use self::csv::{column_names, has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub(super) use self::lerobot::dataset_files;
 pub use self::lerobot::{enclosing_dataset, is_dataset};
+pub(super) use self::meaning::LayoutColumns;
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
+pub(super) use self::records::{has_times as has_record_times, looks_like_json, looks_like_yaml};
 pub(super) use self::rlds::metadata_files as declared_beside;
 pub(super) use self::row_losses::{ReadColumn, RowLoss, TableError};
 pub(super) use self::rsi::has_packet;
@@ -56,6 +63,7 @@ pub(super) use self::tfrecord::has_record;
 pub(super) use self::trajectory::{
     detect as detect_trajectory, is_tum_by_name, times_beside as pose_times_beside,
 };
+pub(super) use self::xlsx::is_workbook;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{is_store, store_files};
 
@@ -91,11 +99,17 @@ pub(super) struct Table {
     pub lines: Vec<usize>,
     /// Topic of the only pose, if its columns do not name it. Empty within a dataset.
     pub stream_name: String,
+    /// Positions of text columns in a row of the file.
+    pub text_columns: Vec<usize>,
+    /// Times in text of columns without names, in billionths, by column and index.
+    pub exact_times: BTreeMap<(usize, usize), Vec<Option<i128>>>,
 }
 
 pub(super) struct ReadContext<'a> {
     pub losses: &'a mut Losses,
     pub memory: &'a mut MemoryBudget,
+    /// Positions of times in the rows of a text table without names.
+    pub times: Vec<usize>,
 }
 
 impl Table {
@@ -104,6 +118,40 @@ impl Table {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
             None => format!("row {row} of {}", self.rows),
+        }
+    }
+
+    /// Column and index of each number in a row, in the order of the file; `None` for text.
+    fn row_cells(&self) -> Vec<Option<(usize, usize)>> {
+        let columns = self.columns.iter().enumerate();
+        let mut numbers =
+            columns.flat_map(|(at, column)| (0..column.width).map(move |part| (at, part)));
+        let width = self.columns.iter().map(|column| column.width).sum::<usize>();
+        let is_text = |at: &usize| self.text_columns.contains(at);
+        let all = 0..width + self.text_columns.len();
+        all.map(|at| if is_text(&at) { None } else { numbers.next() }).collect()
+    }
+
+    /// Name of a number in `[columns]` of a config.
+    fn cell_name(&self, (column, part): (usize, usize)) -> String {
+        let Column { name, width, .. } = &self.columns[column];
+        if *width == 1 { name.clone() } else { format!("{name}[{part}]") }
+    }
+
+    fn shape(&self, path: &Path, clock: &clock::Clock) -> TableShape {
+        let number = |cell: Option<(usize, usize)>| TableNumber {
+            at: cell,
+            name: cell.map_or_else(|| "text".to_owned(), |cell| self.cell_name(cell)),
+        };
+        TableShape {
+            file: path.to_owned(),
+            numbers: self.row_cells().into_iter().map(number).collect(),
+            time: clock.cell,
+            nanos: clock.nanos,
+            time_unit_s: clock.unit_s,
+            rate_hz: clock.rate_hz,
+            layout: None,
+            layout_reason: None,
         }
     }
 
@@ -161,6 +209,10 @@ pub(super) enum TableFormat {
     Rsi,
     Zarr,
     TfRecord,
+    Xlsx,
+    /// JSON, or JSON lines.
+    Json,
+    Yaml,
 }
 
 impl TableFormat {
@@ -177,6 +229,9 @@ impl TableFormat {
             Self::Rsi => Container::Rsi,
             Self::TfRecord => Container::TfRecord,
             Self::Zarr => Container::Zarr,
+            Self::Xlsx => Container::Xlsx,
+            Self::Json => Container::Json,
+            Self::Yaml => Container::Yaml,
         }
     }
 }
@@ -186,6 +241,7 @@ pub(super) struct Tables {
     streams: BTreeMap<String, TableStream>,
     episodes: Vec<Episode>,
     has_noted_clock: bool,
+    has_used_layout: bool,
     repeats: repeats::RepeatCounts,
     inputs: Vec<LogInput>,
     /// Keyed by file.
@@ -214,6 +270,8 @@ pub(super) struct TableTopic {
     pub kind: String,
     pub why: String,
     pub cells: Vec<TableCell>,
+    /// Joint velocities, in the order of the cells.
+    pub velocity_cells: Vec<TableCell>,
     /// Contradiction between column names and numbers.
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
@@ -227,6 +285,8 @@ pub(super) struct TableTopic {
 enum EpisodeError {
     /// The columns or stamps are unidentified.
     Unidentified(String),
+    /// The given layout contradicts the table.
+    Layout(String),
     UnusableRows(String),
 }
 
@@ -257,10 +317,15 @@ impl Tables {
         let dataset = dataset.and_then(|read| {
             read.map_err(|what| context.losses.add_unplaced(Extent::Index, None, what)).ok()
         });
+        let layout = settings.layout_of(path);
+        context.times = layout.map(RowLayout::time_positions).unwrap_or_default();
         let read = match kind {
             TableFormat::Npy => npy::read_npy(bytes, context),
             TableFormat::Npz => npy::read_npz(bytes, context),
             TableFormat::Csv => csv::read(bytes, context),
+            TableFormat::Xlsx => xlsx::read(bytes, context),
+            TableFormat::Json => records::read_json(bytes, context),
+            TableFormat::Yaml => records::read_yaml(bytes, context),
             TableFormat::Tum => trajectory::read_tum(bytes, context),
             TableFormat::Kitti => {
                 let times = match trajectory::pose_times(path, bytes, &self.inputs) {
@@ -334,7 +399,7 @@ impl Tables {
                 intake.contradiction(path, what);
             }
         }
-        for (name, table) in episodes {
+        for (name, mut table) in episodes {
             let label = if count > 1 { format!("episode {name}: ") } else { String::new() };
             for loss in &table.losses {
                 loss.report(&label, context.losses);
@@ -345,10 +410,13 @@ impl Tables {
             }
             let (home, file) = (home.clone(), path.to_owned());
             self.episodes.push(Episode { home, file, name, rows: table.rows });
-            match self.add_episode(path, &label, &table, settings, (context.losses, intake)) {
+            match self.add_episode(path, &label, &mut table, settings, (context.losses, intake)) {
                 Ok(()) => {}
                 Err(EpisodeError::Unidentified(what)) => {
                     return Err(LogError::Columns { path: path.to_owned(), what });
+                }
+                Err(EpisodeError::Layout(what)) => {
+                    return Err(LogError::Layout { path: path.to_owned(), what });
                 }
                 Err(EpisodeError::UnusableRows(what)) => {
                     let rows = (table.rows > 0).then_some(table.rows as u64);
@@ -363,17 +431,35 @@ impl Tables {
         &mut self,
         path: &Path,
         label: &str,
-        table: &Table,
+        table: &mut Table,
         settings: &ColumnSettings,
         (losses, intake): (&mut Losses, &mut Intake),
     ) -> Result<(), EpisodeError> {
         if table.rows < 2 {
             return Err(EpisodeError::UnusableRows(format!("it has {} rows", table.rows)));
         }
-        let clock = clock::detect(table, settings).map_err(EpisodeError::Unidentified)?;
-        let found = meaning::identify_topics(table, &clock, settings)
+        let layout = match settings.layout_of(path) {
+            Some(layout) => {
+                self.has_used_layout = true;
+                Some(LayoutColumns::resolve(layout, table).map_err(EpisodeError::Layout)?)
+            }
+            None => None,
+        };
+        let table = &*table;
+        let clock = match layout.as_ref().map(|layout| &layout.time) {
+            Some(time) => clock::of_layout(table, time).map_err(EpisodeError::Layout)?,
+            None => None,
+        };
+        let clock = match clock {
+            Some(clock) => clock,
+            None => clock::detect(table, settings).map_err(EpisodeError::Unidentified)?,
+        };
+        let found = meaning::identify_topics(table, &clock, settings, layout.as_ref())
             .map_err(EpisodeError::Unidentified)?;
-        if found.iter().all(|found| found.columns.is_none()) {
+        // A file of other quantities, such as accelerations, may accompany the joints.
+        let is_unused = |found: &TableTopic| found.columns.is_none() && !found.cells.is_empty();
+        let accompanies = self.inputs.len() > 1 && found.iter().all(is_unused);
+        if found.iter().all(|found| found.columns.is_none()) && !accompanies {
             return Err(EpisodeError::UnusableRows(
                 "it holds no numbers besides its times".to_owned(),
             ));
@@ -393,10 +479,18 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
+        let shape = TableShape {
+            layout: settings.layout_of(path).map(RowLayout::to_string),
+            ..table.shape(path, &clock)
+        };
+        let shape = intake.table(shape);
         let episode = self.episodes.len().saturating_sub(1);
         for mut found in found {
             let (unstamped, damaged) = (found.unstamped, found.damaged.take());
-            let TableTopic { topic, kind, why, cells, contradiction, columns, rows, .. } = found;
+            let TableTopic { topic, kind, why, contradiction, columns, rows, .. } = found;
+            let [cells, velocity_cells] = [found.cells, found.velocity_cells].map(|cells| {
+                cells.into_iter().map(|cell| TableCell { table: shape, ..cell }).collect()
+            });
             if let Some(what) = contradiction {
                 intake.contradiction(path, what);
             }
@@ -417,7 +511,7 @@ impl Tables {
                 continue;
             };
             intake.count(channel, rows, (span[0], span[1]));
-            intake.read_as(channel, why, cells);
+            intake.read_as(channel, why, cells, velocity_cells);
             let Some(mut columns) = columns else { continue };
             for times in columns.times_mut() {
                 let all = times.log.iter_mut();
@@ -451,6 +545,11 @@ impl Tables {
             }
             _ => 0,
         }
+    }
+
+    /// Whether a table was read by a given layout.
+    pub(super) fn has_used_layout(&self) -> bool {
+        self.has_used_layout
     }
 
     pub(super) fn finish(self, intake: &mut Intake) {

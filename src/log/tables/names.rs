@@ -247,6 +247,12 @@ pub(super) fn is_other_quantity(words: &[String]) -> bool {
     contains_any(words, OTHER_WORDS)
         || contains_any(words, VELOCITY_WORDS)
         || is_motor_current(words)
+        || is_tool_twist(words)
+}
+
+/// libfranka's `O_dP_EE`.
+fn is_tool_twist(words: &[String]) -> bool {
+    words.windows(3).any(|words| words == ["d", "p", "ee"])
 }
 
 pub(super) fn is_joint_velocities(words: &[String]) -> bool {

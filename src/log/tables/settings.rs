@@ -1,5 +1,9 @@
 //! Configured columns of tables.
 
+use std::path::Path;
+
+use super::row_layout::{FileLayout, RowLayout};
+
 /// Configured columns. Others are identified by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ColumnSettings {
@@ -21,6 +25,8 @@ pub struct ColumnSettings {
     pub pose_commands: Vec<ColumnSelector>,
     /// Names and settings, if there are several arms. Time and rate apply to the whole table.
     pub arms: Vec<(String, ColumnSettings)>,
+    /// Meaning of every column, by position. Replaces all other settings of its tables.
+    pub layouts: Vec<FileLayout>,
 }
 
 impl ColumnSettings {
@@ -28,6 +34,13 @@ impl ColumnSettings {
     pub(super) fn declares_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();
         says(self) || (!self.arms.is_empty() && self.arms.iter().all(|(_, arm)| says(arm)))
+    }
+
+    /// The layout that names the file, otherwise the one for all files.
+    pub(crate) fn layout_of(&self, path: &Path) -> Option<&RowLayout> {
+        let names = |own: &&FileLayout| own.file.as_ref().is_some_and(|file| path.ends_with(file));
+        let of_all = || self.layouts.iter().find(|own| own.file.is_none());
+        self.layouts.iter().find(names).or_else(of_all).map(|own| &own.layout)
     }
 }
 

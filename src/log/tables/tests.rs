@@ -1,7 +1,9 @@
 //! Tables as their writers make them: valid, truncated, and with wrong declarations.
 
 mod hdf5_writer;
+mod layouts;
 mod limits;
+mod records;
 pub(crate) mod stores;
 mod trajectories;
 
@@ -111,7 +113,8 @@ fn columns_first_and_rows_first_are_the_same_array() {
     let read = |order: &str, data: &[u8]| {
         let header = format!("{{'descr': '<f8', 'fortran_order': {order}, 'shape': (2, 3), }}\n");
         let (mut losses, mut memory) = (Losses::new(Path::new("a")), MemoryBudget::new(None));
-        let mut context = super::ReadContext { losses: &mut losses, memory: &mut memory };
+        let mut context =
+            super::ReadContext { losses: &mut losses, memory: &mut memory, times: Vec::new() };
         let read = super::npy::read_npy(&npy(&header, data), &mut context).expect("an array");
         read[0].1.columns[0].values.clone()
     };

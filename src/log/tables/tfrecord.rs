@@ -74,7 +74,7 @@ pub(super) fn read(
     width: impl Fn(&str) -> Option<usize>,
     context: &mut ReadContext,
 ) -> Result<Episodes, TableError> {
-    let ReadContext { losses, memory } = context;
+    let ReadContext { losses, memory, .. } = context;
     let (mut found, mut steps) = (Vec::new(), Vec::new());
     let mut records = Records { bytes, at: 0 };
     for (number, (start, record)) in records.by_ref().enumerate() {

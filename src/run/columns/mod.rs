@@ -7,12 +7,14 @@ mod cells;
 mod commands;
 mod contradictions;
 mod roles;
+mod row_layout;
 mod shared;
 mod tools;
 mod topics;
 
-use crate::diagnosis::{ColumnMapping, JointColumns, MappingConstraints};
-use crate::log::{Log, Note};
+use crate::diagnosis::{ColumnMapping, JointColumns, JointValueUnit, MappingConstraints};
+use crate::geometry::AngleUnit;
+use crate::log::{Log, Note, TableCell, TableShape};
 use crate::robot::{Chain, Robot, catalogue};
 
 use super::RunOptions;
@@ -21,6 +23,7 @@ use super::{models, skeleton};
 pub use cells::selectors;
 use cells::{NumberKind, TableNumbers, is_unidentified};
 use roles::IdentifiedArm;
+use row_layout::{Assignment, Content};
 pub use shared::{SharedColumns, SharedMapping, SharedRow};
 
 struct ArmModel {
@@ -28,21 +31,47 @@ struct ArmModel {
     chain: Chain,
 }
 
+/// Chains of a robot's arms.
+pub(super) fn arm_chains(robot: &Robot) -> Vec<Chain> {
+    let paths = skeleton::find_arm_paths(robot, |_| true).into_iter();
+    let chains = paths.filter_map(|path| {
+        let tip = skeleton::select_tip(robot, path.end, robot.controller_tip.as_deref());
+        let chain = robot.chain(path.base, tip).ok()?;
+        (chain.joint_names() == path.joints).then_some(chain)
+    });
+    chains.collect()
+}
+
 #[derive(Default)]
 struct IdentifiedColumns {
     arms: Vec<IdentifiedArm>,
     question: Option<String>,
+    /// The most likely answer to the question, as a layout.
+    proposal: Option<String>,
+}
+
+/// A question about columns, and the most likely answer.
+struct ColumnQuestion {
+    text: String,
+    proposal: Option<String>,
 }
 
 /// Minimum score difference between mappings: a likelihood ratio of e¹⁰.
 const MIN_SCORE_DIFFERENCE: f64 = 20.0;
 const MAX_ARMS: usize = 2;
-/// Minimum spread of the tool position, m.
+/// Spread of the tool position, m. No arm reaches further.
 const MIN_SPREAD_M: f64 = 0.02;
+const MAX_SPREAD_M: f64 = 4.0;
 
 /// Identifies unnamed columns as joints, poses and commands, and rewrites their topics. Returns the mapping
 /// for other logs of the dataset.
 pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
+    let identified = identify_unnamed(log, options);
+    row_layout::describe_tables(log);
+    identified
+}
+
+fn identify_unnamed(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::report_contradictions(log);
     commands::identify_commands(log);
     tools::compare_commanded_position(log);
@@ -55,7 +84,9 @@ pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedCol
     };
     let names = cells.names();
     let shared = options.shared.as_ref().and_then(|shared| shared.columns_for(&names));
-    let search = ColumnSearch::new(&cells, options, log.robot_type.as_deref(), shared);
+    let table = cells.numbers.first().map_or(0, |number| number.cell.table);
+    let shape = log.tables.get(table).cloned();
+    let search = ColumnSearch::new(&cells, options, log.robot_type.as_deref(), shared, shape);
     let identified = match shared {
         Some(shared) => search.verify_shared(shared, log),
         None => search.identify(log),
@@ -65,6 +96,10 @@ pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedCol
         log.notes.push(Note { file: file.path.clone(), what: what.clone() });
     }
     log.question.clone_from(&identified.question);
+    if let (Some(proposal), Some(shape)) = (&identified.proposal, log.tables.get_mut(table)) {
+        shape.layout = Some(proposal.clone());
+        shape.layout_reason.clone_from(&identified.question);
+    }
     Some(SharedColumns::new(names, identified))
 }
 
@@ -72,6 +107,32 @@ struct ColumnSearch<'a> {
     cells: &'a TableNumbers,
     arms: Vec<ArmModel>,
     max_lag_s: f64,
+    shape: Option<TableShape>,
+}
+
+/// An answer to a question about columns.
+#[derive(PartialEq)]
+struct Answer {
+    /// As a value of `--columns`.
+    layout: Option<String>,
+    /// Lines for `[columns]` of the config, if no layout states it.
+    lines: String,
+}
+
+impl std::fmt::Display for Answer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.layout {
+            Some(layout) => write!(f, "--columns '{layout}'"),
+            None => write!(f, "[columns] {}", self.lines),
+        }
+    }
+}
+
+impl IdentifiedColumns {
+    fn ask(&mut self, question: ColumnQuestion) {
+        self.question = Some(question.text);
+        self.proposal = question.proposal;
+    }
 }
 
 impl<'a> ColumnSearch<'a> {
@@ -80,6 +141,7 @@ impl<'a> ColumnSearch<'a> {
         options: &RunOptions,
         robot_type: Option<&str>,
         shared: Option<&SharedColumns>,
+        shape: Option<TableShape>,
     ) -> Self {
         let given = models::read_given_or_shared(options).unwrap_or_default();
         let named: Vec<&Robot> = models::robots_for_numbered_joints(&given, robot_type)
@@ -92,15 +154,9 @@ impl<'a> ColumnSearch<'a> {
             _ => catalogue::entries().iter().collect(),
         };
         let arms = robots.into_iter().flat_map(|robot| {
-            let paths = skeleton::find_arm_paths(robot, |_| true).into_iter();
-            paths.filter_map(|path| {
-                let tip = skeleton::select_tip(robot, path.end, robot.controller_tip.as_deref());
-                let chain = robot.chain(path.base, tip).ok()?;
-                let is_whole = chain.joint_names() == path.joints;
-                is_whole.then(|| ArmModel { name: robot.name.clone(), chain })
-            })
+            arm_chains(robot).into_iter().map(|chain| ArmModel { name: robot.name.clone(), chain })
         });
-        Self { cells, arms: arms.collect(), max_lag_s: options.max_latency_s.min(1.0) }
+        Self { cells, arms: arms.collect(), max_lag_s: options.max_latency_s.min(1.0), shape }
     }
 
     fn chains(&self) -> Vec<&Chain> {
@@ -128,7 +184,9 @@ impl<'a> ColumnSearch<'a> {
                 max_lag_s: self.max_lag_s,
             };
             let mut mappings = self.cells.table.mappings(&wanted);
-            mappings.retain(|mapping| self.uses_whole_arrays(mapping));
+            mappings.retain(|mapping| {
+                self.uses_whole_arrays(mapping) && mapping.spread_m < MAX_SPREAD_M
+            });
             // A second arm uses the same unit, and the base frame if the first does.
             if let Some(first) = identified.arms.first().map(|arm| &arm.mapping) {
                 mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
@@ -158,7 +216,7 @@ impl<'a> ColumnSearch<'a> {
             if let Some(next_best) =
                 next_best.filter(|next_best| next_best.score < best.score + MIN_SCORE_DIFFERENCE)
             {
-                identified.question = Some(self.ambiguity_question(best, next_best));
+                identified.ask(self.ambiguity_question(best, next_best, &wanted));
                 break;
             }
             match self.complete_mapping(best, next_best, &mappings, &wanted) {
@@ -167,7 +225,7 @@ impl<'a> ColumnSearch<'a> {
                     identified.arms.push(arm);
                 }
                 Err(question) => {
-                    identified.question = Some(question);
+                    identified.ask(question);
                     break;
                 }
             }
@@ -175,8 +233,12 @@ impl<'a> ColumnSearch<'a> {
                 break;
             }
         }
-        if identified.arms.is_empty() && identified.question.is_none() && !are_joints_known {
-            identified.question = self.question_by_width(log);
+        let is_open = identified.arms.is_empty() && identified.question.is_none();
+        if is_open
+            && !are_joints_known
+            && let Some(question) = self.question_by_width(log)
+        {
+            identified.ask(question);
         }
         identified
     }
@@ -273,23 +335,85 @@ impl<'a> ColumnSearch<'a> {
         format!("{joints}; {pose}")
     }
 
-    fn ambiguity_question(&self, best: &ColumnMapping, next_best: &ColumnMapping) -> String {
+    /// A layout with these columns, besides those known by name, or else lines for the config.
+    fn answer(&self, groups: &[(Option<&str>, Content, &[usize])]) -> Answer {
+        let cells = |columns: &[usize]| -> Vec<TableCell> {
+            columns.iter().map(|&at| self.cells.numbers[at].cell.clone()).collect()
+        };
+        let assignment = |(arm, content, columns): &(Option<&str>, Content, &[usize])| Assignment {
+            arm: arm.map(str::to_owned),
+            is_command: false,
+            content: *content,
+            cells: cells(columns),
+        };
+        let mut assigned: Vec<Assignment> = groups.iter().map(assignment).collect();
+        let is_asked =
+            |content: fn(&Content) -> bool| groups.iter().any(|(_, own, _)| content(own));
+        let joints = self.cells.columns_of_kind(NumberKind::Joint);
+        if !joints.is_empty() && !is_asked(|own| matches!(own, Content::Joints(_))) {
+            assigned.push(assignment(&(None, Content::Joints(None), &joints)));
+        }
+        let table = self.cells.numbers.first().map_or(0, |number| number.cell.table);
+        let shape = self.shape.as_ref();
+        match shape.and_then(|shape| row_layout::layout(shape, table, &assigned)) {
+            Some(layout) => Answer { layout: Some(layout.to_string()), lines: String::new() },
+            None => {
+                let line = |(arm, content, columns): &(Option<&str>, Content, &[usize])| {
+                    let key = match content {
+                        Content::Joints(_) => "joints",
+                        Content::Velocities => return None,
+                        Content::Pose(_) => "pose",
+                    };
+                    let table = arm.map_or(String::new(), |arm| format!("arm.{arm}."));
+                    Some(self.config_line(&format!("{table}{key}"), columns))
+                };
+                let lines: Vec<String> = groups.iter().filter_map(line).collect();
+                Answer { layout: None, lines: lines.join("; ") }
+            }
+        }
+    }
+
+    fn answer_with(&self, mapping: &ColumnMapping, wanted: &MappingConstraints<'_>) -> Answer {
+        let velocities = self.cells.table.rates_of(&mapping.joints).unwrap_or_default();
+        let (pose, _) = self.with_rotation(mapping, wanted);
+        let unit = match mapping.unit {
+            JointValueUnit::Radians => Some(None),
+            JointValueUnit::Degrees => Some(Some(AngleUnit::Degree)),
+            JointValueUnit::Ticks { .. } | JointValueUnit::Shares => None,
+        };
+        let Some(unit) = unit else {
+            return Answer { layout: None, lines: self.config_lines(mapping) };
+        };
+        self.answer(&[
+            (None, Content::Joints(unit), &mapping.joints),
+            (None, Content::Velocities, &velocities),
+            (None, Content::Pose(None), &pose),
+        ])
+    }
+
+    fn ambiguity_question(
+        &self,
+        best: &ColumnMapping,
+        next_best: &ColumnMapping,
+        wanted: &MappingConstraints<'_>,
+    ) -> ColumnQuestion {
         let describe = |it: &ColumnMapping| {
             format!(
-                "{} as joints of {}, residual {} in {} ([columns] {})",
+                "{} as joints of {}, residual {} in {} ({})",
                 self.label(&it.joints),
                 self.arms[it.arm].name,
                 crate::finding::Unit::Metre.show(it.residual_m),
                 self.label(&it.position),
-                self.config_lines(it)
+                self.answer_with(it, wanted)
             )
         };
-        format!("ambiguous columns: {}, or {}", describe(best), describe(next_best))
+        let text = format!("ambiguous columns: {}, or {}", describe(best), describe(next_best));
+        ColumnQuestion { text, proposal: self.answer_with(best, wanted).layout }
     }
 
     /// Asks which numbers are the joints if no position identifies them. Suggests arrays as wide as one or
     /// two arms, with or without grippers, but no commands.
-    fn question_by_width(&self, log: &Log) -> Option<String> {
+    fn question_by_width(&self, log: &Log) -> Option<ColumnQuestion> {
         let table = &self.cells.table;
         let chains = self.chains();
         let wanted = MappingConstraints {
@@ -299,7 +423,7 @@ impl<'a> ColumnSearch<'a> {
             taken: &[],
             max_lag_s: self.max_lag_s,
         };
-        let mut suggestions: Vec<String> = Vec::new();
+        let mut suggestions: Vec<Answer> = Vec::new();
         let mut first = 0;
         while first < self.cells.numbers.len() && suggestions.is_empty() {
             let home = table.home(first);
@@ -323,16 +447,14 @@ impl<'a> ColumnSearch<'a> {
                 if !each.iter().all(|&from| is_block(&blocks, from)) {
                     continue;
                 }
-                let line = |from: usize| {
-                    self.config_line("joints", &(from..from + dof).collect::<Vec<usize>>())
-                };
+                let joints = |from: usize| (from..from + dof).collect::<Vec<usize>>();
+                let content = Content::Joints(None);
                 let suggestion = match each.as_slice() {
-                    [only] => format!("[columns] {}", line(*only)),
-                    [left, right, ..] => format!(
-                        "[columns.arm.left] {} and [columns.arm.right] {}",
-                        line(*left),
-                        line(*right)
-                    ),
+                    [only] => self.answer_with_joints(&joints(*only)),
+                    [left, right, ..] => self.answer(&[
+                        (Some("left"), content, &joints(*left)),
+                        (Some("right"), content, &joints(*right)),
+                    ]),
                     [] => continue,
                 };
                 if !suggestions.contains(&suggestion) {
@@ -342,19 +464,97 @@ impl<'a> ColumnSearch<'a> {
             first += width;
         }
         if suggestions.is_empty() {
-            let (own, rates) = table.with_rates()?;
-            return Some(format!(
-                "{} are the rates of {}, but no columns are a pose that matches FK, so the joints cannot be \
-                 confirmed: if these are the joints, set [columns] {}, and name the arm with --robot",
-                self.label(&rates),
-                self.label(&own),
-                self.config_line("joints", &own)
-            ));
+            return self
+                .question_by_rates()
+                .or_else(|| self.question_by_motion(&wanted))
+                .or_else(|| self.question_by_order());
         }
-        let suggestions = suggestions.join(", or ");
-        Some(format!(
+        let texts: Vec<String> = suggestions.iter().map(Answer::to_string).collect();
+        let text = format!(
             "no columns are a pose that matches FK of the others, so the joints cannot be identified: if you \
-             know them, set {suggestions}"
-        ))
+             know them, use {}",
+            texts.join(", or ")
+        );
+        Some(ColumnQuestion { text, proposal: suggestions.swap_remove(0).layout })
+    }
+
+    fn answer_with_joints(&self, joints: &[usize]) -> Answer {
+        let velocities = self.cells.table.rates_of(joints).unwrap_or_default();
+        self.answer(&[
+            (None, Content::Joints(None), joints),
+            (None, Content::Velocities, &velocities),
+        ])
+    }
+
+    /// Suggests columns whose rates are also in the table.
+    fn question_by_rates(&self) -> Option<ColumnQuestion> {
+        let (own, rates) = self.cells.table.with_rates()?;
+        let content = (Content::Joints(None), Content::Velocities);
+        let answer = self.answer(&[(None, content.0, &own), (None, content.1, &rates)]);
+        let text = format!(
+            "{} are the rates of {}, but no columns are a pose that matches FK, so the joints cannot be \
+             confirmed: if these are the joints, use {answer}, and name the arm with --robot",
+            self.label(&rates),
+            self.label(&own),
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
+    }
+
+    /// Suggests the first columns within the joint limits, as many as the only arm has joints; those followed by
+    /// their rates come first.
+    fn question_by_order(&self) -> Option<ColumnQuestion> {
+        let arm = self.arms.first().filter(|_| self.arms.len() <= MAX_ARMS)?;
+        let (table, dof) = (&self.cells.table, arm.chain.dof());
+        let starts = 0..(self.cells.numbers.len() + 1).saturating_sub(dof);
+        let blocks = starts.map(|from| (from..from + dof).collect::<Vec<usize>>());
+        let fits = |block: &Vec<usize>| {
+            block.iter().all(|&at| table.home(at) == table.home(block[0]))
+                && table.is_within_limits(block, &arm.chain)
+        };
+        let blocks: Vec<Vec<usize>> = blocks.filter(fits).collect();
+        let with_rates = blocks.iter().find(|block| table.rates_of(block).is_some());
+        let joints = with_rates.or(blocks.first())?;
+        let answer = self.answer_with_joints(joints);
+        let text = format!(
+            "{} are the first columns within the joint limits of {}, but the motion does not confirm that they are \
+             joints: if they are, use {answer}",
+            self.label(joints),
+            arm.name,
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
+    }
+
+    /// Suggests neighbouring measured columns, as many as a candidate arm has joints, within its limits.
+    fn question_by_motion(&self, wanted: &MappingConstraints<'_>) -> Option<ColumnQuestion> {
+        let numbers = &self.cells.numbers;
+        let table = &self.cells.table;
+        let mut runs: Vec<Vec<usize>> = Vec::new();
+        for (at, number) in numbers.iter().enumerate().filter(|(_, it)| it.cell.is_unidentified) {
+            let (column, part) = number.cell.at;
+            let is_next = |last: usize| {
+                let other = numbers[last].cell.at;
+                last + 1 == at && (other == (column, part.wrapping_sub(1)) || other.0 != column)
+            };
+            match runs.last_mut() {
+                Some(run) if run.last().is_some_and(|&last| is_next(last)) => run.push(at),
+                _ => runs.push(vec![at]),
+            }
+        }
+        let (arm, joints) = runs.into_iter().find_map(|run| {
+            let is_it = |block: &JointColumns| block.joints == run;
+            let mut arms = 0..self.arms.len();
+            let arm = arms.find(|&arm| {
+                wanted.chains[arm].dof() == run.len() && table.blocks(wanted, arm).iter().any(is_it)
+            })?;
+            Some((arm, run))
+        })?;
+        let answer = self.answer_with_joints(&joints);
+        let text = format!(
+            "{} move within the joint limits of {}, but no columns are a pose that matches FK, so the joints \
+             cannot be confirmed: if these are the joints, use {answer}, and name the arm with --robot",
+            self.label(&joints),
+            self.arms[arm].name,
+        );
+        Some(ColumnQuestion { text, proposal: answer.layout })
     }
 }

@@ -7,7 +7,7 @@ use crate::diagnosis::{
 };
 use crate::finding::Unit;
 
-use super::ColumnSearch;
+use super::{ColumnQuestion, ColumnSearch};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct IdentifiedArm {
@@ -71,7 +71,7 @@ impl ColumnSearch<'_> {
         next_best: Option<&ColumnMapping>,
         mappings: &[ColumnMapping],
         wanted: &MappingConstraints,
-    ) -> Result<IdentifiedArm, String> {
+    ) -> Result<IdentifiedArm, ColumnQuestion> {
         let table = &self.cells.table;
         let mut others = Vec::new();
         let mut family: Vec<MatchingColumns> = Vec::new();
@@ -102,14 +102,18 @@ impl ColumnSearch<'_> {
         ends.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (last_s, joints) = ends[0].clone();
         if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < min_lead_s) {
-            return Err(format!(
-                "{} and {} match within {:.0} ms, so the measured one is unknown: set [columns] {}, or {}",
+            let with = |joints: &[usize]| {
+                let mapping = ColumnMapping { joints: joints.to_vec(), ..best.clone() };
+                self.answer_with(&mapping, wanted)
+            };
+            let (first, second) = (with(&joints), with(next));
+            let text = format!(
+                "{} and {} match within {:.0} ms, so the measured one is unknown: use {first}, or {second}",
                 name(&joints),
                 name(next),
                 1e3 * (last_s - next_s).max(0.001),
-                self.config_line("joints", &joints),
-                self.config_line("joints", next)
-            ));
+            );
+            return Err(ColumnQuestion { text, proposal: first.layout });
         }
         let lead_s = ends.iter().map(|end| last_s - end.0).fold(0.0, f64::max);
         let joint_commands = ends.pop().filter(|_| !ends.is_empty()).map(|(at_s, columns)| {
@@ -148,14 +152,17 @@ impl ColumnSearch<'_> {
                     pose_commands = Some((other, -shift.delay_s));
                 }
                 _ => {
-                    return Err(format!(
-                        "{} and {} are the same position, and the measured one is unknown: set [columns] {}, \
-                         or {}",
+                    let with = |position: [usize; 3]| {
+                        self.answer_with(&ColumnMapping { position, ..mapping.clone() }, wanted)
+                    };
+                    let (first, second) = (with(position), with(other));
+                    let text = format!(
+                        "{} and {} are the same position, and the measured one is unknown: use {first}, or \
+                         {second}",
                         name(&position),
                         name(&other),
-                        self.config_line("pose", &position),
-                        self.config_line("pose", &other)
-                    ));
+                    );
+                    return Err(ColumnQuestion { text, proposal: first.layout });
                 }
             }
         }
@@ -266,7 +273,7 @@ impl ColumnSearch<'_> {
         Some(ColumnMapping { arm: best.arm, ..found })
     }
 
-    fn with_rotation(
+    pub(super) fn with_rotation(
         &self,
         mapping: &ColumnMapping,
         wanted: &MappingConstraints,

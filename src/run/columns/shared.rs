@@ -118,7 +118,7 @@ impl ColumnSearch<'_> {
     pub(super) fn verify_shared(&self, shared: &SharedColumns, log: &mut Log) -> IdentifiedColumns {
         let from = &shared.from;
         let mut identified =
-            IdentifiedColumns { arms: Vec::new(), question: shared.question.clone() };
+            IdentifiedColumns { question: shared.question.clone(), ..IdentifiedColumns::default() };
         if let Some(question) = &mut identified.question {
             *question += &format!(" (asked once, for {from})");
         }

@@ -115,6 +115,8 @@ fn topic_like(topic: &Topic) -> Topic {
         unusable: None,
         read_as: None,
         cells: Vec::new(),
+        velocity_cells: Vec::new(),
+        is_aligned_by_motion: false,
         span: topic.span,
     }
 }
@@ -154,7 +156,10 @@ fn arm_topics(
     let own = &arm.mapping.joints;
     if is_open(own) {
         let velocities = arm.velocities.as_deref().filter(|own| is_open(own)).unwrap_or_default();
-        topics.push(topic("joints", own, &arm.joints_why, joints(own, velocities)));
+        let made = topic("joints", own, &arm.joints_why, joints(own, velocities));
+        let velocity_cells =
+            velocities.iter().map(|&at| search.cells.numbers[at].cell.clone()).collect();
+        topics.push(Topic { velocity_cells, ..made });
     }
     if let Some((columns, why)) = &arm.joint_commands {
         topics.push(topic("joint_commands", columns, why, joints(columns, &[])));

@@ -128,6 +128,8 @@ impl Recording {
             unusable: None,
             read_as: None,
             cells: Vec::new(),
+            velocity_cells: Vec::new(),
+            is_aligned_by_motion: false,
             span: None,
         };
         Log {
@@ -140,6 +142,7 @@ impl Recording {
             contradictions: None,
             repeats: None,
             time_column: None,
+            tables: Vec::new(),
             robot_type: None,
             question: None,
             losses: Vec::new(),

@@ -1,0 +1,474 @@
+//! Records as text: JSON, JSON lines and YAML. Each object is a row; nested names are joined by dots, and lists of
+//! numbers are vectors.
+//!
+//! A document is a list of records, one record for each key, or one list for each column. Several YAML documents,
+//! as `rostopic echo` prints them, are one record each.
+
+use serde_json::{Map, Value};
+
+use super::csv::{decimal_billionths, text_number};
+use super::{
+    Column, Episodes, MAX_COLUMNS, MAX_DEPTH, MAX_WIDTH, ReadContext, Table, TableError, clock,
+    most_frequent, rate_in,
+};
+use crate::Extent;
+use crate::memory_budget::{MemoryBudget, OutOfMemory};
+
+/// Bytes of parsed values per byte of text, at most.
+const VALUE_BYTES_PER_BYTE: u64 = 24;
+/// Other columns are text.
+const MIN_NUMERIC_SHARE: f64 = 0.5;
+/// Keys of records from 2001 to 2128 are times, s.
+const EPOCH_S: std::ops::Range<f64> = 1e9..5e9;
+/// Times in names of records that a folder of logs may contain.
+const HEAD_KEYS: usize = 64;
+
+/// Whether a text starts like a JSON object or a list of objects or numbers.
+pub(crate) fn looks_like_json(bytes: &[u8]) -> bool {
+    let text = trimmed(bytes);
+    let second = text.get(1..).map_or(b"".as_slice(), <[u8]>::trim_ascii_start).first();
+    match text.first() {
+        Some(b'{') => matches!(second, Some(b'"' | b'}')),
+        Some(b'[') => matches!(second, Some(b'{' | b'[' | b'-' | b'0'..=b'9')),
+        _ => false,
+    }
+}
+
+/// Whether a text starts like YAML: a key with a colon, or a list.
+pub(crate) fn looks_like_yaml(bytes: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(trimmed(bytes));
+    let lines = text.lines().map(str::trim_end);
+    let mut lines = lines.filter(|line| {
+        !(line.is_empty() || line.starts_with(['#', '%']) || line.starts_with("---"))
+    });
+    let is_key = |line: &str| {
+        line.split_once(':').is_some_and(|(key, rest)| {
+            let key = key.trim_matches(['"', '\'']);
+            let is_name = |c: char| c.is_alphanumeric() || "_-./ ".contains(c);
+            !key.is_empty()
+                && key.chars().all(is_name)
+                && (rest.is_empty() || rest.starts_with([' ', '\t']))
+        })
+    };
+    lines.next().is_some_and(|line| match line.strip_prefix('-') {
+        Some(rest) => rest.is_empty() || rest.starts_with(' '),
+        None => is_key(line),
+    })
+}
+
+/// Whether JSON lines that start with `head` have times: they may be a log.
+pub(crate) fn has_times(head: &[u8]) -> bool {
+    let line = trimmed(head).split(|byte| *byte == b'\n').next().unwrap_or_default();
+    let Ok(Value::Object(record)) = serde_json::from_slice(line) else { return false };
+    let mut names: Vec<String> = Vec::new();
+    collect_names(&record, "", 0, &mut names);
+    names.iter().take(HEAD_KEYS).any(|name| clock::is_time(name))
+}
+
+fn collect_names(record: &Map<String, Value>, path: &str, depth: usize, names: &mut Vec<String>) {
+    for (key, value) in record {
+        match value {
+            Value::Object(inner) if depth < MAX_DEPTH => {
+                collect_names(inner, &joined(path, key), depth + 1, names);
+            }
+            _ => names.push(joined(path, key)),
+        }
+    }
+}
+
+/// Without a byte-order mark and leading blanks.
+fn trimmed(bytes: &[u8]) -> &[u8] {
+    bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start()
+}
+
+pub(super) fn read_json(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let text = trimmed(bytes);
+    check_memory(text.len(), context.memory)?;
+    let document = match serde_json::from_slice::<Value>(text) {
+        Ok(document) => document,
+        Err(error) => match read_lines(text, context)? {
+            Some(records) => return Ok(records.finish(context)),
+            None => return Err(format!("the JSON cannot be read: {error}").into()),
+        },
+    };
+    read_document(&document, context)
+}
+
+/// JSON lines; `None` if the first line is not a record.
+fn read_lines(text: &[u8], context: &mut ReadContext) -> Result<Option<Records>, TableError> {
+    let mut records = Records::default();
+    let mut malformed: Option<(u64, String)> = None;
+    let lines = text.split(|byte| *byte == b'\n').enumerate();
+    let lines = lines.filter(|(_, line)| !line.trim_ascii().is_empty());
+    for (index, line) in lines {
+        match serde_json::from_slice::<Value>(line) {
+            Ok(value @ (Value::Object(_) | Value::Array(_))) => {
+                records.push(&value, context.memory)?;
+                records.lines.push(index + 1);
+            }
+            _ if records.rows == 0 => return Ok(None),
+            _ => {
+                let what = format!("line {} is not a JSON record", index + 1);
+                malformed.get_or_insert((0, what)).0 += 1;
+            }
+        }
+    }
+    if let Some((count, first)) = malformed {
+        context.losses.add_unplaced(Extent::Messages, Some(count), first);
+    }
+    Ok(Some(records))
+}
+
+pub(super) fn read_yaml(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let text = std::str::from_utf8(trimmed(bytes))
+        .map_err(|error| format!("the YAML cannot be read: {error}"))?;
+    check_memory(text.len(), context.memory)?;
+    let mut documents: Vec<String> = vec![String::new()];
+    for line in text.lines() {
+        match line.trim_end() {
+            "---" => documents.push(String::new()),
+            line => {
+                let last = documents.last_mut();
+                last.into_iter().for_each(|last| last.extend([line, "\n"]));
+            }
+        }
+    }
+    documents.retain(|document| !document.trim().is_empty());
+    let parse = |document: &String| parse_yaml(document);
+    if let [only] = documents.as_slice() {
+        return read_document(&parse(only)?, context);
+    }
+    let mut records = Records::default();
+    let mut malformed: Option<(u64, String)> = None;
+    for document in &documents {
+        match parse(document) {
+            Ok(value) => records.push(&value, context.memory)?,
+            // The last one may be cut.
+            Err(error) => malformed.get_or_insert((0, error.to_string())).0 += 1,
+        }
+    }
+    if let Some((count, first)) = malformed {
+        context.losses.add_unplaced(Extent::Messages, Some(count), first);
+    }
+    Ok(records.finish(context))
+}
+
+fn parse_yaml(document: &str) -> Result<Value, TableError> {
+    // Aliases may not multiply the text.
+    let nodes = document.len().max(1000);
+    let budget = serde_saphyr::budget! {
+        max_nodes: nodes,
+        max_events: 2 * nodes,
+        max_total_scalar_bytes: nodes,
+    };
+    let options = serde_saphyr::options! { budget: budget };
+    serde_saphyr::from_str_with_options(document, options).map_err(|error| {
+        let text = error.to_string();
+        let line = text.lines().next().unwrap_or_default();
+        format!("the YAML cannot be read: {line}").into()
+    })
+}
+
+fn check_memory(bytes: usize, memory: &MemoryBudget) -> Result<(), OutOfMemory> {
+    memory.check_available((bytes as u64).saturating_mul(VALUE_BYTES_PER_BYTE))
+}
+
+fn read_document(document: &Value, context: &mut ReadContext) -> Result<Episodes, TableError> {
+    let mut records = Records { rate_hz: rate_in(document), ..Records::default() };
+    match document {
+        Value::Array(items) => {
+            items.iter().try_for_each(|item| records.push(item, context.memory))?;
+        }
+        Value::Object(members) => match Shape::of(members) {
+            Shape::ByKey(rows) => {
+                for (key, row) in rows {
+                    records.push_with_key(key, row, context.memory)?;
+                }
+            }
+            Shape::List(items) => {
+                items.iter().try_for_each(|item| records.push(item, context.memory))?;
+            }
+            Shape::Columns(columns) => records.push_columns(&columns, context.memory)?,
+            Shape::One => records.push(document, context.memory)?,
+        },
+        _ => return Err("it contains no records".into()),
+    }
+    if records.columns.is_empty() {
+        return Err("it contains no rows of numbers".into());
+    }
+    Ok(records.finish(context))
+}
+
+/// Layout of an object.
+enum Shape<'a> {
+    /// One record for each key.
+    ByKey(Vec<(&'a str, &'a Value)>),
+    /// A list of records under one of the keys.
+    List(&'a [Value]),
+    /// A list for each column, of the same length.
+    Columns(Vec<(String, &'a [Value])>),
+    /// A single record.
+    One,
+}
+
+impl<'a> Shape<'a> {
+    fn of(members: &'a Map<String, Value>) -> Self {
+        let records: Vec<(&str, &Value)> = members
+            .iter()
+            .filter(|(_, value)| value.is_object())
+            .map(|(key, value)| (key.as_str(), value))
+            .collect();
+        let keys = |value: &'a Value| value.as_object().map(|own| own.keys().collect::<Vec<_>>());
+        let first = records.first().and_then(|(_, value)| keys(value));
+        let is_alike = records.iter().all(|(_, value)| keys(value) == first);
+        if records.len() > 1 && 2 * records.len() > members.len() && is_alike {
+            return Self::ByKey(records);
+        }
+        let mut lists: Vec<(String, &[Value])> = Vec::new();
+        collect_lists(members, "", 0, &mut lists);
+        let of_records = |list: &&(String, &[Value])| list.1.iter().any(Value::is_object);
+        if let Some((_, list)) = lists.iter().filter(of_records).max_by_key(|list| list.1.len()) {
+            return Self::List(list);
+        }
+        // A vector in a single record has as many numbers as an arm has joints.
+        let longest = lists.iter().map(|list| list.1.len()).max().unwrap_or(0);
+        let is_nested = lists.iter().any(|list| list.1.iter().any(Value::is_array));
+        match longest > MAX_WIDTH || is_nested || (lists.len() > 1 && longest > 16) {
+            true => Self::Columns(lists),
+            false => Self::One,
+        }
+    }
+}
+
+fn collect_lists<'a>(
+    members: &'a Map<String, Value>,
+    path: &str,
+    depth: usize,
+    lists: &mut Vec<(String, &'a [Value])>,
+) {
+    for (key, value) in members {
+        match value {
+            Value::Array(items) if !items.is_empty() => lists.push((joined(path, key), items)),
+            Value::Object(inner) if depth < MAX_DEPTH => {
+                collect_lists(inner, &joined(path, key), depth + 1, lists);
+            }
+            _ => {}
+        }
+    }
+}
+
+fn joined(path: &str, key: &str) -> String {
+    if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
+}
+
+#[derive(Default)]
+struct Records {
+    rows: usize,
+    columns: Vec<Column>,
+    /// Number of text cells in each column, and the first one.
+    texts: Vec<(usize, String)>,
+    lines: Vec<usize>,
+    rate_hz: Option<f64>,
+    unread: Vec<(String, String)>,
+    /// Rows whose vectors have another width, and the first one.
+    uneven: Option<(u64, String)>,
+}
+
+impl Records {
+    fn push(&mut self, record: &Value, memory: &mut MemoryBudget) -> Result<(), TableError> {
+        self.add(record, "", 0, memory)?;
+        self.end_row(memory)
+    }
+
+    fn push_with_key(
+        &mut self,
+        key: &str,
+        record: &Value,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        if let Ok(number) = key.parse::<f64>() {
+            let name = if EPOCH_S.contains(&number) { "time" } else { "key" };
+            self.put(name, &[number], memory)?;
+        }
+        self.push(record, memory)
+    }
+
+    fn push_columns(
+        &mut self,
+        lists: &[(String, &[Value])],
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let rows = most_frequent(lists.iter().map(|(_, list)| list.len()));
+        let (whole, others): (Vec<_>, Vec<_>) =
+            lists.iter().partition(|(_, list)| list.len() == rows);
+        for (name, list) in others {
+            self.unread.push((name.clone(), format!("{} rows, not {rows}", list.len())));
+        }
+        for row in 0..rows {
+            for (name, list) in &whole {
+                self.add(&list[row], name, 0, memory)?;
+            }
+            self.end_row(memory)?;
+        }
+        Ok(())
+    }
+
+    fn add(
+        &mut self,
+        value: &Value,
+        path: &str,
+        depth: usize,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let name = if path.is_empty() { "array" } else { path };
+        match value {
+            _ if depth > MAX_DEPTH => {}
+            Value::Object(members) => {
+                for (key, value) in members {
+                    self.add(value, &joined(path, key), depth + 1, memory)?;
+                }
+            }
+            Value::Array(items) => {
+                let mut numbers = Vec::new();
+                if flatten(items, 0, &mut numbers) {
+                    self.put(name, &numbers, memory)?;
+                } else {
+                    for (at, item) in items.iter().enumerate().take(MAX_WIDTH) {
+                        self.add(item, &format!("{path}[{at}]"), depth + 1, memory)?;
+                    }
+                }
+            }
+            Value::Number(number) => {
+                let at = self.put(name, &[number.as_f64().unwrap_or(f64::NAN)], memory)?;
+                self.put_exact(at, &number.to_string(), memory)?;
+            }
+            Value::Bool(is_set) => _ = self.put(name, &[f64::from(u8::from(*is_set))], memory)?,
+            Value::String(text) => {
+                let number = text_number(text.as_bytes());
+                let at = self.put(name, &[number], memory)?;
+                if let (Some(at), true) = (at, number.is_nan()) {
+                    let (count, first) = &mut self.texts[at];
+                    *count += 1;
+                    if first.is_empty() {
+                        first.clone_from(text);
+                    }
+                }
+                self.put_exact(at, text, memory)?;
+            }
+            Value::Null => {}
+        }
+        Ok(())
+    }
+
+    /// Index of the column; `None` beyond the limits, or if the width differs.
+    fn put(
+        &mut self,
+        name: &str,
+        numbers: &[f64],
+        memory: &mut MemoryBudget,
+    ) -> Result<Option<usize>, TableError> {
+        let width = numbers.len();
+        let found = self.columns.iter().position(|column| column.name == name);
+        let at = match found {
+            Some(at) => at,
+            None if width == 0 || width > MAX_WIDTH || self.columns.len() == MAX_COLUMNS => {
+                return Ok(None);
+            }
+            None => {
+                let kind = "number".to_owned();
+                let name = name.to_owned();
+                self.columns.push(Column { name, kind, width, ..Column::default() });
+                self.texts.push((0, String::new()));
+                self.columns.len() - 1
+            }
+        };
+        let column = &mut self.columns[at];
+        let before = self.rows * column.width;
+        // Missing rows, and a name that is repeated within a record.
+        memory.reserve((before + width).saturating_sub(column.values.len()))?;
+        column.values.resize(before, f64::NAN);
+        if width != column.width {
+            let what = format!("'{name}' has {width} numbers, not {}", column.width);
+            self.uneven.get_or_insert((0, what)).0 += 1;
+            return Ok(None);
+        }
+        column.values.extend_from_slice(numbers);
+        Ok(Some(at))
+    }
+
+    /// Keeps the digits of a time.
+    fn put_exact(
+        &mut self,
+        at: Option<usize>,
+        text: &str,
+        memory: &mut MemoryBudget,
+    ) -> Result<(), TableError> {
+        let Some(column) = at.map(|at| &mut self.columns[at]) else { return Ok(()) };
+        if column.width == 1 && clock::is_time(&column.name) {
+            memory.reserve(4 * (self.rows + 1).saturating_sub(column.billionths.len()))?;
+            column.billionths.resize(self.rows, None);
+            column.billionths.push(decimal_billionths(text.as_bytes(), false));
+        }
+        Ok(())
+    }
+
+    fn end_row(&mut self, memory: &mut MemoryBudget) -> Result<(), TableError> {
+        memory.reserve(1)?;
+        self.rows += 1;
+        Ok(())
+    }
+
+    fn finish(self, context: &mut ReadContext) -> Episodes {
+        let rows = self.rows;
+        if let Some((count, first)) = self.uneven {
+            context.losses.add_unplaced(Extent::Messages, Some(count), first);
+        }
+        let mut table = Table {
+            rows,
+            rate_hz: self.rate_hz,
+            lines: self.lines,
+            unread: self.unread,
+            ..Table::default()
+        };
+        for (mut column, (texts, first)) in self.columns.into_iter().zip(self.texts) {
+            let missing = (rows * column.width).saturating_sub(column.values.len());
+            if let Err(refusal) = context.memory.reserve(missing) {
+                TableError::from(refusal).report(Some(rows as u64), context.losses);
+                continue;
+            }
+            column.values.resize(rows * column.width, f64::NAN);
+            if !column.billionths.is_empty() {
+                column.billionths.resize(rows, None);
+            }
+            let finite = column.values.iter().filter(|value| value.is_finite()).count();
+            let is_numeric = finite as f64 >= MIN_NUMERIC_SHARE * column.values.len() as f64;
+            match (is_numeric, texts) {
+                (true, _) => table.columns.push(column),
+                (false, 0) => {
+                    table.unread.push((column.name, "most of its rows have no number".to_owned()));
+                }
+                (false, _) => {
+                    table.texts.insert(column.name.clone(), first);
+                    table.unread.push((column.name, "text, not numbers".to_owned()));
+                }
+            }
+        }
+        vec![("0".to_owned(), table)]
+    }
+}
+
+/// Appends nested numbers. False if there is anything else, or too many.
+fn flatten(items: &[Value], depth: usize, numbers: &mut Vec<f64>) -> bool {
+    items.iter().all(|item| match item {
+        Value::Number(number) => {
+            numbers.push(number.as_f64().unwrap_or(f64::NAN));
+            numbers.len() <= MAX_WIDTH
+        }
+        Value::Null => {
+            numbers.push(f64::NAN);
+            numbers.len() <= MAX_WIDTH
+        }
+        Value::Array(items) => depth < MAX_DEPTH && flatten(items, depth + 1, numbers),
+        _ => false,
+    })
+}

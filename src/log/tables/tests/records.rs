@@ -1,0 +1,145 @@
+//! Records as text, workbooks, and lists of numbers in text tables.
+
+use serde_json::json;
+
+use super::{joints, plain, read, topic};
+use crate::ColumnSettings;
+use ground::stream::Columns;
+
+const ROWS: usize = 40;
+
+fn q(row: usize) -> Vec<f64> {
+    (0..6).map(|joint| (0.05 * row as f64 + joint as f64).sin()).collect()
+}
+
+fn assert_has_joints(bytes: &[u8], name: &str, container: &str) {
+    let log = plain(bytes);
+    assert_eq!(log.files[0].container.name(), container);
+    let (_, positions) = joints(&log, name);
+    assert_eq!(positions.len(), ROWS, "{:?}", log.losses);
+    assert!(positions.iter().enumerate().all(|(row, own)| *own == q(row)));
+}
+
+#[test]
+fn json_records_are_rows_in_each_layout() {
+    let record = |row: usize| json!({"t": 0.01 * row as f64, "state": {"joint_positions": q(row)}});
+    let records: Vec<_> = (0..ROWS).map(record).collect();
+    let lines: String = records.iter().map(|record| format!("{record}\n")).collect();
+    let columns = json!({
+        "fps": 100,
+        "joint_positions": (0..ROWS).map(q).collect::<Vec<_>>(),
+        "note": "by hand"
+    });
+    let name = "state.joint_positions";
+    for (document, name) in [
+        (lines, name),
+        (json!(records).to_string(), name),
+        (json!({"robot": "ur5e", "frames": records}).to_string(), name),
+        (columns.to_string(), "joint_positions"),
+    ] {
+        assert_has_joints(document.as_bytes(), name, "json");
+    }
+}
+
+#[test]
+fn a_cut_line_of_json_is_a_loss() {
+    let line = |row: usize| json!({"t": 0.01 * row as f64, "joint_positions": q(row)}).to_string();
+    let mut lines: String = (0..ROWS).map(|row| line(row) + "\n").collect();
+    lines += &line(ROWS)[..20];
+    let log = plain(lines.as_bytes());
+    assert_eq!(joints(&log, "joint_positions").1.len(), ROWS);
+    let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
+    assert!(loss.what.contains("line 41 is not a JSON record"), "{}", loss.what);
+}
+
+#[test]
+fn stamps_of_messages_keep_every_nanosecond() {
+    let line = |row: usize| {
+        let stamp = json!({"sec": 1_700_000_000, "nanosec": 123_456_789 + row});
+        json!({"header": {"stamp": stamp}, "joint_positions": q(row)}).to_string() + "\n"
+    };
+    let log = plain((0..ROWS).map(line).collect::<String>().as_bytes());
+    let Some(Columns::Joints(joints)) = &topic(&log, "joint_positions").columns else { panic!() };
+    assert_eq!(joints.times.header[1], 1_700_000_000_123_456_790);
+    let line = |row: usize| {
+        json!({"stamp": 1_700_000_000_123_456_789_u64 + 1_000_000 * row as u64, "joint_positions": q(row)})
+            .to_string()
+            + "\n"
+    };
+    let log = plain((0..ROWS).map(line).collect::<String>().as_bytes());
+    let Some(Columns::Joints(joints)) = &topic(&log, "joint_positions").columns else { panic!() };
+    assert_eq!(joints.times.header[1], 1_700_000_000_124_456_789);
+}
+
+#[test]
+fn yaml_is_a_list_a_record_for_each_key_or_several_documents() {
+    let numbers = |row: usize| q(row).iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+    let list: String = (0..ROWS)
+        .map(|row| {
+            format!("- time: {}\n  joint_positions: [{}]\n", 0.01 * row as f64, numbers(row))
+        })
+        .collect();
+    let by_key: String = (0..ROWS)
+        .map(|row| {
+            format!(
+                "'{}':\n  images: []\n  joint_positions: [{}]\n",
+                1_593_701_755 + row,
+                numbers(row)
+            )
+        })
+        .collect();
+    let documents: String = (0..ROWS)
+        .map(|row| {
+            format!(
+                "header:\n  stamp:\n    secs: 17\n    nsecs: {}\njoint_positions: [{}]\n---\n",
+                10_000_000 * (row + 1),
+                numbers(row)
+            )
+        })
+        .collect();
+    for text in [list, by_key, documents] {
+        assert_has_joints(text.as_bytes(), "joint_positions", "yaml");
+    }
+}
+
+#[test]
+fn lists_in_text_tables_are_columns() {
+    let row = |row: usize| format!("{},\"{:?}\",on\n", 0.01 * row as f64, q(row));
+    let text =
+        "timestamp,joint_positions,mode\n".to_owned() + &(0..ROWS).map(row).collect::<String>();
+    assert_has_joints(text.as_bytes(), "joint_positions", "csv");
+}
+
+#[test]
+fn files_that_cannot_be_read_say_how_to_export_them() {
+    let line =
+        |bytes: &[u8]| read(bytes, ColumnSettings::default()).expect_err("refused").to_string();
+    let pickle = line(b"\x80\x04\x95\x10\x00\x00\x00\x00\x00\x00\x00}\x94.");
+    assert!(pickle.contains("Python pickle") && pickle.contains("numpy.savez"), "{pickle}");
+    let matlab = line(b"MATLAB 5.0 MAT-file, Platform: GLNXA64\0\0\0\0\0\0\0\0\0\0\0\0");
+    assert!(matlab.contains("-v7.3"), "{matlab}");
+    let broken = line(b"{\"t\": [1, 2\n");
+    assert!(broken.contains("the JSON cannot be read: EOF"), "{broken}");
+    let settings = line(b"robot: ur5e\nrate: 30\n");
+    assert!(settings.contains("has 1 rows"), "{settings}");
+}
+
+#[test]
+fn matlab_puts_its_own_header_before_hdf5() {
+    let mut file = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".to_vec();
+    file.resize(512, 0);
+    file.extend(super::CHUNKED);
+    let name = "observation/joint_positions";
+    assert_eq!(joints(&plain(&file), name), joints(&plain(super::CHUNKED), name));
+}
+
+#[test]
+fn aliases_in_yaml_do_not_multiply_its_size() {
+    let mut text = "a: &a [1, 2, 3, 4, 5, 6, 7, 8]\n".to_owned();
+    for (name, of) in ["b", "c", "d", "e", "f", "g", "h"].iter().zip("abcdefg".chars()) {
+        let all: Vec<String> = (0..9).map(|_| format!("*{of}")).collect();
+        text += &format!("{name}: &{name} [{}]\n", all.join(", "));
+    }
+    let line = read(text.as_bytes(), ColumnSettings::default()).expect_err("refused").to_string();
+    assert!(line.contains("the YAML cannot be read"), "{line}");
+}

@@ -1,0 +1,140 @@
+//! Text tables with lists of numbers as cells: `0.1,"[0.2, 0.3]"`. Each list becomes neighbouring cells.
+
+use super::csv::{cells, comment, mark_length};
+use super::{MAX_COLUMNS, MAX_WIDTH};
+
+/// Lines searched for a list.
+const MAX_HEAD_LINES: usize = 50;
+const DELIMITERS: [u8; 3] = [b',', b';', b'\t'];
+
+/// Columns of a text with lists.
+struct VectorLayout {
+    delimiter: u8,
+    /// Numbers of each cell; `None` without a list.
+    widths: Vec<Option<usize>>,
+}
+
+/// The text with a cell for each number; `None` without lists. Lines keep their numbers.
+pub(super) fn expand(bytes: &[u8]) -> Option<Vec<u8>> {
+    let text = &bytes[mark_length(bytes)..];
+    let lines = || text.split(|byte| *byte == b'\n');
+    let layout = lines().take(MAX_HEAD_LINES).find_map(VectorLayout::of_line)?;
+    let mut expanded = Vec::with_capacity(text.len());
+    let mut is_below_header = false;
+    for line in lines() {
+        let row = split(line, layout.delimiter);
+        let has_list = row.iter().any(|cell| list(cell).is_some());
+        is_below_header |= has_list;
+        match comment(line) {
+            None if row.len() == layout.widths.len() => {
+                layout.write_row(&row, is_below_header, &mut expanded);
+            }
+            _ => expanded.extend_from_slice(line),
+        }
+        expanded.push(b'\n');
+    }
+    expanded.pop();
+    Some(expanded)
+}
+
+impl VectorLayout {
+    fn of_line(line: &[u8]) -> Option<Self> {
+        if comment(line).is_some() {
+            return None;
+        }
+        DELIMITERS.into_iter().find_map(|delimiter| {
+            let row = split(line, delimiter);
+            let widths: Vec<Option<usize>> =
+                row.iter().map(|cell| list(cell).map(|own| own.len())).collect();
+            let total: usize = widths.iter().map(|width| width.unwrap_or(1)).sum();
+            let has_list = widths.iter().any(Option::is_some);
+            (has_list && total <= MAX_COLUMNS).then_some(Self { delimiter, widths })
+        })
+    }
+
+    fn write_row(&self, row: &[&[u8]], is_data: bool, out: &mut Vec<u8>) {
+        for (at, (cell, width)) in row.iter().zip(&self.widths).enumerate() {
+            if at > 0 {
+                out.push(self.delimiter);
+            }
+            match (width, list(cell)) {
+                (None, _) => out.extend_from_slice(cell),
+                (Some(_), Some(numbers)) => out.extend(numbers.join(&self.delimiter)),
+                (Some(width), None) => {
+                    let name = unquoted(cell);
+                    for part in 0..*width {
+                        if part > 0 {
+                            out.push(self.delimiter);
+                        }
+                        if !is_data && !name.is_empty() {
+                            out.extend_from_slice(name);
+                            out.extend(format!("[{part}]").bytes());
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn unquoted(cell: &[u8]) -> &[u8] {
+    let cell = cell.trim_ascii();
+    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell).trim_ascii()
+}
+
+/// Numbers of a list, as text; nested lists are flattened.
+fn list(cell: &[u8]) -> Option<Vec<&[u8]>> {
+    let cell = unquoted(cell);
+    let is_list = (cell.starts_with(b"[") && cell.ends_with(b"]"))
+        || (cell.starts_with(b"(") && cell.ends_with(b")"));
+    if !is_list {
+        return None;
+    }
+    let is_separator = |byte: &u8| byte.is_ascii_whitespace() || b"[](),;".contains(byte);
+    let numbers: Vec<&[u8]> = cell.split(is_separator).filter(|own| !own.is_empty()).collect();
+    let is_number =
+        |own: &&[u8]| std::str::from_utf8(own).is_ok_and(|text| text.parse::<f64>().is_ok());
+    ((2..=MAX_WIDTH).contains(&numbers.len()) && numbers.iter().all(is_number)).then_some(numbers)
+}
+
+/// Cells with their quotation marks. Delimiters in brackets are not split at, unless a bracket is open.
+fn split(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
+    let (mut quoted, mut depth) = (false, 0_usize);
+    let row: Vec<&[u8]> = line
+        .split(|byte| {
+            match byte {
+                b'"' => quoted ^= true,
+                b'[' | b'(' => depth += 1,
+                b']' | b')' => depth = depth.saturating_sub(1),
+                _ => {}
+            }
+            *byte == delimiter && !quoted && depth == 0
+        })
+        .map(<[u8]>::trim_ascii)
+        .collect();
+    if quoted || depth > 0 { cells(line, delimiter) } else { row }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_number_of_a_list_becomes_a_cell() {
+        for (text, expanded) in [
+            (
+                "t,q,mode\n0.1,\"[0.2, 0.3]\",on\n0.2,\"[0.4, 0.5]\",on\n",
+                "t,q[0],q[1],mode\n0.1,0.2,0.3,on\n0.2,0.4,0.5,on\n",
+            ),
+            ("t;q\n0,1;[1 2]\n\n0,2;\n", "t;q[0];q[1]\n0,1;1;2\n\n0,2;;\n"),
+            ("# by hand\n1,[[1, 2], [3, 4]]", "# by hand\n1,1,2,3,4"),
+            ("1,(1, 2)\n2,(1, 2, 3)\n", "1,1,2\n2,1,2,3\n"),
+        ] {
+            let found = expand(text.as_bytes()).map(|own| String::from_utf8(own).unwrap());
+            assert_eq!(found.as_deref(), Some(expanded), "{text}");
+        }
+        for text in ["t,q\n0.1,0.2\n", "t,q\n0.1,[a, b]\n", "t [s],q\n1,[5]\n", ""] {
+            assert_eq!(expand(text.as_bytes()), None, "{text}");
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! Excel workbooks (`.xlsx`). Each sheet with rows of numbers is a text table.
+
+use std::io::{Cursor, Read, copy, sink};
+
+use calamine::{DataRef, ExcelDateTime, Reader, Xlsx, XlsxError};
+
+use super::{Episodes, MAX_COLUMNS, ReadContext, TableError, csv};
+use crate::memory_budget::MemoryBudget;
+
+/// 1970-01-01 in days of Excel.
+const UNIX_EPOCH_DAYS: f64 = 25_569.0;
+const SECONDS_PER_DAY: f64 = 86_400.0;
+const MAX_SHEETS: usize = 64;
+
+/// Whether a zip archive is a workbook, as far as its first bytes show.
+pub(crate) fn is_workbook(bytes: &[u8]) -> bool {
+    const MEMBERS: [&[u8]; 3] = [b"[Content_Types].xml", b"xl/", b"docProps/"];
+    let name = bytes.get(30..).unwrap_or_default();
+    MEMBERS.iter().any(|member| name.starts_with(member))
+}
+
+pub(super) fn read(bytes: &[u8], context: &mut ReadContext) -> Result<Episodes, TableError> {
+    check_size(bytes, context.memory)?;
+    let mut book: Xlsx<_> = Xlsx::new(Cursor::new(bytes)).map_err(|error| refusal(&error))?;
+    let mut found = Vec::new();
+    for name in book.sheet_names().into_iter().take(MAX_SHEETS) {
+        let text = match sheet_text(&mut book, &name, context.memory) {
+            Ok(text) => text,
+            Err(error) => {
+                error.in_part(&name).report(None, context.losses);
+                continue;
+            }
+        };
+        if csv::is_table(text.as_bytes()) {
+            let tables = csv::read(text.as_bytes(), context)?;
+            found.extend(tables.into_iter().map(|(_, table)| (name.clone(), table)));
+        }
+    }
+    if found.is_empty() {
+        return Err("no sheet of the workbook has rows of numbers".into());
+    }
+    Ok(found)
+}
+
+fn refusal(error: &XlsxError) -> TableError {
+    let text = error.to_string();
+    format!("the workbook cannot be read: {}", text.lines().next().unwrap_or_default()).into()
+}
+
+/// Unpacks every member once: a few kilobytes can declare any size.
+fn check_size(bytes: &[u8], memory: &MemoryBudget) -> Result<(), TableError> {
+    let unreadable = |error: &dyn std::fmt::Display| -> TableError {
+        format!("the workbook cannot be read: {error}").into()
+    };
+    let mut archive =
+        zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| unreadable(&error))?;
+    let most = memory.remaining();
+    let mut unpacked = 0;
+    for index in 0..archive.len() {
+        let mut member = archive.by_index(index).map_err(|error| unreadable(&error))?;
+        let mut limited = member.by_ref().take(most.saturating_sub(unpacked).saturating_add(1));
+        unpacked += copy(&mut limited, &mut sink()).map_err(|error| unreadable(&error))?;
+        memory.check_available(unpacked)?;
+    }
+    Ok(())
+}
+
+/// The sheet as text, with a line for each row and tabs between the cells.
+fn sheet_text(
+    book: &mut Xlsx<Cursor<&[u8]>>,
+    name: &str,
+    memory: &MemoryBudget,
+) -> Result<String, TableError> {
+    let mut text = String::new();
+    let mut cells = book.worksheet_cells_reader(name).map_err(|error| refusal(&error))?;
+    let (mut row, mut column) = (0, 0);
+    while let Some(cell) = cells.next_cell().map_err(|error| refusal(&error))? {
+        let (at_row, at_column) = cell.get_position();
+        if at_column as usize >= MAX_COLUMNS || at_row < row {
+            continue;
+        }
+        if at_row > row {
+            text.extend(std::iter::repeat_n('\n', (at_row - row) as usize));
+            (row, column) = (at_row, 0);
+        }
+        if at_column < column {
+            continue;
+        }
+        text.extend(std::iter::repeat_n('\t', (at_column - column) as usize));
+        column = at_column;
+        push_value(cell.get_value(), &mut text);
+        memory.check_available(text.len() as u64)?;
+    }
+    text.push('\n');
+    Ok(text)
+}
+
+fn push_value(value: &DataRef<'_>, text: &mut String) {
+    let plain = |own: &str| own.replace(['\t', '\n', '\r', '"'], " ");
+    match value {
+        DataRef::Int(own) => *text += &own.to_string(),
+        DataRef::Float(own) => *text += &own.to_string(),
+        DataRef::Bool(own) => *text += if *own { "1" } else { "0" },
+        DataRef::String(own) => *text += &plain(own),
+        DataRef::SharedString(own) => *text += &plain(own),
+        DataRef::DateTimeIso(own) | DataRef::DurationIso(own) => *text += &plain(own),
+        DataRef::DateTime(own) => *text += &seconds(own).to_string(),
+        _ => {}
+    }
+}
+
+/// Seconds since 1970, or of a duration.
+fn seconds(date: &ExcelDateTime) -> f64 {
+    match date.is_duration() {
+        true => date.as_f64() * SECONDS_PER_DAY,
+        false => (date.as_f64() - UNIX_EPOCH_DAYS) * SECONDS_PER_DAY,
+    }
+}

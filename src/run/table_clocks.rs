@@ -1,0 +1,257 @@
+//! Tables of one run whose clocks start at different times, such as 0 in one file and 1970 in another.
+//!
+//! The motion of the arm is in all of them: the offset is where the speeds of joints and tool agree best. Delays
+//! between such tables remain unknown.
+
+use crate::diagnosis::{LagPeak, PoseStream, candidate_lags};
+use crate::geometry::Vec3;
+use crate::log::{Log, Note, Topic};
+use crate::robot::{Chain, Robot, catalogue};
+use crate::stream::{Columns, JointColumns, JointTrack, Orientations, PoseTrack, Times};
+use crate::time::{NANOS_PER_SECOND, Stamp, seconds};
+
+use super::columns::arm_chains;
+use super::error::RunError;
+use super::joint_order::TABLE;
+use super::role::{Role, role_by_content, role_outside_arm};
+use super::{RunOptions, models};
+
+/// Encoding of a table by UR's RTDE client.
+const RTDE: &str = "csv";
+/// Clocks with the same epoch differ by less: 3 years, s.
+const MIN_EPOCH_DIFFERENCE_S: f64 = 1e8;
+/// Correlation of the speeds of joints and tool at the offset.
+const MIN_CORRELATION: f64 = 0.8;
+/// Largest correlation at another offset, relative to the best, and the distance of other offsets, s.
+const MAX_RIVAL_SHARE: f64 = 0.95;
+const RIVAL_DISTANCE_S: f64 = 1.0;
+const MAX_ROWS: usize = 20_000;
+
+/// Topics on one clock.
+struct ClockGroup {
+    topics: Vec<usize>,
+    span: (i64, i64),
+}
+
+/// Aligns tables with different epochs by motion.
+///
+/// # Errors
+/// If the motion does not show the offset.
+pub fn align_table_clocks(log: &mut Log, options: &RunOptions) -> Result<(), RunError> {
+    let is_table = |topic: &&Topic| [TABLE, RTDE].contains(&topic.encoding.as_str());
+    if log.files.len() < 2 || !log.topics.iter().all(|topic| is_table(&topic)) {
+        return Ok(());
+    }
+    let groups = clock_groups(&log.topics);
+    let is_state = |topic: &Topic| {
+        let columns = topic.columns.as_ref();
+        columns.is_some_and(|it| {
+            matches!(it, Columns::Joints(_))
+                && role_by_content(&topic.name, it).map(|(role, _)| role) == Some(Role::Joints)
+        })
+    };
+    let with_joints =
+        |group: &&ClockGroup| group.topics.iter().any(|&at| is_state(&log.topics[at]));
+    let Some(reference) = groups.iter().find(with_joints) else { return Ok(()) };
+    let joints = reference.topics.iter().copied().find(|&at| is_state(&log.topics[at]));
+    let Some(joints) = joints else { return Ok(()) };
+    let mut offsets: Vec<(Vec<usize>, i64)> = Vec::new();
+    for group in &groups {
+        let apart_s = seconds(group.span.0.saturating_sub(reference.span.0)).abs();
+        if apart_s < MIN_EPOCH_DIFFERENCE_S {
+            continue;
+        }
+        let (topic, offset) = group_offset(log, options, joints, group)?;
+        let what = format!(
+            "'{}' begins at {} and '{}' at {}, so their clocks differ: aligned by motion, and delays between them \
+             are unknown",
+            log.topics[topic].name,
+            shown(group.span.0),
+            log.topics[joints].name,
+            shown(reference.span.0),
+        );
+        let file = log.files.first().map(|file| file.path.clone()).unwrap_or_default();
+        log.notes.push(Note { file, what });
+        offsets.push((group.topics.clone(), offset));
+    }
+    for (topics, offset) in offsets {
+        for at in topics {
+            shift_receive_times(&mut log.topics[at], offset);
+        }
+    }
+    let spans = log.topics.iter().filter_map(|topic| topic.span);
+    log.span = spans.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    Ok(())
+}
+
+fn shown(nanos: i64) -> String {
+    format!("{:.3} s", seconds(nanos))
+}
+
+/// Receive times on the clock of the joints make the stream's stamps those of another clock.
+fn shift_receive_times(topic: &mut Topic, offset: i64) {
+    for times in topic.columns.as_mut().map(Columns::times_mut).into_iter().flatten() {
+        let stamps = times.header.iter();
+        times.log = stamps.map(|stamp| stamp.saturating_add(offset)).collect();
+    }
+    topic.is_aligned_by_motion = true;
+    let shift = |stamp: Stamp| Stamp::from_nanos(stamp.nanos().saturating_add(offset));
+    topic.span = topic.span.map(|(first, last)| (shift(first), shift(last)));
+}
+
+/// Topics whose spans of stamps have the same epoch.
+fn clock_groups(topics: &[Topic]) -> Vec<ClockGroup> {
+    let mut groups: Vec<ClockGroup> = Vec::new();
+    for (at, topic) in topics.iter().enumerate() {
+        let times = topic.columns.as_ref().map(Columns::times).unwrap_or_default();
+        let stamps = || times.iter().flat_map(|times| &times.header).copied();
+        let (Some(first), Some(last)) = (stamps().min(), stamps().max()) else { continue };
+        let is_near = |group: &&mut ClockGroup| {
+            seconds(group.span.0.saturating_sub(first)).abs() < MIN_EPOCH_DIFFERENCE_S
+        };
+        match groups.iter_mut().find(is_near) {
+            Some(group) => {
+                group.topics.push(at);
+                group.span = (group.span.0.min(first), group.span.1.max(last));
+            }
+            None => groups.push(ClockGroup { topics: vec![at], span: (first, last) }),
+        }
+    }
+    groups
+}
+
+/// A pose of the group, and the offset that brings the group's stamps to those of the joints, ns.
+fn group_offset(
+    log: &Log,
+    options: &RunOptions,
+    joints: usize,
+    group: &ClockGroup,
+) -> Result<(usize, i64), RunError> {
+    let first = group.topics.first().copied().unwrap_or_default();
+    let refuse = |why: &str| {
+        let (own, other) = (&log.topics[first].name, &log.topics[joints].name);
+        RunError::TimeOrigins {
+            what: format!(
+                "'{own}' begins at {}, '{other}' at another time origin, and {why}",
+                shown(group.span.0)
+            ),
+        }
+    };
+    let positions = group.topics.iter().find_map(|&at| {
+        let topic = &log.topics[at];
+        let is_measured = role_outside_arm(&topic.name) == Role::Unassigned;
+        let track = position_track(topic.columns.as_ref()?).filter(|_| is_measured)?;
+        Some((at, track))
+    });
+    let Some((pose, (origin, track))) = positions else {
+        return Err(refuse("it holds no tool positions to compare with the joints"));
+    };
+    let Some(Columns::Joints(columns)) = &log.topics[joints].columns else {
+        return Err(refuse("there are no joint states"));
+    };
+    let (joint_origin, joint_track) = joint_track(columns);
+    let span_s = |t_s: &[f64]| t_s.last().copied().unwrap_or_default();
+    let max_lag_s = span_s(&track.t_s).max(span_s(&joint_track.t_s));
+    let given = models::read_given_or_shared(options).unwrap_or_default();
+    let named = models::robots_for_numbered_joints(&given, log.robot_type.as_deref());
+    let named: Vec<&Robot> = named.into_iter().map(|(robot, _)| robot).collect();
+    let robots = if named.is_empty() { catalogue::entries().iter().collect() } else { named };
+    let mut best: Option<Vec<LagPeak>> = None;
+    for chain in robots.into_iter().flat_map(arm_chains) {
+        let Some(order) = joint_order(&chain, columns) else { continue };
+        let stream = PoseStream {
+            track: &track,
+            chain: &chain,
+            columns: &order,
+            reference_known: false,
+            stamp_error_s: 0.0,
+            stamps_copied: false,
+            removed_ramp: None,
+        };
+        let peaks = candidate_lags(&joint_track, &stream, max_lag_s);
+        let height = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
+        if best.as_deref().is_none_or(|best| height(best) < height(&peaks)) {
+            best = Some(peaks);
+        }
+    }
+    let peaks = best.unwrap_or_default();
+    let top = peaks.first().filter(|peak| peak.correlation >= MIN_CORRELATION);
+    let Some(top) = top else {
+        return Err(refuse("no offset makes the tool move as the joints do"));
+    };
+    let is_rival = |peak: &LagPeak| {
+        (peak.lag_s - top.lag_s).abs() > RIVAL_DISTANCE_S
+            && peak.correlation > MAX_RIVAL_SHARE * top.correlation
+    };
+    if peaks.iter().any(is_rival) {
+        return Err(refuse("the motion repeats, so several offsets fit"));
+    }
+    let lag = (top.lag_s * NANOS_PER_SECOND as f64).round() as i64;
+    Ok((pose, joint_origin.saturating_sub(origin).saturating_sub(lag)))
+}
+
+/// Columns of the chain's joints, by name, or in order if the names are generated.
+fn joint_order(chain: &Chain, columns: &JointColumns) -> Option<Vec<usize>> {
+    let names = chain.joint_names();
+    let place =
+        |name: &String| columns.joints.iter().position(|joint| joint.name.ends_with(name.as_str()));
+    let by_name: Option<Vec<usize>> = names.iter().map(place).collect();
+    let in_order = || (columns.joints.len() == names.len()).then(|| (0..names.len()).collect());
+    by_name.or_else(in_order)
+}
+
+/// Rows at increasing times, with times from the first one, s.
+fn rows_of(times: &Times) -> (i64, Vec<usize>, Vec<f64>) {
+    let origin = times.header.first().copied().unwrap_or_default();
+    let (mut rows, mut t_s) = (Vec::new(), Vec::new());
+    let every = times.header.len().div_ceil(MAX_ROWS).max(1);
+    for (row, stamp) in times.header.iter().enumerate().step_by(every) {
+        let at_s = seconds(stamp.saturating_sub(origin));
+        if t_s.last().is_none_or(|last| at_s > *last) {
+            rows.push(row);
+            t_s.push(at_s);
+        }
+    }
+    (origin, rows, t_s)
+}
+
+fn joint_track(columns: &JointColumns) -> (i64, JointTrack) {
+    let (origin, mut rows, mut t_s) = rows_of(&columns.times);
+    let is_whole = |row: &usize| columns.joints.iter().all(|it| it.position[*row].is_finite());
+    let kept: Vec<bool> = rows.iter().map(is_whole).collect();
+    let mut of_rows = kept.iter();
+    rows.retain(|_| of_rows.next().copied().unwrap_or(false));
+    let mut of_times = kept.iter();
+    t_s.retain(|_| of_times.next().copied().unwrap_or(false));
+    let dof = columns.joints.len();
+    let position = |at: usize, joint: usize| columns.joints[joint].position[rows[at]];
+    let last = rows.len().saturating_sub(1);
+    let (mut q, mut qd) = (Vec::new(), Vec::new());
+    for at in 0..rows.len() {
+        let (before, after) = (at.saturating_sub(1), (at + 1).min(last));
+        let step_s = (t_s[after] - t_s[before]).max(f64::MIN_POSITIVE);
+        for joint in 0..dof {
+            q.push(position(at, joint));
+            qd.push((position(after, joint) - position(before, joint)) / step_s);
+        }
+    }
+    (origin, JointTrack { t_s, dof, q, qd, noise: Vec::new() })
+}
+
+fn position_track(columns: &Columns) -> Option<(i64, PoseTrack)> {
+    let (times, at): (&Times, Box<dyn Fn(usize) -> Vec3>) = match columns {
+        Columns::Poses(poses) => {
+            let [poses] = poses.as_slice() else { return None };
+            (&poses.times, Box::new(|row| Vec3::from(poses.xyz[row])))
+        }
+        Columns::Array(array) if array.width >= 3 && !array.unnamed => {
+            let xyz = |row: usize| Vec3::from_column_slice(&array.row(row)[..3]);
+            (&array.times, Box::new(xyz))
+        }
+        _ => return None,
+    };
+    let (origin, rows, t_s) = rows_of(times);
+    let xyz: Vec<Vec3> = rows.iter().map(|&row| at(row)).collect();
+    let orientation = Orientations::Unset(xyz.len());
+    (xyz.len() > 1).then_some((origin, PoseTrack { t_s, xyz, orientation, declared: None }))
+}

@@ -1,0 +1,154 @@
+//! `--columns`: what an audit proposes can be pasted, and gives the same answer. Several tables as one run.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use poseaudit::finding::Status;
+use poseaudit::log::FileLayout;
+use poseaudit::report::{Report, Trouble, Verdict};
+use poseaudit::{Options, audit};
+
+use crate::tables::{CLEAN, Table, fault_codes, value_of};
+
+fn text(rows: &[Vec<f64>]) -> String {
+    let line = |row: &Vec<f64>| {
+        row.iter().map(|number| format!("{number:.9}")).collect::<Vec<_>>().join(",") + "\n"
+    };
+    rows.iter().map(line).collect()
+}
+
+fn audit_with(
+    logs: &[PathBuf],
+    robot: Option<&str>,
+    columns: Option<&str>,
+) -> Result<Report, Trouble> {
+    let mut options = Options { logs: logs.to_vec(), ..Options::default() };
+    options.run.robots = robot.into_iter().map(Into::into).collect();
+    let layouts: Vec<FileLayout> =
+        columns.into_iter().map(|text| text.parse().expect("a layout")).collect();
+    options.run.declare_layouts(&layouts, "--columns");
+    options.read.columns.layouts = layouts;
+    audit(&options).map(poseaudit::Audited::into_report)
+}
+
+fn write(folder: &Path, name: &str, content: &str) -> PathBuf {
+    let path = folder.join(name);
+    fs::write(&path, content).expect("a file");
+    path
+}
+
+#[test]
+fn the_meaning_that_is_found_can_be_stated_with_the_same_result() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (table, expected) in [
+        (Table { latency_s: 0.06, ..CLEAN }, "t,q[6],x,y,z,rot[4]"),
+        (Table { joint_factor: 1_f64.to_degrees(), ..CLEAN }, "t,q[6]:deg,x,y,z,rot[4]"),
+    ] {
+        let logs = [write(folder.path(), "run.csv", &text(&table.rows()))];
+        let found = audit_with(&logs, Some("ur5e"), None).expect("a report");
+        let layout = found.log.tables[0].layout.clone().expect("a layout");
+        assert_eq!(layout, expected);
+        assert_eq!(found.log.tables[0].layout_reason, None);
+        let stated = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
+        assert_eq!(fault_codes(&stated), fault_codes(&found));
+        assert_eq!(stated.log.tables[0].layout.as_deref(), Some(expected));
+        for code in fault_codes(&found) {
+            assert!((value_of(&stated, code) - value_of(&found, code)).abs() < 1e-6);
+        }
+        // A declared convention is checked.
+        let declared = layout.replace("rot[4]", "quat:wxyz");
+        let wrong = audit_with(&logs, Some("ur5e"), Some(&declared)).expect("a report");
+        assert!(fault_codes(&wrong).contains(&"ORD002"), "{:?}", wrong.findings);
+    }
+}
+
+#[test]
+fn a_table_of_joints_ends_with_a_proposal_that_is_audited_when_pasted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // A counter, the joints, and a constant.
+    let rows: Vec<Vec<f64>> = Table { poses: false, ..CLEAN }
+        .rows()
+        .iter()
+        .zip(0..)
+        .map(|(row, at)| [&[row[0], f64::from(at)], &row[1..], &[7.0]].concat())
+        .collect();
+    let logs = [write(folder.path(), "run.csv", &text(&rows))];
+    let open = audit_with(&logs, Some("ur5e"), None).expect("a report");
+    let trouble = open.error.expect("a question");
+    let layout = open.log.tables[0].layout.clone().expect("a proposal");
+    assert_eq!(layout, "t,_,q[6],_");
+    assert!(trouble.what.contains(&format!("--columns '{layout}'")), "{}", trouble.what);
+    let pasted = audit_with(&logs, Some("ur5e"), Some(&layout)).expect("a report");
+    assert_eq!(pasted.error, None);
+    assert_eq!(pasted.robots[0].name, "ur5e");
+    let wide = audit_with(&logs, Some("ur5e"), Some("t,q[6]")).expect_err("a refusal");
+    assert!(wide.what.contains("names 7 columns, but its rows have 9"), "{}", wide.what);
+}
+
+/// Joints from 0, poses from `origin_s` on, in two files with different rates.
+fn two_files(folder: &Path, origin_s: f64, latency_s: f64) -> [PathBuf; 2] {
+    let rows = Table { latency_s, ..CLEAN }.rows();
+    let joints: Vec<Vec<f64>> = rows.iter().map(|row| row[..7].to_vec()).collect();
+    let poses: Vec<Vec<f64>> = rows
+        .iter()
+        .skip(40)
+        .step_by(2)
+        .map(|row| [&[row[0] + origin_s], &row[7..]].concat())
+        .collect();
+    let names = ["time,q1,q2,q3,q4,q5,q6\n", "time,x,y,z,qx,qy,qz,qw\n"];
+    [
+        write(folder, "joints.csv", &(names[0].to_owned() + &text(&joints))),
+        write(folder, "tool.csv", &(names[1].to_owned() + &text(&poses))),
+    ]
+}
+
+#[test]
+fn files_of_one_run_are_joined_by_their_times() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = two_files(folder.path(), 0.0, 0.06);
+    for logs in [files.to_vec(), vec![folder.path().to_owned()]] {
+        let found = audit_with(&logs, Some("ur5e"), None).expect("a report");
+        assert_eq!(fault_codes(&found), ["LAT001"], "{:?}", found.findings);
+        assert!((value_of(&found, "LAT001") - 0.06).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn another_time_origin_is_found_by_motion_and_hides_only_the_latency() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = two_files(folder.path(), 1_700_000_000.25, 0.06);
+    let found = audit_with(&files, Some("ur5e"), None).expect("a report");
+    assert_eq!(fault_codes(&found), ["TIM003"], "{:?}", found.findings);
+    // The pose is also 0.06 s late.
+    assert!((value_of(&found, "TIM003").abs() - 1_700_000_000.31).abs() < 0.02);
+    let latency = found.checks.iter().find(|check| check.code == "LAT001").expect("a check");
+    assert_eq!(latency.status, Status::Inconclusive);
+    assert_ne!(found.verdict, Verdict::Pass);
+}
+
+#[test]
+fn time_origins_without_motion_are_refused_in_one_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [joints, tool] = two_files(folder.path(), 1_700_000_000.25, 0.0);
+    let still = fs::read_to_string(&tool).expect("text");
+    let lines: Vec<&str> = still.lines().collect();
+    let pose = lines[1].split_once(',').expect("cells").1;
+    let rows = lines[1..]
+        .iter()
+        .map(|line| format!("{},{pose}\n", line.split_once(',').expect("cells").0));
+    fs::write(&tool, format!("{}\n{}", lines[0], rows.collect::<String>())).expect("a file");
+    let refusal = audit_with(&[joints, tool], Some("ur5e"), None).expect_err("a refusal");
+    assert!(refusal.what.contains("at another time origin"), "{}", refusal.what);
+    assert!(!refusal.to_string().contains('\n'));
+}
+
+#[test]
+fn a_folder_of_runs_is_still_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["monday.csv", "tuesday.csv"] {
+        let rows = text(&CLEAN.rows()[..if name == "monday.csv" { 50 } else { 60 }]);
+        write(folder.path(), name, &format!("time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n{rows}"));
+    }
+    let refusal = audit_with(&[folder.path().to_owned()], None, None).expect_err("a refusal");
+    assert!(refusal.what.contains("several runs"), "{}", refusal.what);
+}
