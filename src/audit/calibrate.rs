@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use super::Options;
+use super::fixed_point::{self, error_text};
 use super::tables::read_table;
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
 };
 use crate::diagnosis::{
-    ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
-    calibrate_arm,
+    ArmCalibration, CalibrationFailure, CalibrationStream, FrameFreedom, PointDistance,
+    PoseDiagnosis, PoseEncoding, StreamCalibration, calibrate_arm,
 };
 use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
@@ -23,6 +24,28 @@ use crate::stream::JointTrack;
 /// Larger frame offsets are not link deviations, m and rad.
 const MAX_DEVIATION_M: f64 = 10e-3;
 const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Standard deviation of a given distance of two points, m: of a printed or machined tool.
+const DISTANCE_STD_M: f64 = 0.1e-3;
+/// A fixed point whose calibrated rows differ by more than this, and by this many times the median of the files,
+/// has moved.
+const MAX_POINT_ERROR_M: f64 = 3e-3;
+const MIN_POINT_ERROR_M: f64 = 0.5e-3;
+const MAX_POINT_ERROR_RATIO: f64 = 4.0;
+/// Rows further from the point than this, and than this many times the median of their file, are reported.
+const MIN_ROW_ERROR_M: f64 = 1e-3;
+const MAX_ROW_ERROR_RATIO: f64 = 6.0;
+
+/// Meaning of a stream's samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measurement {
+    /// Measured poses.
+    Pose,
+    /// One of the points on the tool that an external sensor measures.
+    Point,
+    /// A point of the tool at one place, without a sensor.
+    FixedPoint,
+}
+
 /// Stream as calibration input.
 #[derive(Clone, Debug)]
 pub struct CalibrationInput {
@@ -32,6 +55,8 @@ pub struct CalibrationInput {
     pub topic: String,
     /// Source of the poses.
     pub source_kind: PoseSourceKind,
+    /// Meaning of its samples.
+    pub measurement: Measurement,
     /// Encoding of the rotations if not the log's.
     pub encoding: Option<String>,
     /// Base link.
@@ -65,6 +90,8 @@ pub struct CalibrationResult {
     pub left_out: Vec<String>,
     /// Estimated calibration.
     pub calibration: ArmCalibration,
+    /// Known distances of the points, in the order of [`ArmCalibration::distances_m`].
+    pub distances: Vec<PointDistance>,
     /// Joints that moved too little.
     pub unmoved: Vec<UnmovedJoint>,
     /// Command that plans a more informative motion.
@@ -106,14 +133,34 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
 /// # Errors
 /// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationResult, Trouble> {
+    let read = |path: &Path| match read_table(path)? {
+        Some(table) => table.input(path, &options.run),
+        None => inputs_from_log(path, options, topic),
+    };
+    calibrate_inputs(options, read, None)
+}
+
+/// Same with `options.logs` as tables of configurations. One point of the tool stays at an unknown place in each
+/// table. The points of the two files in a folder have the distance `distance_m`.
+///
+/// # Errors
+/// If no table can be used, or no folder has two for the distance.
+pub fn calibrate_at_fixed_points(
+    options: &Options,
+    distance_m: Option<f64>,
+) -> Result<CalibrationResult, Trouble> {
+    calibrate_inputs(options, |path| fixed_point::input(path, &options.run), distance_m)
+}
+
+fn calibrate_inputs(
+    options: &Options,
+    read: impl Fn(&Path) -> Result<LogInputs, Trouble>,
+    distance_m: Option<f64>,
+) -> Result<CalibrationResult, Trouble> {
     options.places().check()?;
     let (mut streams, mut left_out, mut arm) = (Vec::new(), Vec::new(), None);
     for path in &options.logs {
-        let found = match read_table(path)? {
-            Some(table) => table.input(path, &options.run),
-            None => inputs_from_log(path, options, topic),
-        };
-        let (robot, input, others) = match found {
+        let (robot, input, others) = match read(path) {
             Ok(found) => found,
             // Several logs: skip unusable ones.
             Err(trouble) if options.logs.len() > 1 && trouble.kind == TroubleKind::Log => {
@@ -159,23 +206,46 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<CalibrationRe
         }));
         streams = external;
     }
-    let (joints, calibration) = calibrate_consistent(&nominal, &mut streams, &mut left_out)
-        .map_err(|why| {
+    let (joints, calibration) =
+        calibrate_consistent(&nominal, &mut streams, distance_m, &mut left_out).map_err(|why| {
             let (what, remedy) = failure_text(why);
             trouble(place, what, remedy)
         })?;
+    let distances = distances(&streams, distance_m);
+    if distance_m.is_some() && distances.is_empty() {
+        let what = "no folder has exactly two files of fixed points".to_owned();
+        let remedy = "put the two files of a tool into one folder, or omit --distance";
+        return Err(Trouble {
+            kind: TroubleKind::Call,
+            what,
+            place: "--distance".to_owned(),
+            remedy: remedy.to_owned(),
+        });
+    }
+    left_out.extend(streams.iter().zip(&calibration.streams).filter_map(|(stream, found)| {
+        let rows = (stream.measurement == Measurement::FixedPoint)
+            .then(|| outlier_rows(&found.errors_m))
+            .flatten()?;
+        Some(format!("{}: {rows}", stream.log.display()))
+    }));
     let unmoved = unmoved_joints(&nominal, &joints, &calibration);
-    let rejection = rejection_reason(&calibration, &unmoved);
+    let moved_point = streams
+        .iter()
+        .zip(&calibration.streams)
+        .find_map(|(stream, found)| Some(moved_point(stream, found.after.m, 0.0, &calibration)?));
+    let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
-    let plan =
-        streams.first().and_then(|stream| calibration_plan_command(options, &nominal, stream));
+    // A planned motion has no fixed point.
+    let measured = streams.first().filter(|one| one.measurement != Measurement::FixedPoint);
+    let plan = measured.and_then(|stream| calibration_plan_command(options, &nominal, stream));
     Ok(CalibrationResult {
         nominal,
         joints,
         streams,
         left_out,
         calibration,
+        distances,
         unmoved,
         plan,
         rejection,
@@ -239,13 +309,19 @@ fn failure_text(why: CalibrationFailure) -> (&'static str, &'static str) {
 fn calibrate_consistent(
     robot: &Robot,
     streams: &mut Vec<CalibrationInput>,
+    distance_m: Option<f64>,
     left_out: &mut Vec<String>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let given = streams.len();
     loop {
-        let (joints, found) = calibrate_streams(robot, streams)?;
+        let (joints, found) = calibrate_streams(robot, streams, distance_m)?;
+        let typical_m = median(found.streams.iter().map(|one| one.after.m).collect());
+        let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| {
+            moved_point(stream, one.after.m, typical_m, &found)
+                .or_else(|| stream_rejection_reason(one))
+        };
         let useless: Vec<Option<String>> =
-            found.streams.iter().map(stream_rejection_reason).collect();
+            streams.iter().zip(&found.streams).map(why_useless).collect();
         let kept = useless.iter().filter(|why| why.is_none()).count();
         if kept == streams.len() || 2 * kept <= given {
             return Ok((joints, found));
@@ -261,13 +337,102 @@ fn calibrate_consistent(
     }
 }
 
+/// Why the rows of a file do not share a fixed point, if files usually leave `typical_m` rms.
+fn moved_point(
+    stream: &CalibrationInput,
+    rms_m: f64,
+    typical_m: f64,
+    calibration: &ArmCalibration,
+) -> Option<String> {
+    let is_usual = rms_m <= (MAX_POINT_ERROR_RATIO * typical_m).max(MIN_POINT_ERROR_M);
+    let is_moved = rms_m > MAX_POINT_ERROR_M || (typical_m > 0.0 && !is_usual);
+    if stream.measurement != Measurement::FixedPoint || !is_moved {
+        return None;
+    }
+    let robot = &calibration.robot;
+    let chain = robot.chain(robot.link(&stream.base)?, robot.link(&stream.tip)?).ok()?;
+    let fit = fixed_point::fit(&chain, &stream.joints)?;
+    Some(format!("{}, also with the calibrated links", error_text(&fit)))
+}
+
+/// Rows far from the point of a file.
+fn outlier_rows(errors_m: &[f64]) -> Option<String> {
+    const MAX_LISTED: usize = 5;
+    let limit_m = (MAX_ROW_ERROR_RATIO * median(errors_m.to_vec())).max(MIN_ROW_ERROR_M);
+    let rows = errors_m.iter().enumerate().filter(|(_, error)| **error > limit_m);
+    let rows: Vec<(usize, f64)> = rows.map(|(row, error)| (row + 1, *error)).collect();
+    let largest_m = rows.iter().map(|row| row.1).fold(0.0, f64::max);
+    let listed: Vec<String> =
+        rows.iter().take(MAX_LISTED).map(|(row, _)| row.to_string()).collect();
+    let more = if rows.len() > MAX_LISTED { " …" } else { "" };
+    (!rows.is_empty()).then(|| {
+        format!(
+            "{} of {} rows have little weight, being up to {:.1} mm from the point of the others: row {}{more}",
+            rows.len(),
+            errors_m.len(),
+            1e3 * largest_m,
+            listed.join(", ")
+        )
+    })
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+fn folder(stream: &CalibrationInput) -> &Path {
+    stream.log.parent().unwrap_or(Path::new(""))
+}
+
+/// Pairs of streams in folders with two.
+fn distances(streams: &[CalibrationInput], distance_m: Option<f64>) -> Vec<PointDistance> {
+    let Some(distance_m) = distance_m else { return Vec::new() };
+    let mut found = Vec::new();
+    for (at, stream) in streams.iter().enumerate() {
+        let mut same =
+            streams.iter().enumerate().filter(|(_, other)| folder(other) == folder(stream));
+        if let (Some((first, _)), Some((second, _)), None) = (same.next(), same.next(), same.next())
+            && first == at
+        {
+            let streams = [first, second];
+            found.push(PointDistance { streams, distance_m, std_error_m: DISTANCE_STD_M });
+        }
+    }
+    found
+}
+
+/// Groups that are held out together: folders if there are several, otherwise files.
+fn held_out_group(streams: &[CalibrationInput], s: usize) -> Option<usize> {
+    let first_as = |is_same: &dyn Fn(&CalibrationInput) -> bool| streams.iter().position(is_same);
+    match streams[s].measurement {
+        Measurement::Pose | Measurement::Point => None,
+        Measurement::FixedPoint if streams.iter().any(|one| folder(one) != folder(&streams[s])) => {
+            first_as(&|one| folder(one) == folder(&streams[s]))
+        }
+        Measurement::FixedPoint => Some(s),
+    }
+}
+
 fn calibrate_streams(
     robot: &Robot,
     streams: &[CalibrationInput],
+    distance_m: Option<f64>,
 ) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let link = |name: &str| robot.link(name).ok_or(CalibrationFailure::Chain);
     let mut given = Vec::with_capacity(streams.len());
-    for stream in streams {
+    for (s, stream) in streams.iter().enumerate() {
+        let same_log = streams.iter().position(|other| other.log == stream.log).unwrap_or(s);
+        let (reference, tool) = match stream.measurement {
+            Measurement::Pose => (FrameFreedom::Pose(s), FrameFreedom::Pose(s)),
+            Measurement::Point if stream.is_rotation_excluded => {
+                (FrameFreedom::Pose(same_log), FrameFreedom::Position(s))
+            }
+            Measurement::Point => (FrameFreedom::Pose(same_log), FrameFreedom::Pose(s)),
+            // One tool in all files.
+            Measurement::FixedPoint => (FrameFreedom::Position(s), FrameFreedom::Position(0)),
+        };
+        let freedom = |is_free: bool, frame| if is_free { frame } else { FrameFreedom::Known };
         given.push(CalibrationStream {
             joints: &stream.joints,
             columns: stream.columns.clone(),
@@ -281,9 +446,10 @@ fn calibrate_streams(
             latency_is_free: stream.latency_s.is_some(),
             skew: stream.skew,
             reference: stream.reference,
-            reference_is_free: stream.is_reference_free,
+            reference_freedom: freedom(stream.is_reference_free, reference),
             tool: stream.tool,
-            tool_is_free: stream.is_tool_free,
+            tool_freedom: freedom(stream.is_tool_free, tool),
+            held_out_group: held_out_group(streams, s),
         });
     }
     let first = given.first().ok_or(CalibrationFailure::TooFewSamples)?;
@@ -291,7 +457,7 @@ fn calibrate_streams(
     let joints = chain.joint_names().to_vec();
     let is_off = |joint: &String| streams.iter().any(|stream| stream.zeros.contains(joint));
     let zeros: Vec<usize> = (0..joints.len()).filter(|&at| is_off(&joints[at])).collect();
-    let found = calibrate_arm(robot, &given, &zeros)?;
+    let found = calibrate_arm(robot, &given, &zeros, &distances(streams, distance_m))?;
     Ok((joints, found))
 }
 
@@ -401,6 +567,7 @@ fn input_from_stream(
         log: path.to_path_buf(),
         topic: topic.to_owned(),
         source_kind: found.source_kind,
+        measurement: Measurement::Pose,
         encoding: encoding_name(diagnosis),
         base: source.chain.base_name().to_owned(),
         tip: source.chain.tip_name().to_owned(),
