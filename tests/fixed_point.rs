@@ -126,7 +126,7 @@ fn an_unusable_file_is_refused_in_one_line() {
             "has no columns for the joints",
         ),
         ("scattered.csv", scattered.join("\n"), "mm rms from one point"),
-        ("bytes.csv", "\0\u{1}\u{2}".to_owned(), "not a table of joint positions"),
+        ("bytes.csv", "\0\u{1}\u{2}".to_owned(), "only 0 rows"),
     ];
     for (name, text, expected) in cases {
         let log = folder.path().join(name);

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::Options;
-use super::fixed_point::{self, error_text};
+use super::fixed_point::{
+    self, distances, held_out_group, moved_point, outlier_rows, typical_residual_m,
+};
 use super::tables::read_table;
 use crate::checks::{
     UnmovedJoint, equals_nominal, rejection_reason, stream_rejection_reason, unmoved_joints,
@@ -24,17 +26,6 @@ use crate::stream::JointTrack;
 /// Larger frame offsets are not link deviations, m and rad.
 const MAX_DEVIATION_M: f64 = 10e-3;
 const MAX_DEVIATION_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Standard deviation of a given distance of two points, m: of a printed or machined tool.
-const DISTANCE_STD_M: f64 = 0.1e-3;
-/// A fixed point whose calibrated rows differ by more than this, and by this many times the median of the files,
-/// has moved.
-const MAX_POINT_ERROR_M: f64 = 3e-3;
-const MIN_POINT_ERROR_M: f64 = 0.5e-3;
-const MAX_POINT_ERROR_RATIO: f64 = 4.0;
-/// Rows further from the point than this, and than this many times the median of their file, are reported.
-const MIN_ROW_ERROR_M: f64 = 1e-3;
-const MAX_ROW_ERROR_RATIO: f64 = 6.0;
-
 /// Meaning of a stream's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measurement {
@@ -229,10 +220,11 @@ fn calibrate_inputs(
         Some(format!("{}: {rows}", stream.log.display()))
     }));
     let unmoved = unmoved_joints(&nominal, &joints, &calibration);
+    let typical_m = typical_residual_m(&calibration);
     let moved_point = streams
         .iter()
         .zip(&calibration.streams)
-        .find_map(|(stream, found)| Some(moved_point(stream, found.after.m, 0.0, &calibration)?));
+        .find_map(|(stream, found)| moved_point(stream, found.after.m, typical_m, &calibration));
     let rejection = moved_point.or_else(|| rejection_reason(&calibration, &unmoved));
     let equals_nominal = equals_nominal(&calibration);
     let read = options.places();
@@ -315,7 +307,7 @@ fn calibrate_consistent(
     let given = streams.len();
     loop {
         let (joints, found) = calibrate_streams(robot, streams, distance_m)?;
-        let typical_m = median(found.streams.iter().map(|one| one.after.m).collect());
+        let typical_m = typical_residual_m(&found);
         let why_useless = |(stream, one): (&CalibrationInput, &StreamCalibration)| {
             moved_point(stream, one.after.m, typical_m, &found)
                 .or_else(|| stream_rejection_reason(one))
@@ -329,88 +321,15 @@ fn calibrate_consistent(
         let mut why_not = useless.into_iter();
         streams.retain(|stream| match why_not.next().flatten() {
             Some(why) => {
-                left_out.push(format!("{} {}: {why}", stream.log.display(), stream.topic));
+                let topic = match stream.measurement {
+                    Measurement::FixedPoint => String::new(),
+                    Measurement::Pose | Measurement::Point => format!(" {}", stream.topic),
+                };
+                left_out.push(format!("{}{topic}: {why}", stream.log.display()));
                 false
             }
             None => true,
         });
-    }
-}
-
-/// Why the rows of a file do not share a fixed point, if files usually leave `typical_m` rms.
-fn moved_point(
-    stream: &CalibrationInput,
-    rms_m: f64,
-    typical_m: f64,
-    calibration: &ArmCalibration,
-) -> Option<String> {
-    let is_usual = rms_m <= (MAX_POINT_ERROR_RATIO * typical_m).max(MIN_POINT_ERROR_M);
-    let is_moved = rms_m > MAX_POINT_ERROR_M || (typical_m > 0.0 && !is_usual);
-    if stream.measurement != Measurement::FixedPoint || !is_moved {
-        return None;
-    }
-    let robot = &calibration.robot;
-    let chain = robot.chain(robot.link(&stream.base)?, robot.link(&stream.tip)?).ok()?;
-    let fit = fixed_point::fit(&chain, &stream.joints)?;
-    Some(format!("{}, also with the calibrated links", error_text(&fit)))
-}
-
-/// Rows far from the point of a file.
-fn outlier_rows(errors_m: &[f64]) -> Option<String> {
-    const MAX_LISTED: usize = 5;
-    let limit_m = (MAX_ROW_ERROR_RATIO * median(errors_m.to_vec())).max(MIN_ROW_ERROR_M);
-    let rows = errors_m.iter().enumerate().filter(|(_, error)| **error > limit_m);
-    let rows: Vec<(usize, f64)> = rows.map(|(row, error)| (row + 1, *error)).collect();
-    let largest_m = rows.iter().map(|row| row.1).fold(0.0, f64::max);
-    let listed: Vec<String> =
-        rows.iter().take(MAX_LISTED).map(|(row, _)| row.to_string()).collect();
-    let more = if rows.len() > MAX_LISTED { " …" } else { "" };
-    (!rows.is_empty()).then(|| {
-        format!(
-            "{} of {} rows have little weight, being up to {:.1} mm from the point of the others: row {}{more}",
-            rows.len(),
-            errors_m.len(),
-            1e3 * largest_m,
-            listed.join(", ")
-        )
-    })
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
-fn folder(stream: &CalibrationInput) -> &Path {
-    stream.log.parent().unwrap_or(Path::new(""))
-}
-
-/// Pairs of streams in folders with two.
-fn distances(streams: &[CalibrationInput], distance_m: Option<f64>) -> Vec<PointDistance> {
-    let Some(distance_m) = distance_m else { return Vec::new() };
-    let mut found = Vec::new();
-    for (at, stream) in streams.iter().enumerate() {
-        let mut same =
-            streams.iter().enumerate().filter(|(_, other)| folder(other) == folder(stream));
-        if let (Some((first, _)), Some((second, _)), None) = (same.next(), same.next(), same.next())
-            && first == at
-        {
-            let streams = [first, second];
-            found.push(PointDistance { streams, distance_m, std_error_m: DISTANCE_STD_M });
-        }
-    }
-    found
-}
-
-/// Groups that are held out together: folders if there are several, otherwise files.
-fn held_out_group(streams: &[CalibrationInput], s: usize) -> Option<usize> {
-    let first_as = |is_same: &dyn Fn(&CalibrationInput) -> bool| streams.iter().position(is_same);
-    match streams[s].measurement {
-        Measurement::Pose | Measurement::Point => None,
-        Measurement::FixedPoint if streams.iter().any(|one| folder(one) != folder(&streams[s])) => {
-            first_as(&|one| folder(one) == folder(&streams[s]))
-        }
-        Measurement::FixedPoint => Some(s),
     }
 }
 
@@ -456,7 +375,11 @@ fn calibrate_streams(
     let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let joints = chain.joint_names().to_vec();
     let is_off = |joint: &String| streams.iter().any(|stream| stream.zeros.contains(joint));
-    let zeros: Vec<usize> = (0..joints.len()).filter(|&at| is_off(&joints[at])).collect();
+    // The base includes the zero of the first joint, the point on the tool that of the last one.
+    let is_inner = |at: usize| (1..joints.len().saturating_sub(1)).contains(&at);
+    let fixed_points = streams.iter().all(|one| one.measurement == Measurement::FixedPoint);
+    let is_free = |&at: &usize| is_off(&joints[at]) || (fixed_points && is_inner(at));
+    let zeros: Vec<usize> = (0..joints.len()).filter(is_free).collect();
     let found = calibrate_arm(robot, &given, &zeros, &distances(streams, distance_m))?;
     Ok((joints, found))
 }

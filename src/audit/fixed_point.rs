@@ -1,10 +1,11 @@
-//! Calibration input from tables of configurations around a fixed point of the tool.
+//! Calibration from tables of configurations around a fixed point of the tool: input, distances of points, and files
+//! in which the point moved.
 
 use std::path::Path;
 
 use super::calibrate::{CalibrationInput, LogInputs, Measurement, trouble};
 use super::tables::{dropped_rows, joint_track, named_chain, numbers_suffice, row_times};
-use crate::diagnosis::FixedPoint;
+use crate::diagnosis::{ArmCalibration, FixedPoint, PointDistance};
 use crate::geometry::{Pose, Rotation, pose};
 use crate::log::read_number_table;
 use crate::report::Trouble;
@@ -16,6 +17,17 @@ use crate::stream::JointTrack;
 const MAX_NOMINAL_ERROR_M: f64 = 50e-3;
 /// Larger joint positions are in degrees.
 const MAX_RAD: f64 = 2.5 * std::f64::consts::PI;
+/// Standard deviation of a given distance of two points, m: of a printed or machined tool.
+const DISTANCE_STD_M: f64 = 0.1e-3;
+/// Rms distances of calibrated rows from their fixed point, m: rejected, and rejected if one jump explains it. Both
+/// are at least this many times the median of the files.
+const MAX_POINT_ERROR_M: f64 = 3e-3;
+const MAX_JUMP_ERROR_M: f64 = 0.5e-3;
+const MAX_POINT_ERROR_RATIO: f64 = 4.0;
+/// Rows further from the point than this, and than this many times the median of their file, are reported.
+const MIN_ROW_ERROR_M: f64 = 1e-3;
+const MAX_ROW_ERROR_RATIO: f64 = 6.0;
+
 const REMEDY: &str = "check that the point stayed in place, that the columns are the joints of --robot, and \
                       leave the file out otherwise";
 
@@ -75,13 +87,13 @@ pub(super) fn input(path: &Path, options: &RunOptions) -> Result<LogInputs, Trou
 }
 
 /// Fits the point to the rows of a [`joint_track`].
-pub(super) fn fit(chain: &Chain, track: &JointTrack) -> Option<FixedPoint> {
+fn fit(chain: &Chain, track: &JointTrack) -> Option<FixedPoint> {
     // Two samples per row.
     FixedPoint::fit(chain, (0..track.len()).step_by(2).map(|at| track.row(at)))
 }
 
 /// How far the rows are from one point.
-pub(super) fn error_text(fit: &FixedPoint) -> String {
+fn error_text(fit: &FixedPoint) -> String {
     let rms_mm = 1e3 * fit.rms_m();
     match fit.jump() {
         Some((row, by_m)) => format!(
@@ -89,5 +101,91 @@ pub(super) fn error_text(fit: &FixedPoint) -> String {
             1e3 * by_m
         ),
         None => format!("its rows are {rms_mm:.2} mm rms from one point"),
+    }
+}
+
+/// Why the rows of a file do not share a fixed point. Files usually leave `typical_m` rms.
+pub(super) fn moved_point(
+    stream: &CalibrationInput,
+    rms_m: f64,
+    typical_m: f64,
+    calibration: &ArmCalibration,
+) -> Option<String> {
+    let least_m = MAX_POINT_ERROR_RATIO * typical_m;
+    if stream.measurement != Measurement::FixedPoint {
+        return None;
+    }
+    let robot = &calibration.robot;
+    let chain = robot.chain(robot.link(&stream.base)?, robot.link(&stream.tip)?).ok()?;
+    let fit = fit(&chain, &stream.joints)?;
+    let is_far = typical_m > MAX_POINT_ERROR_M || rms_m > least_m.max(MAX_POINT_ERROR_M);
+    let has_moved = rms_m > least_m.max(MAX_JUMP_ERROR_M) && fit.jump().is_some();
+    (is_far || has_moved).then(|| format!("{}, also with the calibrated links", error_text(&fit)))
+}
+
+/// Rows far from the point of a file.
+pub(super) fn outlier_rows(errors_m: &[f64]) -> Option<String> {
+    const MAX_LISTED: usize = 5;
+    let limit_m = (MAX_ROW_ERROR_RATIO * median(errors_m.to_vec())).max(MIN_ROW_ERROR_M);
+    let rows = errors_m.iter().enumerate().filter(|(_, error)| **error > limit_m);
+    let rows: Vec<(usize, f64)> = rows.map(|(row, error)| (row + 1, *error)).collect();
+    let largest_m = rows.iter().map(|row| row.1).fold(0.0, f64::max);
+    let listed: Vec<String> =
+        rows.iter().take(MAX_LISTED).map(|(row, _)| row.to_string()).collect();
+    let more = if rows.len() > MAX_LISTED { " …" } else { "" };
+    (!rows.is_empty()).then(|| {
+        format!(
+            "{} of {} rows have little weight, being up to {:.1} mm from the point of the others: row {}{more}",
+            rows.len(),
+            errors_m.len(),
+            1e3 * largest_m,
+            listed.join(", ")
+        )
+    })
+}
+
+/// Lower median.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len().saturating_sub(1) / 2).copied().unwrap_or(0.0)
+}
+
+pub(super) fn typical_residual_m(calibration: &ArmCalibration) -> f64 {
+    median(calibration.streams.iter().map(|one| one.after.m).collect())
+}
+
+fn folder(stream: &CalibrationInput) -> &Path {
+    stream.log.parent().unwrap_or(Path::new(""))
+}
+
+/// Pairs of streams in folders with two.
+pub(super) fn distances(
+    streams: &[CalibrationInput],
+    distance_m: Option<f64>,
+) -> Vec<PointDistance> {
+    let Some(distance_m) = distance_m else { return Vec::new() };
+    let mut found = Vec::new();
+    for (at, stream) in streams.iter().enumerate() {
+        let mut same =
+            streams.iter().enumerate().filter(|(_, other)| folder(other) == folder(stream));
+        if let (Some((first, _)), Some((second, _)), None) = (same.next(), same.next(), same.next())
+            && first == at
+        {
+            let streams = [first, second];
+            found.push(PointDistance { streams, distance_m, std_error_m: DISTANCE_STD_M });
+        }
+    }
+    found
+}
+
+/// Groups that are held out together: folders if there are several, otherwise files.
+pub(super) fn held_out_group(streams: &[CalibrationInput], s: usize) -> Option<usize> {
+    let first_as = |is_same: &dyn Fn(&CalibrationInput) -> bool| streams.iter().position(is_same);
+    match streams[s].measurement {
+        Measurement::Pose | Measurement::Point => None,
+        Measurement::FixedPoint if streams.iter().any(|one| folder(one) != folder(&streams[s])) => {
+            first_as(&|one| folder(one) == folder(&streams[s]))
+        }
+        Measurement::FixedPoint => Some(s),
     }
 }

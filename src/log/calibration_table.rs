@@ -19,8 +19,6 @@ pub struct NumberTable {
     pub names: Vec<String>,
     /// Rows, all with the same number of columns.
     pub rows: Vec<Vec<f64>>,
-    /// Line number of each row.
-    pub lines: Vec<usize>,
     /// Line numbers of rows with non-finite cells or another number of columns.
     pub dropped: Vec<usize>,
 }
@@ -123,40 +121,35 @@ fn parse_numbers(bytes: &[u8]) -> Option<NumberTable> {
         .has_headers(false)
         .comment(Some(b'#'))
         .from_reader(bytes);
-    let cell = |cell: &str| {
-        let value = match delimiter {
-            b',' => cell.parse(),
-            _ => cell.replace(',', ".").parse(),
-        };
-        value.ok().filter(|value: &f64| value.is_finite())
+    let number = |cell: &str| -> Option<f64> {
+        match delimiter {
+            b',' => cell.parse().ok(),
+            _ => cell.replace(',', ".").parse().ok(),
+        }
     };
-    // Columns that are separated by several spaces have empty cells between them.
+    // Several spaces between columns are empty cells.
     let is_cell = |text: &&str| delimiter != b' ' || !text.is_empty();
-    let mut table =
-        NumberTable { names: Vec::new(), rows: Vec::new(), lines: Vec::new(), dropped: Vec::new() };
+    let mut table = NumberTable { names: Vec::new(), rows: Vec::new(), dropped: Vec::new() };
     let mut width = None;
     for (at, record) in reader.records().take(MAX_ROWS).enumerate() {
-        let line =
-            |record: &csv::StringRecord| record.position().map_or(at + 1, |p| p.line() as usize);
         let Ok(record) = record else {
             table.dropped.push(at + 1);
             continue;
         };
-        let values: Option<Vec<f64>> = record.iter().filter(is_cell).map(cell).collect();
-        if width.is_none() {
-            let names = || record.iter().filter(is_cell).map(str::to_owned).collect::<Vec<_>>();
-            width = Some(values.as_ref().map_or_else(|| names().len(), Vec::len));
-            if values.is_none() {
-                table.names = names();
-                continue;
-            }
+        let cells: Vec<&str> = record.iter().filter(is_cell).collect();
+        let is_first = width.is_none();
+        let width = *width.get_or_insert(cells.len());
+        if is_first && cells.iter().any(|cell| number(cell).is_none()) {
+            table.names = cells.into_iter().map(str::to_owned).collect();
+            continue;
         }
-        match values.filter(|row| Some(row.len()) == width) {
-            Some(row) => {
-                table.rows.push(row);
-                table.lines.push(line(&record));
+        let finite = |cell: &str| number(cell).filter(|value| value.is_finite());
+        match cells.iter().map(|cell| finite(cell)).collect::<Option<Vec<f64>>>() {
+            Some(row) if row.len() == width => table.rows.push(row),
+            _ => {
+                let line = record.position().map(|position| position.line() as usize);
+                table.dropped.push(line.unwrap_or(at + 1));
             }
-            None => table.dropped.push(line(&record)),
         }
     }
     Some(table)
@@ -289,6 +282,8 @@ mod tests {
             assert_eq!(table.joints(&names(&["a", "b"])), Some(vec![0, 1]));
             assert_eq!(table.joints(&names(&["a", "b", "c"])), None);
         }
+        let table = parse_numbers(b"nan,1\n2,3\n").unwrap();
+        assert_eq!((table.rows.len(), table.dropped.as_slice()), (1, [1].as_slice()));
         assert_eq!(
             parse_numbers(b"q1,q2\n1,2\n").unwrap().joints(&names(&["a", "b"])),
             Some(vec![0, 1])

@@ -42,7 +42,7 @@ rule! {
         name: "velocity-mismatch",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
-        needs_model: false,
+        needs_model: true,
         missing: "no joint states",
         check: check,
     }

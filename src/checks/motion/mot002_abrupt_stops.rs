@@ -40,7 +40,7 @@ rule! {
         name: "abrupt-stops",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
-        needs_model: false,
+        needs_model: true,
         missing: "no joint states",
         check: check,
     }

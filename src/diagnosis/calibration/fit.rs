@@ -32,7 +32,9 @@ pub(super) fn fit(
     if paths.iter().any(|other| other.links != path.links) {
         return Err(CalibrationFailure::OtherJoints);
     }
-    let parameters = CalibrationParameters::new(path, streams, &paths, zeros.to_vec());
+    let first = streams.first().ok_or(CalibrationFailure::TooFewSamples)?;
+    let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
+    let parameters = CalibrationParameters::new(path, &chain, streams, &paths, zeros.to_vec());
     let sources: Vec<StreamSource> = streams
         .iter()
         .enumerate()

@@ -2,12 +2,12 @@
 //!
 //! Deviations along or about a joint's axis have the same effect before and after the joint (for a
 //! prismatic joint: all translations and the rotation about its axis). By convention they belong to the
-//! frame before it. This leaves the minimal 4n + 6 parameters for n revolute joints (Everett, Driels and
+//! frame before it. A rotation about the next joint's axis is that joint's zero, if it is free. This leaves the minimal 4n + 6 parameters for n revolute joints (Everett, Driels and
 //! Mooring, *Kinematic modelling for robot calibration*, ICRA 1987).
 
 use super::{CalibrationStream, FrameFreedom, LinkParameter};
 use ground::geometry::{Pose, Vec3};
-use ground::robot::LinkPath;
+use ground::robot::{Chain, LinkPath};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -55,6 +55,7 @@ impl FrameAllocation {
 impl CalibrationParameters {
     pub fn new(
         path: &LinkPath,
+        chain: &Chain,
         streams: &[CalibrationStream],
         paths: &[LinkPath],
         zeros: Vec<usize>,
@@ -66,6 +67,10 @@ impl CalibrationParameters {
             given => given,
         };
         let tools: Vec<FrameFreedom> = streams.iter().enumerate().map(tool_of).collect();
+        let next_axes = next_axes(chain);
+        let is_zero = |link: usize, direction: &Vec3| {
+            zeros.contains(&link) && direction.dot(&next_axes[link]).abs() > 1.0 - 1e-9
+        };
         let is_known = |frame: FrameFreedom| frame == FrameFreedom::Known;
         let mut links = Vec::new();
         for link in 0..=joints {
@@ -79,6 +84,9 @@ impl CalibrationParameters {
             }
             for turns in [false, true] {
                 for direction in distinguishable_axes(path, link, turns) {
+                    if turns && is_zero(link, &direction) {
+                        continue;
+                    }
                     links.push(LinkParameter {
                         link,
                         is_rotation: turns,
@@ -207,6 +215,15 @@ impl CalibrationParameters {
         }
         all
     }
+}
+
+/// Axis of the joint after each link, in that link. The base comes first.
+fn next_axes(chain: &Chain) -> Vec<Vec3> {
+    let mut frames = Vec::new();
+    chain.joint_frames(&vec![0.0; chain.dof()], &mut frames);
+    let before = std::iter::once(Pose::identity()).chain(frames.iter().copied());
+    let both = before.zip(&frames).zip(chain.joint_axes());
+    both.map(|((link, next), axis)| link.rotation.inverse() * (next.rotation * axis)).collect()
 }
 
 /// Unit vectors along which a link's deviation is distinguishable from one before its joint.

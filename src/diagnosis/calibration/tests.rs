@@ -58,7 +58,7 @@ impl Case {
                 pose_of_twist(&twist)
             })
             .collect();
-        let truth = nominal.with_deviations(&path, &deviations, &[], &[]);
+        let truth = nominal.with_deviations(&path, &deviations, &[]);
         let mut joints = JointTrack { dof: 6, ..Default::default() };
         let at = |joint: usize, t_s: f64| {
             let (rate, phase) = (0.37 + 0.171 * joint as f64, 1.3 * joint as f64);
@@ -212,7 +212,7 @@ fn spread_at(case: &Case, calibrate: &ArmCalibration, q: &[f64]) -> [f64; 3] {
             (0..3).for_each(|axis| all[one.link][first + axis] += one.direction[axis] * value);
         }
         let deviations: Vec<Pose> = all.iter().map(|twist| pose_of_twist(twist)).collect();
-        let robot = case.nominal.with_deviations(&path, &deviations, &[], &[]);
+        let robot = case.nominal.with_deviations(&path, &deviations, &[]);
         robot.chain(case.base, case.tip).expect("a chain").forward(q).translation.vector
     };
     let middle = at(&calibrate.values);
@@ -339,7 +339,8 @@ fn configurations_at(
                     })
                     .collect::<Vec<_>>(),
             );
-            let square = &slopes * slopes.transpose() + 1e-6 * nalgebra::Matrix3::identity();
+            let square: nalgebra::Matrix3<f64> =
+                &slopes * slopes.transpose() + 1e-6 * nalgebra::Matrix3::identity();
             let Some(inverse) = square.try_inverse() else { break };
             let step = slopes.transpose() * (inverse * residual);
             q.iter_mut().zip(step.iter()).for_each(|(q, step)| *q += step.clamp(-0.3, 0.3));
@@ -473,7 +474,8 @@ fn points_in_one_tracker_frame_share_it() {
         .collect();
     let several = calibrate_arm(&case.nominal, &streams, &[], &[]).expect("a calibration");
     let one = calibrate_arm(&case.nominal, &streams[..1], &[], &[]).expect("a calibration");
-    let m = distance_difference_m(&case, &several.robot);
+    let tool = several.streams[0].tool.expect("an estimated point");
+    let m = distance_difference_m(&case, &several.robot, nests[0].into(), tool.translation.vector);
     assert!(m < 15e-6, "{m}");
     assert!(
         several.calibrated_uncertainty.m < 0.8 * one.calibrated_uncertainty.m,
@@ -485,8 +487,8 @@ fn points_in_one_tracker_frame_share_it() {
     assert!(references.iter().all(|one| *one == references[0]));
 }
 
-/// Rms difference of distances between tips, which free frames do not change, m.
-fn distance_difference_m(case: &Case, robot: &Robot) -> f64 {
+/// Rms difference of the distances that a point of the tool travels, m: `truth` on the true arm, `found` on `robot`.
+fn distance_difference_m(case: &Case, robot: &Robot, truth: Vec3, found: Vec3) -> f64 {
     let chains =
         [&case.truth, robot].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
     let at = |k: usize| -> Vec<f64> {
@@ -494,9 +496,10 @@ fn distance_difference_m(case: &Case, robot: &Robot) -> f64 {
     };
     let squares: Vec<f64> = (0..200)
         .map(|k| {
-            let [a, b] = chains.each_ref().map(|chain| {
+            let [a, b] = [(&chains[0], truth), (&chains[1], found)].map(|(chain, point)| {
                 let [one, other] = [2 * k, 2 * k + 1].map(|k| chain.forward(&at(k)));
-                (one.translation.vector - other.translation.vector).norm()
+                let of = |tip: Pose| tip.translation.vector + tip.rotation * point;
+                (of(one) - of(other)).norm()
             });
             (a - b).powi(2)
         })

@@ -132,6 +132,12 @@ impl CalibrationResult {
                 .to_owned(),
         ];
         let found = &self.calibration;
+        if !found.zeros.is_empty() {
+            said.push(
+                "a rotation about the axis of the next joint is that joint's zero, if it is estimated"
+                    .to_owned(),
+            );
+        }
         let has = |link: usize| found.parameters.iter().any(|one| one.link == link);
         if !has(0) {
             said.push(format!(
